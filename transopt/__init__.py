@@ -27,11 +27,13 @@ if TYPE_CHECKING:
     from transopt.design.entry import Entry
     from transopt.design.solve import build, certify, solve
     from transopt.design.verify import verify_library as verify
+    from transopt.library.drive_files import export_drive
     from transopt.library.export import export_library
     from transopt.library.file import load_library
     from transopt.library.library import Library, Waveform
     from transopt.library.online import Online
     from transopt.plant.state_space import Input, Output, StateSpace
+    from transopt.library.trade import trade_figures
     from transopt.problem.answer import Certificate, Multipliers, Solution, Status
     from transopt.problem.limits.limit import Limits
     from transopt.problem.problem import TransientProblem
@@ -75,6 +77,7 @@ __all__ = [
     "build",
     "build_references",
     "certify",
+    "export_drive",
     "export_library",
     "load_library",
     "load_scene",
@@ -86,6 +89,7 @@ __all__ = [
     "scene_names",
     "solve",
     "solve_problem",
+    "trade_figures",
     "verify",
     "with_model",
     "with_plant",
@@ -119,6 +123,7 @@ _HOME = {
     "build": "design.solve",
     "build_references": "recordings.reference",
     "certify": "design.solve",
+    "export_drive": "library.drive_files",
     "export_library": "library.export",
     "load_library": "library.file",
     "load_scene": "scene.builtin",
@@ -130,6 +135,7 @@ _HOME = {
     "scene_names": "scene.builtin",
     "solve": "design.solve",
     "solve_problem": "solvers.choose:solve",
+    "trade_figures": "library.trade",
     "verify": "design.verify:verify_library",
     "with_model": "scene.file",
     "with_plant": "scene.file",

@@ -24,6 +24,11 @@ def show(
     console = terminal.console()
     described = loaded.meta["scene"]["description"]
     console.print(library_table(loaded, f"{library}: {described}" if described else str(library)))
+    if loaded.axes.targets:
+        from transopt.report.trade import TRADE_LEGEND, trade_table
+
+        console.print(trade_table(loaded, "pulse and ring"))
+        console.print(TRADE_LEGEND, highlight=False)
     if figure is not None:
         from transopt.base.plotting import save_figure
 

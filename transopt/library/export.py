@@ -15,6 +15,7 @@ from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
 from transopt.library.arrays import HASH_FIELD
 from transopt.library.c_header import c_header
+from transopt.library.drive_files import refuse_descriptions
 from transopt.library.library import ARRAYS, Library
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.baselines import seed_inversion
@@ -31,10 +32,11 @@ def export_library(library: Library, path: str | Path) -> None:
 
     Raises
     ------
-    InputError : another suffix, a file that cannot be written, axes that the header cannot hold.
+    InputError : another suffix, a file that cannot be written, a library that the header cannot hold.
     """
     path = Path(path)
     formats = {".mat": mat_file, ".csv": csv_file, ".wav": wav_file, ".h": header_file}
+    refuse_descriptions(path)
     suffix = path.suffix.lower()
     if suffix not in formats:
         known = ", ".join(formats)
@@ -97,7 +99,7 @@ def csv_file(library: Library) -> bytes:
         ",".join(columns),
         *(",".join(map(_cell, row)) for row in zip(*flat, strict=True)),
     ]
-    return ("\n".join(lines) + "\n").encode("ascii")
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _cell(value: object) -> str:
@@ -138,6 +140,7 @@ def header_file(library: Library) -> bytes:
     if library.axes.targets or library.driven_by is not CURRENT_INPUT:
         raise InputError(
             "the C header blends currents between speeds and grips, and this library has "
-            f"{library.axes.said} and commands in {library.driven_by.unit}: export .csv, .mat or .wav"
+            f"{library.axes.said} and commands in {library.driven_by.unit}: add --drive, which writes one array for "
+            "each entry"
         )
     return c_header(library).encode("ascii")

@@ -1,0 +1,170 @@
+"""The samples that leave, played: what saturation, rounding and another rate make of an entry.
+
+A driver holds each sample over a period of its own, so its samples go through the plant and the amplifier of the
+entry by the exact zero-order hold of that period (`discretise`). The target is known at the instants of the design,
+which lie somewhere within the driver's periods: a hold over a part of a period takes the state there.
+
+The limits were kept by the design's samples and not by these: the independent replay watches them at every fine step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transopt.base.shown import brief
+from transopt.base.signals import FloatArray
+from transopt.library.drive import Drive, Driver
+from transopt.library.library import Library
+from transopt.library.trade import TradeFigures, entry_trade
+from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.problem.limits import posed
+from transopt.problem.limits.limit import Limit, Limits, Setting
+from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.target import Target
+from transopt.proof.replay import replay
+
+# What is not asked of samples: the step between two of them, which depends on the rate, and the coil's temperature,
+# which a mean of the command can only lower.
+NOT_WATCHED = (SlewLimit.name, TemperatureLimit.name)
+# Share of a limit by which samples may leave it, beside half a count where they have its unit: amplifiers and drivers
+# are not that exact, and the design's own margins are for its own rate.
+EXCUSED = 1e-3
+SAME = 9  # decimals of a driver's period in which two instants within it are the same
+
+
+@dataclass(frozen=True)
+class PlayedDrive:
+    """What a drive does, as it leaves.
+
+    Attributes
+    ----------
+    drive : what is played.
+    acceleration_m_s2 : (N + M,) y'' at the switching instants of the design, in its window and after it.
+    nrmse, nrmse_after : against r in the window and after it, as `Library.nrmse` and `nrmse_after` are of the design.
+    nrmse_designed : of the design.
+    figures : the trade's, of this acceleration.
+    limits_left : one sentence for each limit of the scene that it leaves; of a library with a wall, whose feedback
+        follows the device's own motion, none is watched.
+    """
+
+    drive: Drive
+    acceleration_m_s2: FloatArray
+    nrmse: float
+    nrmse_after: float
+    nrmse_designed: float
+    figures: TradeFigures
+    limits_left: tuple[str, ...]
+
+    __repr__ = brief
+
+
+@dataclass(frozen=True)
+class _Instants:
+    """How y'' at instants follows from the states at the driver's samples: rows of C e^(A theta) and what c adds.
+
+    Attributes
+    ----------
+    stage : device over one period of the driver.
+    sample : (K,) of the driver that is held at each instant.
+    rows : (K, n) [m/s^2 per unit of the state].
+    direct : (K,) [m/s^2 per A or V].
+    """
+
+    stage: StageModel
+    sample: NDArray[np.intp]
+    rows: FloatArray
+    direct: FloatArray
+
+    @classmethod
+    def of(cls, library: Library, ig: int, driver: Driver) -> "_Instants":
+        """At tau_0 to tau_(N+M-1); the driver's first sample acts from tau_0 on."""
+        grid, plant, amplifier = library.time_grid(), library.plant(ig), library.amplifier()
+        stage = discretise(plant, amplifier, 1 / driver.rate_Hz)
+        periods = grid.dt_s * driver.rate_Hz * np.arange(grid.stages + grid.after_stages)
+        # An instant at a switch comes just after it, as in the design.
+        sample = np.floor(periods + 10.0**-SAME).astype(np.intp)
+        parts, of_part = np.unique(np.round(np.maximum(periods - sample, 0.0), SAME), return_inverse=True)
+        rows, direct = [], []
+        for part in parts:
+            A, B = np.eye(stage.A.shape[0]), np.zeros_like(stage.B)
+            if part > 0:
+                within = discretise(plant, amplifier, part / driver.rate_Hz)
+                A, B = within.A, within.B
+            rows.append((stage.C @ A)[0])
+            direct.append(float((stage.C @ B + stage.D)[0, 0]))
+        return cls(stage, sample, np.array(rows)[of_part], np.array(direct)[of_part])
+
+    def accelerations(self, values: FloatArray) -> FloatArray:
+        """(K,) y'' of a driver's output (m,), zero after it."""
+        output = np.zeros(max(int(self.sample[-1]) + 1, values.size))
+        output[: values.size] = values
+        states = self.stage.states(output)[self.sample]
+        return np.asarray((self.rows * states).sum(axis=1) + self.direct * output[self.sample])
+
+
+def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
+    """One sentence for each limit that the samples leave by more than `EXCUSED` and half a count.
+
+    The limits `NOT_WATCHED` are not among them, and of a library with a wall none is.
+    """
+    posing, axes = library.posing(), library.axes
+    if posing.wall is not None:
+        return ()
+    design, values = posing.grid, drive.values
+    grid = TimeGrid(1 / drive.driver.rate_Hz, values.size, design.lead_s, design.delay_s)
+    stage = replace(posing, grid=grid).stage(library.plant(drive.ig))
+    wanted = library.wanted(axes.speeds_m_s[drive.iv], np.eye(len(axes.speeds_m_s))[drive.iv])
+    nominal_m, nominal_m_s = (
+        np.interp(grid.switching_times_s, design.switching_times_s, course)
+        for course in (wanted.nominal_position_m, wanted.nominal_velocity_m_s)
+    )
+    nothing = np.zeros(values.size)
+    setting = Setting(
+        stage=stage,
+        grid=grid,
+        circuit=posing.circuit,
+        coil=posing.coil,
+        budget=posing.budget,
+        wall=None,
+        reference_m_s2=nothing,
+        nominal_m=nominal_m,
+        nominal_m_s=nominal_m_s,
+    )
+    limits = Limits(
+        tuple(limit for limit in posed(posing.asked, setting, posing.law_of) if limit.name not in NOT_WATCHED)
+    )
+    (found,) = replay(stage, grid, values[None], [Target(nothing)], None, limits=[limits])
+
+    def most(limit: Limit) -> float:
+        rounded = drive.driver.scale / 2 if limit.unit == drive.driver.unit else 0.0
+        return limit.stated + max(limit.replay_tolerance, EXCUSED * abs(limit.stated)) + rounded
+
+    # A number that is not finite leaves every limit.
+    return tuple(limit.replayed(found.peak(limit)) for limit in limits if not found.peak(limit) <= most(limit))
+
+
+def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
+    """Play drives of a library, all for the same driver."""
+    stages = library.command.shape[2]
+    instants: dict[int, _Instants] = {}
+    found = []
+    for drive in drives:
+        if drive.ig not in instants:
+            instants[drive.ig] = _Instants.of(library, drive.ig, drive.driver)
+        acceleration = instants[drive.ig].accelerations(drive.values)
+        target = library.target(np.eye(library.speeds_m_s.size)[drive.iv])
+        found.append(
+            PlayedDrive(
+                drive=drive,
+                acceleration_m_s2=acceleration,
+                nrmse=target.nrmse(acceleration[:stages]),
+                nrmse_after=target.nrmse_after(acceleration[stages:]),
+                nrmse_designed=float(library.nrmse[drive.iv, drive.ig]),
+                figures=entry_trade(library, drive.iv, acceleration),
+                limits_left=limits_left(library, drive),
+            )
+        )
+    return found

@@ -1,0 +1,121 @@
+"""The figures by which the haptics trade compares clicks: pulse to ring, rise, brake, duration, peak.
+
+They are read off the acceleration alone; of the target they need only when it ends. The trade states them without one
+common definition (source.android.com, "Analyze the waveform", has a pulse-to-ring ratio among its results and not how
+it is formed), so each is defined here, and figures of other tools do not compare to the digit.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.library.library import Library
+from transopt.problem.objective.target import Target
+
+PRESENT = 0.1  # share of the peak below which nothing counts as vibration any more, or yet
+SAME = 1e-6  # of a sample: what rounding may do to the end of a target
+RISEN = 0.9  # share of the peak at which the rise is over
+
+
+@dataclass(frozen=True)
+class TradeFigures:
+    """What a click is like; a is its acceleration over the window and what was looked at after it.
+
+    The pulse is a up to the target's end, the ring is a after it. A named target states its end; a tap,
+    whose end nobody states, ends when |r| is last `PRESENT` of its peak. Crossings are interpolated between samples.
+
+    Attributes
+    ----------
+    nrmse : of a against r in the window (`Target.nrmse`), which the trade does not state.
+    peak_m_s2 : max |a|.
+    rise_s : from the first instant with |a| = 10 % of the peak to the first with 90 %.
+    duration_s : from the first to the last instant with |a| = 10 % of the peak.
+    brake_s : from the target's end to the last instant with |a| = 10 % of the peak, 0 where that comes before;
+        infinite where a is above at the end of what was looked at.
+    pulse_to_ring : (max a - min a) of the pulse over the same of the ring; infinite where nothing rings, NaN where
+        the target lasts to the end of what was looked at.
+    ring_energy_m2_s3 : integral of a^2 over the ring.
+    ring_share : of that in the integral over all of a.
+    target_ends_s : from the first sample on.
+
+    Rise, duration and ratio are NaN where nothing moves at all.
+    """
+
+    nrmse: float
+    peak_m_s2: float
+    rise_s: float
+    duration_s: float
+    brake_s: float
+    pulse_to_ring: float
+    ring_energy_m2_s3: float
+    ring_share: float
+    target_ends_s: float
+
+
+def _first(size: FloatArray, level: float) -> float:
+    """Where `size` first reaches a level that it does reach, in samples."""
+    at = int(np.argmax(size >= level))
+    if at == 0:
+        return 0.0
+    before, now = size[at - 1 : at + 1]
+    return float(at - 1 + (level - before) / (now - before))
+
+
+def _last_asked(target: Target) -> int:
+    """Index of the last sample that is `PRESENT` of the target's peak; 0 of a target of zero."""
+    asked = np.abs(target.continued_m_s2)
+    return int(np.flatnonzero(asked >= PRESENT * asked.max())[-1]) if asked.any() else 0
+
+
+def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float, ends_s: float | None = None) -> TradeFigures:
+    """The figures of an acceleration.
+
+    Parameters
+    ----------
+    acceleration_m_s2 : (N + K,) in the window and at K >= 0 instants after it; the more of these, the later a ring
+        can be seen to end.
+    target : r, (N,) in the window.
+    dt_s : between two samples.
+    ends_s : when the target is over, from the first sample on; None for where it is last `PRESENT` of its peak.
+    """
+    a = acceleration_m_s2
+    last = min(_last_asked(target) if ends_s is None else max(int(ends_s / dt_s + SAME), 0), a.size - 1)
+    pulse, ring = a[: last + 1], a[last + 1 :]
+    size = np.abs(a)
+    peak, energy, after = float(size.max()), float(a @ a), float(ring @ ring)
+    if peak == 0:
+        rise = duration = ratio = float("nan")
+        brake = 0.0
+    else:
+        begins, risen = _first(size, PRESENT * peak), _first(size, RISEN * peak)
+        # Seen from its end, the last instant is the first.
+        gone = a.size - 1 - _first(size[::-1], PRESENT * peak)
+        rise, duration = (risen - begins) * dt_s, (gone - begins) * dt_s
+        brake = float("inf") if size[-1] >= PRESENT * peak else max(gone - last, 0.0) * dt_s
+        rung = float(np.ptp(ring)) if ring.size else float("nan")
+        ratio = float(np.ptp(pulse)) / rung if rung != 0 else float("inf")
+    return TradeFigures(
+        nrmse=target.nrmse(a[: target.window_m_s2.size]),
+        peak_m_s2=peak,
+        rise_s=rise,
+        duration_s=duration,
+        brake_s=brake,
+        pulse_to_ring=ratio,
+        ring_energy_m2_s3=after * dt_s,
+        ring_share=after / energy if energy else 0.0,
+        target_ends_s=last * dt_s,
+    )
+
+
+def entry_trade(library: Library, iv: int, acceleration_m_s2: FloatArray) -> TradeFigures:
+    """The figures of what an entry of row `iv` does, (N + M,) at the switching instants of its library."""
+    wanted = library.wanted(float(library.speeds_m_s[iv]), np.eye(library.speeds_m_s.size)[iv])
+    grid = library.time_grid()
+    ends_s = wanted.ends_s - float(grid.switching_times_s[0]) if np.isfinite(wanted.ends_s) else None
+    return trade_of(acceleration_m_s2, wanted.target, grid.dt_s, ends_s)
+
+
+def trade_figures(library: Library, iv: int, ig: int) -> TradeFigures:
+    """The figures of an entry as it was designed, through its window and `weights.after_s` after it."""
+    return entry_trade(library, iv, library.lasting(iv, ig)[0])

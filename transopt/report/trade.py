@@ -1,0 +1,101 @@
+"""Tables of what leaves for a driver, and of the figures that the haptics trade goes by."""
+
+import math
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from transopt.base.writing import percent
+from transopt.library.drive import is_multiple
+from transopt.library.drive_replay import PlayedDrive
+from transopt.library.library import Library
+from transopt.library.trade import PRESENT, RISEN, TradeFigures, trade_figures
+
+TRADE_COLUMNS = ("peak m/s^2", "pulse / ring", "rise ms", "duration ms", "brake ms", "ring energy %")
+TRADE_LEGEND = (
+    f"The pulse is the acceleration until the target ends (a tap when it is last {100 * PRESENT:g} % of its peak), "
+    "the ring what comes after. pulse / ring: peak to peak of the one over that of the other. rise: first instant at "
+    f"{100 * PRESENT:g} % of the peak to the first at {100 * RISEN:g} %. duration: first to last instant at "
+    f"{100 * PRESENT:g} %. brake: from the target's end to the last instant at {100 * PRESENT:g} %. ring energy: "
+    "share of the ring in all of the acceleration squared."
+)
+
+
+def trade_cells(figures: TradeFigures) -> list[str]:
+    """Under `TRADE_COLUMNS`; a dash for what is not known, and for a ring that was not seen to end."""
+    return [
+        f"{figures.peak_m_s2:.3g}",
+        _known(figures.pulse_to_ring, 1, "{:.1f}"),
+        _known(figures.rise_s, 1e3, "{:.2f}"),
+        _known(figures.duration_s, 1e3, "{:.2f}"),
+        _known(figures.brake_s, 1e3, "{:.2f}"),
+        percent(figures.ring_share),
+    ]
+
+
+def _known(value: float, factor: float, form: str) -> str:
+    return form.format(factor * value) if math.isfinite(value) else "-"
+
+
+def trade_table(library: Library, name: str) -> Table:
+    """The trade's figures of every entry as designed."""
+    table = _table(name, [*library.axes.columns, "NRMSE %", *TRADE_COLUMNS])
+    for iv in range(library.speeds_m_s.size):
+        for ig in range(library.grips_N.size):
+            found = trade_figures(library, iv, ig)
+            table.add_row(*library.axes.cells(iv, ig), percent(library.nrmse[iv, ig]), *trade_cells(found))
+    return table
+
+
+def drive_table(library: Library, left: Sequence[PlayedDrive]) -> Table:
+    """What `transopt export --drive` prints: the error of the design and of what leaves, and the trade's figures."""
+    driver = left[0].drive.driver
+    title = (
+        f"as it leaves: {driver.rate_Hz:g} Hz, {driver.depth.word}, full scale {driver.full_scale:g} {driver.unit}"
+    )
+    columns = ["designed %", "leaves %", "after %", "saturated", f"peak {driver.unit}", *TRADE_COLUMNS]
+    table = _table(title, [*library.axes.columns, *columns])
+    for each in left:
+        drive = each.drive
+        table.add_row(
+            *library.axes.cells(drive.iv, drive.ig),
+            f"{100 * each.nrmse_designed:.3f}",
+            f"{100 * each.nrmse:.3f}",
+            percent(each.nrmse_after),
+            str(drive.saturated),
+            f"{drive.peak:.3f}",
+            *trade_cells(each.figures),
+            style="red" if drive.saturated or each.limits_left else None,
+        )
+    return table
+
+
+def drive_remarks(library: Library, left: Sequence[PlayedDrive]) -> list[str]:
+    """What deserves a second look in what leaves, one line each."""
+    driver = left[0].drive.driver
+    said = [
+        f"{each.drive.name}: {limit} as it leaves; more --bits, a multiple of the design's rate or a lower limit in "
+        "the scene would keep it"
+        for each in left
+        for limit in each.limits_left
+    ]
+    saturated = sum(each.drive.saturated for each in left)
+    if saturated:
+        said.append(
+            f"{saturated} samples are beyond full scale and leave clipped: leave --full-scale out, or solve the "
+            f"scene with a limit of {driver.full_scale:g} {driver.unit}"
+        )
+    if not is_multiple(library, driver.rate_Hz):
+        said.append(
+            f"{driver.rate_Hz:g} Hz is no multiple of the design's {1 / library.meta['dt_s']:g} Hz: each sample is "
+            "the mean of the command over its period; a scene with time.dt_s = "
+            f"{1 / driver.rate_Hz:.17g} leaves as it was designed"
+        )
+    return said
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title=title)
+    for column in columns:
+        table.add_column(column, justify="left" if column == "target" else "right", overflow="fold")
+    return table
