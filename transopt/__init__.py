@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from transopt.base.errors import InputError
     from transopt.design.build import Build
     from transopt.design.entry import Entry
+    from transopt.design.nonlinear import NonlinearDesign, design_nonlinear
     from transopt.design.solve import build, certify, solve
     from transopt.design.verify import verify_library as verify
     from transopt.library.export import export_library
@@ -57,6 +58,7 @@ __all__ = [
     "Library",
     "Limits",
     "Multipliers",
+    "NonlinearDesign",
     "Online",
     "Recording",
     "Recordings",
@@ -71,6 +73,7 @@ __all__ = [
     "build",
     "build_references",
     "certify",
+    "design_nonlinear",
     "export_library",
     "load_library",
     "load_scene",
@@ -97,6 +100,7 @@ _HOME = {
     "Library": "library.library",
     "Limits": "problem.limits.limit",
     "Multipliers": "problem.answer",
+    "NonlinearDesign": "design.nonlinear",
     "Online": "library.online",
     "Recording": "recordings.recording",
     "Recordings": "recordings.settings",
@@ -111,6 +115,7 @@ _HOME = {
     "build": "design.solve",
     "build_references": "recordings.reference",
     "certify": "design.solve",
+    "design_nonlinear": "design.nonlinear",
     "export_library": "library.export",
     "load_library": "library.file",
     "load_scene": "scene.builtin",
