@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from transopt.base.errors import InputError
     from transopt.design.build import Build
     from transopt.design.entry import Entry
+    from transopt.design.nonlinear import NonlinearDesign, design_nonlinear
     from transopt.design.solve import build, certify, solve
     from transopt.design.verify import verify_library as verify
     from transopt.library.drive_files import export_drive
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
     from transopt.library.file import load_library
     from transopt.library.library import Library, Waveform
     from transopt.library.online import Online
-    from transopt.plant.state_space import Input, Output, StateSpace
     from transopt.library.trade import trade_figures
+    from transopt.plant.state_space import Input, Output, StateSpace
     from transopt.problem.answer import Certificate, Multipliers, Solution, Status
     from transopt.problem.limits.limit import Limits
     from transopt.problem.problem import TransientProblem
@@ -61,6 +62,7 @@ __all__ = [
     "Library",
     "Limits",
     "Multipliers",
+    "NonlinearDesign",
     "Online",
     "Output",
     "Recording",
@@ -77,6 +79,7 @@ __all__ = [
     "build",
     "build_references",
     "certify",
+    "design_nonlinear",
     "export_drive",
     "export_library",
     "load_library",
@@ -107,6 +110,7 @@ _HOME = {
     "Library": "library.library",
     "Limits": "problem.limits.limit",
     "Multipliers": "problem.answer",
+    "NonlinearDesign": "design.nonlinear",
     "Online": "library.online",
     "Output": "plant.state_space",
     "Recording": "recordings.recording",
@@ -124,6 +128,7 @@ _HOME = {
     "build_references": "recordings.reference",
     "certify": "design.solve",
     "export_drive": "library.drive_files",
+    "design_nonlinear": "design.nonlinear",
     "export_library": "library.export",
     "load_library": "library.file",
     "load_scene": "scene.builtin",

@@ -11,9 +11,7 @@ from typing import Literal, Self
 import numpy as np
 
 from transopt.base.section import Positive
-from transopt.plant.motor import Tip
-from transopt.plant.moving_coil import MovingCoil, moving_coil
-from transopt.plant.state_space import StateSpace
+from transopt.plant.moving_coil import Mechanics, MovingCoil
 
 
 class Inertial(MovingCoil):
@@ -30,16 +28,8 @@ class Inertial(MovingCoil):
             update={"resonance_Hz": resonance * self.resonance_Hz, "quality": quality * self.quality}
         )
 
-    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
+    @property
+    def mechanics(self) -> Mechanics:
         w = 2 * np.pi * self.resonance_Hz
         reduced_kg = self.moving_mass_kg * self.case_mass_kg / (self.moving_mass_kg + self.case_mass_kg)
-        return moving_coil(
-            moving_mass_kg=self.moving_mass_kg,
-            case_mass_kg=self.case_mass_kg,
-            stiffness_N_m=reduced_kg * w**2,
-            damping_N_s_m=reduced_kg * w / self.quality,
-            force_factor_N_A=self.force_factor_N_A,
-            R_ohm=self.resistance_in_the_way_ohm,
-            L_H=self.L_H,
-            struck=struck,
-        )
+        return Mechanics(self.moving_mass_kg, self.case_mass_kg, reduced_kg * w**2, reduced_kg * w / self.quality)

@@ -16,17 +16,48 @@ Struck by a force f from outside on the part whose acceleration that is, its ter
 """
 
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
 
+from transopt.base.arithmetic import Formula
+from transopt.base.errors import InputError
 from transopt.base.section import NonNegative, Positive
 from transopt.plant.circuit import Circuit
 from transopt.plant.kind import PlantKind
+from transopt.plant.motor import Tip
+from transopt.plant.nonlinear import VARIABLES, Nonlinear, NonlinearCoil
 from transopt.plant.state_space import CURRENT_INPUT, POSITION, VELOCITY, VOLTAGE_INPUT, Input, Output, StateSpace
 
 CURRENT = "current"  # of the coil, an output where a voltage drives it through an inductance
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """What moves, and what holds it.
+
+    Attributes
+    ----------
+    case_mass_kg : None where the ground holds the coil or the magnet.
+    """
+
+    moving_mass_kg: float
+    case_mass_kg: float | None
+    stiffness_N_m: float
+    damping_N_s_m: float
+
+    @property
+    def reduced_kg(self) -> float:
+        """mu, what the force between the two accelerates them against each other by."""
+        m, M = self.moving_mass_kg, self.case_mass_kg
+        return m if M is None else m * M / (m + M)
+
+    @property
+    def accelerated_kg(self) -> float:
+        """What the acceleration that matters is of."""
+        return self.moving_mass_kg if self.case_mass_kg is None else self.case_mass_kg
 
 
 class MovingCoil(PlantKind):
@@ -39,11 +70,61 @@ class MovingCoil(PlantKind):
     force_factor_N_A: Positive
     R_ohm: Positive | None = None
     L_H: NonNegative = 0.0
+    nonlinear: Nonlinear | None = None
 
     @model_validator(mode="after")
     def _resisted(self) -> Self:
         if self.input == "voltage" and self.R_ohm is None:
             raise ValueError('R_ohm: missing; a voltage drives the coil (input = "voltage")')
+        return self
+
+    @property
+    @abstractmethod
+    def mechanics(self) -> Mechanics:
+        """What moves, and what holds it."""
+
+    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
+        return moving_coil(
+            self.mechanics,
+            force_factor_N_A=self.force_factor_N_A,
+            R_ohm=self.resistance_in_the_way_ohm,
+            L_H=self.L_H,
+            struck=struck,
+        )
+
+    def nonlinear_plant(self) -> NonlinearCoil | None:
+        """The plant with the formulas of `nonlinear`; None without them.
+
+        Raises
+        ------
+        InputError : formulas that contradict the linear model at rest.
+        """
+        if self.nonlinear is None:
+            return None
+        held = self.mechanics
+        constants = (("BL", self.force_factor_N_A), ("K", held.stiffness_N_m), ("C", held.damping_N_s_m))
+        formulas = {
+            key: None if text is None else Formula(text, VARIABLES, constants)
+            for key, text in self.nonlinear.model_dump().items()
+        }
+        return NonlinearCoil(
+            linear=self.plant(0.0, None),
+            moved_kg=held.reduced_kg,
+            accelerated_kg=held.accelerated_kg,
+            force_factor_N_A=self.force_factor_N_A,
+            stiffness_N_m=held.stiffness_N_m,
+            damping_N_s_m=held.damping_N_s_m,
+            R_ohm=self.resistance_in_the_way_ohm,
+            L_H=self.L_H,
+            **formulas,
+        )
+
+    @model_validator(mode="after")
+    def _linear_at_rest(self) -> Self:
+        try:
+            self.nonlinear_plant()
+        except InputError as error:
+            raise ValueError(str(error).removeprefix("model.")) from None
         return self
 
     @property
@@ -65,11 +146,8 @@ class MovingCoil(PlantKind):
 
 
 def moving_coil(
+    held: Mechanics,
     *,
-    moving_mass_kg: float,
-    case_mass_kg: float | None,
-    stiffness_N_m: float,
-    damping_N_s_m: float,
     force_factor_N_A: float,
     R_ohm: float | None,
     L_H: float,
@@ -79,15 +157,11 @@ def moving_coil(
 
     Parameters
     ----------
-    case_mass_kg : None where the ground holds the coil or the magnet.
     R_ohm : of the coil; None where a current is the input.
     struck : the input is a force on the part whose acceleration it is, the moving one or the case [N] instead.
     """
-    reduced_kg = (
-        moving_mass_kg if case_mass_kg is None else moving_mass_kg * case_mass_kg / (moving_mass_kg + case_mass_kg)
-    )
-    accelerated_kg = reduced_kg if case_mass_kg is None else case_mass_kg
-    k, c, BL = stiffness_N_m, damping_N_s_m, force_factor_N_A
+    reduced_kg, accelerated_kg = held.reduced_kg, held.accelerated_kg
+    k, c, BL = held.stiffness_N_m, held.damping_N_s_m, force_factor_N_A
     by_voltage = R_ohm is not None and not struck
     if by_voltage and L_H > 0:
         # States x, dx/dt, i.

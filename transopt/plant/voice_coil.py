@@ -7,9 +7,8 @@ coil with an inductance.
 from typing import Literal, Self
 
 from transopt.base.section import NonNegative, Positive
-from transopt.plant.motor import Tip, Winding
-from transopt.plant.moving_coil import MovingCoil, moving_coil
-from transopt.plant.state_space import StateSpace
+from transopt.plant.motor import Winding
+from transopt.plant.moving_coil import Mechanics, MovingCoil
 
 
 class VoiceCoil(MovingCoil):
@@ -38,14 +37,6 @@ class VoiceCoil(MovingCoil):
             }
         )
 
-    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
-        return moving_coil(
-            moving_mass_kg=self.moving_mass_kg,
-            case_mass_kg=self.case_mass_kg,
-            stiffness_N_m=self.stiffness_N_m,
-            damping_N_s_m=self.damping_N_s_m,
-            force_factor_N_A=self.force_factor_N_A,
-            R_ohm=self.resistance_in_the_way_ohm,
-            L_H=self.L_H,
-            struck=struck,
-        )
+    @property
+    def mechanics(self) -> Mechanics:
+        return Mechanics(self.moving_mass_kg, self.case_mass_kg, self.stiffness_N_m, self.damping_N_s_m)

@@ -25,6 +25,7 @@ class Status(Enum):
     INFEASIBLE = "no command meets all limits"
     NUMERICAL_FAILURE = "the solver broke down numerically"
     NOT_GLOBAL = "a certified stationary point, but the convex bound leaves room for a better one"
+    STATIONARY = "a certified stationary point, replayed; nothing is claimed about others"
     NOT_CERTIFIED = "the answer is not proven optimal"
     REPLAY_VIOLATION = "the continuous-time replay leaves a limit or misses the prediction"
     HAND_OVER = "the wall's feedback alone exceeds a limit when the transient has to end"

@@ -109,7 +109,7 @@ def replayed_errors(stage: StageModel, grid: TimeGrid, commands: FloatArray, tar
     return np.array([target.nrmse(a) for a, target in zip(found, targets, strict=True)])
 
 
-def _reached(
+def largest_reached(
     run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid
 ) -> list[tuple[dict[str, float], dict[str, float]]]:
     """Of each command, by limit: the largest size of the values that it watches, and the largest up to tau_(N-1)."""
@@ -209,7 +209,7 @@ def replay(
     winding, housing = (
         (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
     )
-    reached = [({}, {})] * M if limits is None else _reached(run, limits, stage, grid)
+    reached = [({}, {})] * M if limits is None else largest_reached(run, limits, stage, grid)
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
         errors = [target.nrmse(own) for own, target in zip(acceleration, targets, strict=True)]
         # What is not asked about after the window is not compared.

@@ -101,6 +101,12 @@ class Scene(Section):
             raise ValueError("motor and transmission belong together: give both, or a tip table in their place")
         if isinstance(self.model, IdentifiedModel):
             self._check_identified(self.model)
+        if self.nonlinear and not self.targets:
+            raise ValueError("model.nonlinear: x is the displacement from rest, so it needs [[targets]], not speeds")
+        if self.nonlinear and self.weights.objective != "waveform":
+            raise ValueError('model.nonlinear: only with weights.objective = "waveform"')
+        if self.nonlinear and self.robust is not None:
+            raise ValueError("robust: serves a spread of linear devices, not model.nonlinear: leave one of them out")
         whole = isinstance(self.model, PlantKind) and not self.model.driven_at_tip
         if whole and (self.motor, self.transmission, self.tip) != (None, None, None):
             raise ValueError(f"model.kind = {self.model.kind} is a whole actuator: take motor, transmission, tip out")
@@ -382,8 +388,29 @@ class Scene(Section):
         after = samples_after(self.weights.after_s, self.time.dt_s)
         return TimeGrid(self.time.dt_s, self.time.stages, self.lead_s, self.delay_s, after)
 
+    @property
+    def nonlinear(self) -> bool:
+        """Whether its plant has formulas in place of constants."""
+        return isinstance(self.model, MovingCoil) and self.model.nonlinear is not None
+
+    def at_rest(self) -> Self:
+        """The scene with the plant as it is at rest, a linear one."""
+        if not self.nonlinear:
+            return self
+        return self.model_copy(update={"model": self.model.model_copy(update={"nonlinear": None})})
+
     def posing(self) -> Posing:
-        """What the problems of all its taps share."""
+        """What the problems of all its taps share.
+
+        Raises
+        ------
+        InputError : a nonlinear plant, which no linear problem has.
+        """
+        if self.nonlinear:
+            raise InputError(
+                f"{self.name}: model.nonlinear: no library holds a nonlinear plant; design it with "
+                "transopt.design_nonlinear or scripts/nonlinear_plant.py, or leave the table out"
+            )
         grid = self.time_grid()
         return Posing(
             grid=grid,

@@ -1,0 +1,180 @@
+"""Designs for a nonlinear plant, whole: beside the linear design, refused where they must be, and nowhere else."""
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import transopt as to
+from tests.benches.commands import Terminal, assert_refused
+from transopt.base.errors import InputError
+from transopt.design import nonlinear
+from transopt.design.nonlinear import NonlinearDesign, design_nonlinear
+from transopt.problem.answer import Solution, Status
+from transopt.problem.nonlinear import NonlinearProblem
+from transopt.scene.builtin import load_scene
+from transopt.solvers.options import SolverOptions
+
+SCENE = """
+amplifier = "ideal"
+hand_over_samples = 1
+
+[time]
+dt_s = 2e-4
+stages = 120
+lead_s = 0.0
+
+[[targets]]
+name = "click"
+shape = "burst"
+frequency_Hz = 150
+cycles = 2
+peak_m_s2 = 12.0
+
+[model]
+kind = "inertial"
+resonance_Hz = 150
+quality = 8
+moving_mass_kg = 0.003
+case_mass_kg = 0.1
+force_factor_N_A = 0.8
+R_ohm = 8.0
+L_H = 5e-4
+
+[model.nonlinear]
+force_factor = "BL*(1 - 0.3*(x/0.6e-3)**2)"
+
+[limits]
+voltage_V = 12.0
+stroke_m = 6e-4
+
+[weights]
+after_s = 10e-3
+"""
+
+
+def stated(tmp_path: Path, *swaps: tuple[str, str]) -> Path:
+    text = SCENE
+    for old, new in swaps:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "lra.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory: pytest.TempPathFactory) -> NonlinearDesign:
+    return design_nonlinear(stated(tmp_path_factory.mktemp("nonlinear")))
+
+
+class TestDesign:
+    def test_is_proven_played_and_at_most_half_as_wrong_as_the_linear_one(self, design: NonlinearDesign) -> None:
+        (entry,) = design.entries
+        assert entry.status is Status.STATIONARY
+        assert not entry.shortfalls
+        assert entry.certificate.is_stationary
+        assert entry.nrmse <= 0.5 * entry.linear_nrmse
+        assert entry.linear_promised < entry.linear_nrmse
+
+    def test_replay_agrees_with_the_prediction(self, design: NonlinearDesign) -> None:
+        (entry,) = design.entries
+        assert entry.off_replay <= 1e-6
+        assert entry.played.step_error <= 1e-6
+
+    def test_hands_out_commands_by_target(self, design: NonlinearDesign) -> None:
+        assert design.command("click").shape == (120,)
+        assert design.commands.shape == (1, 120)
+        assert np.abs(design.commands).max() <= 12
+        with pytest.raises(InputError, match="clack: no target of this scene: click"):
+            design.command("clack")
+
+    def test_shows_both_designs(self, design: NonlinearDesign) -> None:
+        assert "1 of 1 targets certified stationary" in repr(design)
+        assert "of the linear design" in repr(design.entries[0])
+        assert "nonlinear, played %" in design._repr_html_()
+        assert not design.entries[0].linear_leaves
+
+    def test_is_of_the_public_face(self) -> None:
+        assert to.design_nonlinear is design_nonlinear
+
+
+class TestRefusedAnswer:
+    def designed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any) -> NonlinearDesign:
+        true = nonlinear.solve
+
+        def wrong(problem: NonlinearProblem, start: np.ndarray, options: SolverOptions) -> Solution:
+            found = true(problem, start, options)
+            return replace(found, **{name: change(found) for name, change in changed.items()})
+
+        monkeypatch.setattr(nonlinear, "solve", wrong)
+        return design_nonlinear(stated(tmp_path))
+
+    def test_a_command_that_is_not_the_optimum(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        made = self.designed(tmp_path, monkeypatch, command=lambda found: 0.99 * found.command)
+        assert made.entries[0].status is Status.NOT_CERTIFIED
+        assert "gap" in made.entries[0].shortfalls[0]
+        with pytest.raises(InputError, match="click: refused: gap"):
+            made.command("click")
+
+    def test_a_solver_that_broke_down(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            made = self.designed(
+                tmp_path,
+                monkeypatch,
+                command=lambda found: np.full_like(found.command, np.nan),
+                status=lambda _: Status.NUMERICAL_FAILURE,
+                message=lambda _: "Invalid_Number_Detected",
+            )
+        assert made.entries[0].status is Status.NUMERICAL_FAILURE
+        assert made.entries[0].shortfalls[0] == "IPOPT: Invalid_Number_Detected"
+
+    def test_too_few_iterations(self, tmp_path: Path) -> None:
+        made = design_nonlinear(stated(tmp_path), options=SolverOptions(max_iterations=2))
+        assert made.entries[0].status is Status.ITERATION_LIMIT
+
+
+class TestScene:
+    def test_a_library_of_it_is_refused_by_one_line(self, tmp_path: Path, terminal: Terminal) -> None:
+        path = stated(tmp_path)
+        with pytest.raises(InputError, match=r"no library holds a nonlinear plant; design it with transopt\.design_"):
+            to.build(path)
+        refused = terminal("transopt", "solve", path, "--out", tmp_path / "out")
+        assert_refused(refused, "no library holds a nonlinear plant", "scripts/nonlinear_plant.py")
+
+    def test_without_the_table_it_is_the_linear_scene(self, tmp_path: Path) -> None:
+        path = stated(tmp_path)
+        at_rest = load_scene(path).at_rest()
+        plain = load_scene(stated(tmp_path, (SCENE[SCENE.index("[model.nonlinear]") : SCENE.index("[limits]")], "")))
+        assert at_rest == plain
+        assert at_rest.at_rest() is at_rest
+        assert to.build(at_rest).library is not None
+
+    def test_a_linear_scene_has_no_nonlinear_design(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"model\.nonlinear: missing"):
+            design_nonlinear(load_scene(stated(tmp_path)).at_rest())
+
+    @pytest.mark.parametrize(
+        ("swap", "said"),
+        [
+            (("BL*(1 - 0.3", "os.system(1 - 0.3"), "no part of a formula"),
+            (("BL*(1", "1.0*(1"), "1 N/A at rest, the linear model has 0.8 N/A"),
+            (("[weights]", '[weights]\nobjective = "intensity"'), "only with weights.objective"),
+            (("[weights]", "[robust]\nquality_spread = 0.1\n[weights]"), "leave one of them out"),
+            (("force_factor =", "forcefactor ="), "forcefactor"),
+        ],
+    )
+    def test_what_it_cannot_be_is_one_line(self, tmp_path: Path, swap: tuple[str, str], said: str) -> None:
+        with pytest.raises(InputError, match=said) as refused:
+            load_scene(stated(tmp_path, swap))
+        assert "\n" not in str(refused.value)
+
+    def test_it_needs_named_targets(self, tmp_path: Path) -> None:
+        taps = '[grid]\nspeeds_m_s = [0.1]\n[recordings]\nfiles = ["a.csv"]\n'
+        block = SCENE[SCENE.index("[[targets]]") : SCENE.index("[model]")]
+        with pytest.raises(InputError, match=r"needs \[\[targets\]\], not speeds"):
+            load_scene(stated(tmp_path, (block, taps)))

@@ -1,0 +1,186 @@
+"""Nonlinear coils: their equations written out, the stage beside the linear one and beside an integrator."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy import integrate
+
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.discretise import AFTER, Motion, discretise
+from transopt.plant.inertial import Inertial
+from transopt.plant.nonlinear import NonlinearCoil
+from transopt.plant.nonlinear_stage import NonlinearStage, resolved
+from transopt.plant.voice_coil import VoiceCoil
+
+DT_S = 1e-4
+LAWS = {
+    "force_factor": "BL*(1 - 0.3*(x/0.6e-3)**2)",
+    "stiffness": "K*(1 + (x/1e-3)**2)",
+    "friction": "0.02*tanh(v/0.05)",
+}
+AMPLIFIERS = {"ideal": None, "pole": Amplifier(1050.0, 68e-6, 6.0)}
+
+
+def lra(**changed: Any) -> Inertial:
+    stated = {
+        "kind": "inertial",
+        "resonance_Hz": 150,
+        "quality": 8,
+        "moving_mass_kg": 0.003,
+        "case_mass_kg": 0.1,
+        "force_factor_N_A": 0.8,
+        "R_ohm": 8.0,
+        "L_H": 1e-4,
+        "nonlinear": LAWS,
+    }
+    return Inertial(**{**stated, **changed})
+
+
+def shaker(**changed: Any) -> VoiceCoil:
+    stated = {"kind": "voice_coil", "input": "current", "moving_mass_kg": 0.05, "damping_N_s_m": 0.4}
+    return VoiceCoil(**{**stated, "stiffness_N_m": 900.0, "force_factor_N_A": 2.5, "nonlinear": LAWS, **changed})
+
+
+KINDS = {"inductance": lra(), "no inductance": lra(L_H=0.0), "current": shaker()}
+
+
+def plant_of(kind: Inertial | VoiceCoil) -> NonlinearCoil:
+    found = kind.nonlinear_plant()
+    assert found is not None
+    return found
+
+
+def command() -> np.ndarray:
+    t = np.arange(120) * DT_S
+    return 2.5 * np.sin(2 * np.pi * 150 * t) * (t < 8e-3)
+
+
+def by_newton(kind: Inertial | VoiceCoil, state: np.ndarray, u: float) -> tuple[list[float], float]:
+    """dx/dt and the acceleration, by the equations written out with the laws' numbers."""
+    x, v, *more = state
+    m, case, BL0 = kind.moving_mass_kg, kind.case_mass_kg, kind.force_factor_N_A
+    mu = m if case is None else m * case / (m + case)
+    if isinstance(kind, Inertial):
+        w = 2 * np.pi * kind.resonance_Hz
+        K0, c = mu * w**2, mu * w / kind.quality
+    else:
+        K0, c = kind.stiffness_N_m, kind.damping_N_s_m
+    BL, K = BL0 * (1 - 0.3 * (x / 0.6e-3) ** 2), K0 * (1 + (x / 1e-3) ** 2)
+    if kind.input == "current":
+        i = u
+    else:
+        assert kind.R_ohm is not None
+        i = more[0] if kind.L_H else (u - BL * v) / kind.R_ohm
+    force = BL * i - K * x - c * v - 0.02 * np.tanh(v / 0.05)
+    rates = [v, force / mu]
+    if kind.input == "voltage" and kind.L_H:
+        rates.append((u - kind.R_ohm * i - BL * v) / kind.L_H)
+    return rates, force / (m if case is None else case)
+
+
+def integrated(kind: Inertial | VoiceCoil, amplifier: Amplifier | None, commands: np.ndarray) -> np.ndarray:
+    """(N,) y'' at the switching instants, by DOP853."""
+    order = plant_of(kind).linear.order
+    state, found = np.zeros(order + (amplifier is not None)), []
+
+    def rate(_: float, z: np.ndarray, c: float) -> list[float]:
+        if amplifier is None:
+            return by_newton(kind, z, c)[0]
+        return [*by_newton(kind, z[:-1], z[-1])[0], amplifier.rate_rad_s * (c - z[-1])]
+
+    for c in commands:
+        own, u = (state, c) if amplifier is None else (state[:-1], state[-1])
+        found.append(by_newton(kind, own, u)[1])
+        state = integrate.solve_ivp(
+            rate, (0, DT_S), state, method="DOP853", rtol=1e-12, atol=1e-14, args=(c,)
+        ).y[:, -1]  # fmt: skip
+    return np.array(found)
+
+
+@pytest.mark.parametrize("amplifier", AMPLIFIERS)
+@pytest.mark.parametrize("name", KINDS)
+class TestStage:
+    def test_is_the_motion_by_newton(self, name: str, amplifier: str) -> None:
+        stage = NonlinearStage(plant_of(KINDS[name]), AMPLIFIERS[amplifier], DT_S, 1)
+        stage, error = resolved(stage, command())
+        found = stage.motion(command()).acceleration_m_s2
+        expected = integrated(KINDS[name], AMPLIFIERS[amplifier], command())
+        off = np.abs(found - expected).max() / np.abs(expected).max()
+        assert error <= 1e-6
+        assert off <= 2e-7
+
+    def test_without_laws_is_the_linear_stage(self, name: str, amplifier: str) -> None:
+        linear = replace(plant_of(KINDS[name]), force_factor=None, stiffness=None, friction=None)
+        stage = NonlinearStage(linear, AMPLIFIERS[amplifier], DT_S, 2, ("position",))
+        exact = discretise(linear.linear, AMPLIFIERS[amplifier], DT_S, outputs=("position",))
+        found, expected = stage.motion(command()), exact.motion(command())
+        for mine, other in (
+            (found.acceleration_m_s2, expected.acceleration_m_s2),
+            (found.plant_input, expected.plant_input),
+            (found.velocity_m_s, expected.velocity_m_s),
+            (found.outputs["position" + AFTER], expected.outputs["position" + AFTER]),
+        ):
+            assert np.abs(mine - other).max() <= 1e-10 * np.abs(other).max()
+
+    def test_adjoint_is_the_gradient_by_differences(self, name: str, amplifier: str) -> None:
+        stage = NonlinearStage(plant_of(KINDS[name]), AMPLIFIERS[amplifier], DT_S, 4, ("position",))
+        lot, c = np.random.default_rng(3), command()
+        weights = lot.standard_normal((4, c.size))
+        outputs = {"position" + AFTER: 1e4 * weights[3]}
+        gradient = Motion(weights[0], weights[1], weights[2], np.zeros(c.size), outputs)
+
+        def value(at: np.ndarray) -> float:
+            m = stage.motion(at)
+            of_motion = weights[0] @ m.acceleration_m_s2 + weights[1] @ m.plant_input + weights[2] @ m.velocity_m_s
+            return float(of_motion + outputs["position" + AFTER] @ m.outputs["position" + AFTER])
+
+        found = stage.adjoint(stage.linearised(c, stage.states(c)), gradient)
+        for k in (0, 17, 60, 119):
+            step = 1e-4 * np.eye(1, c.size, k)[0]
+            difference = (
+                value(c - 2 * step) - 8 * value(c - step) + 8 * value(c + step) - value(c + 2 * step)
+            ) / 12e-4
+            assert found[k] == pytest.approx(difference, rel=1e-7, abs=1e-7 * np.abs(found).max())
+
+
+def test_the_error_of_a_step_falls_by_its_order() -> None:
+    expected = integrated(KINDS["current"], None, command())
+    plant, errors = plant_of(KINDS["current"]), []
+    for substeps in (1, 2, 4):
+        found = NonlinearStage(plant, None, DT_S, substeps).motion(command()).acceleration_m_s2
+        errors.append(np.abs(found - expected).max())
+    assert errors[0] / errors[1] > 12  # of order four: 16
+    assert errors[1] / errors[2] > 12
+
+
+def test_a_motion_without_a_value_is_not_a_number() -> None:
+    stage = NonlinearStage(plant_of(lra(nonlinear={"friction": "v*exp((x/1e-6)**2)"})), None, DT_S, 1)
+    assert np.isnan(stage.states(np.full(50, 3.0))[-1]).all()
+
+
+@pytest.mark.parametrize(
+    ("laws", "said"),
+    [
+        ({"force_factor": "0.9*(1 - x)"}, "nonlinear.force_factor: 0.9 N/A at rest, the linear model has 0.8 N/A"),
+        ({"stiffness": "K + 1"}, "nonlinear.stiffness: .* N/m at rest"),
+        ({"stiffness": "K/x"}, "nonlinear.stiffness: has no value at x = 0"),
+        ({"friction": "0.01"}, "nonlinear.friction: 0.01 N at rest"),
+        ({"friction": "-tanh(v)"}, "turn its sign"),
+        ({"friction": "log(v)"}, "nonlinear.friction: has no value"),
+        ({"friction": "open('x')"}, "no part of a formula"),
+        ({}, "give force_factor, stiffness or friction"),
+        ({"mass": "1"}, "Extra inputs"),
+    ],
+)
+def test_laws_that_contradict_the_linear_model_are_refused(laws: dict[str, str], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        lra(nonlinear=laws)
+
+
+def test_a_law_of_a_current_needs_one() -> None:
+    with pytest.raises(ValidationError, match="needs L_H > 0"):
+        lra(L_H=0.0, nonlinear={"force_factor": "BL*(1 - i/10)"})
+    assert lra(nonlinear={"force_factor": "BL*(1 - i/10)"}).nonlinear_plant() is not None

@@ -1,0 +1,243 @@
+"""The nonlinear program against a general optimiser on a short instance; its certificate against wrong answers."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from transopt.base.errors import InputError
+from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.optimum import optimum
+from transopt.plant.nonlinear_stage import NonlinearStage, resolved
+from transopt.problem.answer import Multipliers, Solution, Status
+from transopt.problem.nonlinear import NonlinearProblem
+from transopt.proof.nonlinear import certify_nonlinear, reduced_gradient
+from transopt.recordings.targets import target_references
+from transopt.scene.scene import Scene
+from transopt.solvers.nonlinear import solve
+from transopt.solvers.options import SolverOptions
+
+MODEL = {
+    "kind": "inertial",
+    "resonance_Hz": 150,
+    "quality": 8,
+    "moving_mass_kg": 0.003,
+    "case_mass_kg": 0.1,
+    "force_factor_N_A": 0.8,
+    "R_ohm": 8.0,
+    "L_H": 1e-3,
+    "nonlinear": {"force_factor": "BL*(1 - 0.3*(x/0.6e-3)**2)", "friction": "0.02*tanh(v/0.05)"},
+}
+AMPLIFIERS: dict[str, Any] = {"ideal": "ideal", "pole": {"pole_Hz": 1000.0, "delay_s": 1e-4, "command_limit_V": 10.0}}
+
+
+def scene(stages: int = 20, *, amplifier: str = "ideal", limits: dict[str, Any], after_s: float = 2e-3) -> Scene:
+    return Scene.model_validate(
+        {
+            "name": "short",
+            "amplifier": AMPLIFIERS[amplifier],
+            "hand_over_samples": 2,
+            "time": {"dt_s": 5e-4, "stages": stages, "lead_s": 0.0 if amplifier == "ideal" else None},
+            "targets": [{"name": "click", "shape": "burst", "frequency_Hz": 150, "cycles": 1.4, "peak_m_s2": 12.0}],
+            "model": MODEL,
+            "limits": limits,
+            "weights": {"after_s": after_s},
+        }
+    )
+
+
+def posed(of: Scene) -> NonlinearProblem:
+    linear = of.at_rest()
+    stage = scene_stage(linear, 0.0)
+    (reference,) = target_references(linear.targets, linear.time_grid(), linear.recordings)
+    problem = entry_problem(linear, stage, reference)
+    model: Any = of.model
+    device = NonlinearStage(model.nonlinear_plant(), problem.stage.amplifier, 5e-4, 1, tuple(problem.stage.outputs))
+    device, error = resolved(device, optimum(problem, SolverOptions()).solution.command)
+    assert error <= 1e-6
+    return NonlinearProblem(problem, device)
+
+
+def solved(problem: NonlinearProblem) -> Solution:
+    return solve(problem, optimum(problem.linear, SolverOptions()).solution.command, SolverOptions())
+
+
+CASES = {
+    "voltage": scene(limits={"voltage_V": 6.0}),
+    "stroke": scene(limits={"voltage_V": 30.0, "stroke_m": 6e-4}),
+    "velocity": scene(limits={"voltage_V": 30.0, "velocity_m_s": 0.45}),
+    "current": scene(limits={"voltage_V": 10.0, "current_A": 2.0}),
+    "slew": scene(limits={"voltage_V": 30.0, "slew_V_per_s": 8e3}),
+    "pole": scene(amplifier="pole", limits={"voltage_V": 5.0, "stroke_m": 3.5e-4}),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest) -> tuple[NonlinearProblem, Solution]:
+    problem = posed(CASES[request.param])
+    found = solved(problem)
+    assert found.status is Status.OPTIMAL
+    row = problem.linear.limits.get({"slew": "voltage_slew", "pole": "stroke"}.get(request.param, request.param))
+    assert row is not None
+    (name,) = row.row_names
+    assert max(found.multipliers.lower(name).max(), found.multipliers.upper(name).max()) > 1e-5  # it binds
+    return problem, found
+
+
+def by_integrator(
+    problem: NonlinearProblem,
+) -> tuple[Callable[[np.ndarray], float], Callable[[np.ndarray], np.ndarray]]:
+    """J and the slacks of all limits by commands, from a classical Runge-Kutta method with 40 steps a period."""
+    linear, stage = problem.linear, problem.stage
+    N, M, free = linear.grid.stages, linear.grid.after_stages, linear.free_stages
+    mu, w = 0.003 * 0.1 / 0.103, 2 * np.pi * 150
+    K, c, BL0, R, L = mu * w**2, mu * w / 8, 0.8, 8.0, 1e-3
+    pole = None if stage.amplifier is None else stage.amplifier.rate_rad_s
+
+    def force(z: np.ndarray) -> float:
+        x, v, i = z[:3]
+        return BL0 * (1 - 0.3 * (x / 0.6e-3) ** 2) * i - K * x - c * v - 0.02 * np.tanh(v / 0.05)
+
+    def rate(z: np.ndarray, command: float) -> np.ndarray:
+        x, v, i = z[:3]
+        u = command if pole is None else z[3]
+        BL = BL0 * (1 - 0.3 * (x / 0.6e-3) ** 2)
+        found = [v, force(z) / mu, (u - R * i - BL * v) / L]
+        return np.array(found if pole is None else [*found, pole * (command - u)])
+
+    @lru_cache(maxsize=2)
+    def rolled_once(commands: bytes) -> tuple[np.ndarray, np.ndarray]:
+        return rolled(np.frombuffer(commands))
+
+    def rolled(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        z, states, h = np.zeros(3 + (pole is not None)), [], linear.grid.dt_s / 40
+        for command in np.append(commands, np.zeros(N - free + M)):
+            states.append(z)
+            for _ in range(40):
+                k1 = rate(z, command)
+                k2 = rate(z + h / 2 * k1, command)
+                k3 = rate(z + h / 2 * k2, command)
+                k4 = rate(z + h * k3, command)
+                z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return np.array([*states, z]), np.array([force(each) for each in states]) / 0.1
+
+    def objective(commands: np.ndarray) -> float:
+        return linear.objective(np.append(commands, np.zeros(N - free)), rolled_once(commands.tobytes())[1][None])
+
+    def slacks(commands: np.ndarray) -> np.ndarray:
+        z, full, found = rolled_once(commands.tobytes())[0], np.append(commands, np.zeros(N - free)), []
+        for limit in linear.limits:
+            bound = limit.stated - limit.kept_back
+            value = {
+                "voltage": full if pole is None else z[1:N, 3] if z.shape[1] > 3 else full,
+                "command": full,
+                "stroke": z[1 : N + 1, 0],
+                "velocity": z[1 : N + 1, 1],
+                "current": z[1 : N + 1, 2],
+                "voltage_slew": np.diff(full, prepend=0.0),
+            }[limit.name]
+            found += [1 - value / bound, 1 + value / bound]
+        return np.concatenate(found)
+
+    return objective, slacks
+
+
+class TestAgainstAGeneralOptimiser:
+    def test_the_objective_is_that_of_another_integrator(self, case: tuple[NonlinearProblem, Solution]) -> None:
+        problem, found = case
+        objective, slacks = by_integrator(problem)
+        free = found.command[: problem.linear.free_stages]
+        assert objective(free) == pytest.approx(problem.effect(found.command).objective, rel=1e-5)
+        assert slacks(free).min() >= -1e-5
+
+    def test_no_feasible_command_nearby_is_better(self, case: tuple[NonlinearProblem, Solution]) -> None:
+        # SLSQP begins at the answer, with gradients by differences of the other integrator's motion.
+        problem, found = case
+        objective, slacks = by_integrator(problem)
+        size, free = problem.linear.command_bound, problem.linear.free_stages
+        start = found.command[:free] / size
+        rival = optimize.minimize(
+            lambda c: objective(c * size) * 1e2,
+            start,
+            method="SLSQP",
+            constraints=[{"type": "ineq", "fun": lambda c: slacks(c * size)}],
+            options={"maxiter": 12, "ftol": 1e-9},
+        )
+        assert slacks(rival.x * size).min() >= -1e-6
+        assert objective(rival.x * size) >= objective(found.command[:free]) * (1 - 1e-4)
+
+    def test_from_elsewhere_it_comes_to_the_same(self) -> None:
+        problem = posed(CASES["stroke"])
+        near, far = solved(problem), solve(problem, np.zeros(20), SolverOptions())
+        assert np.abs(near.command - far.command).max() <= 1e-6 * np.abs(near.command).max()
+
+
+class TestCertificate:
+    def test_accepts_the_answer_as_stationary_and_claims_no_more(
+        self, case: tuple[NonlinearProblem, Solution]
+    ) -> None:
+        problem, found = case
+        certificate = certify_nonlinear(problem, found.command, found.multipliers)
+        assert certificate.is_stationary
+        assert certificate.relative_gap <= 1e-7
+        assert certificate.lower_bound == -np.inf
+        assert not certificate.accepted
+
+    def test_gradient_is_that_of_the_lagrangian_by_differences(self, case: tuple[NonlinearProblem, Solution]) -> None:
+        problem, found = case
+        linear, nothing = problem.linear, Multipliers.zero(problem.linear)
+        gradient = reduced_gradient(problem.effect(found.command), nothing)
+        for k in (0, 7, linear.free_stages - 1):
+            step = 1e-3 * np.eye(1, linear.grid.stages, k)[0]
+            at = [problem.effect(found.command + by * step).objective for by in (-2, -1, 1, 2)]
+            difference = (at[0] - 8 * at[1] + 8 * at[2] - at[3]) / 12e-3
+            assert gradient[k] == pytest.approx(difference, rel=1e-6, abs=1e-6 * np.abs(gradient).max())
+
+    def test_rejects_a_perturbed_command(self, case: tuple[NonlinearProblem, Solution]) -> None:
+        problem, found = case
+        moved = found.command.copy()
+        moved[: problem.linear.free_stages] *= 0.999
+        assert not certify_nonlinear(problem, moved, found.multipliers).is_stationary
+
+    def test_rejects_multipliers_that_are_lost_or_doubled(self, case: tuple[NonlinearProblem, Solution]) -> None:
+        problem, found = case
+        for by in (0.0, 2.0):
+            pairs = {name: (by * low, by * high) for name, (low, high) in found.multipliers.pairs.items()}
+            wrong = replace(found.multipliers, pairs=pairs)
+            assert not certify_nonlinear(problem, found.command, wrong).is_stationary
+        silent = replace(found.multipliers, hand_over=-found.multipliers.hand_over)
+        assert not certify_nonlinear(problem, found.command, silent).is_stationary
+
+    def test_rejects_a_command_outside(self, case: tuple[NonlinearProblem, Solution]) -> None:
+        problem, found = case
+        beyond = found.command.copy()
+        beyond[: problem.linear.free_stages] *= 1.01
+        certificate = certify_nonlinear(problem, beyond, found.multipliers)
+        assert certificate.excess > 1
+        assert not certificate.is_stationary
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf])
+    def test_rejects_what_is_no_number(self, bad: float) -> None:
+        problem = posed(CASES["voltage"])
+        found = solved(problem)
+        command = found.command.copy()
+        command[3] = bad
+        assert not certify_nonlinear(problem, command, found.multipliers).finite
+        lost = replace(found.multipliers, hand_over=np.array([bad, 0.0]))
+        assert not certify_nonlinear(problem, found.command, lost).is_stationary
+        assert not certify_nonlinear(problem, found.command[:-1], found.multipliers).finite
+
+    def test_rejects_a_motion_without_a_value(self) -> None:
+        problem = posed(CASES["voltage"])
+        grown = np.full(20, 1e6)
+        assert not certify_nonlinear(problem, grown, Multipliers.zero(problem.linear)).is_stationary
+
+
+def test_parts_that_no_nonlinear_plant_can_have_are_refused() -> None:
+    heard = Scene.model_validate({**CASES["voltage"].model_dump(), "weights": {"error_filter": "pacinian"}})
+    with pytest.raises(InputError, match=r"weights\.error_filter: not with model\.nonlinear"):
+        posed(heard)

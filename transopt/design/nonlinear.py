@@ -1,0 +1,264 @@
+"""Designs for a nonlinear plant, each beside what the linear design gives on that plant."""
+
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.shown import cut, html_table, wrapped
+from transopt.base.signals import FloatArray
+from transopt.base.writing import percent
+from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.optimum import optimum
+from transopt.plant.nonlinear import NonlinearCoil
+from transopt.plant.nonlinear_stage import NonlinearStage, resolved
+from transopt.problem.answer import Certificate, Solution, Status
+from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import Effect, binding_limits
+from transopt.proof.nonlinear import certify_nonlinear
+from transopt.proof.nonlinear_replay import replay_nonlinear
+from transopt.proof.replay import Replay
+from transopt.recordings.targets import target_references
+from transopt.scene.builtin import load_scene
+from transopt.scene.scene import Scene
+from transopt.solvers.choose import check_name
+from transopt.solvers.nonlinear import solve
+from transopt.solvers.options import SolverOptions
+
+
+@dataclass(frozen=True)
+class NonlinearEntry:
+    """One target on a nonlinear plant: its own design, and the linear design beside it.
+
+    Attributes
+    ----------
+    target : its name.
+    problem : J, limits and the nonlinear stage.
+    solution : command (N,) [A or V] and multipliers of the nonlinear program.
+    certificate : that the command is a stationary point, by the adjoint; its lower bound is minus infinity.
+    predicted_m_s2 : (N,) y'' of the command at the switching instants, by the nonlinear stage.
+    played : the command on the nonlinear plant in continuous time.
+    linear_command : (N,) optimum for the plant as it is at rest.
+    linear_promised : NRMSE that the linear plant would have under it.
+    linear_played : what it does on the nonlinear plant.
+    step_error : what half of the stage's substeps would have changed of y'', relative to its peak.
+    status : STATIONARY where all is proven and played, else why not.
+    shortfalls : what speaks against the entry, one sentence each.
+    binding : the limits that bind, and when.
+    """
+
+    target: str
+    problem: NonlinearProblem
+    solution: Solution
+    certificate: Certificate
+    predicted_m_s2: FloatArray
+    played: Replay
+    linear_command: FloatArray
+    linear_promised: float
+    linear_played: Replay
+    step_error: float
+    status: Status
+    shortfalls: list[str]
+    binding: str
+
+    def __repr__(self) -> str:
+        found = (
+            f"NRMSE {percent(self.nrmse)} %, of the linear design {percent(self.linear_nrmse)} %; "
+            f"binds: {cut(self.binding)}"
+            if self.status is Status.STATIONARY
+            else f"refused: {cut('; '.join(self.shortfalls) or self.status.value)}"
+        )
+        return wrapped(f"NonlinearEntry({cut(self.target)}: {found})")
+
+    @property
+    def nrmse(self) -> float:
+        """Of the nonlinear design, played on the nonlinear plant."""
+        return self.played.nrmse
+
+    @property
+    def linear_nrmse(self) -> float:
+        """Of the linear design, played on the nonlinear plant."""
+        return self.linear_played.nrmse
+
+    @property
+    def off_replay(self) -> float:
+        """Largest difference of the predicted y'' to the replay's, relative to its peak: the stage's own error."""
+        off = float(np.abs(self.predicted_m_s2 - self.played.acceleration_m_s2).max())
+        return off / max(self.played.scale_m_s2, np.finfo(float).tiny)
+
+    @cached_property
+    def linear_leaves(self) -> list[str]:
+        """Limits that the linear design leaves on the nonlinear plant, one sentence each."""
+        limits = self.problem.linear.limits
+        return [
+            limit.replayed(self.linear_played.peak(limit)) for limit in limits if self.linear_played.leaves(limit)
+        ]
+
+
+@dataclass(frozen=True)
+class NonlinearDesign:
+    """Every target of a scene on its nonlinear plant.
+
+    Attributes
+    ----------
+    scene : with its table `model.nonlinear`.
+    entries : in the order of the scene's targets.
+    elapsed_s : wall time of it all.
+    """
+
+    scene: Scene
+    entries: tuple[NonlinearEntry, ...]
+    elapsed_s: float
+
+    def __repr__(self) -> str:
+        proven = [entry for entry in self.entries if entry.status is Status.STATIONARY]
+        return wrapped(
+            f"NonlinearDesign({cut(self.scene.name)}: {len(proven)} of {len(self.entries)} targets certified "
+            f"stationary and replayed; {self.elapsed_s:.2f} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        """Table in a notebook."""
+        return html_table(repr(self), list(COLUMNS), [list(row) for row in self.rows()])
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Cells of a table below `COLUMNS`, a row for each target."""
+        return [
+            (
+                entry.target,
+                percent(entry.linear_promised),
+                percent(entry.linear_nrmse),
+                percent(entry.nrmse),
+                percent(entry.linear_played.nrmse_after),
+                percent(entry.played.nrmse_after),
+                f"{entry.solution.solve_time_s:.1f}",
+                f"{entry.certificate.relative_gap:.0e}",
+                "; ".join([entry.status.value, *entry.shortfalls]),
+            )
+            for entry in self.entries
+        ]
+
+    @property
+    def commands(self) -> FloatArray:
+        """(targets, N) commands of the nonlinear design [A or V]."""
+        return np.stack([entry.solution.command for entry in self.entries])
+
+    def command(self, target: str) -> FloatArray:
+        """(N,) command of one target [A or V], issued at -lead + k dt and held.
+
+        Raises
+        ------
+        InputError : a target that the scene does not have, or one whose design is not proven.
+        """
+        entry = next((each for each in self.entries if each.target == target), None)
+        if entry is None:
+            raise InputError(f"{target}: no target of this scene: {', '.join(each.target for each in self.entries)}")
+        if entry.status is not Status.STATIONARY:
+            raise InputError(f"{target}: refused: {'; '.join(entry.shortfalls) or entry.status.value}")
+        return entry.solution.command
+
+
+COLUMNS = (
+    "target",
+    "linear, promised %",
+    "linear, played %",
+    "nonlinear, played %",
+    "after, linear %",
+    "after, nonlinear %",
+    "solve s",
+    "gap",
+    "status",
+)
+
+
+def design_nonlinear(scene: Scene | str | Path, *, options: SolverOptions | None = None) -> NonlinearDesign:
+    """Design every target of a scene for its nonlinear plant, certify and replay it, beside the linear design.
+
+    The linear optimum of the plant at rest is found first; its command, rolled out, is where IPOPT begins on the
+    nonlinear program. Both commands are then played on the nonlinear plant.
+
+    Parameters
+    ----------
+    scene : a scene with `[[targets]]` and `[model.nonlinear]`, or the path of its .toml file.
+    options : tolerance and largest number of iterations of IPOPT; its `solver` is that of the linear design.
+
+    Raises
+    ------
+    InputError : a scene without `model.nonlinear`, or with a part that no nonlinear plant can have yet; a target that
+        cannot serve.
+    """
+    began = time.perf_counter()
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    options = SolverOptions() if options is None else options
+    check_name(options.solver)
+    plant = nonlinear_plant(loaded)
+    linear = loaded.at_rest()
+    stage = scene_stage(linear, 0.0)
+    references = target_references(linear.targets, linear.time_grid(), linear.recordings)
+    entries = tuple(
+        design_entry(reference.name, entry_problem(linear, stage, reference), plant, options)
+        for reference in references
+    )
+    return NonlinearDesign(loaded, entries, time.perf_counter() - began)
+
+
+def nonlinear_plant(scene: Scene) -> NonlinearCoil:
+    """The plant of a scene with `model.nonlinear`.
+
+    Raises
+    ------
+    InputError : a scene without it.
+    """
+    plant = scene.model.nonlinear_plant() if scene.nonlinear else None  # type: ignore[union-attr]
+    if plant is None:
+        raise InputError(f"{scene.name}: model.nonlinear: missing; add it to the scene, or use transopt.build")
+    return plant
+
+
+def design_entry(
+    target: str, problem: TransientProblem, plant: NonlinearCoil, options: SolverOptions
+) -> NonlinearEntry:
+    """One entry on a nonlinear plant.
+
+    Parameters
+    ----------
+    problem : of the plant as it is at rest.
+    """
+    designed = optimum(problem, options)
+    at_rest = np.nan_to_num(designed.solution.command)
+    coarse = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
+    stage, step_error = resolved(coarse, problem.continued(at_rest))
+    posed = NonlinearProblem(problem, stage)
+    found = solve(posed, at_rest, options)
+    certificate = certify_nonlinear(posed, found.command, found.multipliers)
+    command = np.nan_to_num(found.command)
+    motion = posed.effect(command).motion
+    linear_played, played = replay_nonlinear(posed, [at_rest, command])
+    shortfalls = played.shortfalls(problem, command, motion.acceleration_m_s2)
+    status = Status.STATIONARY
+    if found.status is not Status.OPTIMAL:
+        status, shortfalls = found.status, [f"IPOPT: {found.message}", *shortfalls]
+    elif not certificate.is_stationary:
+        status = Status.NOT_CERTIFIED
+        shortfalls = [f"gap {certificate.relative_gap:.1e}, limit {certificate.GAP_TOLERANCE:.0e}", *shortfalls]
+    elif shortfalls:
+        status = Status.REPLAY_VIOLATION
+    return NonlinearEntry(
+        target=target,
+        problem=posed,
+        solution=found,
+        certificate=certificate,
+        predicted_m_s2=motion.acceleration_m_s2,
+        played=played,
+        linear_command=at_rest,
+        linear_promised=problem.target.nrmse(problem.stage.rollout(at_rest)[0]),
+        linear_played=linear_played,
+        step_error=step_error,
+        status=status,
+        shortfalls=shortfalls,
+        binding=binding_limits(problem, command, found.multipliers, effect=Effect(problem, command, motion)),
+    )

@@ -1,0 +1,279 @@
+"""A nonlinear device over one servo period: the exact hold of its linear part, Runge and Kutta for what is left.
+
+With z the plant's states and, unless the amplifier is ideal, its input, dz/dt = L z + G c + n(z): L and G are the
+linear model with the amplifier, n is what the nonlinear plant has beside it. The linear part may be stiff, as a
+coil's L / R or the amplifier's pole, and is integrated exactly by matrix exponentials; n by the exponential
+Runge-Kutta method of order four (Cox and Matthews, "Exponential time differencing for stiff systems", J. Comput.
+Phys. 176, 2002, their ETD4RK), in `substeps` equal steps. Where n is zero the stage is that of
+`transopt.plant.discretise` to rounding.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from transopt.base.arithmetic import NUMBERS, NUMPY, Functions
+from transopt.base.shown import brief
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.discretise import AFTER, Motion, exponential
+from transopt.plant.nonlinear import NonlinearCoil
+from transopt.plant.state_space import VELOCITY
+
+COMPLEX_STEP = 1e-40  # of each state in its own unit: its square is nothing beside 1, so that the derivative is exact
+MOST_SUBSTEPS = 32
+STEP_ERROR = (
+    1e-6  # of the largest acceleration: what half the substeps may have been off, a sixteenth of which is left
+)
+
+Sparse = tuple[tuple[tuple[int, float], ...], ...]  # a matrix, row by row the entries that are not zero
+
+
+def _sparse(matrix: FloatArray) -> Sparse:
+    return tuple(tuple((j, float(by)) for j, by in enumerate(row) if by != 0) for row in np.atleast_2d(matrix))
+
+
+def _times(matrix: Sparse, vector: Sequence[Any]) -> list[Any]:
+    return [sum((by * vector[j] for j, by in row), start=0.0) for row in matrix]
+
+
+def _sum(*vectors: Sequence[Any]) -> list[Any]:
+    return [sum(parts, start=0.0) for parts in zip(*vectors, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Tableau:
+    """Matrices of one substep h: exp(L h), its half, and the weights of n; `by_command` of the command's part."""
+
+    half: Sparse
+    half_by_command: Sparse
+    whole: Sparse
+    whole_by_command: Sparse
+    inner: Sparse
+    first: Sparse
+    middle: Sparse
+    last: Sparse
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Derivatives of a stage along a command of K periods.
+
+    Attributes
+    ----------
+    A : (K, n, n) of z_(k+1) by z_k. B : (K, n) by c_k.
+    C : (K, n) of y''_k by z_k. D : (K,) by c_k.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+
+
+@dataclass(frozen=True)
+class NonlinearStage:
+    """z_(k+1) = step(z_k, c_k), y''_k = acceleration(z_k, c_k) at the switching instants.
+
+    Attributes
+    ----------
+    amplifier : None is ideal, u = c.
+    dt_s : servo period.
+    substeps : of one period.
+    outputs : names of further outputs that a motion has, at the instant and, with `AFTER` behind, one period later.
+    """
+
+    plant: NonlinearCoil
+    amplifier: Amplifier | None
+    dt_s: float
+    substeps: int
+    outputs: tuple[str, ...] = ()
+    rows: dict[str, FloatArray] = field(init=False)
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        idle = np.zeros(int(self.amplifier is not None))
+        rows = {name: np.append(self.plant.linear.output(name).row[0], idle) for name in (*self.outputs, VELOCITY)}
+        object.__setattr__(self, "rows", rows)
+
+    @property
+    def order(self) -> int:
+        """n, number of states with the amplifier's."""
+        return self.plant.linear.order + int(self.amplifier is not None)
+
+    @cached_property
+    def _flow(self) -> tuple[FloatArray, FloatArray]:
+        """L (n, n) and G (n, 1)."""
+        linear, n = self.plant.linear, self.order
+        if self.amplifier is None:
+            return linear.A, linear.B
+        w = self.amplifier.rate_rad_s
+        L, G = np.zeros((n, n)), np.zeros((n, 1))
+        L[:-1, :-1], L[:-1, -1:] = linear.A, linear.B
+        L[-1, -1], G[-1, 0] = -w, w
+        return L, G
+
+    @cached_property
+    def _tableau(self) -> _Tableau:
+        L, G = self._flow
+        h, n = self.dt_s / self.substeps, self.order
+        whole, half = (_phi(L * step) for step in (h, h / 2))
+        (E, p1, p2, p3), (E2, q1) = whole, half[:2]
+        assert E.shape == (n, n)
+        return _Tableau(
+            half=_sparse(E2),
+            half_by_command=_sparse(h / 2 * q1 @ G),
+            whole=_sparse(E),
+            whole_by_command=_sparse(h * p1 @ G),
+            inner=_sparse(h / 2 * q1),
+            first=_sparse(h * (p1 - 3 * p2 + 4 * p3)),
+            middle=_sparse(h * (2 * p2 - 4 * p3)),
+            last=_sparse(h * (4 * p3 - p2)),
+        )
+
+    def split(self, states: Sequence[Any], command: Any) -> tuple[Sequence[Any], Any]:
+        """The plant's own states and its input."""
+        return (states, command) if self.amplifier is None else (states[:-1], states[-1])
+
+    def _rest(self, states: Sequence[Any], command: Any, functions: Functions) -> list[Any]:
+        own, u = self.split(states, command)
+        rest = self.plant.remainder(own, u, functions)
+        return rest if self.amplifier is None else [*rest, 0.0]
+
+    def step(self, states: Sequence[Any], command: Any, functions: Functions) -> list[Any]:
+        """The states one period later, component by component, with the command held."""
+        t, z, c = self._tableau, list(states), [command]
+        half_c, whole_c = _times(t.half_by_command, c), _times(t.whole_by_command, c)
+        for _ in range(self.substeps):
+            n0 = self._rest(z, command, functions)
+            half = _sum(_times(t.half, z), half_c)
+            a = _sum(half, _times(t.inner, n0))
+            n1 = self._rest(a, command, functions)
+            b = _sum(half, _times(t.inner, n1))
+            n2 = self._rest(b, command, functions)
+            turned = [2.0 * second - first for second, first in zip(n2, n0, strict=True)]
+            d = _sum(_times(t.half, a), half_c, _times(t.inner, turned))
+            n3 = self._rest(d, command, functions)
+            z = _sum(
+                _times(t.whole, z),
+                whole_c,
+                _times(t.first, n0),
+                _times(t.middle, _sum(n1, n2)),
+                _times(t.last, n3),
+            )
+        return z
+
+    def acceleration(self, states: Sequence[Any], command: Any, functions: Functions) -> Any:
+        """y'' [m/s^2] where the command is felt from now on."""
+        own, u = self.split(states, command)
+        return self.plant.acceleration(own, u, functions)
+
+    def states(self, command: FloatArray) -> FloatArray:
+        """(K + 1, n) states from rest at tau_0 to tau_K for a held command (K,).
+
+        NaN from where they have no value.
+        """
+        found = np.full((command.size + 1, self.order), np.nan)
+        found[0], z = 0.0, [0.0] * self.order
+        for k, c in enumerate(command.tolist()):
+            try:
+                z = self.step(z, c, NUMBERS)
+            except (ArithmeticError, ValueError):
+                break
+            found[k + 1] = np.real(z)
+        return found
+
+    def motion(self, command: FloatArray, states: FloatArray | None = None) -> Motion:
+        """Everything a held command (K,) does, (K,) each.
+
+        Parameters
+        ----------
+        states : (K + 1, n) of this command, where they are known already.
+        """
+        z = self.states(command) if states is None else states
+        now, after = z[:-1], z[1:]
+        _, u = self.split(list(now.T), command)
+        outputs = {}
+        for name in self.outputs:
+            outputs[name], outputs[name + AFTER] = now @ self.rows[name], after @ self.rows[name]
+        return Motion(
+            np.asarray(self.acceleration(list(now.T), command, NUMPY)),
+            np.array(u),
+            now @ self.rows[VELOCITY],
+            np.zeros(command.size),
+            outputs,
+        )
+
+    def linearised(self, command: FloatArray, states: FloatArray) -> Linearised:
+        """Derivatives along a command (K,) and its states (K + 1, n), by complex steps: exact to rounding.
+
+        f(x + i h) = f(x) + i h f'(x) + O(h^2): the imaginary part loses no digits to a difference (Squire and Trapp,
+        "Using complex variables to estimate derivatives of real functions", SIAM Review 40, 1998).
+        """
+        n, K = self.order, command.size
+        at = [column.astype(complex) for column in states[:-1].T] + [command.astype(complex)]
+        A, C = np.zeros((K, n, n + 1)), np.zeros((K, n + 1))
+        for j in range(n + 1):
+            moved = [value + 1j * COMPLEX_STEP if j == of else value for of, value in enumerate(at)]
+            after = self.step(moved[:-1], moved[-1], NUMPY)
+            A[:, :, j] = np.stack([np.imag(each) for each in after], axis=1) / COMPLEX_STEP
+            C[:, j] = np.imag(self.acceleration(moved[:-1], moved[-1], NUMPY)) / COMPLEX_STEP
+        return Linearised(A[:, :, :n], A[:, :, n], C[:, :n], C[:, n])
+
+    def adjoint(self, along: Linearised, gradient: Motion) -> FloatArray:
+        """(K,) gradient by the commands of a function whose gradients by the motion are given, (K,) each.
+
+        lambda_k = A_k' lambda_(k+1) + what the function has of z_k; gradients by outputs that are `AFTER` the period
+        count with z_(k+1).
+        """
+        K, n = along.D.size, self.order
+        by_state = np.zeros((K + 1, n))
+        by_state[:-1] = along.C * gradient.acceleration_m_s2[:, None]
+        by_state[:-1] += gradient.velocity_m_s[:, None] * self.rows[VELOCITY]
+        by_command = along.D * gradient.acceleration_m_s2
+        if self.amplifier is None:
+            by_command = by_command + gradient.plant_input
+        else:
+            by_state[:-1, -1] += gradient.plant_input
+        for name, by in gradient.outputs.items():
+            where = slice(1, None) if name.endswith(AFTER) else slice(-1)
+            by_state[where] += by[:, None] * self.rows[name.removesuffix(AFTER)]
+        costate = by_state[-1]
+        for k in range(K - 1, -1, -1):
+            by_command[k] += along.B[k] @ costate
+            costate = by_state[k] + costate @ along.A[k]
+        return np.asarray(by_command)
+
+
+def _phi(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """exp(M) and phi_1 to phi_3 of M (n, n), phi_j(M) = sum_k M^k / (k + j)!, from one exponential.
+
+    They are the first row of blocks of exp([[M, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0]]) (Sidje,
+    "Expokit", ACM Trans. Math. Softw. 24, 1998).
+    """
+    n = matrix.shape[0]
+    block = np.zeros((4 * n, 4 * n))
+    block[:n, :n] = matrix
+    block += np.eye(4 * n, k=n)
+    found = exponential(block)[:n]
+    return found[:, :n], found[:, n : 2 * n], found[:, 2 * n : 3 * n], found[:, 3 * n :]
+
+
+def resolved(stage: NonlinearStage, command: FloatArray) -> tuple[NonlinearStage, float]:
+    """The stage with as many substeps as a command (K,) needs, and what half of them would still have changed.
+
+    The number is doubled from one on until that changes y'' by at most 1e-6 of its largest value, or to 32.
+    """
+    found = replace(stage, substeps=1)
+    accelerations = found.motion(command).acceleration_m_s2
+    error = np.inf
+    while not error <= STEP_ERROR and found.substeps < MOST_SUBSTEPS:
+        found = replace(stage, substeps=2 * found.substeps)
+        finer = found.motion(command).acceleration_m_s2
+        scale = max(float(np.abs(finer).max()), np.finfo(float).tiny)
+        error, accelerations = float(np.abs(finer - accelerations).max()) / scale, finer
+    return found, error

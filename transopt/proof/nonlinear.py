@@ -1,0 +1,81 @@
+"""Certificate of a stationary point on a nonlinear plant, without a solver.
+
+The command is rolled out by the nonlinear stage and the gradient of the Lagrangian is formed by the adjoint of that
+recursion, whose derivatives are complex steps through the plant's own formulas: nothing comes from IPOPT but the
+command and the multipliers of the limits, and nothing from CasADi. The dynamics have no multipliers here; the adjoint
+states take their place.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.problem.answer import Certificate, Multipliers
+from transopt.problem.limits.limit import tolerated, transposed
+from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
+from transopt.proof.certify import boxes
+
+
+def reduced_gradient(effect: NonlinearEffect, multipliers: Multipliers) -> FloatArray:
+    """(N,) gradient by the commands of J + sum mu (constraint) + sum hand_over c [1/A or 1/V]."""
+    linear, stage, command, m = effect.problem.linear, effect.problem.stage, effect.command, multipliers
+    by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in linear.rows() if row.name in m.pairs]
+    through, by_command = transposed(by_row, effect.motion, command)
+    by_error = linear.tracking.gradient(effect.lasting.acceleration_m_s2, 1)
+    by_motion = replace(through.padded(linear.grid.after_stages), acceleration_m_s2=by_error)
+    by_continued = stage.adjoint(effect.linearised, by_motion)
+    # After the window the command is zero, whatever it was before.
+    found = by_continued[: command.size] + linear.movement.gradient(command) + by_command
+    found[linear.free_stages :] += m.hand_over
+    return np.asarray(found)
+
+
+def with_hand_over(effect: NonlinearEffect, multipliers: Multipliers) -> Multipliers:
+    """The same multipliers with those of the hand-over, which follow from all others: they cancel its gradient."""
+    silent = replace(multipliers, hand_over=np.zeros_like(multipliers.hand_over))
+    if not effect.finite:
+        return silent
+    return replace(silent, hand_over=-reduced_gradient(effect, silent)[effect.problem.linear.free_stages :])
+
+
+def certify_nonlinear(problem: NonlinearProblem, command: FloatArray, multipliers: Multipliers) -> Certificate:
+    """How far a command is from a stationary point; no bound on the optimum follows, whose problem is not convex.
+
+    As for the convex problem (`certify.certify`), sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|) with the slacks s and
+    the reduced gradient g: zero at a point that meets the conditions of Karush, Kuhn and Tucker, and what J could
+    still fall by if it were as its tangent says. `lower_bound` is minus infinity.
+
+    Parameters
+    ----------
+    command : (N,).
+    """
+    linear = problem.linear
+    N, arrays = linear.grid.stages, [command, *multipliers.arrays()]
+    shapes = [(N,)] * (len(arrays) - 2) + [(linear.hand_over_samples,), (N,)]
+    if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
+        return Certificate.nothing()
+    effect, clipped = problem.effect(command), multipliers.clipped()
+    if not effect.finite or not np.isfinite(effect.objective):
+        return Certificate.nothing()
+    limits, tail = boxes(linear, command, effect.motion, clipped), command[linear.free_stages :]
+    off = float(np.abs(tail).max())
+    violations = {"A": off}
+    for box in limits:
+        unit = box.limit.base_unit()
+        violations[unit] = max(violations.get(unit, 0.0), float(box.excess.max()))
+    excess = [float(box.excess.max()) / box.limit.tolerance for box in limits]
+    excess.append(off / tolerated(linear.limits.input_limit))
+    g = reduced_gradient(effect, clipped)
+    gap = float(np.abs(g) @ (linear.command_bound + np.abs(command)))
+    gap += sum(box.complementarity for box in limits) + float(np.abs(clipped.hand_over) @ np.abs(tail))
+    return Certificate(
+        objective=effect.objective,
+        merit=effect.objective,
+        violations=violations,
+        excess=max(*excess, 0.0),
+        dual_residual=float(np.abs(g).max()),
+        duality_gap=gap if np.isfinite(gap) else float("inf"),
+        lower_bound=-float("inf"),
+        finite=True,
+    )

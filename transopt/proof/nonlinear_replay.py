@@ -1,0 +1,147 @@
+"""Independent continuous-time replay of commands on a nonlinear plant.
+
+The plant's own equations with the amplifier's pole are integrated by DOP853, an explicit Runge-Kutta method of order
+eight with step control (Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 1993; scipy's),
+period after period, so that no step goes over a jump of the command. It shares the plant's formulas with the design
+and nothing else: neither its splitting nor its steps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from transopt.base.arithmetic import NUMPY
+from transopt.base.signals import FloatArray
+from transopt.plant.continuous import Trajectory, after_s, peak_scale
+from transopt.plant.discretise import TimeGrid
+from transopt.plant.nonlinear_stage import NonlinearStage
+from transopt.plant.state_space import VELOCITY
+from transopt.problem.nonlinear import NonlinearProblem
+from transopt.proof.replay import Replay, largest_reached
+
+SAMPLES = 4  # in every period
+RELATIVE = 1e-9  # tolerance of a step, of the state
+ABSOLUTE = 1e-3  # of that, of the largest value that the state has in the prediction
+COARSER = 100.0  # than that: the tolerance of the replay by which this one's error is told
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Samples of M commands, K of each.
+
+    Attributes
+    ----------
+    times_s : (K,). states : (M, n, K). felt : (M, K) command.
+    instants : (N + M',) indices of the samples just after the switching instants, those after the window behind.
+    """
+
+    times_s: FloatArray
+    states: FloatArray
+    felt: FloatArray
+    instants: NDArray[np.intp]
+
+
+def _integrated(
+    stage: NonlinearStage, grid: TimeGrid, commands: FloatArray, sizes: FloatArray, relative: float
+) -> _Course:
+    M, N = commands.shape
+    n, dt, tau = stage.order, grid.dt_s, grid.switching_times_s[0]
+    rate_rad_s = 0.0 if stage.amplifier is None else stage.amplifier.rate_rad_s
+
+    def rate(_: float, z: FloatArray, command: FloatArray) -> FloatArray:
+        states = list(z.reshape(n, M))
+        own, u = stage.split(states, command)
+        rates = stage.plant.rate(own, u, NUMPY)
+        if stage.amplifier is not None:
+            rates.append(rate_rad_s * (command - u))
+        return np.concatenate(rates)
+
+    absolute = np.repeat(relative * ABSOLUTE * sizes, M)
+    later = round(after_s(grid) / dt)
+    samples = N * (SAMPLES + 1) + later * SAMPLES + 1
+    states, felt, times = np.full((samples, n * M), np.nan), np.zeros((samples, M)), np.empty(samples)
+    z, at = np.zeros(n * M), 0
+    # Period after period, and all that comes after the window at once.
+    spans = [(k * dt, 1, commands[:, k]) for k in range(N)] + [(N * dt, later, np.zeros(M))]
+    for start, periods, command in spans:
+        offsets = np.linspace(0.0, periods * dt, periods * SAMPLES + 1)
+        where = slice(at, at + offsets.size)
+        times[where], felt[where] = tau + start + offsets, command
+        at += offsets.size
+        if not np.isfinite(z).all():
+            continue
+        found = solve_ivp(
+            rate,
+            (0.0, offsets[-1]),
+            z,
+            method="DOP853",
+            t_eval=offsets,
+            args=(command,),
+            rtol=relative,
+            atol=absolute,
+        )
+        states[at - offsets.size : at - offsets.size + found.y.shape[1]] = found.y.T
+        z = found.y[:, -1] if found.success else np.full(n * M, np.nan)
+    instants = np.append((SAMPLES + 1) * np.arange(N), N * (SAMPLES + 1) + SAMPLES * np.arange(grid.after_stages))
+    return _Course(times, np.moveaxis(states.reshape(samples, n, M), 0, -1).swapaxes(0, 1), felt.T, instants)
+
+
+def _trajectory(stage: NonlinearStage, grid: TimeGrid, course: _Course) -> Trajectory:
+    states = list(course.states.swapaxes(0, 1))
+    _, u = stage.split(states, course.felt)
+    rows = {name: np.einsum("j,mjk->mk", row, course.states) for name, row in stage.rows.items()}
+    return Trajectory(
+        times_s=course.times_s,
+        acceleration_m_s2=np.asarray(stage.acceleration(states, course.felt, NUMPY)),
+        plant_input=np.array(u),
+        felt=course.felt,
+        velocity_m_s=rows[VELOCITY],
+        outputs=rows,
+        at_switching=course.instants[: grid.stages],
+        segment_starts=course.instants[: grid.stages],
+    )
+
+
+def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) -> list[Replay]:
+    """Play commands (N,) on the nonlinear plant, from rest, against what the problem asks for.
+
+    The temperatures are NaN: no winding is looked at. `step_error` is the difference of y'' to a replay with a
+    hundredfold tolerance, relative to its peak.
+    """
+    linear, stage = problem.linear, problem.stage
+    grid, target, N = linear.grid, linear.target, linear.grid.stages
+    played = np.stack(commands)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        peaks = np.nanmax([np.abs(stage.states(linear.continued(each))).max(axis=0) for each in played], axis=0)
+        sizes = np.where(peaks > 0, peaks, 1.0)
+        course = _integrated(stage, grid, played, sizes, RELATIVE)
+        coarse = _integrated(stage, grid, played, sizes, COARSER * RELATIVE)
+        run, other = (_trajectory(stage, grid, each) for each in (course, coarse))
+        found, before = (each.acceleration_m_s2[:, course.instants] for each in (run, other))
+        error = np.abs(found - before).max(axis=1) / peak_scale(np.abs(found).max(axis=1), 0.0)
+        limits = largest_reached(run, [linear.limits] * len(played), linear.stage, grid)
+    after = run.times_s > grid.end_s
+    return [
+        Replay(
+            acceleration_m_s2=found[m, :N],
+            plant_input=run.plant_input[m, course.instants[:N]],
+            nrmse=target.nrmse(found[m, :N]),
+            nrmse_after=target.nrmse_after(found[m, N:]),
+            error_peak_after_m_s2=target.peak_after_m_s2(found[m, N:]),
+            after_m_s2=found[m, N:],
+            peak_input=float(np.abs(run.plant_input[m]).max()),
+            peak_command=float(np.abs(played[m]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
+            reached=limits[m][0],
+            reached_while_stated=limits[m][1],
+            winding_C=float("nan"),
+            housing_C=float("nan"),
+            command=played[m],
+            rounding_m_s2=0.0,
+            step_error=float(error[m]),
+        )
+        for m in range(len(played))
+    ]

@@ -1,0 +1,243 @@
+"""The nonlinear program of an entry on a nonlinear plant, by multiple shooting, for IPOPT.
+
+Variables are the states z_1 to z_(N+M) at the switching instants and the free commands c_0 to c_(F-1), each in units
+of its own size; z_0 = 0, and the commands of the hand-over and after the window are zero and no variables. The step
+of a stage is one function, mapped over all stages, so that first and second derivatives are as well: a program of
+2880 stages is built in half a second. (`Function.map` is called without a number of threads: with one, CasADi shares
+memory that it must not.) What a limit bounds alone is a box on its variable; limits on sums are rows behind the
+dynamics. The start is a command, the linear design's, rolled out.
+"""
+
+import time
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from transopt.base.arithmetic import FUNCTIONS, Functions
+from transopt.base.signals import FloatArray
+from transopt.plant.discretise import AFTER, state_scale
+from transopt.plant.nonlinear_stage import NonlinearStage
+from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Pair, Solution, Status
+from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Row
+from transopt.problem.nonlinear import NonlinearProblem
+from transopt.proof.nonlinear import with_hand_over
+from transopt.solvers.casadi_ipopt import STATUS
+from transopt.solvers.options import SolverOptions, most_time_s
+
+# IPOPT's time is mostly that of the second derivatives, by so much per stage and substep on top of what a QP takes.
+TIME_PER_SUBSTEP_S: Final = 1e-2
+CASADI: Final[Functions] = MappingProxyType(
+    {"abs": ca.fabs, **{name: getattr(ca, name) for name in FUNCTIONS if name != "abs"}}
+)
+
+
+@dataclass(frozen=True)
+class _Value:
+    """A limit's row by the variables: now z_k + after z_(k+1) + command c_k + held c_(k-1), z and c in their units.
+
+    Attributes
+    ----------
+    unit : by which value and bounds are divided.
+    lower, upper : (N,) less the offset, infinite where nobody has a say.
+    """
+
+    name: str
+    unit: float
+    now: FloatArray
+    after: FloatArray
+    command: float
+    held: float
+    lower: FloatArray
+    upper: FloatArray
+
+    def alone(self, free: int) -> tuple[int, NDArray[np.int64], NDArray[np.int64], float] | None:
+        """The state that it bounds alone, -1 for the command: its places in time, the stages, the factor; or None."""
+        N, n = self.lower.size, self.now.size
+        parts = np.concatenate([self.now, self.after, [self.command, self.held]])
+        if np.count_nonzero(parts) != 1 or parts.max() <= 0 or self.held:
+            return None
+        of, k = int(np.argmax(parts)), np.arange(N)
+        if of == 2 * n:
+            return -1, k[:free], k[:free], float(parts[of])
+        # Column k of the states is z_(k+1); z_0 is at rest and no variable.
+        return (of, k[:-1], k[1:], float(parts[of])) if of < n else (of - n, k, k, float(parts[of]))
+
+
+class NonlinearProgram:
+    """The program of one problem.
+
+    Parameters
+    ----------
+    problem : one with limits that are linear in the outputs.
+    """
+
+    def __init__(self, problem: NonlinearProblem, options: SolverOptions) -> None:
+        self.problem, stage, linear = problem, problem.stage, problem.linear
+        N, M, n = linear.grid.stages, linear.grid.after_stages, stage.order
+        self.free, self.stages = linear.free_stages, N + M
+        self.by_command = linear.input_scale
+        self.by_state = _sizes(stage, self.by_command, N)
+        self.values = [self._value(limit, row) for limit, row in linear.rows()]
+        self.alone = {v.name: found for v in self.values if (found := v.alone(self.free)) is not None}
+        self.sums = [v for v in self.values if v.name not in self.alone]
+
+        states, free = ca.MX.sym("states", n, self.stages), ca.MX.sym("commands", 1, self.free)
+        command = ca.horzcat(free, ca.DM.zeros(1, self.stages - self.free))
+        before = ca.horzcat(ca.DM.zeros(n, 1), states[:, :-1])
+        after, made = self._stage_function().map(self.stages)(before, command)
+        target, tracking = linear.target, linear.tracking
+        wanted = target.continued_m_s2 / np.sqrt(target.energy_m2_s4)
+        error = made - ca.DM(wanted[None])
+        window = command[:, :N]
+        held = ca.horzcat(ca.DM.zeros(1, 1), window[:, :-1])
+        weight = linear.movement.weight * self.by_command**2
+        objective = ca.dot(ca.DM(tracking.all_weights[None]), error**2) + weight * ca.sumsqr(window - held)
+        rows = [ca.vec(states - after)]
+        for value in self.sums:
+            along = ca.DM(value.now[None]) @ before[:, :N] + ca.DM(value.after[None]) @ states[:, :N]
+            rows.append(ca.vec(along + value.command * window + value.held * held))
+        self.solver = ca.nlpsol(
+            "ipopt",
+            "ipopt",
+            {"x": ca.veccat(states, free), "f": objective / OBJECTIVE_SCALE, "g": ca.vertcat(*rows)},
+            {
+                "print_time": False,
+                "ipopt": {
+                    "print_level": 0,
+                    "sb": "yes",
+                    "tol": options.tolerance,
+                    "max_iter": options.max_iterations,
+                    "max_cpu_time": most_time_s(self.stages) + TIME_PER_SUBSTEP_S * self.stages * stage.substeps,
+                    # Otherwise the answer leaves the box.
+                    "bound_relax_factor": 0.0,
+                    # The program is in physical scale.
+                    "nlp_scaling_method": "none",
+                },
+            },
+        )
+
+    def _stage_function(self) -> ca.Function:
+        """(z_k, c_k) -> (z_(k+1), y''_k / sqrt(E)), z and c in their units."""
+        stage, n = self.problem.stage, self.problem.stage.order
+        z, c = ca.SX.sym("z", n), ca.SX.sym("c")
+        states, command = [z[j] * float(self.by_state[j]) for j in range(n)], c * self.by_command
+        after = stage.step(states, command, CASADI)
+        after = [each / float(by) for each, by in zip(after, self.by_state, strict=True)]
+        unit = float(np.sqrt(self.problem.linear.target.energy_m2_s4))
+        return ca.Function("stage", [z, c], [ca.vertcat(*after), stage.acceleration(states, command, CASADI) / unit])
+
+    def _value(self, limit: Limit, row: Row) -> _Value:
+        stage, N, n = self.problem.stage, self.problem.linear.grid.stages, self.problem.stage.order
+        now, after, command, held = np.zeros(n), np.zeros(n), 0.0, 0.0
+        for output, by in row.outputs.items():
+            if output == COMMAND or (output == INPUT and stage.amplifier is None):
+                command += by
+            elif output == HELD:
+                held += by
+            elif output == INPUT:
+                now[-1] += by
+            elif output.endswith(AFTER):
+                after += by * stage.rows[output.removesuffix(AFTER)]
+            else:
+                now += by * stage.rows[output]
+        lower, upper = (np.array((bound - row.offset) / limit.stated) for bound in row.bounds(N))
+        if not (after.any() or command):
+            # At tau_0 the device rests and nothing is held.
+            lower[0], upper[0] = -np.inf, np.inf
+        by_state, by_command = self.by_state / limit.stated, self.by_command / limit.stated
+        return _Value(
+            row.name,
+            limit.stated,
+            now * by_state,
+            after * by_state,
+            command * by_command,
+            held * by_command,
+            lower,
+            upper,
+        )
+
+    def _boxes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Lower and upper bounds of the states (n, N + M) and of the free commands (F,)."""
+        n = self.problem.stage.order
+        states = np.full((2, n, self.stages), np.inf)
+        commands = np.full((2, self.free), np.inf)
+        for value in self.values:
+            if value.name in self.alone:
+                of, at, k, by = self.alone[value.name]
+                sides = commands if of < 0 else states[:, of]
+                for side, bound in zip(sides, (-value.lower, value.upper), strict=True):
+                    side[at] = np.minimum(side[at], bound[k] / by)
+        return -states[0], states[1], -commands[0], commands[1]
+
+    def solve(self, start: FloatArray) -> Solution:
+        """The stationary point that IPOPT finds from a command (N,)."""
+        began, linear = time.perf_counter(), self.problem.linear
+        n = self.problem.stage.order
+        lower_z, upper_z, lower_c, upper_c = self._boxes()
+        rolled = self.problem.effect(start).states[1:].T / self.by_state[:, None]
+        guess = np.concatenate([np.nan_to_num(rolled).T.ravel(), start[: self.free] / self.by_command])
+        nothing = np.zeros(n * self.stages)
+        found = self.solver(
+            x0=guess,
+            lbx=np.concatenate([lower_z.T.ravel(), lower_c]),
+            ubx=np.concatenate([upper_z.T.ravel(), upper_c]),
+            lbg=np.concatenate([nothing, *(value.lower for value in self.sums)]),
+            ubg=np.concatenate([nothing, *(value.upper for value in self.sums)]),
+        )
+        message = str(self.solver.stats()["return_status"])
+        x, lam_x, lam_g = (np.asarray(found[name]).ravel() for name in ("x", "lam_x", "lam_g"))
+        command = np.zeros(linear.grid.stages)
+        command[: self.free] = np.clip(x[n * self.stages :], lower_c, upper_c) * self.by_command
+        multipliers = self._multipliers(lam_x, lam_g)
+        return Solution(
+            status=STATUS.get(message, Status.NUMERICAL_FAILURE),
+            command=command,
+            multipliers=with_hand_over(self.problem.effect(command), multipliers),
+            solver="casadi-ipopt",
+            message=message,
+            iterations=int(self.solver.stats()["iter_count"]),
+            solve_time_s=time.perf_counter() - began,
+        )
+
+    def _multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
+        """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
+        linear, n = self.problem.linear, self.problem.stage.order
+        N, pairs, row = linear.grid.stages, dict[str, Pair](), n * self.stages
+        by_state, by_command = lam_x[: n * self.stages].reshape(self.stages, n).T, lam_x[n * self.stages :]
+        lower_z, upper_z, lower_c, upper_c = self._boxes()
+        # One variable has one multiplier on either side: it goes to the first of the rows whose bound is its box.
+        taken: dict[tuple[int, str], NDArray[np.bool_]] = {}
+        for value in self.values:
+            lower, upper = np.zeros(N), np.zeros(N)
+            if value.name in self.alone:
+                of, at, k, by = self.alone[value.name]
+                on = (by_command if of < 0 else by_state[of])[at] * (OBJECTIVE_SCALE / (by * value.unit))
+                low, high = (lower_c, upper_c) if of < 0 else (lower_z[of], upper_z[of])
+                for side, mine, mu, target in (
+                    ("lower", value.lower[k] / by >= low[at], -on, lower),
+                    ("upper", value.upper[k] / by <= high[at], on, upper),
+                ):
+                    before = taken.setdefault((of, side), np.zeros(self.stages, dtype=bool))
+                    own = mine & ~before[at]
+                    target[k] = np.where(own, mu, 0.0)
+                    before[at] |= own
+            else:
+                mu = lam_g[row : row + N] * (OBJECTIVE_SCALE / value.unit)
+                lower, upper, row = -mu, mu, row + N
+            pairs[value.name] = (lower, upper)
+        return Multipliers(N, pairs, np.zeros(linear.hand_over_samples), np.zeros(N)).clipped()
+
+
+def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) -> Solution:
+    """Solve from a command (N,), the linear design's."""
+    return NonlinearProgram(problem, options).solve(start)
+
+
+def _sizes(stage: NonlinearStage, input_size: float, stages: int) -> FloatArray:
+    """(n,) size of each state of the stage as it is at rest."""
+    rest = stage.linearised(np.zeros(1), np.zeros((2, stage.order)))
+    return state_scale(rest.A[0], rest.B[0], input_size, stages)
