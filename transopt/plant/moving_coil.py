@@ -179,7 +179,7 @@ def moving_coil(
         B = np.array([0.0, gain / (accelerated_kg if struck else reduced_kg)])
     n = B.size
     # The nominal motion of a stylus takes a case and the mass in it along: x is what one moves against the other.
-    grounded = case_mass_kg is None
+    grounded = held.case_mass_kg is None
     outputs = {
         POSITION: Output(np.eye(1, n, 0), "m", POSITION if grounded else ""),
         VELOCITY: Output(np.eye(1, n, 1), "m/s", VELOCITY if grounded else ""),
