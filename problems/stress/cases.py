@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from problems.stress.actuators import Actuator
 from transopt.base.signals import FloatArray
 from transopt.design.intensity import most_price
 from transopt.plant.amplifier import Amplifier
@@ -21,10 +22,10 @@ from transopt.plant.discretise import TimeGrid, discretise
 from transopt.plant.drive import drive
 from transopt.plant.hand import Hand, LinearInGrip
 from transopt.plant.second_order import second_order
-from transopt.plant.state_space import StateSpace
+from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
-from transopt.problem.limits import posed
+from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
@@ -276,6 +277,8 @@ class StressCase:
     demand : what is asked of the device.
     coil : whose temperature is limited; None for no such limit.
     surface : virtual wall; None for none.
+    actuator : in the place of the device, with limits of its own; None for a stylus on a motor. What the case says of
+        currents is then said of its input, a current or a voltage.
     """
 
     family: str
@@ -285,12 +288,13 @@ class StressCase:
     demand: Demand = field(default_factory=Demand)
     coil: Coil | None = None
     surface: Surface | None = None
+    actuator: Actuator | None = None
 
     def __str__(self) -> str:
         """In one line what differs from the plain case."""
         plain = StressCase(self.family)
         words = []
-        for name in ("device", "current", "horizon", "demand", "coil", "surface"):
+        for name in ("device", "current", "horizon", "demand", "coil", "surface", "actuator"):
             own = getattr(self, name)
             if own is None:
                 continue
@@ -312,19 +316,31 @@ class StressCase:
         delay = 0.0 if self.current.pole_Hz is None else self.current.delay_samples * horizon.dt_s
         return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay, horizon.after)
 
+    @property
+    def driven_by(self) -> Input:
+        """What commands are."""
+        return CURRENT_INPUT if self.actuator is None else self.actuator.driven_by
+
     def _numbers(self) -> dict[str, Any]:
         """Dotted key, as a scene would have it, -> number that the case states."""
-        current, horizon = self.current, self.horizon
+        current, horizon, driven = self.current, self.horizon, self.driven_by
+        largest, supply = current.limit_A, current.supply
         numbers: dict[str, Any] = {
             "time.dt_s": horizon.dt_s,
             "time.stages": horizon.stages,
             "weights.rho": self.demand.rho,
-            "limits.current_A": current.limit_A,
-            "limits.slew_A_per_s": None if current.slew is None else current.slew * current.limit_A / horizon.dt_s,
-            "limits.supply_V": None if current.supply is None else current.supply * R_OHM * current.limit_A,
+            f"limits.{driven.name}_{driven.unit}": largest,
+            f"limits.slew_{driven.unit}_per_s": None
+            if current.slew is None
+            else current.slew * largest / horizon.dt_s,
         }
+        if self.actuator is None:
+            numbers["limits.supply_V"] = None if supply is None else supply * R_OHM * largest
+        else:
+            own = self.actuator.limits(largest, horizon.dt_s * horizon.stages)
+            numbers |= {f"limits.{key}": number for key, number in own.items()}
         if current.pole_Hz is not None:
-            numbers["amplifier.command_limit_A"] = current.command * current.limit_A
+            numbers[f"amplifier.command_limit_{driven.unit}"] = current.command * largest
         if self.surface is not None:
             numbers |= {
                 "feedback.stiffness_N_m": self.surface.stiffness_N_m,
@@ -363,11 +379,14 @@ class StressCase:
         grid = self.grid()
         numbers = self._numbers() | dict(changes or {})
         grid = replace(grid, dt_s=numbers["time.dt_s"], stages=int(numbers["time.stages"]))
-        speed, force_N_A = self.demand.speed_m_s, self.device.force_N_A
+        driven, of = self.driven_by, self.actuator
+        speed, force_N_A = (self.demand.speed_m_s if of is None else 0.0), self.device.force_N_A
         amplifier = None
         if self.current.pole_Hz is not None:
-            amplifier = Amplifier(self.current.pole_Hz, grid.delay_s, numbers["amplifier.command_limit_A"])
-        plant, N = self.device.plant(), grid.stages
+            largest = numbers[f"amplifier.command_limit_{driven.unit}"]
+            amplifier = Amplifier(self.current.pole_Hz, grid.delay_s, largest)
+        plant, N = self.device.plant() if of is None else of.plant(), grid.stages
+        asked = {key.removeprefix("limits."): number for key, number in numbers.items() if key.startswith("limits.")}
         target = self.demand.target(grid, lost=self.horizon.lost)
         wall = None
         if self.surface is not None and numbers.get("feedback", True) is not None:
@@ -386,7 +405,8 @@ class StressCase:
             stated = {key.rsplit(".", 1)[-1]: number for key, number in numbers.items()}
             coil = replace(made, **{f.name: stated[f.name] for f in fields(made) if f.name in stated})
         circuit = Circuit(R_OHM, L_H=0.238e-3, emf_V_s_m=force_N_A)
-        stage = discretise(plant, amplifier, grid.dt_s, position=wall is not None)
+        outputs = needed_outputs(asked, driven)
+        stage = discretise(plant, amplifier, grid.dt_s, position=wall is not None, outputs=outputs)
         setting = Setting(
             stage=stage,
             grid=grid,
@@ -398,14 +418,14 @@ class StressCase:
             nominal_m=-speed * grid.switching_times_s,
             nominal_m_s=np.full(N, -speed),
         )
-        asked = {key: numbers[f"limits.{key}"] for key in ("current_A", "slew_A_per_s", "supply_V")}
+        key = f"{driven.name}_{driven.unit}"
         plain = TransientProblem(
             stage=stage,
             grid=grid,
             target=target,
             tracking_weights=self.demand.tracking(N),
             rho=numbers["weights.rho"],
-            limits=posed({"current_A": asked["current_A"]}, replace(setting, coil=None)),
+            limits=posed({key: asked[key]}, replace(setting, coil=None)),
             hand_over_samples=self.horizon.hand_over,
             wall=wall,
             error_filter=error_filter("pacinian", grid.dt_s) if self.demand.pacinian else None,

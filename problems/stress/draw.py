@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from problems.stress.actuators import Actuator
 from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
 
 STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))
@@ -120,7 +121,30 @@ def drawn(seed: int, index: int) -> StressCase:
     if horizon.stages >= WHEN_LONG:
         coil = surface = None
     horizon, demand = _beyond(_Draw(seed, index, apart=1), horizon, demand)
+    apart = _Draw(seed, index, apart=2)
+    if coil is None and surface is None and horizon.stages < WHEN_LONG and apart.perhaps(0.25):
+        current = replace(current, supply=None)
+        return StressCase("random", device, current, horizon, demand, actuator=_actuator(apart))
     return StressCase("random", device, current, horizon, demand, coil, surface)
+
+
+def _actuator(draw: _Draw) -> Actuator:
+    """Random numbers of its own: the other cases are what they are without."""
+    by_voltage, limited = draw.perhaps(0.8), draw.perhaps(0.6)
+    return Actuator(
+        resonance_Hz=draw.log(5.0, 2000.0),
+        quality=draw.log(0.2, 1e3),
+        moving_kg=draw.log(1e-4, 10.0),
+        case_kg=draw.log(1e-3, 10.0) if draw.perhaps(0.7) else None,
+        force_N_A=draw.log(0.01, 30.0),
+        R_ohm=draw.log(0.1, 100.0),
+        L_H=0.0 if draw.perhaps(0.2) else draw.log(1e-6, 1e-2),
+        by_voltage=by_voltage,
+        stroke=draw.log(1e-3, 10.0) if limited and draw.perhaps(0.7) else None,
+        velocity=draw.log(1e-3, 10.0) if limited and draw.perhaps(0.3) else None,
+        current=draw.log(1e-2, 2.0) if limited and draw.perhaps(0.3) else None,
+        sag=draw.of(0.5, 0.8, 1.0) if draw.perhaps(0.2) else None,
+    )
 
 
 def _beyond(draw: _Draw, horizon: Horizon, demand: Demand) -> tuple[Horizon, Demand]:

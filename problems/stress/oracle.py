@@ -7,6 +7,9 @@ import numpy as np
 from scipy import optimize
 
 from transopt.base import apart
+from transopt.base.signals import FloatArray
+from transopt.plant.discretise import AFTER
+from transopt.problem.limits.output import OutputLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import inside
@@ -69,9 +72,16 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
     motion = stage.motion(np.eye(N) * unit)
     at_rest = stage.motion(np.zeros(N))
     # Each row of `responses` is what one limited quantity does per command; `offset` what it does without any.
-    quantities = [(motion.plant_input.T, np.zeros(N), limits.input_limit)]
+    # Of a supply that sags the bound moves along the horizon.
+    (row,) = limits.input.rows(problem)
+    quantities: list[tuple[FloatArray, FloatArray, float | FloatArray]]
+    quantities = [(motion.plant_input.T, np.zeros(N), row.upper)]
     quantities.append((np.eye(N) * unit, np.zeros(N), problem.command_bound))
-    slew, supply = limits.get("slew"), limits.get("supply")
+    slew, supply = limits.get("slew") or limits.get("voltage_slew"), limits.get("supply")
+    for limit in limits:
+        if isinstance(limit, OutputLimit):
+            reached = motion.outputs[limit.output + AFTER].T
+            quantities.append((reached, limit.nominal[1:], limit.limit - limit.margin))
     if slew is not None:
         quantities.append(((np.eye(N) - np.eye(N, k=-1)) * unit, np.zeros(N), slew.stated))
     if supply is not None:
@@ -83,10 +93,11 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
             volts = circuit.R_ohm * motion.plant_input.T + circuit.L_H * rate
             quantities.append((volts + circuit.emf_V_s_m * motion.velocity_m_s.T, rest, supply.limit_V))
     blocks, bounds = [], []
-    for response, offset, limit in quantities:
+    for response, offset, bound in quantities:
         for sign in (1.0, -1.0):
-            blocks.append(np.hstack([sign * response / limit, np.ones((N, 1))]))
-            bounds.append(1.0 - sign * offset / limit)
+            most = np.broadcast_to(bound, N)
+            blocks.append(np.hstack([sign * response / most[:, None], np.ones((N, 1))]))
+            bounds.append(1.0 - sign * offset / most)
     tail = np.arange(problem.free_stages, N)
     asked = problem.hand_over_command(at_rest)[tail]
     answered = np.stack(

@@ -7,7 +7,9 @@ instants; what the output may do beyond them within a servo period is taken off 
 
 is a linear function of the commands so far, whose response to one command is found from the plant itself, and the
 sum of its sizes times the largest command bounds it (the L1 norm of an impulse response). The nominal motion's own
-part is bounded by its curvature.
+part is bounded by its curvature. Where a limit leaves but a small part of the largest command that bound says little,
+and could be more than the limit: no more than a twentieth of the limit is taken off, and the replay, which follows
+the output at all times, says whether that was enough.
 """
 
 from abc import abstractmethod
@@ -21,6 +23,7 @@ from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, StageModel, discretise
 from transopt.problem.limits.limit import Limit, Posed, Row, Setting, positive
 
+MOST_KEPT = 0.05  # of the limit, for the time between the switching instants
 SUBSTEPS = 8  # of a servo period, at which the excursion within it is looked at
 
 
@@ -32,17 +35,22 @@ class OutputLimit(Limit):
     ----------
     limit : > 0.
     nominal : (N + 1,) the nominal motion's part of the output at tau_0 to tau_N.
-    margin : what is taken off the limit for the time between the switching instants.
+    excursion : bound on what it may do beyond its values at the switching instants within a period.
     """
 
     output: ClassVar[str]
 
     limit: float
     nominal: FloatArray
-    margin: float
+    excursion: float
 
     def __post_init__(self) -> None:
         positive(self.key, self.limit)
+
+    @property
+    def margin(self) -> float:
+        """What is taken off the limit for the time between the switching instants."""
+        return min(self.excursion, MOST_KEPT * self.limit)
 
     @staticmethod
     @abstractmethod
@@ -63,7 +71,7 @@ class OutputLimit(Limit):
         return self.limit
 
     def wider(self, factor: float) -> Self:
-        return type(self)(factor * self.limit, self.nominal, self.margin)
+        return type(self)(factor * self.limit, self.nominal, self.excursion)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         # At tau_0 it is what it is; the commands have their say from tau_1 to tau_N.
@@ -106,6 +114,14 @@ class OutputLimit(Limit):
         """By how much the first command can move the output within its period."""
         largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         return largest * abs(problem.stage.output(self.output + AFTER)[1])
+
+    def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
+        if self.excursion <= self.margin:
+            return ""
+        return (
+            f"{self.label} {peak - self.limit:.3g} {self.unit} over its {self.limit:g} {self.unit} between the "
+            f"instants at which it is kept, for which {MOST_KEPT:.0%} are kept back: time.dt_s = {problem.grid.dt_s:g} s"
+        )
 
     def replayed(self, peak: float) -> str:
         return f"replayed {self.label} {peak:.6g} {self.unit}, limit {self.limit:g} {self.unit}"
