@@ -211,5 +211,7 @@ class TestPositionAndVelocity:
         assert list(misstatements(library)) == []
 
     def test_a_position_that_the_input_moves_at_once_is_none(self, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match=r"outputs.position: the input changes its velocity at once, by 5\.28e\+03"):
+        with pytest.raises(
+            InputError, match=r"outputs.position: the input changes its velocity at once, by 5\.28e\+03"
+        ):
             self.scene(tmp_path, output_position=np.eye(1, 10, 3) * 6.0)
