@@ -76,6 +76,10 @@ def ten_states() -> StateSpace:
         B=B,
         C=C,
         D=np.array([[float(gain.sum())]]),
-        outputs={"position": Output(position, "m", "position"), "pull": Output(np.eye(1, 10, 3), "N")},
+        outputs={
+            "position": Output(position, "m", "position"),
+            "velocity": Output(position @ A, "m/s", "velocity"),
+            "pull": Output(np.eye(1, 10, 3), "N"),
+        },
         driven_by=Input("voltage", "V"),
     )

@@ -10,11 +10,12 @@ from transopt.base.section import Finite, Section, Words
 from transopt.base.sizes import MOST_STATES
 from transopt.plant.kind import PlantKind
 from transopt.plant.motor import Tip
-from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT, Input, Output, StateSpace
+from transopt.plant.state_space import CURRENT_INPUT, POSITION, VELOCITY, VOLTAGE_INPUT, Input, Output, StateSpace
 
 Row = Annotated[list[Finite], Field(min_length=1, max_length=MOST_STATES)]
 # Outputs that the nominal motion of a stylus is added to.
 FOLLOWED: Mapping[str, Literal["position", "velocity"]] = {"position": "position", "velocity": "velocity"}
+AT_ONCE = 1e-6  # of the sizes of row and B: beyond rounding, a position has no velocity that its states tell
 
 
 class OutputTable(Section):
@@ -57,6 +58,13 @@ class Matrices(PlantKind):
             odd = next((len(row) for row in matrix if len(row) != n), None)
             if odd is not None:
                 raise ValueError(f"{name}: a row of {odd} numbers, A has {n} states: every row needs {n}")
+        if POSITION in self.outputs:
+            row, B = np.array(self.outputs[POSITION].row), np.array(self.B)
+            if abs(row @ B) > AT_ONCE * np.linalg.norm(row) * np.linalg.norm(B):
+                raise ValueError(
+                    f"outputs.{POSITION}: the input changes its velocity at once, by {row @ B:.3g} per unit (its row "
+                    "times B, must be 0): give it another name, or the row of a mass's position"
+                )
         return self
 
     @classmethod
@@ -86,6 +94,10 @@ class Matrices(PlantKind):
             )
             for name, table in self.outputs.items()
         }
+        if POSITION in outputs and VELOCITY not in outputs:
+            # A position tells the velocity of the same mass.
+            position = outputs[POSITION]
+            outputs[VELOCITY] = Output(position.row @ np.array(self.A), "m/s", VELOCITY if position.follows else "")
         return StateSpace(
             A=np.array(self.A),
             B=np.array(self.B)[:, None],

@@ -55,6 +55,11 @@ class Output:
     unit: str
     follows: Literal["", "position", "velocity"] = ""
 
+    def is_as_good_as(self, other: "Output") -> bool:
+        """Whether it is the other one, but for rounding of its row."""
+        close = np.allclose(self.row, other.row, rtol=1e-9, atol=1e-12 * float(np.abs(other.row).max(initial=0.0)))
+        return bool(close) and (self.unit, self.follows) == (other.unit, other.follows)
+
 
 @dataclass(frozen=True)
 class StateSpace:
@@ -152,9 +157,14 @@ class StateSpace:
         return Output(np.eye(1, self.order, states[name]), "of the state")
 
     def stored(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
-        """Those of the named outputs that A and Ce do not tell, as the `meta` of a library has them."""
-        told = [name for name in (POSITION, VELOCITY) if name in self.outputs and self.outputs[name].follows == name]
-        own = [name for name in names if name in self.outputs and name not in told]
+        """Those of the named outputs that A and Ce do not tell, as the `meta` of a library has them.
+
+        Position and velocity are always among them where A and Ce would tell others: those of a mass in a case, or a
+        velocity that is another mass's.
+        """
+        told = StateSpace.from_matrices(self.A, self.B, self.C, self.D, self.Ce).outputs
+        known = [name for name, o in told.items() if name in self.outputs and self.outputs[name].is_as_good_as(o)]
+        own = [n for n in dict.fromkeys([POSITION, VELOCITY, *names]) if n in self.outputs and n not in known]
         return {name: {**asdict(self.outputs[name]), "row": self.outputs[name].row[0].tolist()} for name in own}
 
     def response(self, frequencies_Hz: FloatArray) -> FloatArray:

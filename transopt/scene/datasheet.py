@@ -184,7 +184,11 @@ def _text(sheet: Datasheet, peak_m_s2: float) -> str:
         f"peak_m_s2 = {_n(peak_m_s2)}  # a quarter of what a long sine at the limits makes",
         "",
     ]
-    return "\n".join([*head, *_model(sheet), "", *_limits(sheet), ""])
+    weights = [
+        "# [weights]",
+        "# calm = 30.0  # what rings after the end of a target counts so many times what is amiss within it",
+    ]
+    return "\n".join([*head, *_model(sheet), "", *_limits(sheet), "", *weights, ""])
 
 
 def _model(sheet: Datasheet) -> list[str]:

@@ -287,7 +287,8 @@ class TestInACase:
         assert not held.moves_in_a_case
         assert floating.moves_in_a_case
         assert held.stored(("position", "velocity")) == {}
-        assert {name: each["follows"] for name, each in floating.stored(("position",)).items()} == {"position": ""}
+        stored = {name: each["follows"] for name, each in floating.stored(()).items()}
+        assert stored == {"position": "", "velocity": ""}
 
 
 class TestMatrices:

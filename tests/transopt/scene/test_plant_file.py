@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from scipy import io
 
+import transopt as to
 from tests.benches.actuators import file_scene, lra_scene, ten_states
 from transopt.base.errors import InputError
-from transopt.plant.state_space import StateSpace
+from transopt.library.proven import misstatements
+from transopt.plant.state_space import Output, StateSpace
 from transopt.scene.builtin import load_scene
 from transopt.scene.file import with_plant
 from transopt.scene.keys import with_values
@@ -91,7 +93,7 @@ def test_a_row_of_the_scene_stands_beside_those_of_the_file(tmp_path: Path) -> N
     save_plant(ten_states(), tmp_path / "plant.npz")
     own = "[model.outputs.sway]\nrow = [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]\nunit = 'mm'\n"
     outputs = read(tmp_path, file_scene("plant.npz", UNITS + own)).plant(0.0).outputs
-    assert set(outputs) == {"position", "pull", "sway"}
+    assert set(outputs) == {"position", "velocity", "pull", "sway"}
 
 
 @pytest.mark.parametrize(
@@ -176,3 +178,40 @@ class TestCoilsInScenes:
         text = lra_scene().replace("L_H = 1e-4\n", "") + "current_A = 0.3\n"
         with pytest.raises(InputError, match=r"limits.current_A: the current of a coil without .*state model.L_H"):
             read(tmp_path, text)
+
+
+class TestPositionAndVelocity:
+    LIMITS = "stroke_m = 5e-6\n"
+
+    def scene(self, folder: Path, **changed: Any) -> Scene:
+        content = {**arrays(ten_states()), **changed, "input": "voltage"}
+        np.savez(folder / "plant.npz", **{name: value for name, value in content.items() if value is not None})
+        return read(folder, file_scene("plant.npz", UNITS, self.LIMITS, peak_m_s2=60.0))
+
+    def test_a_position_tells_the_velocity_of_the_same_mass(self, tmp_path: Path) -> None:
+        assert_same(self.scene(tmp_path, output_velocity=None).plant(0.0), ten_states())
+
+    @pytest.mark.parametrize("stated", ["both", "position", "another's velocity", "in a case"])
+    def test_a_library_knows_what_its_scene_says_of_them(self, stated: str, tmp_path: Path) -> None:
+        changed: dict[str, Any] = {}
+        if stated == "position":
+            changed["output_velocity"] = None
+        elif stated == "another's velocity":
+            changed["output_velocity"] = np.eye(1, 10, 5)
+        scene = self.scene(tmp_path, **changed)
+        if stated == "in a case":
+            plant = ten_states()
+            floating = {name: Output(o.row, o.unit) for name, o in plant.outputs.items()}
+            scene = with_plant(scene, StateSpace(plant.A, plant.B, plant.C, plant.D, floating, plant.driven_by))
+        library = to.solve(scene)
+        library.save(tmp_path / "library.npz")
+        assert "stroke" in str(library.binding[0, 0])
+        [check] = to.verify(to.load_library(tmp_path / "library.npz"))
+        assert check.shortfalls == []
+        assert list(misstatements(library)) == []
+
+    def test_a_position_that_the_input_moves_at_once_is_none(self, tmp_path: Path) -> None:
+        with pytest.raises(
+            InputError, match=r"outputs.position: the input changes its velocity at once, by 5\.28e\+03"
+        ):
+            self.scene(tmp_path, output_position=np.eye(1, 10, 3) * 6.0)

@@ -120,7 +120,7 @@ class OutputLimit(Limit):
             return ""
         return (
             f"{self.label} {peak - self.limit:.3g} {self.unit} over its {self.limit:g} {self.unit} between the "
-            f"instants at which it is kept, for which {MOST_KEPT:.0%} are kept back: time.dt_s = {problem.grid.dt_s:g} s"
+            f"instants at which it is kept, {MOST_KEPT:.0%} being kept back: time.dt_s = {problem.grid.dt_s:g} s"
         )
 
     def replayed(self, peak: float) -> str:
