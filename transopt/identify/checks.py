@@ -326,6 +326,12 @@ def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
     return {float(np.mean([grip for grip, _ in group])): [run for _, run in group] for group in groups}
 
 
+def within(grip_N: float, recorded_N: Iterable[float]) -> bool:
+    """Whether a grip lies between recorded ones; held and free ones say nothing of each other."""
+    alike = [grip for grip in recorded_N if (grip > 0) == (grip_N > 0)]
+    return bool(alike) and min(alike) <= grip_N <= max(alike)
+
+
 def check_grips(runs: Sequence[Measurement]) -> list[Finding]:
     """Every file states its grip, every grip has trials enough, of either polarity."""
     found = [

@@ -38,7 +38,6 @@ _CHANGE = 0.1  # of the largest heating
 _LEAST_NOISE_K = 1e-3
 _FAR = np.log(100.0)  # from the guess
 MOST_RIPPLE_A = 0.5
-_STEP = 1e-5
 _WIDE_K = 50.0  # around the first reading, for start temperatures
 
 
@@ -353,15 +352,6 @@ class _Misfit:
             parts.append(np.sqrt(weight) * (expected - mean) / channel.noise_K)
         return np.concatenate(parts)
 
-    def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Derivatives of the residuals by theta, by forward differences."""
-        centre = self(theta)
-        columns = []
-        for j in range(theta.size):
-            step = _STEP if j < 4 else 1e2 * _STEP
-            columns.append((self(theta + step * np.eye(theta.size)[j]) - centre) / step)
-        return np.stack(columns, axis=1)
-
     @property
     def informed(self) -> int:
         """Steps in which something was read."""
@@ -391,15 +381,13 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
             optimize.least_squares(
                 misfit,
                 start,
-                jac=misfit.jacobian,
                 bounds=(guess - reach, guess + reach),
                 x_scale=np.concatenate([np.ones(4), np.full(guess.size - 4, 10.0)]),
                 max_nfev=60,
             )
         )
     solved.sort(key=lambda found: float(found.cost))
-    theta = solved[0].x
-    J = misfit.jacobian(theta)
+    theta, J = solved[0].x, np.asarray(solved[0].jac)
     free = max(misfit.informed - theta.size, 1)
     excess = float(2 * solved[0].cost / free)
     # Noise that is not white shows as misfit, and widens the intervals.

@@ -10,7 +10,7 @@ noise, with no model of the device in it.
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,20 +87,15 @@ class Condensed:
 
     def some(self, bins: slice = slice(None), outputs: slice = slice(None)) -> "Condensed":
         """Some of the bins and of the outputs."""
-        return Condensed(
-            middles_Hz=self.middles_Hz[bins],
-            frequencies_Hz=self.frequencies_Hz[bins],
-            used=self.used[bins],
-            middle=self.middle[bins],
+        by_bin = ("middles_Hz", "frequencies_Hz", "used", "middle", "surplus")
+        by_output = ("power", "noise", "degrees", "known")
+        return replace(
+            self,
             normal=self.normal[:, bins],
             right=self.right[:, outputs, bins],
             residual=self.residual[bins, outputs, outputs],
-            surplus=self.surplus[bins],
-            power=self.power[outputs, bins],
-            noise=self.noise[outputs, bins],
-            degrees=self.degrees[outputs, bins],
-            known=self.known[outputs, bins],
-            dt_s=self.dt_s,
+            **{name: getattr(self, name)[bins] for name in by_bin},
+            **{name: getattr(self, name)[outputs, bins] for name in by_output},
         )
 
 

@@ -101,6 +101,12 @@ class Measurement:
         assert isinstance(found, Signal)
         return found
 
+    def changed(self, change: Callable[[str, Signal], Signal]) -> "Measurement":
+        """The run with each of its signals as `change` makes it of its quantity and itself."""
+        recorded = {quantity: getattr(self, quantity) for quantity in WORDS.quantities if quantity != "time"}
+        made: dict[str, Any] = {quantity: change(quantity, x) for quantity, x in recorded.items() if x is not None}
+        return replace(self, **made)
+
 
 def load_measurements(
     paths: Sequence[Path], layout: Layout | None = None, *, read: Callable[[], None] = lambda: None
@@ -146,12 +152,11 @@ def split_taps(runs: Sequence[Measurement], wanted: Sequence[int] = ()) -> list[
         times_s = peak_times(force, pieces)
         for number in chosen(run.name, len(pieces), times_s, {"*": wanted} if wanted else {}):
             first, end = pieces[number - 1]
-            cut: dict[str, Any] = {
-                quantity: Signal(x.start_s + first * x.dt_s, x.dt_s, x.values[first:end])
-                for quantity in WORDS.quantities
-                if quantity != "time" and (x := getattr(run, quantity)) is not None
-            }
-            found.append(run if len(pieces) == 1 else replace(run, name=f"{run.name}#{number}", **cut))
+
+            def piece(_: str, x: Signal, first: int = first, end: int = end) -> Signal:
+                return Signal(x.start_s + first * x.dt_s, x.dt_s, x.values[first:end])
+
+            found.append(run if len(pieces) == 1 else replace(run.changed(piece), name=f"{run.name}#{number}"))
     return found
 
 

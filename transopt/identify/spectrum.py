@@ -1,7 +1,7 @@
 """Experimental transfer-function estimate (ETFE) from several trials with swept sines (seed Sec. 4.1, Figs. 6, 7)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy import special
@@ -115,15 +115,7 @@ class TransferEstimate:
         if not np.any(kept):
             span = f"{self.frequencies_Hz[0]:.4g} to {self.frequencies_Hz[-1]:.4g} Hz"
             raise InputError(f"no excitation from {low_Hz:g} to {high_Hz:g} Hz, only {span}; sweep further")
-        return TransferEstimate(
-            self.frequencies_Hz[kept],
-            self.response[kept],
-            self.deviation[kept],
-            self.degrees[kept],
-            self.coherence[kept],
-            self.trial_responses[:, kept],
-            self.dt_s,
-        )
+        return replace(self, **{part.name: getattr(self, part.name)[..., kept] for part in fields(self)[:-1]})
 
 
 def condense_trials(trials: Sequence[Trial]) -> Condensed:

@@ -9,9 +9,9 @@ from transopt.identify.checks import runs_of
 from transopt.identify.device.chain import SHARED
 from transopt.identify.device.chain_fit import ChainFit, GripFit
 from transopt.identify.device.chain_search import RANGE, GripResponse
-from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import BAND_HZ, Grip, low_coherence
-from transopt.identify.device.validation import Model, called
+from transopt.identify.device.validation import Model, called, modelled
 
 MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
 SMOOTHED_BINS = 9
@@ -22,10 +22,8 @@ SIGMAS = 1.959964  # 95 %
 def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) -> list[tuple[float, float]]:
     """Bands [Hz] where the model is off by more than the noise explains and by more than half a decibel."""
     e = response.estimate
-    modelled = np.zeros(e.frequencies_Hz.size, dtype=complex)
-    for plant, weight in model.shares(response.grip_N):
-        modelled += weight * sampled_response(plant, instrument, e.frequencies_Hz)[0]
-    error, window = modelled - e.response, np.ones(min(SMOOTHED_BINS, e.response.size))
+    error = modelled(model, response.grip_N, instrument, e.frequencies_Hz) - e.response
+    window = np.ones(min(SMOOTHED_BINS, e.response.size))
     count = np.convolve(np.ones(error.size), window, "same")
     surprise = np.convolve(np.abs(error / response.deviation) ** 2 / 2, window, "same") / count
     relative = np.abs(np.convolve(error / e.response, window, "same")) / count

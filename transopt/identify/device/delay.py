@@ -8,7 +8,6 @@ best, shows the lag.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy import fft
@@ -72,16 +71,11 @@ def delay_samples(
 def without_delay(runs: Sequence[Measurement], samples: int) -> list[Measurement]:
     """The runs with accelerations that many samples earlier; the end, whose answer was not recorded, is cut off."""
 
-    def moved(run: Measurement) -> Measurement:
-        changed: dict[str, Any] = {}
-        for name in ("command", "current", "acceleration", "position", "force", "voltage"):
-            x = getattr(run, name)
-            if x is not None:
-                kept = x.values[samples:] if name == "acceleration" else x.values[: x.values.size - samples]
-                changed[name] = Signal(x.start_s, x.dt_s, kept)
-        return replace(run, **changed)
+    def moved(quantity: str, x: Signal) -> Signal:
+        values = x.values[samples:] if quantity == "acceleration" else x.values[: x.values.size - samples]
+        return replace(x, values=values)
 
-    return [moved(run) for run in runs]
+    return [run.changed(moved) for run in runs]
 
 
 def finding(samples: int, dt_s: float) -> Finding:

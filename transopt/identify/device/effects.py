@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from transopt.base.signals import ComplexArray, FloatArray, Signal, highpass
-from transopt.identify.checks import JITTER_NOTED
+from transopt.identify.checks import JITTER_NOTED, within
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import ChainFit, response_slopes
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import felt_current
-from transopt.identify.device.validation import PADDING_S, Model, predict
+from transopt.identify.device.validation import Model, predict, through
 from transopt.identify.measurement import Measurement
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import AtUse, ModelError
@@ -29,6 +29,7 @@ HIGHPASS_HZ = 25.0  # what is slower in a held hand is its tremor, and little of
 QUIET = 0.02  # of the predicted peak: below, a record shows its noise alone
 LEAST_QUIET_S = 0.02
 OFFSET = 0.1  # of what an offset makes of a record, that has to lie where it rests
+LOWEST_HZ = 0.1  # stands for 0 Hz, where a free chain answers with a drift
 ALIGNED_HZ = 500.0  # below which command and current are laid over each other
 CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
 EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
@@ -74,12 +75,9 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
     recorded = run.require("acceleration", "acceleration_m_s2")
     current = _commanded(run, instrument)
 
-    def passed(values: FloatArray) -> FloatArray:
-        return highpass(Signal(recorded.start_s, recorded.dt_s, values), HIGHPASS_HZ).values
-
-    at_rest = current.values - np.median(current.values[: max(3, current.values.size // 50)])
-    predicted, measured = passed(predict(model, grip_N, instrument, at_rest)), passed(recorded.values)
-    step = passed(np.ones(recorded.values.size))
+    from_rest = _from_rest(current.values)
+    parts = predict(model, grip_N, instrument, from_rest), recorded.values, np.ones(recorded.values.size)
+    predicted, measured, step = (_passed(recorded.start_s, recorded.dt_s, values) for values in parts)
     residual = measured - predicted
     size = np.abs(predicted)
     least = QUIET * size.max(initial=0.0)
@@ -100,7 +98,7 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
         uncertain = np.inf  # stamps that are off make samples off by their slope, which no rest shows
     excess = float(np.sum(residual[busy] ** 2)) - noise * np.count_nonzero(busy)
     scale = max(energy, np.finfo(float).tiny)
-    return Missed(run, at_rest, residual, energy, excess / scale, uncertain / scale)
+    return Missed(run, from_rest, residual, energy, excess / scale, uncertain / scale)
 
 
 def _commanded(run: Measurement, instrument: Instrument) -> Signal:
@@ -119,6 +117,16 @@ def _commanded(run: Measurement, instrument: Instrument) -> Signal:
     shift_s = -float(np.sum(weight * w * np.angle(cross)) / max(np.sum(weight * w**2), np.finfo(float).tiny))
     moved = fft.irfft(fft.rfft(expected.values, size) * np.exp(-1j * w * shift_s), size)[: expected.values.size]
     return Signal(expected.start_s, expected.dt_s, moved)
+
+
+def _from_rest(values: FloatArray) -> FloatArray:
+    """(n,) less what they begin with."""
+    return values - np.median(values[: max(3, values.size // 50)])
+
+
+def _passed(start_s: float, dt_s: float, values: FloatArray) -> FloatArray:
+    """(n,) what is fast enough to be of a tap."""
+    return highpass(Signal(start_s, dt_s, values), HIGHPASS_HZ).values
 
 
 def _alike(noise: FloatArray) -> float:
@@ -265,7 +273,7 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
     energy = noise = strongest = 0.0
     for run in repeated:
         lines, found = _Lines.of(run), distortion(run)
-        if lines is None or found is None or run.grip_N is None or not _grips(fit, run.grip_N):
+        if lines is None or found is None or run.grip_N is None or not within(run.grip_N, fit.grips_N):
             continue
         if max(found.current_even, found.current_odd) > OF_THE_CURRENT * found.largest:
             continue  # the amplifier's, which is said elsewhere
@@ -282,8 +290,7 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
     share = {}
     for name, parts in shapes.items():
         shape = np.concatenate(parts)
-        along = max(float(np.vdot(shape, np.concatenate(wanted)).real), 0.0)  # the other sign is no such effect
-        explained = along**2 / max(float(np.vdot(shape, shape).real), np.finfo(float).tiny)
+        explained = _explained(shape, np.concatenate(wanted))
         chance = noise / (2 * shape.size)  # what noise has along one real direction
         share[name] = explained / beyond if explained > LOUD**2 * chance else 0.0
     best, other = sorted(share, key=lambda name: -share[name])
@@ -292,10 +299,10 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
     return [("backlash", 1 - share[best])] if strongest > PLAYS and share[best] < SHOWS else []
 
 
-def _grips(fit: ChainFit, grip_N: float) -> bool:
-    """Whether a chain knows a grip."""
-    held = [grip for grip in fit.grips_N if (grip > 0) == (grip_N > 0)]
-    return bool(held) and min(held) <= grip_N <= max(held)
+def _explained(shape: FloatArray | ComplexArray, wanted: FloatArray | ComplexArray) -> float:
+    """The energy of `wanted` (n,) that a shape (n,) explains; with the other sign it is no such effect."""
+    along = max(float(np.vdot(shape, wanted).real), 0.0)
+    return along**2 / max(float(np.vdot(shape, shape).real), np.finfo(float).tiny)
 
 
 def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:
@@ -320,9 +327,7 @@ def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:
     for name in ("friction", "backlash", "stiffening"):
         shape = np.concatenate([_shape(name, fit.device, fit.instrument, one.run) for one in found])
         shape -= Q @ (Q.T @ shape)
-        along = max(float(shape @ left), 0.0)  # the other sign is no such effect
-        explained = along**2 / max(float(shape @ shape), np.finfo(float).tiny)
-        fitted[name] = explained / max(float(left @ left) - noise, np.finfo(float).tiny)
+        fitted[name] = _explained(shape, left) / max(float(left @ left) - noise, np.finfo(float).tiny)
     best = max(fitted, key=lambda name: fitted[name])
     return [(best, min(fitted[best], 1.0))] if fitted[best] > EXPLAINS else []
 
@@ -331,14 +336,11 @@ def _slopes(fit: ChainFit, run: Measurement) -> FloatArray:
     """(n, p) what the chain's unknowns change of a predicted acceleration after the high-pass [m/s^2]."""
     assert run.grip_N is not None
     current = _commanded(run, fit.instrument)
-    size = fft.next_fast_len(current.values.size + round(PADDING_S / current.dt_s), real=True)
-    frequencies = np.maximum(fft.rfftfreq(size, current.dt_s), 0.1)
-    ratio = response_slopes(fit, run.grip_N, frequencies)
-    given = fft.rfft(current.values - np.median(current.values[: max(3, current.values.size // 50)]), size)
-    moved = fft.irfft(given * ratio, size)[:, : current.values.size]
-    return np.stack(
-        [highpass(Signal(current.start_s, current.dt_s, one), HIGHPASS_HZ).values for one in moved], axis=1
+    grip_N = run.grip_N
+    moved = through(
+        _from_rest(current.values), current.dt_s, lambda f: response_slopes(fit, grip_N, f), zero_Hz=LOWEST_HZ
     )
+    return np.stack([_passed(current.start_s, current.dt_s, one) for one in moved], axis=1)
 
 
 def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measurement) -> FloatArray:
@@ -346,7 +348,7 @@ def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measureme
     assert run.grip_N is not None
     plant = device.plant(run.grip_N)
     current = _commanded(run, instrument)
-    values = current.values - np.median(current.values[: max(3, current.values.size // 50)])
+    values = _from_rest(current.values)
     n = plant.order // 2
     masses = np.concatenate([device.shared[:2], device.hand_at(run.grip_N)[:1]])[:n]
     velocities, stretches = np.eye(plant.order)[n : n + n], np.eye(plant.order)[:n]
@@ -368,19 +370,20 @@ def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measureme
         given = np.zeros(plant.order)
         given[n + mass] = 1 / masses[mass]
         total += _through(plant, given, plant.C[0], 1 / masses[1] if mass == 1 else 0.0, current.dt_s, force)
-    return highpass(Signal(current.start_s, current.dt_s, total), HIGHPASS_HZ).values
+    return _passed(current.start_s, current.dt_s, total)
 
 
 def _through(
     plant: StateSpace, given: FloatArray, row: FloatArray, direct: float, dt_s: float, values: FloatArray
 ) -> FloatArray:
     """(n,) what an input along `given` makes of an output `row`, from rest."""
-    size = fft.next_fast_len(values.size + round(PADDING_S / dt_s), real=True)
-    s = 2j * np.pi * np.maximum(fft.rfftfreq(size, dt_s), 0.1)
     poles, modes = np.linalg.eig(plant.A)
     gains = (row @ modes) * np.linalg.solve(modes, given.astype(complex))
-    ratio: ComplexArray = (gains / (s[:, None] - poles)).sum(axis=1) + direct
-    return np.asarray(fft.irfft(fft.rfft(values, size) * ratio, size)[: values.size])
+
+    def ratio(frequencies_Hz: FloatArray) -> ComplexArray:
+        return np.asarray((gains / (2j * np.pi * frequencies_Hz[:, None] - poles)).sum(axis=1) + direct)
+
+    return through(values, dt_s, ratio, zero_Hz=LOWEST_HZ)
 
 
 @dataclass(frozen=True)
@@ -402,7 +405,7 @@ def current_missed(instrument: Instrument, run: Measurement) -> CurrentMissed:
     if run.current is None or run.command is None or instrument.amplifier is None:
         return CurrentMissed(0.0, 0.0)
     expected = _commanded(run, instrument).values
-    measured = run.current.values - np.median(run.current.values[: max(3, expected.size // 50)])
+    measured = _from_rest(run.current.values)
     peak = max(float(np.abs(expected).max()), 1e-12)
     shapes = [expected, expected**3 / peak**2]
     wanted, dead_A, cube = np.inf, 0.0, 0.0

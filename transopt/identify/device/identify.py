@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import COHERENT, Finding, by_grip, check_rates
+from transopt.identify.checks import COHERENT, Finding, by_grip, check_rates, within
 from transopt.identify.device.advice import about_chain, advice
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.causes import beyond_a_chain, causes_of, distorted, two_clocks
@@ -175,14 +175,9 @@ def _at_use(
     chosen: Candidate, runs: Sequence[Measurement], recorded_N: Sequence[float]
 ) -> tuple[ModelError, list[Missed]]:
     """How far the chosen model is off, taps at the amplitude of use included, and what each such record missed."""
-    known = [run for run in runs if run.grip_N is not None and _within(run.grip_N, recorded_N)]
+    known = [run for run in runs if run.grip_N is not None and within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
     return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
-
-
-def _within(grip_N: float, recorded_N: Sequence[float]) -> bool:
-    alike = [grip for grip in recorded_N if (grip > 0) == (grip_N > 0)]
-    return bool(alike) and min(alike) <= grip_N <= max(alike)
 
 
 def _on_one_clock(

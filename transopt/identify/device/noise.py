@@ -23,9 +23,13 @@ FEW_LEVELS = 0.2  # of the samples: a converter's values recur
 def noise_findings(grips: Sequence[Grip]) -> list[Finding]:
     """One finding for each kind that stands out, with its remedy."""
     spectra = [_noise(grip) for grip in grips]
-    return [
-        finding for finding in (_hum(spectra), _tremor(grips, spectra), _steps(grips, spectra)) if finding is not None
-    ]
+    # Each says nothing where its kind does not stand out.
+    said = {
+        "mains hum": _hum(spectra),
+        "hand tremor": _tremor(grips, spectra),
+        "converter steps": _steps(grips, spectra),
+    }
+    return [Finding(Fault.BESIDE, where, text, False) for where, text in said.items() if text]
 
 
 def _noise(grip: Grip) -> tuple[FloatArray, FloatArray]:
@@ -34,7 +38,7 @@ def _noise(grip: Grip) -> tuple[FloatArray, FloatArray]:
     return data.frequencies_Hz.mean(axis=1), data.noise[grip.response.outputs.index(ACCELERATION)]
 
 
-def _hum(spectra: Sequence[tuple[FloatArray, FloatArray]]) -> Finding | None:
+def _hum(spectra: Sequence[tuple[FloatArray, FloatArray]]) -> str:
     """The mains: bins that hold its frequency or the first multiples of it, and stand out of their neighbours."""
     most, which = 0.0, 0.0
     for mains in MAINS_HZ:
@@ -48,30 +52,29 @@ def _hum(spectra: Sequence[tuple[FloatArray, FloatArray]]) -> Finding | None:
         if ratios and max(ratios) > most:
             most, which = max(ratios), mains
     if most < STANDS_OUT:
-        return None
-    text = (
+        return ""
+    return (
         f"the acceleration's noise at multiples of {which:g} Hz is {most:.2g} times that beside it, and those lines "
         "count less: keep the sensor's cable off the mains' and the amplifier's, or ground it at one end"
     )
-    return Finding(Fault.BESIDE, "mains hum", text, False)
 
 
-def _tremor(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray]]) -> Finding | None:
+def _tremor(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray]]) -> str:
+    """The hand's own motion at 7 to 13 Hz, against what lies just above it."""
     most = 0.0
     for grip, (f, noise) in zip(grips, spectra, strict=True):
         inside, beside = ((f >= low) & (f <= high) for low, high in (TREMOR_HZ, BESIDE_HZ))
         if grip.grip_N > 0 and inside.any() and beside.any():
             most = max(most, float(noise[inside].max() / np.median(noise[beside])))
     if most < TREMBLES:
-        return None
-    text = (
+        return ""
+    return (
         f"the acceleration's noise at {TREMOR_HZ[0]:g} to {TREMOR_HZ[1]:g} Hz is {most:.2g} times that beside it; "
         "what it leaks into other lines is taken out: rest the forearm, or add trials"
     )
-    return Finding(Fault.BESIDE, "hand tremor", text, False)
 
 
-def _steps(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray]]) -> Finding | None:
+def _steps(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray]]) -> str:
     """A converter whose rounding, step^2 / 12, makes much of the noise that a line shows."""
     worst, largest = 0.0, 0.0
     for grip, (_, noise) in zip(grips, spectra, strict=True):
@@ -86,9 +89,8 @@ def _steps(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray
             share = step**2 / 12 / float(np.median(noise))
             worst, largest = max(worst, share), max(largest, step)
     if worst < COARSE:
-        return None
-    text = (
+        return ""
+    return (
         f"the acceleration moves in steps of {largest:.2g} m/s^2, whose rounding makes {100 * min(worst, 1):.0f} % "
         "of its noise: take a converter of more bits, or a sensor of smaller range"
     )
-    return Finding(Fault.BESIDE, "converter steps", text, False)

@@ -53,15 +53,15 @@ class Slope:
     D: FloatArray
 
 
-def _flow(matrix: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """exp(M) (n, n) and its derivatives along `slopes` (p, n, n), by Taylor's series, scaled and squared.
+def _flow(matrices: FloatArray) -> FloatArray:
+    """(1 + p, n, n) exp(M) of the first matrix and its derivatives along the others, scaled Taylor and squared.
 
     scipy.linalg.expm and expm_frechet take milliseconds each when their threads meet busy cores.
     """
-    norm = float(np.abs(matrix).sum(axis=0).max())
+    norm = float(np.abs(matrices[0]).sum(axis=0).max())
     squarings = max(int(np.ceil(np.log2(max(4 * norm, 1e-300)))), 0)
-    M, dM = matrix / 2.0**squarings, slopes / 2.0**squarings
-    term, value = np.eye(matrix.shape[0]), np.eye(matrix.shape[0])
+    M, dM = matrices[0] / 2.0**squarings, matrices[1:] / 2.0**squarings
+    term, value = np.eye(M.shape[0]), np.eye(M.shape[0])
     d_term, d_value = np.zeros_like(dM), np.zeros_like(dM)
     for degree in range(1, TAYLOR_DEGREE + 1):
         d_term = (dM @ term + M @ d_term) / degree
@@ -70,7 +70,7 @@ def _flow(matrix: FloatArray, slopes: FloatArray) -> tuple[FloatArray, FloatArra
     for _ in range(squarings):
         d_value = value @ d_value + d_value @ value
         value = value @ value
-    return value, d_value
+    return np.concatenate([value[None], d_value])
 
 
 def _generator(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, instrument: Instrument) -> FloatArray:
@@ -89,9 +89,13 @@ def _generator(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, instr
 
 @dataclass(frozen=True)
 class _Sampled:
-    """x+ = phi x + now c_k + before c_(k-1) with its outputs at the ticks, and the slopes (p, ...) of all of it.
+    """x+ = phi x + now c_k + before c_(k-1) with its outputs at the ticks; the model comes first, then its p slopes.
 
-    `rows` and `direct` are those of `CURRENT`, `ACCELERATION` and, if asked for, `POSITION`; (o, n) and (o,).
+    Attributes
+    ----------
+    phi : (1 + p, n, n).
+    now, before : (1 + p, n).
+    rows, direct : (1 + p, o, n) and (1 + p, o) of `CURRENT`, `ACCELERATION` and, if asked for, `POSITION`.
     """
 
     phi: FloatArray
@@ -99,11 +103,6 @@ class _Sampled:
     before: FloatArray
     rows: FloatArray
     direct: FloatArray
-    d_phi: FloatArray
-    d_now: FloatArray
-    d_before: FloatArray
-    d_rows: FloatArray
-    d_direct: FloatArray
 
 
 def _structure(plant: StateSpace, slopes: tuple[Slope, ...]) -> StateSpace:
@@ -117,69 +116,53 @@ def _sampled(
 ) -> _Sampled:
     keep = acting_states(_structure(plant, slopes), position=position)
     n, some = int(keep.sum()), np.ix_(keep, keep)
-    amplifier, pole, sensed = (
-        instrument.amplifier,
-        instrument.amplifier is not None,
-        instrument.accelerometer_Hz is not None,
-    )
-    M = _generator(plant.A[some], plant.B[keep], plant.C[:, keep], plant.D, instrument)
-    size, p = M.shape[0], len(slopes)
-    dM = np.zeros((p + len(moved), size, size))
-    for j, slope in enumerate(slopes):
-        dM[j] = _generator(slope.A[some], slope.B[keep], slope.C[:, keep], slope.D, instrument)
+    amplifier, sensor = instrument.amplifier, instrument.accelerometer_Hz
+    pole, sensed = amplifier is not None, sensor is not None
+    parts: tuple[StateSpace | Slope, ...] = (plant, *slopes)
+    M = np.array([_generator(x.A[some], x.B[keep], x.C[:, keep], x.D, instrument) for x in parts])
+    size = M.shape[1]
+    M = np.concatenate([M, np.zeros((len(moved), size, size))])
     if amplifier is not None:
-        M[n, n], M[n, -1] = -amplifier.rate_rad_s, amplifier.rate_rad_s
-    if instrument.accelerometer_Hz is not None:
-        M[n + pole, n + pole] = -2 * np.pi * instrument.accelerometer_Hz
-    for j, name in enumerate(moved):
+        M[0, n, n], M[0, n, -1] = -amplifier.rate_rad_s, amplifier.rate_rad_s
+    if sensor is not None:
+        M[0, n + pole, n + pole] = -2 * np.pi * sensor
+    for j, name in enumerate(moved, len(parts)):
         if name == "amplifier_pole":
-            dM[p + j, n] = M[n]
+            M[j, n] = M[0, n]
         elif name == "accelerometer_pole":
-            dM[p + j, n + pole] = M[n + pole]
+            M[j, n + pole] = M[0, n + pole]
     # Elongations and velocities in SI differ by orders of magnitude: exact powers of two bring them together.
-    _, (scale, _) = linalg.matrix_balance(M, permute=False, separate=True)
-    M, dM = M * scale / scale[:, None], dM * scale / scale[:, None]
+    _, (scale, _) = linalg.matrix_balance(M[0], permute=False, separate=True)
+    M = M * scale / scale[:, None]
 
     dt = instrument.dt_s
     _, late = split_delay(0.0 if amplifier is None else amplifier.delay_s, dt)
-    whole, d_whole = _flow(M * dt, dM * dt)
-    rest, d_rest = _flow(M * (dt - late), dM * (dt - late))
-    for j, name in enumerate(moved):
+    whole, rest = _flow(M * dt), _flow(M * (dt - late))
+    for j, name in enumerate(moved, len(parts)):
         if name == "amplifier_delay":
-            d_rest[p + j] = -M @ rest
+            rest[j] = -M[0] @ rest[0]
 
-    outputs = 2 + position
-    rows, d_rows = np.zeros((outputs, size)), np.zeros((p + len(moved), outputs, size))
-    direct, d_direct = np.zeros(outputs), np.zeros((p + len(moved), outputs))
+    rows, direct = np.zeros((len(M), 2 + position, size)), np.zeros((len(M), 2 + position))
     if pole:
-        rows[CURRENT, n] = 1.0
+        rows[0, CURRENT, n] = 1.0
     else:
-        direct[CURRENT] = 1.0
+        direct[0, CURRENT] = 1.0
     if sensed:
-        rows[ACCELERATION, size - 2] = 1.0
-    else:
-        rows[ACCELERATION, :n] = plant.C[0, keep]
-        d_rows[:p, ACCELERATION, :n] = np.array([slope.C[0, keep] for slope in slopes]).reshape(-1, n)
+        rows[0, ACCELERATION, size - 2] = 1.0
+    for j, part in enumerate(() if sensed else parts):
+        rows[j, ACCELERATION, :n] = part.C[0, keep]
         if pole:
-            rows[ACCELERATION, n] = plant.D[0, 0]
-            d_rows[:p, ACCELERATION, n] = [slope.D[0, 0] for slope in slopes]
+            rows[j, ACCELERATION, n] = part.D[0, 0]
         else:
-            direct[ACCELERATION] = float(plant.D[0, 0])
-            d_direct[:p, ACCELERATION] = [float(slope.D[0, 0]) for slope in slopes]
+            direct[j, ACCELERATION] = part.D[0, 0]
     if position:
-        rows[POSITION, :n] = plant.Ce[0, keep]
-    rows, d_rows = rows * scale, d_rows * scale
+        rows[0, POSITION, :n] = plant.Ce[0, keep]
     return _Sampled(
-        phi=whole[:-1, :-1],
-        now=rest[:-1, -1],
-        before=whole[:-1, -1] - rest[:-1, -1],
-        rows=rows[:, :-1],
+        phi=whole[:, :-1, :-1],
+        now=rest[:, :-1, -1],
+        before=(whole - rest)[:, :-1, -1],
+        rows=(rows * scale)[..., :-1],
         direct=direct,
-        d_phi=d_whole[:, :-1, :-1],
-        d_now=d_rest[:, :-1, -1],
-        d_before=d_whole[:, :-1, -1] - d_rest[:, :-1, -1],
-        d_rows=d_rows[:, :, :-1],
-        d_direct=d_direct,
     )
 
 
@@ -229,23 +212,24 @@ def responses(
     model = _sampled(plant, instrument, slopes, position, moved)
     back: ComplexArray = np.exp(-2j * np.pi * np.asarray(frequencies_Hz, dtype=float) * instrument.dt_s)
     z: ComplexArray = 1 / back
-    T, Z = linalg.schur(model.phi.astype(complex), output="complex")
+    T, Z = linalg.schur(model.phi[0].astype(complex), output="complex")
     whole = 0 if instrument.amplifier is None else split_delay(instrument.amplifier.delay_s, instrument.dt_s)[0]
-    driven = (model.now + model.before * back[:, None]) @ Z.conj()
+    driven = (model.now[0] + model.before[0] * back[:, None]) @ Z.conj()
     state = _resolved(T, z, driven.astype(complex))
-    scale = np.full((model.rows.shape[0], back.size), instrument.amplifier_gain * back**whole)
+    scale = np.full((2 + position, back.size), instrument.amplifier_gain * back**whole)
     scale[ACCELERATION] *= instrument.gain * back**instrument.late
-    value = ((model.rows @ Z) @ state.T + model.direct[:, None] * back) * scale
+    value = ((model.rows[0] @ Z) @ state.T + model.direct[0][:, None] * back) * scale
     if not slopes and not moved:
         return np.asarray(value), np.zeros((0, *value.shape), dtype=complex)
-    observed = _observed(T, z, model.rows @ Z)
+    observed = _observed(T, z, model.rows[0] @ Z)
     # The observer's row times what moves in the equation of the state.
-    slope = np.empty((model.d_phi.shape[0], *value.shape), dtype=complex)
-    for j, d_phi in enumerate(model.d_phi):
-        moves = state @ (Z.conj().T @ d_phi @ Z).T
-        moves += (model.d_now[j] + model.d_before[j] * back[:, None]) @ Z.conj()
-        slope[j] = np.einsum("omn,mn->om", observed, moves)
-        slope[j] += (model.d_rows[j] @ Z) @ state.T + model.d_direct[j][:, None] * back
+    slope = np.empty((model.phi.shape[0] - 1, *value.shape), dtype=complex)
+    for j, found in enumerate(slope, 1):
+        moves = state @ (Z.conj().T @ model.phi[j] @ Z).T
+        moves += (model.now[j] + model.before[j] * back[:, None]) @ Z.conj()
+        found[:] = (
+            np.einsum("omn,mn->om", observed, moves) + (model.rows[j] @ Z) @ state.T + model.direct[j][:, None] * back
+        )
     slope *= scale
     for j, name in enumerate(moved, len(slopes)):
         if name == "amplifier_gain":

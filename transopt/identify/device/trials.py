@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import fft
@@ -26,6 +25,7 @@ from transopt.identify.checks import (
     check_unit,
     refuse,
     runs_of,
+    within,
 )
 from transopt.identify.condensed import Condensed, condense
 from transopt.identify.device.chain_search import GripResponse
@@ -207,17 +207,12 @@ def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate
 def _one_rate(runs: Sequence[Measurement], first: Measurement) -> list[Measurement]:
     """The runs at the rate of the first one, where theirs is another only by the jitter of their time stamps."""
     wanted = first.require("acceleration", "acceleration_m_s2").dt_s
-    alike = []
-    for run in runs:
+
+    def alike(run: Measurement) -> bool:
         x = run.require("acceleration", "acceleration_m_s2")
-        slack = CERTAIN * max(run.off_grid, first.off_grid) / x.values.size
-        if x.dt_s != wanted and abs(x.dt_s / wanted - 1) < slack:
-            signals = {name: getattr(run, name) for name in ("command", "current", "acceleration", "position")}
-            moved: dict[str, Any] = {name: replace(y, dt_s=wanted) for name, y in signals.items() if y is not None}
-            alike.append(replace(run, **moved))
-        else:
-            alike.append(run)
-    return alike
+        return abs(x.dt_s / wanted - 1) < CERTAIN * max(run.off_grid, first.off_grid) / x.values.size
+
+    return [run.changed(lambda _, x: replace(x, dt_s=wanted)) if alike(run) else run for run in runs]
 
 
 def sort_trials(
@@ -360,8 +355,7 @@ def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
 def _outside(run: Measurement, recorded_N: Sequence[float]) -> list[Finding]:
     """A transient at a grip that no model will know."""
     assert run.grip_N is not None
-    held = [grip for grip in recorded_N if grip > 0]
-    if run.grip_N > 0 and held and held[0] <= run.grip_N <= held[-1]:
+    if run.grip_N > 0 and within(run.grip_N, recorded_N):
         return []
     listed = ", ".join(f"{grip:.3g}" for grip in recorded_N)
     text = f"grip {run.grip_N:.3g} N, sweeps at {listed} N: not judged; record sweeps there"

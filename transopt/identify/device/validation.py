@@ -5,14 +5,14 @@ Measured and predicted acceleration both pass the causal 8 Hz high-pass of the d
 design with this model would not know of.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from scipy import fft
 
-from transopt.base.signals import FloatArray, Signal, highpass, nrmse
+from transopt.base.signals import ComplexArray, FloatArray, Signal, highpass, nrmse
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import felt_current
 from transopt.identify.measurement import Measurement
@@ -46,19 +46,37 @@ class Transient:
     predicted: FloatArray
 
 
+def modelled(model: Model, grip_N: float, instrument: Instrument, frequencies_Hz: FloatArray) -> ComplexArray:
+    """(m,) sampled acceleration over sampled current at a grip [m/s^2/A]."""
+    blended = np.zeros(frequencies_Hz.size, dtype=complex)
+    for plant, weight in model.shares(grip_N):
+        blended += weight * sampled_response(plant, instrument, frequencies_Hz)[0]
+    return blended
+
+
+def through(
+    values: FloatArray, dt_s: float, ratio: Callable[[FloatArray], ComplexArray], *, zero_Hz: float | None = None
+) -> FloatArray:
+    """(..., n) what a signal (n,) from rest becomes behind responses; what rings on after its end is cut off.
+
+    Parameters
+    ----------
+    ratio : frequencies (m,) above 0 -> responses (..., m).
+    zero_Hz : the frequency that stands for 0, where responses may be infinite; without it a small part of the first.
+    """
+    size = fft.next_fast_len(values.size + round(PADDING_S / dt_s), real=True)
+    frequencies = fft.rfftfreq(size, dt_s)
+    frequencies[0] = NEAR_ZERO * frequencies[1] if zero_Hz is None else zero_Hz
+    return np.asarray(fft.irfft(fft.rfft(values, size) * ratio(frequencies), size)[..., : values.size])
+
+
 def predict(model: Model, grip_N: float, instrument: Instrument, current_A: FloatArray) -> FloatArray:
     """(n,) sampled acceleration behind the accelerometer's pole that a sampled current from rest comes with [m/s^2].
 
     Through the ratio of the sampled spectra, so that what the current does between its samples is what a held
     command makes it do; inverting the hold in the time domain is unstable where the delay exceeds half a period.
     """
-    size = fft.next_fast_len(current_A.size + round(PADDING_S / instrument.dt_s), real=True)
-    frequencies = fft.rfftfreq(size, instrument.dt_s)
-    frequencies[0] = NEAR_ZERO * frequencies[1]
-    ratio = np.zeros(frequencies.size, dtype=complex)
-    for plant, weight in model.shares(grip_N):
-        ratio += weight * sampled_response(plant, instrument, frequencies)[0]
-    return np.asarray(fft.irfft(fft.rfft(current_A, size) * ratio, size)[: current_A.size])
+    return through(current_A, instrument.dt_s, lambda f: modelled(model, grip_N, instrument, f))
 
 
 def compare(model: Model, grip_N: float, instrument: Instrument, run: Measurement) -> Transient:

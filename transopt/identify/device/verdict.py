@@ -14,8 +14,8 @@ from scipy import stats
 
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain_search import GripResponse
-from transopt.identify.device.response import Instrument, sampled_response
-from transopt.identify.device.validation import Model, called
+from transopt.identify.device.response import Instrument
+from transopt.identify.device.validation import Model, called, modelled
 from transopt.scene.model_error import ModelError, Predicted
 
 BANDS_PER_OCTAVE = 3
@@ -83,10 +83,7 @@ def _row(
     inner = slice(EDGE, -EDGE) if one.estimate.response.size > 4 * EDGE else slice(None)
     f, noise, variance = one.estimate.frequencies_Hz[inner], 2 * one.deviation[inner] ** 2, variance[inner]
     coming = coming[inner]
-    modelled = np.zeros(f.size, dtype=complex)
-    for plant, weight in model.shares(one.grip_N):
-        modelled += weight * sampled_response(plant, instrument, f)[0]
-    beyond = np.abs(modelled - one.estimate.response[inner]) ** 2 - noise + variance
+    beyond = np.abs(modelled(model, one.grip_N, instrument, f) - one.estimate.response[inner]) ** 2 - noise + variance
     # What a sensor makes smaller was larger on the device.
     seen = instrument.gain**2 / (1 + (f / (instrument.accelerometer_Hz or np.inf)) ** 2)
     band = np.clip(np.searchsorted(edges, f, side="right") - 1, 0, edges.size - 2)

@@ -12,11 +12,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
-from transopt.identify.device.response import sampled_response
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.identify.device.result import Candidate, DeviceResult
 from transopt.identify.device.trials import Grip
-from transopt.identify.device.validation import Transient, called
+from transopt.identify.device.validation import Transient, called, modelled
 
 POINTS = 300
 BAND_COLOUR = "0.82"
@@ -76,20 +75,13 @@ def _handles(result: DeviceResult) -> list[Line2D | Patch]:
     ]
 
 
-def _modelled(chosen: Candidate, grip_N: float, frequencies_Hz: FloatArray) -> ComplexArray:
-    found = np.zeros(frequencies_Hz.size, dtype=complex)
-    for plant, weight in chosen.model.shares(grip_N):
-        found += weight * sampled_response(plant, chosen.instrument, frequencies_Hz)[0]
-    return found
-
-
 def _response(above: Axes, below: Axes, chosen: Candidate, grip: Grip, colour: tuple[float, ...]) -> None:
     """One grip among all: measured magnitude and phase, and the model's."""
     estimate = grip.response.estimate
     measured_Hz, size = estimate.frequencies_Hz, np.abs(estimate.response) / STANDARD_GRAVITY_M_S2
     dense_Hz = np.geomspace(measured_Hz[0], measured_Hz[-1], POINTS)
-    modelled = _modelled(chosen, grip.grip_N, dense_Hz)
-    model_deg = np.degrees(np.unwrap(np.angle(modelled)))
+    response = modelled(chosen.model, grip.grip_N, chosen.instrument, dense_Hz)
+    model_deg = np.degrees(np.unwrap(np.angle(response)))
     if model_deg[0] < -SHOWN_DEG:
         model_deg += 360.0
     # The measured phase is drawn on the turn that lies next to the model's.
@@ -102,7 +94,7 @@ def _response(above: Axes, below: Axes, chosen: Candidate, grip: Grip, colour: t
     above.fill_between(measured_Hz, np.maximum(low, 1e-9), high, color=BAND_COLOUR, linewidth=0)
     below.fill_between(measured_Hz, phase - half, phase + half, color=BAND_COLOUR, linewidth=0)
     for axes, measured, model in (
-        (above, size, np.abs(modelled) / STANDARD_GRAVITY_M_S2),
+        (above, size, np.abs(response) / STANDARD_GRAVITY_M_S2),
         (below, phase, model_deg),
     ):
         axes.plot(measured_Hz, measured, ".", color=colour, markersize=2.5)
@@ -120,7 +112,8 @@ def _error(axes: Axes, chosen: Candidate, grip: Grip, colour: tuple[float, ...])
     """What the model is off by at each bin, over what the noise alone makes of a right one."""
     estimate = grip.response.estimate
     scale = np.abs(estimate.response)
-    off = np.abs(_modelled(chosen, grip.grip_N, estimate.frequencies_Hz) - estimate.response)
+    model = modelled(chosen.model, grip.grip_N, chosen.instrument, estimate.frequencies_Hz)
+    off = np.abs(model - estimate.response)
     axes.fill_between(estimate.frequencies_Hz, 1e-9, 100 * estimate.radius() / scale, color=BAND_COLOUR, linewidth=0)
     axes.plot(estimate.frequencies_Hz, 100 * off / scale, ".", color=colour, markersize=2.5)
     axes.set(yscale="log", ylim=OFF_PERCENT)

@@ -34,7 +34,6 @@ def hand_figure(fit: HandFit) -> Figure:
 
 def equation(line: GripLine) -> str:
     """The line in the form of the seed's Eqs. 3-5."""
-    symbol = line.quantity[0] if not line.quantity.startswith("s") else "k"
-    symbol = {"m": "m", "d": "b", "k": "k"}[symbol]
+    symbol = {"mass_kg": "m", "damping_N_s_m": "b", "stiffness_N_m": "k"}[line.quantity]
     sign = "-" if line.line.per_newton < 0 else "+"
     return f"${symbol} = {line.line.constant:.4g} {sign} {abs(line.line.per_newton):.3g}\\,F$"

@@ -164,16 +164,15 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
     lines = []
     for j, quantity in enumerate(QUANTITIES):
         line = LinearInGrip(*found.coefficients[j].tolist())
-        points = np.stack([np.ones(axis.size), axis], axis=1)
-        band = _studentised(points, found.coefficients[j], found.covariances[j], again, j)
-        coefficients = _studentised(np.eye(2), found.coefficients[j], found.covariances[j], again, j)
+        points = np.concatenate([np.eye(2), np.stack([np.ones(axis.size), axis], axis=1)])
+        bounds = _studentised(points, found.coefficients[j], found.covariances[j], again, j)
         lines.append(
             GripLine(
                 quantity=quantity,
                 at_taps=values[j],
                 line=line,
-                intervals=coefficients,
-                band=np.column_stack([axis, band]),
+                intervals=bounds[:2],
+                band=np.column_stack([axis, bounds[2:]]),
                 lack_of_fit_p=_lack_of_fit(grips, values[j], line, groups),
             )
         )
@@ -222,19 +221,17 @@ def _lines(grips: FloatArray, values: FloatArray, weights: FloatArray) -> _Lines
     mean = weights @ grips / count
     away = grips - mean[..., None]
     spread = (weights * away**2).sum(-1)
-    # What each tap adds to the slope and to the constant.
+    # What each tap adds to the constant and to the slope.
     to_slope = away / spread[..., None]
-    to_constant = 1 / count[..., None] - mean[..., None] * to_slope
+    parts = np.stack([1 / count[..., None] - mean[..., None] * to_slope, to_slope], axis=-2)
     leverage = np.minimum(1 / count[..., None] + away * to_slope, 0.9)
     coefficients, covariances = [], []
     for y in values:
-        slope = (weights * to_slope * y).sum(-1)
-        constant = (weights * to_constant * y).sum(-1)
-        left = y - constant[..., None] - slope[..., None] * grips
+        line = (weights[..., None, :] * parts) @ y
+        left = y - line[..., :1] - line[..., 1:] * grips
         variance = weights * left**2 / (1 - leverage)
-        parts = np.stack([to_constant, to_slope], axis=-2)
         covariances.append(np.einsum("...it,...t,...jt->...ij", parts, variance, parts))
-        coefficients.append(np.stack([constant, slope], axis=-1))
+        coefficients.append(line)
     return _Lines(coefficients, covariances)
 
 

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, signal, stats
+from scipy import integrate, optimize, signal, stats
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
@@ -65,17 +65,12 @@ class HandTap:
     @property
     def velocity_m_s(self) -> FloatArray:
         """(n,) of the deviation, from rest."""
-        return _integral(self.acceleration_m_s2, self.dt_s)
+        return integrate.cumulative_trapezoid(self.acceleration_m_s2, dx=self.dt_s, initial=0)
 
     @property
     def displacement_m(self) -> FloatArray:
         """(n,) of the deviation, from zero."""
-        return _integral(self.velocity_m_s, self.dt_s)
-
-
-def _integral(x: FloatArray, dt_s: float) -> FloatArray:
-    """(n,) from zero, by the trapezoidal rule."""
-    return np.concatenate([np.zeros(1), dt_s * np.cumsum((x[1:] + x[:-1]) / 2)])
+        return integrate.cumulative_trapezoid(self.velocity_m_s, dx=self.dt_s, initial=0)
 
 
 @dataclass(frozen=True)
