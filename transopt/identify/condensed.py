@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import fft, special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
@@ -200,9 +200,9 @@ def _lines(
     starts = starts[(count.sum(axis=1) > LEAST_SURPLUS) & np.all(count > 0, axis=1)]
 
     def spectra(signals: Sequence[FloatArray]) -> ComplexArray:
-        """Of noise of one variance whatever the length."""
+        """Of noise of one variance whatever the length; scipy keeps its plan for a length, which may be a prime."""
         each = zip(signals, numbers, lengths, strict=True)
-        return np.concatenate([np.fft.rfft(one)[:, lines].T / np.sqrt(length) for one, lines, length in each])[order]
+        return np.concatenate([fft.rfft(one)[:, lines].T / np.sqrt(length) for one, lines, length in each])[order]
 
     frequency, given = frequency[order], spectra([one[None] for one in inputs])
     inside = [slice(first[0], first[-1]) for first in starts]
@@ -227,11 +227,9 @@ def _nodes(places: FloatArray) -> FloatArray:
 
 def _lagrange(nodes: FloatArray, places: FloatArray) -> FloatArray:
     """(s, q) at the places (s,) the polynomials that are 1 at one of the nodes (q,) and 0 at the others."""
-    columns = [
-        np.prod([(places - other) / (node - other) for other in nodes if other != node] or [np.ones(places.size)], 0)
-        for node in nodes
-    ]
-    return np.stack(columns, axis=1)
+    itself = np.eye(nodes.size)
+    factors = (places[:, None, None] - nodes) / (nodes[:, None] - nodes + itself)
+    return np.asarray(np.prod(np.where(itself, 1.0, factors), axis=2))
 
 
 def around(frequencies_Hz: FloatArray, octaves: float, least: int = 0) -> Callable[[FloatArray], FloatArray]:

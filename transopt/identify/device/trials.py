@@ -191,7 +191,7 @@ def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate
 
     Such a run would be taken for an error of the model.
     """
-    given, answer = np.fft.rfft(trial.input.values), np.fft.rfft(trial.output.values)
+    given, answer = fft.rfft(trial.input.values), fft.rfft(trial.output.values)
     lines = np.fft.rfftfreq(trial.input.values.size, trial.input.dt_s)
     f = estimate.frequencies_Hz
     inside = (lines >= f[0]) & (lines <= f[-1])
@@ -302,9 +302,9 @@ def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrume
         names.append("position")
     rows = {"current": CURRENT, "acceleration": ACCELERATION, "position": POSITION}
     if both and instrument.amplifier is not None:
-        wide = ["current", *names]
-        data = _condensed(runs, "command", wide, instrument)
-        if _one_pole(data, instrument.amplifier):
+        if _one_pole(_condensed(runs, "command", ["current"], instrument), instrument.amplifier):
+            wide = ["current", *names]
+            data = _condensed(runs, "command", wide, instrument)
             return GripResponse(grip_N, transfer(data, 1, over=0), data, tuple(rows[name] for name in wide), True)
     data = _condensed(runs, "current" if measured else "command", names, instrument)
     estimate = transfer(data)
@@ -337,11 +337,10 @@ def _condensed(runs: Sequence[Measurement], given: str, names: Sequence[str], in
 
 
 def _one_pole(data: Condensed, amplifier: Amplifier) -> bool:
-    """Whether one pole and a delay explain the first output, a current, from the command."""
+    """Whether one pole and a delay explain the current, the one output, from the command."""
     if data.middles_Hz.size < LEAST_BINS:
         return False
-    current = data.some(outputs=slice(0, 1))
-    return fit_pole(current, start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
+    return fit_pole(data, start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
 
 
 def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
