@@ -22,8 +22,8 @@ from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray
 from transopt.base.writing import table
 from transopt.design.build import build_library
-from transopt.design.entry import entry_problem
 from transopt.design.intensity import best
+from transopt.design.posed import entry_problem
 from transopt.design.refine_grid import DEFAULT_CAP, refine_grid
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise

@@ -23,9 +23,9 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.writing import table
 from transopt.design.attained import TOLERANCE_dB
-from transopt.design.entry import entry_problem, scene_stage, spread_stages
 from transopt.design.intensity import MOST, intense
 from transopt.design.optimum import Designed
+from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate
 from transopt.problem.leave_out import leave_out
 from transopt.problem.objective.bands import levels

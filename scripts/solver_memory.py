@@ -23,7 +23,7 @@ import numpy as np
 import problems
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.wall import reference_course
 from transopt.problem import stage_data
 from transopt.problem.leave_out import pressing

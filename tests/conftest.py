@@ -27,7 +27,7 @@ from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
 from tests.benches.servo import WALL, Bench
 from transopt.design.build import Build, build_library
-from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 from transopt.problem.answer import Solution, Status

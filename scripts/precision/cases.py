@@ -8,7 +8,7 @@ import problems
 from precision.qp import QP, quadratic_program, solved
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem

@@ -10,7 +10,7 @@ from precision.cases import Case
 from precision.methods import Kind, Level
 from precision.run import Effort, Row, set_up_and_run_ms, time_columns
 from transopt.base.signals import FloatArray
-from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.discretise import discretise
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem

@@ -171,7 +171,7 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
     def designed(part: "DevicePart") -> "Taps | None":
         import numpy as np
 
-        from transopt.design.build import build_library
+        from transopt.design.posed import optimal_commands
         from transopt.identify.device.verdict import Taps
         from transopt.scene import builtin
         from transopt.scene.model_file import save_part
@@ -182,15 +182,14 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
             save_part(model, "device", part)
             try:
                 scene = builtin.load_scene(scene_name, model=model)
-                build = build_library(scene, recordings_of(scene))
+                commands = optimal_commands(scene, recordings_of(scene))
             except InputError:
                 return None
-        columns = list(zip(*build.entries, strict=True))  # grip by grip
         return Taps(
-            speeds_m_s=tuple(entry.speed_m_s for entry in columns[0]),
-            grips_N=tuple(column[0].grip_N for column in columns),
-            current_A=np.array([[entry.plant_input for entry in column] for column in columns]),
-            energy=np.array([[np.sum(entry.predicted_m_s2**2) for entry in column] for column in columns]),
+            speeds_m_s=tuple(reference.speed_m_s for reference in commands.references),
+            grips_N=tuple(scene.grid.grips_N),
+            current_A=commands.plant_input,
+            energy=np.sum(commands.predicted_m_s2**2, axis=2),
             dt_s=scene.time_grid().dt_s,
         )
 

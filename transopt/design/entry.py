@@ -15,22 +15,21 @@ from transopt.design.attained import Attained
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.optimum import Designed
+from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.design.price import Price, binding, prices
 from transopt.design.verify import admit
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, acting_states
+from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
-from transopt.problem.posing import Wanted
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Box, binding_limits, boxes
 from transopt.proof.replay import Replay, replay, replayed_errors
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.own import law
 from transopt.solvers.program import Size
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
@@ -248,35 +247,6 @@ def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]
     }
     parts = {**parts, **limits}
     return {part: reason for part, (missing, reason) in parts.items() if missing}
-
-
-def scene_stage(scene: Scene, grip_N: float) -> StageModel:
-    """The device of one grip as the scene's problem needs it."""
-    return scene.posing().stage(scene.plant(grip_N))
-
-
-def spread_stages(scene: Scene, grip_N: float) -> tuple[StageModel, ...]:
-    """Further devices that the commands of one grip shall serve."""
-    return tuple(scene.posing().stage(of.plant(grip), watched=False) for of, grip in scene.spread(grip_N))
-
-
-def entry_problem(
-    scene: Scene, stage: StageModel, reference: Reference, spread: tuple[StageModel, ...] = ()
-) -> TransientProblem:
-    """What one entry has to meet: the stage model of its grip, the reference of its speed."""
-    return replace(scene.posing(), law_of=law).problem(wanted_of(reference), stage, spread)
-
-
-def wanted_of(reference: Reference) -> Wanted:
-    """What a reference asks of the device, and the nominal motion under it."""
-    return Wanted(
-        reference.speed_m_s,
-        reference.target,
-        reference.nominal_velocity_m_s,
-        reference.nominal_position_m,
-        reference.nominal_position_at_ticks_m,
-        reference.ends_s,
-    )
 
 
 def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], options: SolverOptions) -> list[Entry]:

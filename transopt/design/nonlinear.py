@@ -11,8 +11,8 @@ from transopt.base.errors import InputError
 from transopt.base.shown import cut, html_table, wrapped
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
-from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import Certificate, Solution, Status

@@ -20,8 +20,8 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.design.entry import entry_problem, scene_stage, spread_stages
 from transopt.design.intensity import best
+from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.plant.discretise import StageModel
 from transopt.problem.answer import Certificate, Status
 from transopt.proof.replay import replayed_errors

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from time import process_time
 
 from transopt.base.errors import InputError
-from transopt.design.entry import Entry, entry_problem, scene_stage, spread_stages
+from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy, what_would_do
+from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.design.remedy import MOST_S, MOTOR, Values, does, remedies
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.answer import Status

@@ -17,9 +17,10 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.entry import Baselines, energy_dB, entry_problem, replayed, rivals_errors, scene_stage
+from transopt.design.entry import Baselines, energy_dB, replayed, rivals_errors
 from transopt.design.intensity import best
 from transopt.design.optimum import Designed
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.design.price import prices
 from transopt.design.verify import admit
 from transopt.plant.discretise import StageModel

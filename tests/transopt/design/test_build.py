@@ -14,6 +14,7 @@ from tests.benches.limits import with_limit
 from tests.benches.places import IMPACTS
 from tests.conftest import ProblemMaker
 from transopt.design.build import Build, build_library
+from transopt.design.posed import optimal_commands
 from transopt.design.verify import admit, verify_library
 from transopt.library.library import Library
 from transopt.library.proven import doubts
@@ -364,3 +365,14 @@ def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, t
     assert list(doubts(library)) == []
     louder = replace(library, energy_dB=library.energy_dB + 0.1)
     assert any("energy_dB says" in doubt for doubt in doubts(louder))
+
+
+def test_the_optima_alone_are_what_the_library_plays(build: Build, taps: list[Recording]) -> None:
+    alone = optimal_commands(build.scene, taps)
+    assert [reference.speed_m_s for reference in alone.references] == [row[0].speed_m_s for row in build.entries]
+    for i, row in enumerate(build.entries):
+        for j, entry in enumerate(row):
+            size = np.abs(entry.plant_input).max()
+            np.testing.assert_allclose(alone.plant_input[j, i], entry.plant_input, rtol=0, atol=1e-9 * size)
+            size = np.abs(entry.predicted_m_s2).max()
+            np.testing.assert_allclose(alone.predicted_m_s2[j, i], entry.predicted_m_s2, rtol=0, atol=1e-9 * size)

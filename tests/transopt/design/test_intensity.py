@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from transopt.design.attained import Attained
-from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.intensity import best, intense, most_price
 from transopt.design.optimum import Designed, optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values

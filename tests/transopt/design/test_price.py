@@ -13,8 +13,8 @@ from tests.benches.tails import without_tail
 from transopt.base.signals import nrmse
 from transopt.base.writing import rounded_up
 from transopt.design.build import Build, build_library
-from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import Designed, optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.design.price import Price, binding, price_step, prices
 from transopt.problem.answer import Status
 from transopt.problem.heat import Budget

@@ -16,8 +16,8 @@ from tests.benches.places import ROOT
 from tests.conftest import walled_scene
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
-from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.library import online
 from transopt.library.library import Library, speed_weights
 from transopt.library.online import Online

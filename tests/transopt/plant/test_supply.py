@@ -11,9 +11,10 @@ from scipy.linalg import expm
 from problems.stress.judge import played
 from tests.benches.limits import supply_of, with_rail
 from tests.conftest import is_stationary
-from transopt.design.entry import design_grip, entry_problem, scene_stage
+from transopt.design.entry import design_grip
 from transopt.design.explain import infeasibility
 from transopt.design.optimum import Designed, optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import Status
 from transopt.problem.objective.target import Target

@@ -8,8 +8,8 @@ import pytest
 import problems
 from tests.benches.limits import command_limit_A, supply_of, with_limit, with_numbers, with_rail
 from tests.conftest import ProblemMaker, is_stationary
-from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.answer import Status

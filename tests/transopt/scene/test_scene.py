@@ -8,7 +8,7 @@ import pytest
 
 import problems
 from transopt.base.errors import InputError
-from transopt.design.entry import scene_stage
+from transopt.design.posed import scene_stage
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limits, Setting
 from transopt.scene.file import read_scene

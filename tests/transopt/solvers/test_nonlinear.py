@@ -10,8 +10,8 @@ import pytest
 from scipy import optimize
 
 from transopt.base.errors import InputError
-from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import Multipliers, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem

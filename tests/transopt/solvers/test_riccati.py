@@ -20,7 +20,7 @@ from tests.benches.limits import drawn_ray, with_limit, with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
 from transopt.design.build import Build
-from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.heat import Budget

@@ -13,8 +13,8 @@ from problems.stress.judge import played
 from tests.benches.limits import with_limit
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
-from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
+from transopt.design.posed import entry_problem, scene_stage
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.plant.amplifier import Amplifier

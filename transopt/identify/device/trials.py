@@ -301,11 +301,11 @@ def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrume
     if grip_N > 0 and all(run.position is not None for run in runs):
         names.append("position")
     rows = {"current": CURRENT, "acceleration": ACCELERATION, "position": POSITION}
-    if both and instrument.amplifier is not None:
-        if _one_pole(_condensed(runs, "command", ["current"], instrument), instrument.amplifier):
-            wide = ["current", *names]
-            data = _condensed(runs, "command", wide, instrument)
-            return GripResponse(grip_N, transfer(data, 1, over=0), data, tuple(rows[name] for name in wide), True)
+    amplifier = instrument.amplifier if both else None
+    if amplifier is not None and _one_pole(_condensed(runs, "command", ["current"], instrument), amplifier):
+        wide = ["current", *names]
+        data = _condensed(runs, "command", wide, instrument)
+        return GripResponse(grip_N, transfer(data, 1, over=0), data, tuple(rows[name] for name in wide), True)
     data = _condensed(runs, "current" if measured else "command", names, instrument)
     estimate = transfer(data)
     if not measured:

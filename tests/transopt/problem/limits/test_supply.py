@@ -13,8 +13,8 @@ from tests.benches.limits import supply_of, with_rail
 from tests.benches.rail import Tap, terminal_voltages
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
-from transopt.design.entry import entry_problem, scene_stage, wanted_of
 from transopt.design.optimum import optimum
+from transopt.design.posed import entry_problem, scene_stage, wanted_of
 from transopt.design.resolve import resolve
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
