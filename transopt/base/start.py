@@ -1,5 +1,6 @@
 """The first steps of a command, whose loading takes some tenths of a second in which a Ctrl-C may come."""
 
+import gc
 import signal
 import sys
 from importlib import import_module
@@ -7,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 INSTALLED = Path(__file__).parents[2]  # the folder that holds the packages, in a checkout as in site-packages
+COLLECTED_AFTER = 50_000  # more objects; Python's 700 has what a command loads, and keeps, searched hundreds of times
 
 
 def start(module: str) -> None:
@@ -19,6 +21,7 @@ def start(module: str) -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    gc.set_threshold(COLLECTED_AFTER)
     package = module.partition(".")[0]
     stranger = in_the_way(package)
     if stranger is not None:
