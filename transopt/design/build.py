@@ -20,6 +20,7 @@ from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.library import PLANT, Library, multiplier_arrays, own_arrays
 from transopt.library.meta import in_file_form, shared_left_out, temperature_is_in
+from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.answer import Status
 from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.supply import COPPER, SupplyLimit
@@ -270,7 +271,8 @@ def _meta(
     # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
     warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
     watched = needed_outputs(scene.limits.asked(), scene.driven_by)
-    outputs = [entry.problem.stage.plant.stored(watched) for entry in entries[0]]
+    # A mass in a case is told from one that the nominal motion moves whether or not a limit looks at it.
+    outputs = [entry.problem.stage.plant.stored((POSITION, VELOCITY, *watched)) for entry in entries[0]]
     return {
         **({"outputs": outputs} if any(outputs) else {}),
         **in_file_form(scene.driven_by, scene.axes.targets),

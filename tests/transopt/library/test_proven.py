@@ -1,5 +1,6 @@
 """What plays has been proven: a library that was changed and hashed again is told from one that was designed."""
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.benches.clicks import SCENE as CLICKS
 from tests.benches.commands import Terminal, assert_refused
 from transopt.base.errors import InputError
+from transopt.design.solve import solve
 from transopt.library.library import Library
 from transopt.library.proven import doubts, load_proven
+from transopt.scene.scene import Scene
 
 Change = Callable[[Library], Library]
 
@@ -130,3 +134,13 @@ def test_commands_refuse_what_is_not_proven(
         outcome = terminal("transopt", *arguments, "--unproven")
         assert outcome.code == 0
         assert outcome.err.startswith("not proven: ")
+
+
+@pytest.mark.parametrize("limit", ["stroke_m = 6e-4", "velocity_m_s = 3.0", ""])
+def test_a_mass_in_a_case_is_the_device_of_its_scene(limit: str, tmp_path: Path) -> None:
+    """Its position follows no nominal motion, which the file says whether or not a limit looks at it."""
+    scene = Scene.model_validate(tomllib.loads(CLICKS.replace("stroke_m = 6e-4", limit)))
+    solve(scene).save(tmp_path / "library.npz")
+    plant = load_proven(tmp_path / "library.npz").plant(0)
+    assert plant.moves_in_a_case
+    assert plant.outputs["velocity"].follows == ""
