@@ -61,7 +61,7 @@ class OutputLimit(Limit):
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         stage, own = setting.stage, cls.nominal_part(setting)
         # To tau_N the nominal motion goes on straight.
-        nominal = np.append(own, 2 * own[-1] - own[-2])
+        nominal = np.append(own, 2 * own[-1] - own[-2] if own.size > 1 else own[-1])
         largest = setting.input_limit(asked) if stage.amplifier is None else stage.amplifier.command_limit
         curved = float(np.abs(np.diff(nominal, 2)).max(initial=0.0)) / 8
         return cls(asked[cls.key], nominal, _excursion(stage, cls.output, setting.grid.stages) * largest + curved)
