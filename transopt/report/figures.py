@@ -177,7 +177,12 @@ def bode_figure(library: Library) -> Figure:
         degrees -= 360 * np.floor((degrees[0] + 90) / 360)  # from 180 where a spring holds the stylus, from 0 if free
         dashes = LINE_STYLES[ig % len(LINE_STYLES)]
         drawn: dict[str, Any] = {"color": shades[ig], "linestyle": dashes, "linewidth": 1.4}
-        magnitude.plot(frequencies, np.abs(response) / STANDARD_GRAVITY_M_S2, label=grip_label(grip), **drawn)
+        magnitude.plot(
+            frequencies,
+            np.abs(response) / STANDARD_GRAVITY_M_S2,
+            label="actuator" if library.axes.targets else grip_label(grip),
+            **drawn,
+        )
         phase.plot(frequencies, degrees, **drawn)
     for axes in (magnitude, phase):
         style(axes)
@@ -187,7 +192,8 @@ def bode_figure(library: Library) -> Figure:
         logarithmic.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         logarithmic.set_minor_formatter(NullFormatter())
     magnitude.yaxis.set_major_formatter(FuncFormatter(plain))
-    magnitude.set_ylabel("acceleration per current [g/A]", fontsize=LABEL_PT)
+    drive = library.driven_by
+    magnitude.set_ylabel(f"acceleration per {drive.name} [g/{drive.unit}]", fontsize=LABEL_PT)
     phase.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.8, 3, 4.5, 9, 10]))
     phase.set_ylabel("phase [deg]", fontsize=LABEL_PT)
     phase.set_xlim(*BODE_HZ)

@@ -13,6 +13,7 @@ from transopt.base.writing import table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
+from transopt.library.trade import trade_figures
 from transopt.problem.answer import Certificate
 from transopt.problem.limits.limit import Limit
 from transopt.recordings.reference import Reference
@@ -27,6 +28,7 @@ from transopt.report.tables import (
     summary,
     warnings,
 )
+from transopt.report.trade import TRADE_COLUMNS, TRADE_LEGEND, trade_cells
 from transopt.report.trade_off import attained_lines, levels_row, trade_off_lines, trade_off_row
 from transopt.solvers.options import FALLBACK, default_solver
 
@@ -212,6 +214,20 @@ def _weighted_lines(build: Build) -> list[str]:
     ]
 
 
+def _trade_lines(build: Build) -> list[str]:
+    """The section on the figures that the trade goes by; empty for taps, and where there is no library."""
+    library = build.library
+    if library is None or not build.scene.targets:
+        return []
+    rows = [
+        [*entry.cells, percent(entry.nrmse), *trade_cells(trade_figures(library, iv, ig))]
+        for iv, row in enumerate(build.entries)
+        for ig, entry in enumerate(row)
+    ]
+    head = [*build.scene.axes.columns, "NRMSE %", *TRADE_COLUMNS]
+    return ["", "## The figures of the trade", "", *table(head, rows), TRADE_LEGEND]
+
+
 def _spread_lines(build: Build) -> list[str]:
     """The section on the error over the spread of devices; empty where the scene is not robust."""
     spreads = [(entry, entry.spread) for entry in build.all_entries() if entry.spread is not None]
@@ -268,7 +284,7 @@ def build_markdown(build: Build) -> str:
             f"{e.certificate.relative_bound:.1e}",
             f"{e.certificate.primal_violation:.1e}",
             percent(e.nrmse / _raw_over_motor(reference)),
-            f"{e.played.winding_C:.3f}",
+            "-" if np.isnan(e.played.winding_C) else f"{e.played.winding_C:.3f}",
             *_size_cells(e),
             e.solution.solver,
         ]
@@ -286,7 +302,7 @@ def build_markdown(build: Build) -> str:
         *_weighted_lines(build),
         *_spread_lines(build),
     ]
-    lines += identified_lines(build)
+    lines += [*_trade_lines(build), *identified_lines(build)]
     if build.refinement is not None:
         lines += ["", *_between_lines(build.refinement)]
     lines += ["", "## Left out", "", *_left_out_lines(entries)]

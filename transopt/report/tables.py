@@ -237,7 +237,7 @@ def library_table(library: Library, name: str) -> Table:
                 " / ".join(percent(error) for error in library.nrmse_seed[iv, ig]),
                 " / ".join(percent(error) for error in library.nrmse_clipped[iv, ig]),
                 f"{library.peak_input[iv, ig]:.3f}",
-                f"{library.peak_temperature_C[iv, ig]:.2f}",
+                "-" if np.isnan(library.peak_temperature_C[iv, ig]) else f"{library.peak_temperature_C[iv, ig]:.2f}",
                 f"{gap:.0e}",
                 f"{library.solve_time_s[iv, ig] * 1e3:.0f}",
                 str(library.binding[iv, ig]),

@@ -62,7 +62,7 @@ def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
         percent(number(row, "nrmse")),
         percent(number(row, "floor")),
         f"{number(row, 'peak_input'):.3f}",
-        f"{number(row, 'peak_temperature_C'):.2f}",
+        "-" if np.isnan(number(row, "peak_temperature_C")) else f"{number(row, 'peak_temperature_C'):.2f}",
         largest_multiplier(row),
         f"{number(row, 'relative_gap'):.0e}",
         f"{number(row, 'solve_ms'):.0f}",
