@@ -20,6 +20,7 @@ from transopt.library.library import Library
 from transopt.library.proven import load_proven
 from transopt.problem.answer import Status
 from transopt.report.comparison import Comparison
+from transopt.report.figures import bode_figure
 from transopt.report.markdown import build_json, build_markdown
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
@@ -159,6 +160,16 @@ class TestWords:
         assert not any("current" in key or key.endswith("_A") for key in rows[0])
         assert "limit 3 V" in repr(click.library)
         assert "m/s" not in repr(click)
+
+    def test_the_report_has_the_figures_of_the_trade(self, click: Build) -> None:
+        section = build_markdown(click).split("## The figures of the trade")[1].split("##")[0]
+        assert "pulse / ring" in section
+        assert section.count("| click ") == 2
+
+    def test_the_response_is_per_volt(self, click: Build) -> None:
+        assert click.library is not None
+        magnitude, _ = bode_figure(click.library).axes
+        assert magnitude.get_ylabel() == "acceleration per voltage [g/V]"
 
     def test_the_figure_has_the_unit_of_its_axis(self, click: Build) -> None:
         labels = [axes.get_ylabel() for axes in click.plot().axes]
