@@ -30,11 +30,9 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import Stages, stages
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
-from transopt.recordings.reference import build_references
-from transopt.recordings.tap import read_recordings
 from transopt.report.markdown import build_markdown
+from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
-from transopt.scene.strikes import recordings
 from transopt.solvers import choose, riccati
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
@@ -52,12 +50,11 @@ SCENES = [
 
 @pytest.fixture(scope="module")
 def hardest() -> Callable[[str], TransientProblem]:
-    """The fastest tap under the firmest grip of a built-in scene, with all its limits."""
+    """The fastest tap under the firmest grip of a built-in scene, or its last target, with all its limits."""
 
     def make(name: str) -> TransientProblem:
         scene = problems.load(name)
-        taps = recordings(scene) if scene.recordings.simulated else read_recordings(scene.recordings)
-        references = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+        references = references_of(scene, recordings_of(scene))
         problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
         return (
             problem
