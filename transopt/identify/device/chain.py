@@ -15,6 +15,7 @@ from transopt.plant.state_space import StateSpace
 
 SHARED = ("moving_mass_kg", "stylus_mass_kg", "transmission_stiffness_N_m", "transmission_damping_N_s_m")
 HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
+STYLUS = 1  # which of the masses it is
 UNITS = {"mass_kg": "kg", "stiffness_N_m": "N/m", "damping_N_s_m": "N s/m"}
 
 
@@ -73,28 +74,37 @@ def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace
     if hand:
         masses.append(hand[0])
         links += [Link(hand[1], hand[2]), Link(hand[3], hand[4])]
-    return chain(masses, links, force_per_current_N_A=force_per_current_N_A, stylus=1)
+    return chain(masses, links, force_per_current_N_A=force_per_current_N_A, stylus=STYLUS)
 
 
 def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[StateSpace, tuple[Slope, ...]]:
     """A chain and its derivatives by the logarithm of each parameter, exact.
 
-    The matrices are affine in every stiffness and damping, so doubling one gives d/dlog; they are affine in every
-    1/mass, so halving a mass gives -d/dlog.
+    The equation of a mass (`transopt.plant.chain`) is in proportion to 1/mass, and linear in every stiffness, whose
+    column of A it is, and in every damping d, whose part of A is -d / mass times the elongation's row of its link by
+    itself.
 
     Parameters
     ----------
     parameters : (9,) or (4,).
     """
     plant = chain_of(parameters, force_per_current_N_A)
-    slopes = []
-    for j, name in enumerate((*SHARED, *HAND)[: parameters.size]):
-        factor, sign = (0.5, -1.0) if name.endswith("mass_kg") else (2.0, 1.0)
-        moved = parameters.copy()
-        moved[j] *= factor
-        other = chain_of(moved, force_per_current_N_A)
-        slopes.append(Slope(*(sign * (getattr(other, part) - getattr(plant, part)) for part in "ABCD")))
-    return plant, tuple(slopes)
+    n, names = plant.order // 2, (*SHARED, *HAND)[: parameters.size]
+    masses = parameters[[name.endswith("mass_kg") for name in names]]
+    joined = np.eye(n) - np.eye(n, k=1)
+    A, B = np.zeros((parameters.size, *plant.A.shape)), np.zeros((parameters.size, *plant.B.shape))
+    mass = link = 0
+    for j, name in enumerate(names):
+        if name.endswith("mass_kg"):
+            A[j, n + mass], B[j, n + mass] = -plant.A[n + mass], -plant.B[n + mass]
+            mass += 1
+        elif name.endswith("stiffness_N_m"):
+            A[j, n:, link] = plant.A[n:, link]
+        else:
+            A[j, n:, n:] = -parameters[j] / masses[:, None] * np.outer(joined[link], joined[link])
+            link += 1
+    seen = slice(n + STYLUS, n + STYLUS + 1)
+    return plant, tuple(Slope(*matrices) for matrices in zip(A, B, A[:, seen], B[:, seen], strict=True))
 
 
 @dataclass(frozen=True)
