@@ -4,9 +4,12 @@ import io
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.markers import TICKDOWN, TICKLEFT, MarkerStyle
+from matplotlib.ticker import NullLocator
 
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
@@ -61,3 +64,31 @@ def style(axes: Axes) -> None:
     axes.tick_params(labelsize=SMALL_PT)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
+
+
+def draw_minor_ticks_at_once(figure: Figure) -> None:
+    """Draw the minor ticks of every logarithmic axis as one line of markers, once all limits are final.
+
+    To Matplotlib each tick is three lines and two labels: those of seven panels take longer than all that is in them.
+    An axis whose minor ticks have labels keeps them as they are.
+    """
+    found = []
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            places = np.asarray(axis.get_minorticklocs() if axis.get_scale() == "log" else [], dtype=float)
+            low, high = sorted(axis.get_view_interval())
+            places = places[(places >= low) & (places <= high)]
+            if places.size and not any(axis.get_minor_formatter().format_ticks(places.tolist())):
+                found.append((axes, axis, places))
+    for _, axis, _ in found:  # panels may share a locator: only now that all have been asked
+        axis.set_minor_locator(NullLocator())
+    for axes, axis, places in found:
+        on_edge = np.zeros(places.size)
+        if axis is axes.xaxis:
+            line = Line2D(places, on_edge, transform=axes.get_xaxis_transform(), marker=MarkerStyle(TICKDOWN))
+            size, width, colour = rcParams["xtick.minor.size"], rcParams["xtick.minor.width"], rcParams["xtick.color"]
+        else:
+            line = Line2D(on_edge, places, transform=axes.get_yaxis_transform(), marker=MarkerStyle(TICKLEFT))
+            size, width, colour = rcParams["ytick.minor.size"], rcParams["ytick.minor.width"], rcParams["ytick.color"]
+        line.set(linestyle="", markersize=size, markeredgewidth=width, color=colour, clip_on=False)
+        axes.add_artist(line)

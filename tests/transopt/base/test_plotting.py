@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from transopt.base.errors import InputError
-from transopt.base.plotting import save_figure
+from transopt.base.plotting import draw_minor_ticks_at_once, save_figure
 
 
 def test_a_saved_figure_is_a_png_at_150_dpi(tmp_path: Path) -> None:
@@ -35,3 +36,37 @@ def test_a_failing_save_leaves_the_old_file_and_nothing_else(tmp_path: Path, mon
         save_figure(Figure(), path)
     assert path.read_bytes() == b"old"
     assert [file.name for file in tmp_path.iterdir()] == ["bode.png"]
+
+
+def logarithmic(decades: float) -> Figure:
+    figure = Figure(figsize=(3, 2))
+    axes = figure.add_subplot()
+    axes.loglog([1.0, 10**decades], [1.0, 10**decades])
+    axes.set(xlim=(1.0, 10**decades), ylim=(1.0, 10**decades))
+    return figure
+
+
+def test_minor_ticks_drawn_at_once_are_where_they_were() -> None:
+    drawn = []
+    for at_once in (False, True):
+        figure = logarithmic(2.0)
+        if at_once:
+            draw_minor_ticks_at_once(figure)
+            assert all(axis.get_minorticklocs().size == 0 for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis))
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        drawn.append(np.asarray(canvas.buffer_rgba())[..., :3].astype(float))
+    without = logarithmic(2.0)
+    without.axes[0].minorticks_off()
+    canvas = FigureCanvasAgg(without)
+    canvas.draw()
+    missing = np.abs(np.asarray(canvas.buffer_rgba())[..., :3] - drawn[0])
+    assert np.abs(drawn[1] - drawn[0]).sum() < 0.02 * missing.sum()
+
+
+def test_minor_ticks_with_labels_stay() -> None:
+    figure = logarithmic(0.5)
+    before = figure.axes[0].xaxis.get_minorticklocs()
+    draw_minor_ticks_at_once(figure)
+    assert before.size
+    np.testing.assert_allclose(figure.axes[0].xaxis.get_minorticklocs(), before)

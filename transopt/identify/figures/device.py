@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
-from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
+from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, draw_minor_ticks_at_once, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.identify.device.result import Candidate, DeviceResult
 from transopt.identify.device.trials import Grip
@@ -52,14 +52,16 @@ def device_figure(result: DeviceResult) -> Figure:
         for axes in (off, motion):
             axes.tick_params(labelbottom=j == len(grips) - 1)
     assert first is not None
-    first[0].set_title("model off by [% of the response]", fontsize=LABEL_PT)
-    first[1].set_title("kept out of the fit: acceleration [g]", fontsize=LABEL_PT)
+    # With the height stated, or Matplotlib would lay out the panel once more to find it.
+    first[0].set_title("model off by [% of the response]", fontsize=LABEL_PT, y=1.0)
+    first[1].set_title("kept out of the fit: acceleration [g]", fontsize=LABEL_PT, y=1.0)
     above.set_ylabel("acceleration / current [g/A]", fontsize=LABEL_PT)
     below.set_ylabel("phase [deg]", fontsize=LABEL_PT)
     above.tick_params(labelbottom=False)
     for axes in (below, off):
         axes.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
     motion.set_xlabel("time about the peak [ms]", fontsize=LABEL_PT)
+    draw_minor_ticks_at_once(figure)
     figure.legend(handles=_handles(result), loc="upper center", ncols=5, fontsize=SMALL_PT, frameon=False)
     return figure
 
