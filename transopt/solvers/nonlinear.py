@@ -100,12 +100,14 @@ class NonlinearProgram:
         for value in self.sums:
             along = ca.DM(value.now[None]) @ before[:, :N] + ca.DM(value.after[None]) @ states[:, :N]
             rows.append(ca.vec(along + value.command * window + value.held * held))
+        self.nlp = {"x": ca.veccat(states, free), "f": objective / OBJECTIVE_SCALE, "g": ca.vertcat(*rows)}
         self.solver = ca.nlpsol(
             "ipopt",
             "ipopt",
-            {"x": ca.veccat(states, free), "f": objective / OBJECTIVE_SCALE, "g": ca.vertcat(*rows)},
+            self.nlp,
             {
                 "print_time": False,
+                "hess_lag": self._hessian(states, free, wanted),
                 "ipopt": {
                     "print_level": 0,
                     "sb": "yes",
@@ -129,6 +131,52 @@ class NonlinearProgram:
         after = [each / float(by) for each, by in zip(after, self.by_state, strict=True)]
         unit = float(np.sqrt(self.problem.linear.target.energy_m2_s4))
         return ca.Function("stage", [z, c], [ca.vertcat(*after), stage.acceleration(states, command, CASADI) / unit])
+
+    def _hessian(self, states: ca.MX, free: ca.MX, wanted: FloatArray) -> ca.Function:
+        """Second derivatives of the Lagrangian, upper triangle, as IPOPT asks for them.
+
+        A stage adds mu (y'' - r)^2 - lambda' (its step) to the Lagrangian, whose second derivatives by z_k and c_k
+        are one expression that is mapped: half the time of what CasADi makes of the mapped stage by itself. The
+        movement adds a constant band.
+        """
+        linear, n, K, F = self.problem.linear, self.problem.stage.order, self.stages, self.free
+        step = self._stage_function()
+        z, c, by_step, mu, r = (ca.SX.sym(name, size) for name, size in zip("zclmr", (n, 1, n, 1, 1), strict=True))
+        after, made = step(z, c)
+        block, _ = ca.hessian(mu * (made - r) ** 2 - ca.dot(by_step, after), ca.vertcat(z, c))
+        i, j = np.triu_indices(n + 1)
+        entries = ca.vertcat(*(block[int(a), int(b)] for a, b in zip(i, j, strict=True)))
+        of_stage = ca.Function("second", [z, c, by_step, mu, r], [entries])
+
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.nlp["g"].numel())
+        command = ca.horzcat(free, ca.DM.zeros(1, K - F))
+        before = ca.horzcat(ca.DM.zeros(n, 1), states[:, :-1])
+        weights = ca.DM(linear.tracking.all_weights[None]) * (lam_f / OBJECTIVE_SCALE)
+        by_dynamics = ca.reshape(lam_g[: n * K], n, K)
+        blocks = of_stage.map(K)(before, command, by_dynamics, weights, ca.DM(wanted[None]))
+        # Entry (a, b) of the block of stage k: z_k stands n (k - 1) from the front, c_k behind all states.
+        rows, columns, values, k = [], [], [], np.arange(K)
+        for entry, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
+            first, last = (0 if a == n else 1), (F if b == n else K)
+            at = k[first:last]
+            rows.append(n * K + at if a == n else n * (at - 1) + a)
+            columns.append(n * K + at if b == n else n * (at - 1) + b)
+            values.append(blocks[entry, first:last].T)
+        weight = 2 * linear.movement.weight * self.by_command**2 / OBJECTIVE_SCALE * lam_f
+        # dc_k and dc_(k+1) move with c_k; of the last command there is no next.
+        both = np.full(F, 2.0)
+        both[linear.grid.stages - 1 :] = 1.0
+        values[-1] = values[-1] + weight * ca.DM(both)
+        rows.append(n * K + np.arange(F - 1))
+        columns.append(n * K + np.arange(1, F))
+        values.append(-weight * ca.DM.ones(F - 1))
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        order = np.lexsort((row, column))
+        size = self.nlp["x"].numel()
+        pattern = ca.Sparsity.triplet(size, size, row[order].tolist(), column[order].tolist())
+        triangle = ca.MX(pattern, ca.vertcat(*values)[order.tolist()])
+        named = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        return ca.Function("second", [self.nlp["x"], ca.MX(0, 1), lam_f, lam_g], [triangle], *named)
 
     def _value(self, limit: Limit, row: Row) -> _Value:
         stage, N, n = self.problem.stage, self.problem.linear.grid.stages, self.problem.stage.order

@@ -85,6 +85,16 @@ class TestDesign:
         assert entry.off_replay <= 1e-6
         assert entry.played.step_error <= 1e-6
 
+    def test_takes_more_substeps_where_the_linear_command_told_too_few(
+        self, design: NonlinearDesign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(nonlinear, "resolved", lambda stage, command: (replace(stage, substeps=1), 0.0))
+        (entry,) = design_nonlinear(stated(tmp_path)).entries
+        assert entry.problem.stage.substeps > 1
+        assert entry.status is Status.STATIONARY
+        assert entry.off_replay <= 1e-6
+        assert np.abs(entry.solution.command - design.commands[0]).max() <= 1e-4
+
     def test_hands_out_commands_by_target(self, design: NonlinearDesign) -> None:
         assert design.command("click").shape == (120,)
         assert design.commands.shape == (1, 120)
@@ -172,6 +182,14 @@ class TestScene:
         with pytest.raises(InputError, match=said) as refused:
             load_scene(stated(tmp_path, swap))
         assert "\n" not in str(refused.value)
+
+    def test_a_target_of_zero_is_refused(self, tmp_path: Path) -> None:
+        rows = "\n".join(f"{1e-4 * k:g},{np.sin(k) if k > 700 else 0:g}" for k in range(1000))
+        (tmp_path / "nothing.csv").write_text(f"time_s,acceleration_m_s2\n{rows}\n")
+        shape = 'shape = "burst"\nfrequency_Hz = 150\ncycles = 2\npeak_m_s2 = 12.0\n'
+        path = stated(tmp_path, (shape, f'file = "{(tmp_path / "nothing.csv").as_posix()}"\nlength_s = 5e-3\n'))
+        with pytest.raises(InputError, match=r"targets\.click: is zero throughout"):
+            design_nonlinear(path)
 
     def test_it_needs_named_targets(self, tmp_path: Path) -> None:
         taps = '[grid]\nspeeds_m_s = [0.1]\n[recordings]\nfiles = ["a.csv"]\n'

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy import optimize
@@ -18,7 +19,7 @@ from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.nonlinear import certify_nonlinear, reduced_gradient
 from transopt.recordings.targets import target_references
 from transopt.scene.scene import Scene
-from transopt.solvers.nonlinear import solve
+from transopt.solvers.nonlinear import NonlinearProgram, solve
 from transopt.solvers.options import SolverOptions
 
 MODEL = {
@@ -174,6 +175,20 @@ class TestAgainstAGeneralOptimiser:
         problem = posed(CASES["stroke"])
         near, far = solved(problem), solve(problem, np.zeros(20), SolverOptions())
         assert np.abs(near.command - far.command).max() <= 1e-6 * np.abs(near.command).max()
+
+
+def test_second_derivatives_are_those_that_casadi_finds_by_itself(case: tuple[NonlinearProblem, Solution]) -> None:
+    problem, found = case
+    program = NonlinearProgram(problem, SolverOptions())
+    x, f, g = (program.nlp[name] for name in "xfg")
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+    by_itself = ca.Function("h", [x, lam_f, lam_g], [ca.triu(ca.hessian(lam_f * f + ca.dot(lam_g, g), x)[0])])
+    lot = np.random.default_rng(5)
+    point, by_rows = 0.3 * lot.standard_normal(x.numel()), lot.standard_normal(g.numel())
+    expected = np.asarray(by_itself(point, 0.7, by_rows))
+    mine = np.asarray(program.solver.get_function("nlp_hess_l")(point, [], 0.7, by_rows))
+    assert np.abs(mine - expected).max() <= 1e-10 * np.abs(expected).max()
+    assert problem.linear.grid.stages == found.command.size
 
 
 class TestCertificate:
