@@ -1,7 +1,7 @@
 """Designs for a nonlinear plant, each beside what the linear design gives on that plant."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from transopt.design.optimum import optimum
 from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.continuous import AGREEMENT
 from transopt.plant.nonlinear import NonlinearCoil
-from transopt.plant.nonlinear_stage import MOST_SUBSTEPS, NonlinearStage, resolved
+from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.problem import TransientProblem
@@ -214,12 +214,6 @@ def nonlinear_plant(scene: Scene) -> NonlinearCoil:
     return plant
 
 
-def _apart(predicted_m_s2: FloatArray, played: Replay) -> float:
-    """Largest difference of a prediction to its replay, relative to the peak."""
-    off = float(np.abs(predicted_m_s2 - played.acceleration_m_s2).max())
-    return off / max(played.scale_m_s2, np.finfo(float).tiny)
-
-
 def design_entry(
     target: str, problem: TransientProblem, plant: NonlinearCoil, options: SolverOptions
 ) -> NonlinearEntry:
@@ -237,22 +231,12 @@ def design_entry(
         raise InputError(f"targets.{target}: is zero throughout: there is nothing to design; take it out")
     designed = optimum(problem, options)
     at_rest = np.nan_to_num(designed.solution.command)
-    coarse = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
-    stage, _ = resolved(coarse, problem.continued(at_rest))
-    posed, start, spent = NonlinearProblem(problem, stage), at_rest, 0.0
-    while True:
-        found = solve(posed, start, options)
-        spent += found.solve_time_s
-        command = np.nan_to_num(found.command)
-        motion = posed.effect(command).motion
-        linear_played, played = replay_nonlinear(posed, [at_rest, command])
-        off = _apart(motion.acceleration_m_s2, played)
-        # What the linear design's command needs may be too little for this one.
-        if off <= AGREEMENT or posed.stage.substeps >= MOST_SUBSTEPS or found.status is not Status.OPTIMAL:
-            break
-        finer = replace(posed.stage, substeps=min(2 * posed.stage.substeps, MOST_SUBSTEPS))
-        posed, start = NonlinearProblem(problem, finer), command
-    found = replace(found, solve_time_s=spent)
+    stage = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
+    posed, found = solve(NonlinearProblem(problem, stage), at_rest, options)
+    command = np.nan_to_num(found.command)
+    motion = posed.effect(command).motion
+    linear_played, played = replay_nonlinear(posed, [at_rest, command])
+    off = float(np.abs(motion.acceleration_m_s2 - played.acceleration_m_s2).max())
     certificate = certify_nonlinear(posed, found.command, found.multipliers)
     shortfalls = played.shortfalls(problem, command, motion.acceleration_m_s2)
     status = Status.STATIONARY
@@ -269,7 +253,7 @@ def design_entry(
         solution=found,
         certificate=certificate,
         predicted_m_s2=motion.acceleration_m_s2,
-        off_replay=off,
+        off_replay=off / max(played.scale_m_s2, np.finfo(float).tiny),
         played=played,
         linear_command=at_rest,
         linear_promised=problem.target.nrmse(problem.stage.rollout(at_rest)[0]),

@@ -262,12 +262,12 @@ def _phi(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
     return found[:, :n], found[:, n : 2 * n], found[:, 2 * n : 3 * n], found[:, 3 * n :]
 
 
-def resolved(stage: NonlinearStage, command: FloatArray) -> tuple[NonlinearStage, float]:
+def resolved(stage: NonlinearStage, command: FloatArray, most: float = STEP_ERROR) -> tuple[NonlinearStage, float]:
     """The stage with as many substeps as a command (K,) needs, and the error of y'' that is left.
 
     The error, relative to the peak, is told from the change that more substeps made and from the order: with m
     substeps in place of l it is (m / l)^4 times smaller, so the change is (m / l)^4 - 1 times what is left. Their
-    number follows from it until at most 4e-7 is left, or it is 32.
+    number follows from it until at most `most` is left, or it is 32.
     """
     found, before = replace(stage, substeps=2), replace(stage, substeps=1)
     coarse = before.motion(command).acceleration_m_s2
@@ -276,8 +276,8 @@ def resolved(stage: NonlinearStage, command: FloatArray) -> tuple[NonlinearStage
         scale = max(float(np.abs(fine).max()), np.finfo(float).tiny)
         left = (found.substeps / before.substeps) ** ORDER - 1
         error = float(np.abs(fine - coarse).max()) / scale / left
-        if error <= STEP_ERROR or found.substeps >= MOST_SUBSTEPS:
+        if error <= most or found.substeps >= MOST_SUBSTEPS:
             return found, error
-        wanted = found.substeps * (error / STEP_ERROR) ** (1 / ORDER) if np.isfinite(error) else np.inf
+        wanted = found.substeps * (error / most) ** (1 / ORDER) if np.isfinite(error) else np.inf
         more = int(min(max(np.ceil(wanted), found.substeps + 1), 4 * found.substeps, MOST_SUBSTEPS))
         found, before, coarse = replace(stage, substeps=more), found, fine

@@ -9,7 +9,8 @@ dynamics. The start is a command, the linear design's, rolled out.
 """
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from transopt.base.arithmetic import FUNCTIONS, Functions
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, state_scale
-from transopt.plant.nonlinear_stage import NonlinearStage
+from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Pair, Solution, Status
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Row
 from transopt.problem.nonlinear import NonlinearProblem
@@ -30,6 +31,19 @@ from transopt.solvers.options import SolverOptions, most_time_s
 
 # IPOPT's time is mostly that of the second derivatives, by so much per stage and substep on top of what a QP takes.
 TIME_PER_SUBSTEP_S: Final = 1e-2
+COARSE: Final = 1e-3  # of the largest acceleration: error of the stage that is good enough to begin with
+# The answer of a coarser stage is taken as it is, bounds that it touches included.
+NEARBY: Final[Mapping[str, str | float]] = MappingProxyType(
+    {
+        "warm_start_init_point": "yes",
+        "mu_init": 1e-9,
+        "warm_start_bound_push": 1e-11,
+        "warm_start_bound_frac": 1e-11,
+        "warm_start_slack_bound_push": 1e-11,
+        "warm_start_slack_bound_frac": 1e-11,
+        "warm_start_mult_bound_push": 1e-11,
+    }
+)
 CASADI: Final[Functions] = MappingProxyType(
     {"abs": ca.fabs, **{name: getattr(ca, name) for name in FUNCTIONS if name != "abs"}}
 )
@@ -67,15 +81,26 @@ class _Value:
         return (of, k[:-1], k[1:], float(parts[of])) if of < n else (of - n, k, k, float(parts[of]))
 
 
+@dataclass(frozen=True)
+class Point:
+    """A point of the program as IPOPT left it: variables and multipliers, from which a nearby program is solved."""
+
+    x: FloatArray
+    lam_x: FloatArray
+    lam_g: FloatArray
+
+
 class NonlinearProgram:
     """The program of one problem.
 
     Parameters
     ----------
     problem : one with limits that are linear in the outputs.
+    near : the answer of a program that differs in its stage's substeps alone; IPOPT then begins there.
     """
 
-    def __init__(self, problem: NonlinearProblem, options: SolverOptions) -> None:
+    def __init__(self, problem: NonlinearProblem, options: SolverOptions, near: Point | None = None) -> None:
+        self.near = near
         self.problem, stage, linear = problem, problem.stage, problem.linear
         N, M, n = linear.grid.stages, linear.grid.after_stages, stage.order
         self.free, self.stages = linear.free_stages, N + M
@@ -100,14 +125,19 @@ class NonlinearProgram:
         for value in self.sums:
             along = ca.DM(value.now[None]) @ before[:, :N] + ca.DM(value.after[None]) @ states[:, :N]
             rows.append(ca.vec(along + value.command * window + value.held * held))
-        self.nlp = {"x": ca.veccat(states, free), "f": objective / OBJECTIVE_SCALE, "g": ca.vertcat(*rows)}
+        self.nlp: dict[str, ca.MX] = {
+            "x": ca.veccat(states, free),
+            "f": objective / OBJECTIVE_SCALE,
+            "g": ca.vertcat(*rows),
+        }
+        second = self._hessian(states, free, wanted)
         self.solver = ca.nlpsol(
             "ipopt",
             "ipopt",
-            self.nlp,
+            {**self.nlp},
             {
                 "print_time": False,
-                "hess_lag": self._hessian(states, free, wanted),
+                "hess_lag": second,
                 "ipopt": {
                     "print_level": 0,
                     "sb": "yes",
@@ -118,6 +148,7 @@ class NonlinearProgram:
                     "bound_relax_factor": 0.0,
                     # The program is in physical scale.
                     "nlp_scaling_method": "none",
+                    **({} if near is None else NEARBY),
                 },
             },
         )
@@ -221,16 +252,21 @@ class NonlinearProgram:
                     side[at] = np.minimum(side[at], bound[k] / by)
         return -states[0], states[1], -commands[0], commands[1]
 
-    def solve(self, start: FloatArray) -> Solution:
-        """The stationary point that IPOPT finds from a command (N,)."""
+    def _guess(self, start: FloatArray) -> dict[str, FloatArray]:
+        """Where IPOPT begins: the nearby answer, or a command (N,) rolled out."""
+        if self.near is not None:
+            return {"x0": self.near.x, "lam_x0": self.near.lam_x, "lam_g0": self.near.lam_g}
+        rolled = self.problem.effect(start).states[1:] / self.by_state
+        return {"x0": np.concatenate([np.nan_to_num(rolled).ravel(), start[: self.free] / self.by_command])}
+
+    def solve(self, start: FloatArray) -> tuple[Solution, Point]:
+        """The stationary point that IPOPT finds from a command (N,), or from the nearby answer where there is one."""
         began, linear = time.perf_counter(), self.problem.linear
         n = self.problem.stage.order
         lower_z, upper_z, lower_c, upper_c = self._boxes()
-        rolled = self.problem.effect(start).states[1:].T / self.by_state[:, None]
-        guess = np.concatenate([np.nan_to_num(rolled).T.ravel(), start[: self.free] / self.by_command])
         nothing = np.zeros(n * self.stages)
         found = self.solver(
-            x0=guess,
+            **self._guess(start),
             lbx=np.concatenate([lower_z.T.ravel(), lower_c]),
             ubx=np.concatenate([upper_z.T.ravel(), upper_c]),
             lbg=np.concatenate([nothing, *(value.lower for value in self.sums)]),
@@ -241,7 +277,7 @@ class NonlinearProgram:
         command = np.zeros(linear.grid.stages)
         command[: self.free] = np.clip(x[n * self.stages :], lower_c, upper_c) * self.by_command
         multipliers = self._multipliers(lam_x, lam_g)
-        return Solution(
+        solution = Solution(
             status=STATUS.get(message, Status.NUMERICAL_FAILURE),
             command=command,
             multipliers=with_hand_over(self.problem.effect(command), multipliers),
@@ -250,6 +286,7 @@ class NonlinearProgram:
             iterations=int(self.solver.stats()["iter_count"]),
             solve_time_s=time.perf_counter() - began,
         )
+        return solution, Point(x, lam_x, lam_g)
 
     def _multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
         """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
@@ -280,9 +317,28 @@ class NonlinearProgram:
         return Multipliers(N, pairs, np.zeros(linear.hand_over_samples), np.zeros(N)).clipped()
 
 
-def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) -> Solution:
-    """Solve from a command (N,), the linear design's."""
-    return NonlinearProgram(problem, options).solve(start)
+def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) -> tuple[NonlinearProblem, Solution]:
+    """Solve from a command (N,), the linear design's, with as many substeps as the answer needs.
+
+    A few substeps are enough to find out where the answer lies, and most of IPOPT's iterations go there; the program
+    with all that its command needs is then solved from that answer, in few.
+
+    Returns
+    -------
+    The problem with the stage's substeps, and its answer.
+    """
+    linear = problem.linear
+    posed = replace(problem, stage=resolved(problem.stage, linear.continued(start), COARSE)[0])
+    found, near = NonlinearProgram(posed, options).solve(start)
+    spent, iterations = found.solve_time_s, found.iterations
+    while found.status is Status.OPTIMAL:
+        stage, _ = resolved(posed.stage, linear.continued(found.command))
+        if stage.substeps <= posed.stage.substeps:
+            break
+        posed = replace(posed, stage=stage)
+        found, near = NonlinearProgram(posed, options, near).solve(found.command)
+        spent, iterations = spent + found.solve_time_s, iterations + found.iterations
+    return posed, replace(found, solve_time_s=spent, iterations=iterations)
 
 
 def _sizes(stage: NonlinearStage, input_size: float, stages: int) -> FloatArray:
