@@ -13,7 +13,6 @@ from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.design.optimum import optimum
 from transopt.design.posed import entry_problem, scene_stage
-from transopt.plant.continuous import AGREEMENT
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.problem.answer import Certificate, Solution, Status
