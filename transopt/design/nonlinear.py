@@ -14,7 +14,7 @@ from transopt.base.writing import percent
 from transopt.design.optimum import optimum
 from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.nonlinear import NonlinearCoil
-from transopt.plant.nonlinear_stage import NonlinearStage, resolved
+from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.problem import TransientProblem
@@ -41,11 +41,11 @@ class NonlinearEntry:
     solution : command (N,) [A or V] and multipliers of the nonlinear program.
     certificate : that the command is a stationary point, by the adjoint; its lower bound is minus infinity.
     predicted_m_s2 : (N,) y'' of the command at the switching instants, by the nonlinear stage.
+    off_replay : largest difference of that y'' to the replay's, relative to its peak: the stage's own error.
     played : the command on the nonlinear plant in continuous time.
     linear_command : (N,) optimum for the plant as it is at rest.
     linear_promised : NRMSE that the linear plant would have under it.
     linear_played : what it does on the nonlinear plant.
-    step_error : what half of the stage's substeps would have changed of y'', relative to its peak.
     status : STATIONARY where all is proven and played, else why not.
     shortfalls : what speaks against the entry, one sentence each.
     binding : the limits that bind, and when.
@@ -56,11 +56,11 @@ class NonlinearEntry:
     solution: Solution
     certificate: Certificate
     predicted_m_s2: FloatArray
+    off_replay: float
     played: Replay
     linear_command: FloatArray
     linear_promised: float
     linear_played: Replay
-    step_error: float
     status: Status
     shortfalls: list[str]
     binding: str
@@ -83,12 +83,6 @@ class NonlinearEntry:
     def linear_nrmse(self) -> float:
         """Of the linear design, played on the nonlinear plant."""
         return self.linear_played.nrmse
-
-    @property
-    def off_replay(self) -> float:
-        """Largest difference of the predicted y'' to the replay's, relative to its peak: the stage's own error."""
-        off = float(np.abs(self.predicted_m_s2 - self.played.acceleration_m_s2).max())
-        return off / max(self.played.scale_m_s2, np.finfo(float).tiny)
 
     @cached_property
     def linear_leaves(self) -> list[str]:
@@ -227,17 +221,22 @@ def design_entry(
     Parameters
     ----------
     problem : of the plant as it is at rest.
+
+    Raises
+    ------
+    InputError : a target that is zero.
     """
+    if problem.reference_is_zero:
+        raise InputError(f"targets.{target}: is zero throughout: there is nothing to design; take it out")
     designed = optimum(problem, options)
     at_rest = np.nan_to_num(designed.solution.command)
-    coarse = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
-    stage, step_error = resolved(coarse, problem.continued(at_rest))
-    posed = NonlinearProblem(problem, stage)
-    found = solve(posed, at_rest, options)
-    certificate = certify_nonlinear(posed, found.command, found.multipliers)
+    stage = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
+    posed, found = solve(NonlinearProblem(problem, stage), at_rest, options)
     command = np.nan_to_num(found.command)
     motion = posed.effect(command).motion
     linear_played, played = replay_nonlinear(posed, [at_rest, command])
+    off = float(np.abs(motion.acceleration_m_s2 - played.acceleration_m_s2).max())
+    certificate = certify_nonlinear(posed, found.command, found.multipliers)
     shortfalls = played.shortfalls(problem, command, motion.acceleration_m_s2)
     status = Status.STATIONARY
     if found.status is not Status.OPTIMAL:
@@ -253,11 +252,11 @@ def design_entry(
         solution=found,
         certificate=certificate,
         predicted_m_s2=motion.acceleration_m_s2,
+        off_replay=off / max(played.scale_m_s2, np.finfo(float).tiny),
         played=played,
         linear_command=at_rest,
         linear_promised=problem.target.nrmse(problem.stage.rollout(at_rest)[0]),
         linear_played=linear_played,
-        step_error=step_error,
         status=status,
         shortfalls=shortfalls,
         binding=binding_limits(problem, command, found.multipliers, effect=Effect(problem, command, motion)),

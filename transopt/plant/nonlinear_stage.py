@@ -25,9 +25,8 @@ from transopt.plant.state_space import VELOCITY
 
 COMPLEX_STEP = 1e-40  # of each state in its own unit: its square is nothing beside 1, so that the derivative is exact
 MOST_SUBSTEPS = 32
-STEP_ERROR = (
-    1e-6  # of the largest acceleration: what half the substeps may have been off, a sixteenth of which is left
-)
+ORDER = 4
+STEP_ERROR = 4e-7  # of the largest acceleration: what may be left of it
 
 Sparse = tuple[tuple[tuple[int, float], ...], ...]  # a matrix, row by row the entries that are not zero
 
@@ -263,17 +262,22 @@ def _phi(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
     return found[:, :n], found[:, n : 2 * n], found[:, 2 * n : 3 * n], found[:, 3 * n :]
 
 
-def resolved(stage: NonlinearStage, command: FloatArray) -> tuple[NonlinearStage, float]:
-    """The stage with as many substeps as a command (K,) needs, and what half of them would still have changed.
+def resolved(stage: NonlinearStage, command: FloatArray, most: float = STEP_ERROR) -> tuple[NonlinearStage, float]:
+    """The stage with as many substeps as a command (K,) needs, and the error of y'' that is left.
 
-    The number is doubled from one on until that changes y'' by at most 1e-6 of its largest value, or to 32.
+    The error, relative to the peak, is told from the change that more substeps made and from the order: with m
+    substeps in place of l it is (m / l)^4 times smaller, so the change is (m / l)^4 - 1 times what is left. Their
+    number follows from it until at most `most` is left, or it is 32.
     """
-    found = replace(stage, substeps=1)
-    accelerations = found.motion(command).acceleration_m_s2
-    error = np.inf
-    while not error <= STEP_ERROR and found.substeps < MOST_SUBSTEPS:
-        found = replace(stage, substeps=2 * found.substeps)
-        finer = found.motion(command).acceleration_m_s2
-        scale = max(float(np.abs(finer).max()), np.finfo(float).tiny)
-        error, accelerations = float(np.abs(finer - accelerations).max()) / scale, finer
-    return found, error
+    found, before = replace(stage, substeps=2), replace(stage, substeps=1)
+    coarse = before.motion(command).acceleration_m_s2
+    while True:
+        fine = found.motion(command).acceleration_m_s2
+        scale = max(float(np.abs(fine).max()), np.finfo(float).tiny)
+        left = (found.substeps / before.substeps) ** ORDER - 1
+        error = float(np.abs(fine - coarse).max()) / scale / left
+        if error <= most or found.substeps >= MOST_SUBSTEPS:
+            return found, error
+        wanted = found.substeps * (error / most) ** (1 / ORDER) if np.isfinite(error) else np.inf
+        more = int(min(max(np.ceil(wanted), found.substeps + 1), 4 * found.substeps, MOST_SUBSTEPS))
+        found, before, coarse = replace(stage, substeps=more), found, fine

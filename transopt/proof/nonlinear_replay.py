@@ -115,7 +115,8 @@ def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) 
     grid, target, N = linear.grid, linear.target, linear.grid.stages
     played = np.stack(commands)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        peaks = np.nanmax([np.abs(stage.states(linear.continued(each))).max(axis=0) for each in played], axis=0)
+        # Where a motion has no value the states up to there tell their sizes; at tau_0 they are zero.
+        peaks = np.max([np.nanmax(np.abs(stage.states(linear.continued(c))), axis=0) for c in played], axis=0)
         sizes = np.where(peaks > 0, peaks, 1.0)
         course = _integrated(stage, grid, played, sizes, RELATIVE)
         coarse = _integrated(stage, grid, played, sizes, COARSER * RELATIVE)

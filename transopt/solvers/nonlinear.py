@@ -9,7 +9,8 @@ dynamics. The start is a command, the linear design's, rolled out.
 """
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from transopt.base.arithmetic import FUNCTIONS, Functions
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, state_scale
-from transopt.plant.nonlinear_stage import NonlinearStage
+from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Pair, Solution, Status
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Row
 from transopt.problem.nonlinear import NonlinearProblem
@@ -30,6 +31,19 @@ from transopt.solvers.options import SolverOptions, most_time_s
 
 # IPOPT's time is mostly that of the second derivatives, by so much per stage and substep on top of what a QP takes.
 TIME_PER_SUBSTEP_S: Final = 1e-2
+COARSE: Final = 1e-3  # of the largest acceleration: error of the stage that is good enough to begin with
+# The answer of a coarser stage is taken as it is, bounds that it touches included.
+NEARBY: Final[Mapping[str, str | float]] = MappingProxyType(
+    {
+        "warm_start_init_point": "yes",
+        "mu_init": 1e-9,
+        "warm_start_bound_push": 1e-11,
+        "warm_start_bound_frac": 1e-11,
+        "warm_start_slack_bound_push": 1e-11,
+        "warm_start_slack_bound_frac": 1e-11,
+        "warm_start_mult_bound_push": 1e-11,
+    }
+)
 CASADI: Final[Functions] = MappingProxyType(
     {"abs": ca.fabs, **{name: getattr(ca, name) for name in FUNCTIONS if name != "abs"}}
 )
@@ -67,15 +81,26 @@ class _Value:
         return (of, k[:-1], k[1:], float(parts[of])) if of < n else (of - n, k, k, float(parts[of]))
 
 
+@dataclass(frozen=True)
+class Point:
+    """A point of the program as IPOPT left it: variables and multipliers, from which a nearby program is solved."""
+
+    x: FloatArray
+    lam_x: FloatArray
+    lam_g: FloatArray
+
+
 class NonlinearProgram:
     """The program of one problem.
 
     Parameters
     ----------
     problem : one with limits that are linear in the outputs.
+    near : the answer of a program that differs in its stage's substeps alone; IPOPT then begins there.
     """
 
-    def __init__(self, problem: NonlinearProblem, options: SolverOptions) -> None:
+    def __init__(self, problem: NonlinearProblem, options: SolverOptions, near: Point | None = None) -> None:
+        self.near = near
         self.problem, stage, linear = problem, problem.stage, problem.linear
         N, M, n = linear.grid.stages, linear.grid.after_stages, stage.order
         self.free, self.stages = linear.free_stages, N + M
@@ -100,12 +125,19 @@ class NonlinearProgram:
         for value in self.sums:
             along = ca.DM(value.now[None]) @ before[:, :N] + ca.DM(value.after[None]) @ states[:, :N]
             rows.append(ca.vec(along + value.command * window + value.held * held))
+        self.nlp: dict[str, ca.MX] = {
+            "x": ca.veccat(states, free),
+            "f": objective / OBJECTIVE_SCALE,
+            "g": ca.vertcat(*rows),
+        }
+        second = self._hessian(states, free, wanted)
         self.solver = ca.nlpsol(
             "ipopt",
             "ipopt",
-            {"x": ca.veccat(states, free), "f": objective / OBJECTIVE_SCALE, "g": ca.vertcat(*rows)},
+            {**self.nlp},
             {
                 "print_time": False,
+                "hess_lag": second,
                 "ipopt": {
                     "print_level": 0,
                     "sb": "yes",
@@ -116,6 +148,7 @@ class NonlinearProgram:
                     "bound_relax_factor": 0.0,
                     # The program is in physical scale.
                     "nlp_scaling_method": "none",
+                    **({} if near is None else NEARBY),
                 },
             },
         )
@@ -129,6 +162,52 @@ class NonlinearProgram:
         after = [each / float(by) for each, by in zip(after, self.by_state, strict=True)]
         unit = float(np.sqrt(self.problem.linear.target.energy_m2_s4))
         return ca.Function("stage", [z, c], [ca.vertcat(*after), stage.acceleration(states, command, CASADI) / unit])
+
+    def _hessian(self, states: ca.MX, free: ca.MX, wanted: FloatArray) -> ca.Function:
+        """Second derivatives of the Lagrangian, upper triangle, as IPOPT asks for them.
+
+        A stage adds mu (y'' - r)^2 - lambda' (its step) to the Lagrangian, whose second derivatives by z_k and c_k
+        are one expression that is mapped: half the time of what CasADi makes of the mapped stage by itself. The
+        movement adds a constant band.
+        """
+        linear, n, K, F = self.problem.linear, self.problem.stage.order, self.stages, self.free
+        step = self._stage_function()
+        z, c, by_step, mu, r = (ca.SX.sym(name, size) for name, size in zip("zclmr", (n, 1, n, 1, 1), strict=True))
+        after, made = step(z, c)
+        block, _ = ca.hessian(mu * (made - r) ** 2 - ca.dot(by_step, after), ca.vertcat(z, c))
+        i, j = np.triu_indices(n + 1)
+        entries = ca.vertcat(*(block[int(a), int(b)] for a, b in zip(i, j, strict=True)))
+        of_stage = ca.Function("second", [z, c, by_step, mu, r], [entries])
+
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.nlp["g"].numel())
+        command = ca.horzcat(free, ca.DM.zeros(1, K - F))
+        before = ca.horzcat(ca.DM.zeros(n, 1), states[:, :-1])
+        weights = ca.DM(linear.tracking.all_weights[None]) * (lam_f / OBJECTIVE_SCALE)
+        by_dynamics = ca.reshape(lam_g[: n * K], n, K)
+        blocks = of_stage.map(K)(before, command, by_dynamics, weights, ca.DM(wanted[None]))
+        # Entry (a, b) of the block of stage k: z_k stands n (k - 1) from the front, c_k behind all states.
+        rows, columns, values, k = [], [], [], np.arange(K)
+        for entry, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
+            first, last = (0 if a == n else 1), (F if b == n else K)
+            at = k[first:last]
+            rows.append(n * K + at if a == n else n * (at - 1) + a)
+            columns.append(n * K + at if b == n else n * (at - 1) + b)
+            values.append(blocks[entry, first:last].T)
+        weight = 2 * linear.movement.weight * self.by_command**2 / OBJECTIVE_SCALE * lam_f
+        # dc_k and dc_(k+1) move with c_k; of the last command there is no next.
+        both = np.full(F, 2.0)
+        both[linear.grid.stages - 1 :] = 1.0
+        values[-1] = values[-1] + weight * ca.DM(both)
+        rows.append(n * K + np.arange(F - 1))
+        columns.append(n * K + np.arange(1, F))
+        values.append(-weight * ca.DM.ones(F - 1))
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        order = np.lexsort((row, column))
+        size = self.nlp["x"].numel()
+        pattern = ca.Sparsity.triplet(size, size, row[order].tolist(), column[order].tolist())
+        triangle = ca.MX(pattern, ca.vertcat(*values)[order.tolist()])
+        named = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        return ca.Function("second", [self.nlp["x"], ca.MX(0, 1), lam_f, lam_g], [triangle], *named)
 
     def _value(self, limit: Limit, row: Row) -> _Value:
         stage, N, n = self.problem.stage, self.problem.linear.grid.stages, self.problem.stage.order
@@ -173,16 +252,21 @@ class NonlinearProgram:
                     side[at] = np.minimum(side[at], bound[k] / by)
         return -states[0], states[1], -commands[0], commands[1]
 
-    def solve(self, start: FloatArray) -> Solution:
-        """The stationary point that IPOPT finds from a command (N,)."""
+    def _guess(self, start: FloatArray) -> dict[str, FloatArray]:
+        """Where IPOPT begins: the nearby answer, or a command (N,) rolled out."""
+        if self.near is not None:
+            return {"x0": self.near.x, "lam_x0": self.near.lam_x, "lam_g0": self.near.lam_g}
+        rolled = self.problem.effect(start).states[1:] / self.by_state
+        return {"x0": np.concatenate([np.nan_to_num(rolled).ravel(), start[: self.free] / self.by_command])}
+
+    def solve(self, start: FloatArray) -> tuple[Solution, Point]:
+        """The stationary point that IPOPT finds from a command (N,), or from the nearby answer where there is one."""
         began, linear = time.perf_counter(), self.problem.linear
         n = self.problem.stage.order
         lower_z, upper_z, lower_c, upper_c = self._boxes()
-        rolled = self.problem.effect(start).states[1:].T / self.by_state[:, None]
-        guess = np.concatenate([np.nan_to_num(rolled).T.ravel(), start[: self.free] / self.by_command])
         nothing = np.zeros(n * self.stages)
         found = self.solver(
-            x0=guess,
+            **self._guess(start),
             lbx=np.concatenate([lower_z.T.ravel(), lower_c]),
             ubx=np.concatenate([upper_z.T.ravel(), upper_c]),
             lbg=np.concatenate([nothing, *(value.lower for value in self.sums)]),
@@ -193,7 +277,7 @@ class NonlinearProgram:
         command = np.zeros(linear.grid.stages)
         command[: self.free] = np.clip(x[n * self.stages :], lower_c, upper_c) * self.by_command
         multipliers = self._multipliers(lam_x, lam_g)
-        return Solution(
+        solution = Solution(
             status=STATUS.get(message, Status.NUMERICAL_FAILURE),
             command=command,
             multipliers=with_hand_over(self.problem.effect(command), multipliers),
@@ -202,6 +286,7 @@ class NonlinearProgram:
             iterations=int(self.solver.stats()["iter_count"]),
             solve_time_s=time.perf_counter() - began,
         )
+        return solution, Point(x, lam_x, lam_g)
 
     def _multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
         """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
@@ -232,9 +317,28 @@ class NonlinearProgram:
         return Multipliers(N, pairs, np.zeros(linear.hand_over_samples), np.zeros(N)).clipped()
 
 
-def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) -> Solution:
-    """Solve from a command (N,), the linear design's."""
-    return NonlinearProgram(problem, options).solve(start)
+def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) -> tuple[NonlinearProblem, Solution]:
+    """Solve from a command (N,), the linear design's, with as many substeps as the answer needs.
+
+    A few substeps are enough to find out where the answer lies, and most of IPOPT's iterations go there; the program
+    with all that its command needs is then solved from that answer, in few.
+
+    Returns
+    -------
+    The problem with the stage's substeps, and its answer.
+    """
+    linear = problem.linear
+    posed = replace(problem, stage=resolved(problem.stage, linear.continued(start), COARSE)[0])
+    found, near = NonlinearProgram(posed, options).solve(start)
+    spent, iterations = found.solve_time_s, found.iterations
+    while found.status is Status.OPTIMAL:
+        stage, _ = resolved(posed.stage, linear.continued(found.command))
+        if stage.substeps <= posed.stage.substeps:
+            break
+        posed = replace(posed, stage=stage)
+        found, near = NonlinearProgram(posed, options, near).solve(found.command)
+        spent, iterations = spent + found.solve_time_s, iterations + found.iterations
+    return posed, replace(found, solve_time_s=spent, iterations=iterations)
 
 
 def _sizes(stage: NonlinearStage, input_size: float, stages: int) -> FloatArray:

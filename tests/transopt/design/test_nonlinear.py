@@ -106,9 +106,11 @@ class TestRefusedAnswer:
     def designed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any) -> NonlinearDesign:
         true = nonlinear.solve
 
-        def wrong(problem: NonlinearProblem, start: np.ndarray, options: SolverOptions) -> Solution:
-            found = true(problem, start, options)
-            return replace(found, **{name: change(found) for name, change in changed.items()})
+        def wrong(
+            problem: NonlinearProblem, start: np.ndarray, options: SolverOptions
+        ) -> tuple[NonlinearProblem, Solution]:
+            posed, found = true(problem, start, options)
+            return posed, replace(found, **{name: change(found) for name, change in changed.items()})
 
         monkeypatch.setattr(nonlinear, "solve", wrong)
         return design_nonlinear(stated(tmp_path))
@@ -172,6 +174,14 @@ class TestScene:
         with pytest.raises(InputError, match=said) as refused:
             load_scene(stated(tmp_path, swap))
         assert "\n" not in str(refused.value)
+
+    def test_a_target_of_zero_is_refused(self, tmp_path: Path) -> None:
+        rows = "\n".join(f"{1e-4 * k:g},{np.sin(k) if k > 700 else 0:g}" for k in range(1000))
+        (tmp_path / "nothing.csv").write_text(f"time_s,acceleration_m_s2\n{rows}\n")
+        shape = 'shape = "burst"\nfrequency_Hz = 150\ncycles = 2\npeak_m_s2 = 12.0\n'
+        path = stated(tmp_path, (shape, f'file = "{(tmp_path / "nothing.csv").as_posix()}"\nlength_s = 5e-3\n'))
+        with pytest.raises(InputError, match=r"targets\.click: is zero throughout"):
+            design_nonlinear(path)
 
     def test_it_needs_named_targets(self, tmp_path: Path) -> None:
         taps = '[grid]\nspeeds_m_s = [0.1]\n[recordings]\nfiles = ["a.csv"]\n'

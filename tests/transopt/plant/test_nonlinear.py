@@ -110,7 +110,8 @@ class TestStage:
         expected = integrated(KINDS[name], AMPLIFIERS[amplifier], command())
         off = np.abs(found - expected).max() / np.abs(expected).max()
         assert error <= 1e-6
-        assert off <= 2e-7
+        assert off <= 6e-7
+        assert off <= 3 * error  # the estimate can be believed
 
     def test_without_laws_is_the_linear_stage(self, name: str, amplifier: str) -> None:
         linear = replace(plant_of(KINDS[name]), force_factor=None, stiffness=None, friction=None)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy import optimize
@@ -18,7 +19,7 @@ from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.nonlinear import certify_nonlinear, reduced_gradient
 from transopt.recordings.targets import target_references
 from transopt.scene.scene import Scene
-from transopt.solvers.nonlinear import solve
+from transopt.solvers.nonlinear import NonlinearProgram, solve
 from transopt.solvers.options import SolverOptions
 
 MODEL = {
@@ -63,14 +64,15 @@ def posed(of: Scene) -> NonlinearProblem:
 
 
 def solved(problem: NonlinearProblem) -> Solution:
-    return solve(problem, optimum(problem.linear, SolverOptions()).solution.command, SolverOptions())
+    start = optimum(problem.linear, SolverOptions()).solution.command
+    return NonlinearProgram(problem, SolverOptions()).solve(start)[0]
 
 
 CASES = {
     "voltage": scene(limits={"voltage_V": 6.0}),
     "stroke": scene(limits={"voltage_V": 30.0, "stroke_m": 6e-4}),
-    "velocity": scene(limits={"voltage_V": 30.0, "velocity_m_s": 0.45}),
-    "current": scene(limits={"voltage_V": 10.0, "current_A": 2.0}),
+    "velocity": scene(limits={"voltage_V": 30.0, "velocity_m_s": 0.25}),
+    "current": scene(limits={"voltage_V": 10.0, "current_A": 1.0}),
     "slew": scene(limits={"voltage_V": 30.0, "slew_V_per_s": 8e3}),
     "pole": scene(amplifier="pole", limits={"voltage_V": 5.0, "stroke_m": 3.5e-4}),
 }
@@ -172,8 +174,38 @@ class TestAgainstAGeneralOptimiser:
 
     def test_from_elsewhere_it_comes_to_the_same(self) -> None:
         problem = posed(CASES["stroke"])
-        near, far = solved(problem), solve(problem, np.zeros(20), SolverOptions())
+        near, (far, _) = solved(problem), NonlinearProgram(problem, SolverOptions()).solve(np.zeros(20))
         assert np.abs(near.command - far.command).max() <= 1e-6 * np.abs(near.command).max()
+
+
+def test_a_coarse_stage_first_comes_to_the_same_in_few_more_iterations(
+    case: tuple[NonlinearProblem, Solution],
+) -> None:
+    problem, found = case
+    start = optimum(problem.linear, SolverOptions()).solution.command
+    coarse = replace(problem, stage=replace(problem.stage, substeps=2))
+    first, near = NonlinearProgram(coarse, SolverOptions()).solve(start)
+    again, _ = NonlinearProgram(problem, SolverOptions(), near).solve(first.command)
+    assert again.status is Status.OPTIMAL
+    assert again.iterations <= 0.7 * found.iterations
+    assert np.abs(again.command - found.command).max() <= 1e-6 * np.abs(found.command).max()
+    posed, whole = solve(problem, start, SolverOptions())
+    assert certify_nonlinear(posed, whole.command, whole.multipliers).is_stationary
+    assert resolved(posed.stage, problem.linear.continued(whole.command))[1] <= 4e-7
+
+
+def test_second_derivatives_are_those_that_casadi_finds_by_itself(case: tuple[NonlinearProblem, Solution]) -> None:
+    problem, found = case
+    program = NonlinearProgram(problem, SolverOptions())
+    x, f, g = (program.nlp[name] for name in "xfg")
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+    by_itself = ca.Function("h", [x, lam_f, lam_g], [ca.triu(ca.hessian(lam_f * f + ca.dot(lam_g, g), x)[0])])
+    lot = np.random.default_rng(5)
+    point, by_rows = 0.3 * lot.standard_normal(x.numel()), lot.standard_normal(g.numel())
+    expected = np.asarray(by_itself(point, 0.7, by_rows))
+    mine = np.asarray(program.solver.get_function("nlp_hess_l")(point, [], 0.7, by_rows))
+    assert np.abs(mine - expected).max() <= 1e-10 * np.abs(expected).max()
+    assert problem.linear.grid.stages == found.command.size
 
 
 class TestCertificate:
