@@ -23,6 +23,8 @@ CONFIGURATION_VERSION = 3
 HEADER = struct.Struct("<IHH")
 # Parts that a device may lack, by the field of Settings they stand in.
 PARTS: dict[str, type] = {"amplifier": Amplifier, "wall": Wall, "coil": CoilModel}
+# An amplifier may be one of voltages; a device's is one of currents, and its name says so.
+IN_AMPERES = {"amplifier_command_limit": "amplifier_command_limit_A"}
 OPTIONAL = ("slew_limit_A_per_s", "assumed_grip_N")
 PREDICTION = ("pulse_grip_N", "pulse_acceleration", "pulse_path_m")  # over `pulse_nodes` grips
 PLAIN = tuple(f.name for f in fields(Settings) if f.name not in (*PARTS, *OPTIONAL, *PREDICTION))
@@ -42,7 +44,8 @@ def numbers(settings: Settings) -> dict[str, float]:
         there = getattr(settings, part)
         values[f"has_{part}"] = float(there is not None)
         for field in fields(kind):
-            values[f"{part}_{field.name}"] = 0.0 if there is None else float(getattr(there, field.name))
+            name = f"{part}_{field.name}"
+            values[IN_AMPERES.get(name, name)] = 0.0 if there is None else float(getattr(there, field.name))
     return values
 
 

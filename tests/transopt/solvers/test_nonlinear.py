@@ -71,7 +71,7 @@ def solved(problem: NonlinearProblem) -> Solution:
 CASES = {
     "voltage": scene(limits={"voltage_V": 6.0}),
     "stroke": scene(limits={"voltage_V": 30.0, "stroke_m": 6e-4}),
-    "velocity": scene(limits={"voltage_V": 30.0, "velocity_m_s": 0.25}),
+    "velocity": scene(limits={"voltage_V": 30.0, "velocity_m_s": 0.23}),
     "current": scene(limits={"voltage_V": 10.0, "current_A": 1.0}),
     "slew": scene(limits={"voltage_V": 30.0, "slew_V_per_s": 8e3}),
     "pole": scene(amplifier="pole", limits={"voltage_V": 5.0, "stroke_m": 3.5e-4}),
