@@ -3,7 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -294,3 +294,42 @@ class TestProduction:
         assert abs(poles[1]) / abs(poles[0]) == pytest.approx(1.1, rel=1e-12)
         quality = [abs(pole) / (-2 * pole.real) for pole in poles]
         assert quality[1] / quality[0] == pytest.approx(0.8, rel=1e-12)
+
+
+class TestCurrentDriven:
+    """A voice coil on a current amplifier has what a motor has: a rail, and a winding that heats."""
+
+    CHANGES: ClassVar[dict[str, Any]] = {
+        "model.input": "current",
+        "model.winding": {
+            "R_wh_K_W": 8.0,
+            "R_ha_K_W": 30.0,
+            "tau_w_s": 2.0,
+            "tau_h_s": 200.0,
+            "winding_max_C": 120.0,
+        },
+        "amplifier": {"pole_Hz": 2e3, "delay_s": 3e-5, "command_limit_A": 2.0},
+        "limits": {"steady_current_A": 0.4, "current_A": 1.0},
+        "time.stages": 800,
+    }
+
+    def scene(self, further: dict[str, Any] | None = None) -> Scene:
+        return with_values(problems.load("voice_coil_thud"), {**self.CHANGES, **(further or {})})
+
+    def test_its_winding_heats_and_is_limited(self) -> None:
+        build = built(self.scene({"thermal.start_winding_C": 119.995, "thermal.start_housing_C": 119.9}))
+        for (entry,) in build.entries:
+            assert 119.995 < entry.played.winding_C <= 120.0 + 1e-3
+            assert "coil" in entry.binding
+            assert entry.unit == "A"
+        assert build.library is not None
+        assert build.library.meta["schema"] == 3
+        assert build.library.meta["command_unit"] == "A"
+        assert all(not check.shortfalls for check in verify_library(build.library))
+
+    def test_its_rail_is_kept(self) -> None:
+        free = built(self.scene())
+        tight = built(self.scene({"limits.supply_V": 5.0}))
+        for (one,), (other,) in zip(free.entries, tight.entries, strict=True):
+            assert other.played.reached["supply"] <= 5.0 * (1 + 1e-3)
+            assert other.nrmse > one.nrmse
