@@ -258,6 +258,7 @@ def _assemble(
         correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
+        spread_share=over_grid(lambda e: e.problem.shared[1:]),
         meta={**_meta(scene, references, entries, options), "grid_refinement": _refined(refinement)},
     )
 
@@ -275,7 +276,7 @@ def _meta(
     outputs = [entry.problem.stage.plant.stored((POSITION, VELOCITY, *watched)) for entry in entries[0]]
     return {
         **({"outputs": outputs} if any(outputs) else {}),
-        **in_file_form(scene.driven_by, scene.axes.targets),
+        **in_file_form(scene.driven_by, scene.axes.targets, worst=problem.worst),
         **({"target_ends_s": [r.ends_s for r in references]} if scene.targets else {}),
         "dt_s": scene.time.dt_s,
         "lead_s": scene.lead_s,

@@ -1,7 +1,7 @@
 """The design of library entries: optimum, floor, baselines, certificate, replay, admission."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -48,14 +48,22 @@ class Baselines:
 
 @dataclass(frozen=True)
 class SpreadErrors:
-    """NRMSE of a robust entry over its devices: of the design for the node alone, and of its own.
+    """Errors of a robust entry over its devices: of the design for the node alone, and of its own.
 
-    rms : root of the mean square over the devices, which is what a robust design minimises.
+    Each is the root of what a device loses in J (`Tracking.losses`), so that what comes after the window, or after
+    the end of a target, counts as much as the scene has it count.
+
+    Attributes
+    ----------
+    nominal, robust : of the entry's own device, for which the nominal design was made.
+    nominal_rms, robust_rms : root of the mean square over the devices; a robust design minimises this or the worst.
+    nominal_worst, robust_worst : the largest over the devices.
     """
 
     nominal: float
     nominal_rms: float
     nominal_worst: float
+    robust: float
     robust_rms: float
     robust_worst: float
 
@@ -303,16 +311,22 @@ def rivals_errors(steady_current_A: float, designed: Sequence[Designed]) -> list
 
 
 def _spread_errors(problem: TransientProblem, nominal: FloatArray, command: FloatArray) -> SpreadErrors | None:
-    """NRMSE over the devices of a robust entry, of its command and of the command designed for the node alone."""
+    """Over the devices of a robust entry, of its command and of the command designed for the node alone."""
     if not problem.spread:
         return None
-    N, target = problem.grid.stages, problem.target
-    own, robust = (np.array([target.nrmse(a) for a in problem.accelerations(c)[:, :N]]) for c in (nominal, command))
+    own, robust = (np.sqrt(problem.tracking.losses(problem.accelerations(c))) for c in (nominal, command))
 
     def rms(errors: FloatArray) -> float:
         return float(np.sqrt(np.mean(errors**2)))
 
-    return SpreadErrors(float(own[0]), rms(own), float(own.max()), rms(robust), float(robust.max()))
+    return SpreadErrors(
+        nominal=float(own[0]),
+        nominal_rms=rms(own),
+        nominal_worst=float(own.max()),
+        robust=float(robust[0]),
+        robust_rms=rms(robust),
+        robust_worst=float(robust.max()),
+    )
 
 
 def _entry(
@@ -331,8 +345,7 @@ def _entry(
     spread = None
     if problem.spread and status is Status.OPTIMAL:
         # Made for the node alone, and asked for the same.
-        alone = replace(problem.without_intensity(), spread=())
-        nominal = best(alone, options, objective=scene.weights.objective).solution.command
+        nominal = best(problem.alone(), options, objective=scene.weights.objective).solution.command
         spread = _spread_errors(problem, nominal, command)
     return Entry(
         speed_m_s=reference.speed_m_s,

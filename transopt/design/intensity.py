@@ -18,6 +18,7 @@ import numpy as np
 
 from transopt.design.attained import Attained, TOLERANCE_dB
 from transopt.design.optimum import Designed, optimum
+from transopt.design.worst import least_worst
 from transopt.problem.problem import TransientProblem
 from transopt.solvers.options import SolverOptions
 
@@ -82,7 +83,12 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
 
 
 def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -> Designed:
-    """The optimum of a scene's objective: "waveform" minimises J, "intensity" asks for the energy of the tap too."""
+    """The optimum of a scene's objective: "waveform" minimises J, "intensity" asks for the energy of the tap too.
+
+    Where the worst of a spread of devices is asked for, that is what is least.
+    """
+    if problem.worst:
+        return least_worst(problem, options)
     return intense(problem, options) if objective == "intensity" else optimum(problem, options)
 
 

@@ -5,7 +5,7 @@ third more than there is to have, since what a wider limit buys falls off on the
 no more.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -274,7 +274,8 @@ def prices(
     """Price of every limit that binds, the dearest first; empty if none does.
 
     Each is two to four further solves: with the limit raised by a step, with it out of the way, and at what is then
-    said to be enough. The others stay as they are.
+    said to be enough. The others stay as they are. Where the worst of several devices counts, so do their shares: to
+    first order it falls with the mean by these.
 
     Parameters
     ----------
@@ -283,6 +284,7 @@ def prices(
     """
     if problem.reference_is_zero:
         return []
+    problem = replace(problem, worst=False)
     binds = binding(problem, command, multipliers)
     if not binds:
         return []

@@ -60,9 +60,12 @@ class TradeOff:
 
 
 def trade_off(entry: Entry, options: SolverOptions) -> TradeOff | None:
-    """The path of an entry where a limit binds or intensity has a price; None elsewhere and for a refused one."""
+    """The path of an entry where a limit binds or intensity has a price; None elsewhere and for a refused one.
+
+    None as well where the worst of a spread of devices is least: intensity is traded for the mean alone.
+    """
     binds = entry.solution.multipliers.largest > BINDING_MULTIPLIER or entry.problem.intensity > 0
-    if entry.status is not Status.OPTIMAL or entry.problem.reference_is_zero or not binds:
+    if entry.status is not Status.OPTIMAL or entry.problem.reference_is_zero or entry.problem.worst or not binds:
         return None
     problem = entry.problem.without_intensity()
     found = intense(problem, options)

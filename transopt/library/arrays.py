@@ -28,10 +28,10 @@ class Array:
     meaning : what it holds.
     is_text : words and not double-precision numbers.
     may_be_nan : NaN stands for what is not known; every other number is finite.
-    needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread`,
-        `refinement`, `speeds` or `targets` (the one or the other), `after_s` (which files of schema 1 do not state)
-        or `intensity` as the objective; empty for an array that is always there. Without it the array is zero or
-        empty, or of no device or instant.
+    needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread`, `worst` (as
+        what is minimised over the spread), `refinement`, `speeds` or `targets` (the one or the other), `after_s`
+        (which files of schema 1 do not state) or `intensity` as the objective; empty for an array that is always
+        there. Without it the array is zero or empty, or of no device or instant.
     before : its name in files of schemas 1 and 2, which know no input but a current; empty where it is the same.
     """
 
@@ -70,6 +70,7 @@ def absent(arrays: dict[str, Array], meta: dict[str, Any]) -> list[str]:
     stated = {
         **meta["limits"],
         "spread": weights["spread"],
+        "worst": True if (weights["spread"] or {}).get("minimise") == "worst" else None,
         "refinement": meta.get("refinement"),
         "after_s": weights.get("after_s"),
         "speeds": None if meta.get("targets") else True,

@@ -208,6 +208,10 @@ class Library:
     spread_C: Annotated[FloatArray, Array("gs1n", "", "their C", needs="spread")]
     spread_D: Annotated[FloatArray, Array("gs11", "", "their D", needs="spread")]
     spread_Ce: Annotated[FloatArray, Array("gs1n", "", "their Ce", needs="spread")]
+    spread_share: Annotated[
+        FloatArray,
+        Array("vgs", "", "their shares in J, of the worst device's saddle point; the rest is the own", needs="worst"),
+    ]
     meta: dict[str, Any]
 
     @classmethod
@@ -325,10 +329,17 @@ class Library:
         wanted = replace(wanted, target=wanted.target.moved(self.correction_m_s2[iv, ig]))
         stage = self.stage(ig) if stage is None else stage
         problem = self.posing().problem(wanted, stage, self.spread(ig))
-        problem = replace(problem, intensity=float(self.intensity[iv, ig]))
+        problem = replace(problem, intensity=float(self.intensity[iv, ig]), shares=self._shares(iv, ig))
         if problem.wall is None:
             return problem
         return pressing_under(problem, self.command[iv, ig])
+
+    def _shares(self, iv: int, ig: int) -> FloatArray | None:
+        """(S,) shares of the devices in J, the own first; None where all have the same."""
+        if not self.posing().worst:
+            return None
+        others = self.spread_share[iv, ig]
+        return np.append(max(1.0 - others.sum(), 0.0), others)
 
     def lasting(self, iv: int, ig: int) -> tuple[FloatArray, FloatArray]:
         """(N + M,) y'' and i of an entry at the switching instants, as predicted through its window and after it."""

@@ -114,12 +114,13 @@ META = {
 }
 
 
-def in_file_form(driven_by: Input, targets: Sequence[str]) -> dict[str, Any]:
+def in_file_form(driven_by: Input, targets: Sequence[str], *, worst: bool = False) -> dict[str, Any]:
     """What `meta` says of the form of its file: the oldest schema that can hold it, so that most can read it.
 
-    Schema 2 knows a current as the input, and speeds; schema 3 names arrays for any input and holds named targets.
+    Schema 2 knows a current as the input, speeds, and the mean over a spread of devices; schema 3 names arrays for
+    any input, holds named targets, and the shares of the devices where the `worst` of them counts.
     """
-    if driven_by is CURRENT_INPUT and not targets:
+    if driven_by is CURRENT_INPUT and not targets and not worst:
         return {"schema": 2}
     return {"schema": 3, "command_unit": driven_by.unit, "targets": list(targets) or None}
 

@@ -60,6 +60,7 @@ class Posing:
     intensity_dB : that energy, over the recorded tap's [dB].
     driven_by : what the input of the plants is.
     calm : factor on the tracking weights behind the end of what is wanted, >= 1.
+    worst : of a spread of devices the worst counts and not the mean.
     law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
     """
 
@@ -79,6 +80,7 @@ class Posing:
     law_of: LawOf | None = None
     driven_by: Input = CURRENT_INPUT
     calm: float = 1.0
+    worst: bool = False
 
     __repr__ = brief
 
@@ -109,6 +111,7 @@ class Posing:
             intensity_dB=weights["intensity_dB"],
             driven_by=driven_by,
             calm=weights["calm"],
+            worst=(weights["spread"] or {}).get("minimise") == "worst",
         )
 
     def stage(self, plant: StateSpace, *, watched: bool = True) -> StageModel:
@@ -176,5 +179,6 @@ class Posing:
             wall=hand_over,
             error_filter=self.error_filter,
             spread=spread,
+            worst=self.worst and bool(spread),
             intensity_dB=self.intensity_dB,
         )

@@ -44,6 +44,8 @@ class TransientProblem:
     wall : the virtual wall over the hand-over; None without one.
     error_filter : F; None for 1.
     spread : further devices that the one command shall serve; the first term is then the mean over all.
+    shares : (S,) of all devices in that mean, of sum one; None for equal ones.
+    worst : the first term is that of the worst device; `shares` are its multipliers then (`objective.tracking`).
     intensity : lam, price of the energy that y'' lacks; what is minimised is then L = J - lam [sum (F y'')^2
         - 10^(intensity_dB / 10) sum (F r)^2] / E, both sums over the window. 0 minimises J.
     intensity_dB : energy of the tap that is asked for, over that of r [dB].
@@ -59,6 +61,8 @@ class TransientProblem:
     wall: HandOver | None = None
     error_filter: ErrorFilter | None = None
     spread: tuple[StageModel, ...] = ()
+    shares: FloatArray | None = None
+    worst: bool = False
     intensity: float = 0.0
     intensity_dB: float = 0.0
 
@@ -86,6 +90,10 @@ class TransientProblem:
             raise InputError("weights: tracking weights and rho must be >= 0 and finite")
         if not (self.intensity == 0 or 0 < self.intensity < min(1.0, self.tracking_weights.min())):
             raise InputError(f"intensity {self.intensity:g}: must be >= 0, below 1 and below every tracking weight")
+        if self.shares is not None and not (
+            self.shares.shape == (len(self.devices),) and self.shares.min() >= 0 and abs(self.shares.sum() - 1) < 1e-9
+        ):
+            raise InputError(f"shares: must be one >= 0 for each of the {len(self.devices)} devices, of sum one")
         if not 1 <= self.hand_over_samples <= N:
             raise InputError(
                 f"hand_over_samples = {self.hand_over_samples}: must be between 1 and the {N} stages, "
@@ -107,6 +115,10 @@ class TransientProblem:
         if not any(name in self.limits for name in names):
             return self
         return replace(self, limits=self.limits.without(*names))
+
+    def alone(self) -> "TransientProblem":
+        """The same problem for its own device, with no price on intensity."""
+        return replace(self.without_intensity(), spread=(), shares=None, worst=False)
 
     def replaced(self, limit: Limit) -> "TransientProblem":
         """The same problem with this limit in the place of the one of its name."""
@@ -161,7 +173,15 @@ class TransientProblem:
     def tracking(self) -> Tracking:
         """The first term."""
         level = float(10 ** (self.intensity_dB / 10))
-        return Tracking(self.target, self.tracking_weights, self.error_filter, self.intensity, level)
+        return Tracking(
+            target=self.target,
+            weights=self.tracking_weights,
+            error_filter=self.error_filter,
+            intensity=self.intensity,
+            level=level,
+            shares=self.shares,
+            worst=self.worst,
+        )
 
     @property
     def movement(self) -> Movement:
@@ -177,6 +197,12 @@ class TransientProblem:
     def devices(self) -> tuple[StageModel, ...]:
         """The device and those of the spread."""
         return (self.stage, *self.spread)
+
+    @cached_property
+    def shared(self) -> FloatArray:
+        """(S,) share of every device in the first term."""
+        count = len(self.devices)
+        return np.full(count, 1 / count) if self.shares is None else self.shares
 
     def accelerations(self, command: FloatArray) -> FloatArray:
         """(S, N + M) y'' of every device, the entry's own first, through the window and after it."""

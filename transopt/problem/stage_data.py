@@ -34,13 +34,13 @@ def kelvin(problem: TransientProblem) -> float:
 def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, FloatArray]:
     """What the statement says of the objective, the outputs in units of sqrt(E).
 
-    Reference (N,) and weights (N,) within the window, the movement's weight (1,), what is led from x_N where to after
-    it (`objective.tail`), and the constant (1,) beside all this.
+    Reference (N,) and weights (N, S) within the window, the movement's weight (1,), what is led from x_N where to
+    after it (`objective.tail`), and the constant (1,) beside all this.
     """
     term, after = problem.tracking, tail(problem, stage)
     return {
         "r": term.solved_reference,
-        "w": term.solved_weights,
+        "w": np.outer(term.solved_weights, problem.shared),
         "rho": np.array([problem.movement.weight * stage.input_scale**2]),
         "end_gain": after.gain,
         "end_target": after.target,
@@ -267,7 +267,7 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
         "A": stage.A,
         "C": stage.C,
         "E": np.zeros_like(stage.E) if where.amplifier else stage.E,
-        "weight": 2 * values["w"] / (OBJECTIVE_SCALE * where.devices),
+        "weight": values["w"] * (2 / OBJECTIVE_SCALE),
         "reference": values["r"],
         "rule_gain": gains,
         "rule_offset": offsets,

@@ -194,8 +194,8 @@ def _reduced_gradient(
     if of_limits_alone:
         return np.asarray(problem.stage.adjoint(by_motion) + by_command)
     # What happens after the window moves with the commands within it; no limit's row looks there.
-    tracking, devices = problem.tracking, len(problem.devices)
-    by_error = [tracking.gradient(acceleration, devices) for acceleration in effect.accelerations_m_s2]
+    tracking, shares = problem.tracking, problem.shared
+    by_error = [tracking.gradient(a, share) for a, share in zip(effect.accelerations_m_s2, shares, strict=True)]
     by_motion = replace(by_motion.padded(problem.grid.after_stages), acceleration_m_s2=by_error[0])
     by_lasting = problem.stage.adjoint(by_motion)
     for device, its_own in zip(problem.spread, by_error[1:], strict=True):
@@ -330,6 +330,9 @@ def certify(
         c_max = problem.command_bound
         rest = sum(box.complementarity for box in limits) + float(np.abs(clipped.hand_over) @ np.abs(tail))
         rest += _kink_gap(effect, clipped, by_heating)
+        if problem.worst:
+            # The sum by the shares bounds the loss of the worst device from below, and `merit` is that loss.
+            rest += problem.tracking.above_mean(effect.accelerations_m_s2)
         gap = float(np.abs(g) @ (c_max + np.abs(command))) + rest
         if gap > Certificate.GAP_TOLERANCE * max(objective, OBJECTIVE_SCALE):
             gap = float(np.fmin(gap, movement_bound(problem, g) + rest))

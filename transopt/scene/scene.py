@@ -219,9 +219,16 @@ class Scene(Section):
                 f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
                 f"amplifier's delay: must be at most {rounded_down(BELOW / takes_s):g}, or shorten time.stages"
             )
-        if self.robust is not None and (self.feedback is not None or self._one_device()):
+        of_one = ["feedback"] * (self.feedback is not None) + [f"limits.{key}" for key in self._one_device()]
+        if self.robust is not None and of_one:
             raise ValueError(
-                "robust: feedback and supply depend on one device's motion, not on a spread of them: leave one out"
+                f"robust: {', '.join(of_one)} depend{'s' if len(of_one) == 1 else ''} on one device's motion, not on "
+                "a spread of them: leave one out"
+            )
+        if self.robust is not None and self.robust.minimise == "worst" and self.weights.objective == "intensity":
+            raise ValueError(
+                'robust.minimise = "worst": is of the waveform: leave out weights.objective = "intensity", or take '
+                '"mean"'
             )
         if self.robust is not None and self.robust.grip_spread is not None and self.grid.grips_N[0] == 0:
             raise ValueError("robust.grip_spread: the free device has no grip to spread")
@@ -428,6 +435,7 @@ class Scene(Section):
             intensity_dB=self.weights.intensity_dB,
             driven_by=self.driven_by,
             calm=self.weights.calm,
+            worst=self.robust is not None and self.robust.minimise == "worst",
         )
 
     def budget(self) -> Budget:

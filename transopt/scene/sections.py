@@ -240,7 +240,7 @@ SAME_DEVICE = 1e-9  # a factor this near to 1 makes no other device
 
 
 class Robust(Section):
-    """One command for a spread of devices around each node: the mean of the squared errors is minimised.
+    """One command for a spread of devices around each node: least in the mean of their squared errors, or the worst.
 
     The spread is of grips, of devices that the uncertainty of the identified model allows, or of both side by side;
     of a moving coil it is that of resonance and quality as production has it, `samples` resonances evenly across and
@@ -252,6 +252,7 @@ class Robust(Section):
     resonance_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
     quality_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
     samples: Annotated[int, Field(ge=2, le=15)] = 5
+    minimise: Literal["mean", "worst"] = "mean"
 
     def produced(self) -> list[tuple[float, float]]:
         """Factors on resonance and quality of the devices beside the nominal one."""

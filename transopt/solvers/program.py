@@ -255,7 +255,7 @@ def state_program(shape: Shape) -> Program:
     movement, after = variables[0, :], variables[shape.controls : shape.controls + n, :]
     rise = variables[shape.controls + n :, :]
     stage = Stage.make(shape)
-    reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", 1, N)
+    reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", N, where.devices)
     movement_weight = ca.MX.sym("rho")
     end_gain, end_target = ca.MX.sym("end_gain", shape.ends, n), ca.MX.sym("end_target", shape.ends)
     constant = ca.MX.sym("constant")
@@ -271,8 +271,7 @@ def state_program(shape: Shape) -> Program:
 
     before = ca.horzcat(ca.MX(n, 1), after[:, :-1])
     error = stage.outputs(before, movement) - ca.repmat(reference, where.devices, 1)
-    tracking = sum(ca.dot(weights, error[s, :] ** 2) for s in range(where.devices)) / where.devices
-    objective = tracking + movement_weight * ca.dot(movement, movement) + constant
+    objective = ca.dot(weights.T, error**2) + movement_weight * ca.dot(movement, movement) + constant
     if shape.ends:
         objective += ca.sumsqr(end_gain @ after[:, -1] - end_target)
 

@@ -36,16 +36,16 @@ def tracking(problem: TransientProblem) -> Tracking:
     stage = linear_stage(problem, physical_scale=False)
     rows, constants = hand_over.rows(problem, stage)
     rows[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
-    values, devices = stage_data.tracking_values(problem, stage), len(problem.devices)
+    values = stage_data.tracking_values(problem, stage)
     weights = values["w"]
     return Tracking(
         A=stage.A,
         B=stage.A[:, -1].copy(),
         C=stage.C,
         D=stage.E,
-        reference=np.tile(values["r"][:, None], devices),
-        weights=np.tile(weights[:, None] / devices, devices),
-        movement_weights=np.full(weights.size, values["rho"][0]),
+        reference=np.broadcast_to(values["r"][:, None], weights.shape),
+        weights=weights,
+        movement_weights=np.full(weights.shape[0], values["rho"][0]),
         rule_gains=rows,
         rule_offsets=constants,
         end_gain=values["end_gain"],

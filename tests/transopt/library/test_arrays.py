@@ -41,6 +41,7 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
             "speeds",
             "targets",
             "spread",
+            "worst",
             "refinement",
             "after_s",
             "intensity",

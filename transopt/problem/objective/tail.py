@@ -19,7 +19,7 @@ from transopt.problem.stage import LinearStage
 
 @dataclass(frozen=True)
 class Tail:
-    """sum over the tail of (F e)^2 / E, the mean over the devices, as |gain x_N - target|^2 + rest.
+    """sum over the tail of (F e)^2 / E, the mean over the devices by their shares, as |gain x_N - target|^2 + rest.
 
     Attributes
     ----------
@@ -47,12 +47,13 @@ def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
     else:
         with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
             by_state, offset = _fixed(stage, M) if problem.wall is None else _walled(problem, stage)
-            Q, gain = np.linalg.qr(by_state)
-            wanted = np.repeat(after, devices) - offset
+            roots = np.tile(np.sqrt(problem.shared), M)
+            Q, gain = np.linalg.qr(by_state * roots[:, None])
+            wanted = (np.repeat(after, devices) - offset) * roots
     with np.errstate(over="ignore", invalid="ignore"):
         target = wanted @ Q
         rest = max(float(wanted @ wanted - target @ target), 0.0)
-    return Tail(gain / np.sqrt(devices), target / np.sqrt(devices), rest / devices)
+    return Tail(gain, target, rest)
 
 
 def _fixed(stage: LinearStage, M: int) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,8 @@ from transopt.problem.objective.weighting import ErrorFilter
 
 @dataclass(frozen=True)
 class Tracking:
-    """[lost + sum_(k<N) w_k (F e)_k^2 + sum_(j<M) (F e)_(N+j)^2] / E with e = y'' - r, as the mean over the devices.
+    """[lost + sum_(k<N) w_k (F e)_k^2 + sum_(j<M) (F e)_(N+j)^2] / E with e = y'' - r, as the mean over the devices,
+    or as the worst of them.
 
     Lost is what came before the first command could act, E the energy of the tap (`Target`). The last sum is over
     what the device does when the waveform is over: without it a saturated optimum ends in a kick that rings on, a
@@ -23,6 +24,9 @@ class Tracking:
     lam < w_k it is a sum of squares:
     w (a - r)^2 - lam a^2 = (w - lam) (a - w r / (w - lam))^2 - lam w r^2 / (w - lam).
 
+    What the worst of the devices loses, max_s T_s, is max over the shares p >= 0, sum p = 1, of sum_s p_s T_s. So
+    the least worst is a saddle point: for its shares the sum has its optimum there, and sum_s p_s T_s = max_s T_s.
+
     Attributes
     ----------
     target : r.
@@ -30,6 +34,8 @@ class Tracking:
     error_filter : F; None for 1.
     intensity : lam, 0 <= lam < w_k.
     level : energy that is asked for, over that of r.
+    shares : (S,) p_s >= 0 of the devices in the term, of sum one; None for 1 / S each.
+    worst : the term is the loss of the worst device, and `shares` are those of its saddle point.
     """
 
     target: Target
@@ -37,6 +43,8 @@ class Tracking:
     error_filter: ErrorFilter | None
     intensity: float = 0.0
     level: float = 1.0
+    shares: FloatArray | None = None
+    worst: bool = False
 
     @cached_property
     def all_weights(self) -> FloatArray:
@@ -54,9 +62,22 @@ class Tracking:
 
     def value(self, accelerations_m_s2: FloatArray) -> float:
         """The term at the accelerations (S, N + M) of every device."""
-        error = np.atleast_2d(self.error(accelerations_m_s2))
-        squares = self.target.lost_m2_s4 + float(np.mean(error**2 @ self.all_weights))
-        return squares / self.target.energy_m2_s4
+        losses = self.losses(accelerations_m_s2)
+        return float(losses.max()) if self.worst else self.mean(losses)
+
+    def mean(self, of_devices: FloatArray) -> float:
+        """What figures (S,) of the devices come to by their shares."""
+        return float(np.mean(of_devices) if self.shares is None else self.shares @ of_devices)
+
+    def losses(self, accelerations_m_s2: FloatArray) -> FloatArray:
+        """(S,) what each device loses, of which the term is a mean or the largest."""
+        squares = np.atleast_2d(self.error(accelerations_m_s2)) ** 2 @ self.all_weights
+        return np.asarray((self.target.lost_m2_s4 + squares) / self.target.energy_m2_s4)
+
+    def above_mean(self, accelerations_m_s2: FloatArray) -> float:
+        """By how much the worst device loses more than the mean by the shares; zero at the saddle point, >= 0."""
+        losses = self.losses(accelerations_m_s2)
+        return max(float(losses.max()) - self.mean(losses), 0.0)
 
     def reward(self, accelerations_m_s2: FloatArray) -> float:
         """lam times the energy above the level that is asked for, over E: what the minimised term has less."""
@@ -74,15 +95,15 @@ class Tracking:
     def _energies(self, accelerations_m_s2: FloatArray) -> tuple[float, float]:
         N = self.target.window_m_s2.size
         made = np.atleast_2d(self.filtered(accelerations_m_s2[..., :N]))
-        return float(np.mean(np.sum(made**2, axis=-1))), float(np.sum(self.filtered(self.target.window_m_s2) ** 2))
+        return self.mean(np.sum(made**2, axis=-1)), float(np.sum(self.filtered(self.target.window_m_s2) ** 2))
 
-    def gradient(self, acceleration_m_s2: FloatArray, devices: int) -> FloatArray:
-        """(N + M,) of the minimised term by the acceleration (N + M,) of one of so many devices."""
+    def gradient(self, acceleration_m_s2: FloatArray, share: float) -> FloatArray:
+        """(N + M,) of the minimised term by the acceleration (N + M,) of a device that has this share in it."""
         by_filtered = self.all_weights * self.error(acceleration_m_s2)
         if self.intensity > 0:
             N = self.target.window_m_s2.size
             by_filtered[:N] -= self.intensity * self.filtered(acceleration_m_s2)[:N]
-        by_filtered *= 2 / (self.target.energy_m2_s4 * devices)
+        by_filtered *= 2 * share / self.target.energy_m2_s4
         return by_filtered if self.error_filter is None else self.error_filter.transpose(by_filtered)
 
     @property

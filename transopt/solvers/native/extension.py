@@ -20,7 +20,7 @@ from transopt.solvers.bounds import check_bounds
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES = 48  # of riccati.c
-INTERFACE = 4  # as `tr_interface` of riccati.c: both change with what arguments and results mean
+INTERFACE = 5  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 
 

@@ -33,7 +33,7 @@ typedef struct {
     int current;  /* state that is the current; -1: it is the command */
     int repeated; /* th_0 = F th_N + f */
     const double *A, *C, *E;                 /* (n, n), (outputs, n), (outputs) */
-    const double *weight, *reference;        /* (N), (N) */
+    const double *weight, *reference;        /* (N, outputs), (N) */
     const double *rule_gain, *rule_offset;   /* (N - free, n), (N - free) */
     const double *end_gain, *end_target;     /* Z (ends, n), z (ends): what the state at N still does */
     const double *G, *d, *d_size;            /* (rows, n), (rows), (rows) */
@@ -228,7 +228,7 @@ static void eliminate(int count, const double *matrix, double *right)
 #endif
 
 /* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
-int tr_interface(void) { return 4; }
+int tr_interface(void) { return 5; }
 
 /* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
 size_t tr_workspace(const tr_problem *q)
@@ -571,7 +571,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
         r += AT(hu, last);
         for (int o = 0; o < q->outputs; o++) {
             const lanes *c = w->C + o * blocks;
-            const double weight = q->weight[k], direct = weight * q->E[o];
+            const double weight = q->weight[k * q->outputs + o], direct = weight * q->E[o];
             for (int i = 0; i < ld; i++) add(blocks, weight * AT(c, i), c, H + i * blocks);
             if (direct != 0.0) {
                 add(blocks, direct, c, hu);
@@ -669,7 +669,7 @@ ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, con
         if (own) {
             direct = q->movement_weight * w->u[k];
             for (int o = 0; o < q->outputs; o++) {
-                const double v = q->weight[k] * w->error[k * q->outputs + o];
+                const double v = q->weight[k * q->outputs + o] * w->error[k * q->outputs + o];
                 direct += q->E[o] * v;
                 add(blocks, v, w->C + o * blocks, drive);
             }
@@ -913,7 +913,7 @@ static double cost(const tr_work *w)
         twice += q->movement_weight * w->u[k] * w->u[k];
         for (int o = 0; o < q->outputs; o++) {
             const double e = w->error[k * q->outputs + o];
-            twice += q->weight[k] * e * e;
+            twice += q->weight[k * q->outputs + o] * e * e;
         }
     }
     for (int j = 0; j < q->ends; j++) twice += w->end_error[j] * w->end_error[j];

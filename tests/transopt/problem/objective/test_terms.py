@@ -38,7 +38,7 @@ def test_tracking_is_its_formula_and_its_gradient_the_difference(weighting: Erro
     ends = [np.vstack([accelerations[0] + sign * step * direction, accelerations[1:]]) for sign in (-1, 1)]
     # The term is quadratic, so that the central difference is its slope.
     slope = (term.value(ends[1]) - term.value(ends[0])) / (2 * step)
-    assert float(term.gradient(accelerations[0], 3) @ direction) == pytest.approx(slope, rel=1e-9)
+    assert float(term.gradient(accelerations[0], 1 / 3) @ direction) == pytest.approx(slope, rel=1e-9)
 
 
 def test_a_perfect_copy_has_no_error_and_silence_all_of_it() -> None:
