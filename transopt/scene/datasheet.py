@@ -27,6 +27,7 @@ FREQUENCY_HZ = 100.0  # of the first target where no sharp resonance suggests on
 # which nothing on a spring can make: of an LRA the least error was 17 % with it, and 3 % with 2.
 CYCLES, WINDOW_CYCLES = 2.0, 5.0
 SHARE = 0.25  # of what a sine at the peak input makes in the long run: a burst ends before the resonance has built up
+LONGEST_STROKE_M = 0.1  # of the longest shakers 50 mm from rest to the stop
 LEAST_RATE = 20  # samples per period of the target and of the resonance
 
 
@@ -77,6 +78,16 @@ class Datasheet(Section):
             raise ValueError(
                 f"rated = {self.rated:g} {self.unit}: above peak = {self.peak:g} {self.unit}; what it stands for "
                 "ever is at most what it stands for an instant: exchange or correct them"
+            )
+        if self.kind == "inertial" and self.case_mass_kg is not None and self.moving_mass_kg >= self.case_mass_kg:
+            raise ValueError(
+                f"moving_mass_kg = {self.moving_mass_kg:g}: not below case_mass_kg = {self.case_mass_kg:g}, which it "
+                "shakes; both are in kilograms: correct or exchange them"
+            )
+        if self.stroke_m is not None and self.stroke_m > LONGEST_STROKE_M:
+            raise ValueError(
+                f"stroke_m = {self.stroke_m:g}: above {LONGEST_STROKE_M:g} m, which no such actuator has; it is in "
+                "metres: correct it"
             )
         for name, value in (("resonance_Hz", self.resonance_Hz or 0.0), ("frequency_Hz", self.target_Hz)):
             if self.samples_Hz < LEAST_RATE * value:

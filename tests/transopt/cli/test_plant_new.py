@@ -129,6 +129,8 @@ def test_the_target_is_within_reach(run: Run) -> None:
     ("options", "said"),
     [
         ({**LRA, "--rated": 4}, ["rated = 4 V", "above peak = 3 V"]),
+        ({**LRA, "--moving-mass-kg": 3}, ["--moving-mass-kg = 3", "not below --case-mass-kg", "kilograms"]),
+        ({**LRA, "--stroke-m": 0.6}, ["--stroke-m = 0.6", "above 0.1 m", "metres"]),
         ({**BY_CURRENT, "--rated": 4}, ["rated = 4 A", "above peak = 3 A"]),
         ({**LRA, "--peak": -3}, ["--peak -3.0: must be greater than 0"]),
         ({**LRA, "--rate-Hz": 1000}, ["--rate-Hz = 1000", "20 times --resonance-Hz = 175 Hz, 3500 Hz"]),
