@@ -265,6 +265,29 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Spread:
+    """Further devices that the one command of a case shall serve: the case's own with two of its numbers varied.
+
+    Attributes
+    ----------
+    count : how many.
+    width : the mode, or the resonance, lies up to this share beside the own.
+    held : so does the grip, or the quality.
+    worst : whether the worst of them counts and not their mean.
+    """
+
+    count: int = 2
+    width: float = 0.1
+    held: float = 0.2
+    worst: bool = False
+
+    def factors(self) -> list[tuple[float, float]]:
+        """On the first and on the second number, for each device."""
+        shares = np.linspace(-1, 1, self.count) if self.count > 1 else np.ones(1)
+        return [(float(1 + self.width * x), float(1 - self.held * x)) for x in shares]
+
+
+@dataclass(frozen=True)
 class StressCase:
     """One problem of the stress suite.
 
@@ -279,6 +302,7 @@ class StressCase:
     surface : virtual wall; None for none.
     actuator : in the place of the device, with limits of its own; None for a stylus on a motor. What the case says of
         currents is then said of its input, a current or a voltage.
+    spread : further devices to serve; None for the one.
     """
 
     family: str
@@ -289,12 +313,13 @@ class StressCase:
     coil: Coil | None = None
     surface: Surface | None = None
     actuator: Actuator | None = None
+    spread: Spread | None = None
 
     def __str__(self) -> str:
         """In one line what differs from the plain case."""
         plain = StressCase(self.family)
         words = []
-        for name in ("device", "current", "horizon", "demand", "coil", "surface", "actuator"):
+        for name in ("device", "current", "horizon", "demand", "coil", "surface", "actuator", "spread"):
             own = getattr(self, name)
             if own is None:
                 continue
@@ -432,9 +457,24 @@ class StressCase:
         )
         # A reference that is refused is named before the limits that it cannot be held to.
         whole = replace(plain, limits=posed(asked, setting))
+        if self.spread is not None:
+            others = tuple(discretise(each, amplifier, grid.dt_s) for each in self._others(self.spread))
+            whole = replace(whole, spread=others, worst=self.spread.worst)
         return replace(
             whole, intensity=self.demand.price * most_price(whole), intensity_dB=self.demand.asked_dB or 0.0
         )
+
+    def _others(self, spread: Spread) -> list[StateSpace]:
+        """The plants of the spread."""
+        own, device = self.actuator, self.device
+        if own is not None:
+            return [
+                replace(own, resonance_Hz=f * own.resonance_Hz, quality=g * own.quality).plant()
+                for f, g in spread.factors()
+            ]
+        return [
+            replace(device, mode_Hz=f * device.mode_Hz, grip_N=g * device.grip_N).plant() for f, g in spread.factors()
+        ]
 
 
 def _short(value: object) -> str:

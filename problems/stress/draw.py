@@ -7,9 +7,10 @@ from typing import TypeVar
 import numpy as np
 
 from problems.stress.actuators import Actuator
-from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, Spread, StressCase, Surface
 
 STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))
+MOST_FOR_SEVERAL = 600  # stages of a case with several devices
 WHEN_LONG = 2000  # stages from which coil and wall stay out: they need a general solver, which would take minutes
 
 T = TypeVar("T")
@@ -124,8 +125,26 @@ def drawn(seed: int, index: int) -> StressCase:
     apart = _Draw(seed, index, apart=2)
     if coil is None and surface is None and horizon.stages < WHEN_LONG and apart.perhaps(0.25):
         current = replace(current, supply=None)
-        return StressCase("random", device, current, horizon, demand, actuator=_actuator(apart))
-    return StressCase("random", device, current, horizon, demand, coil, surface)
+        case = StressCase("random", device, current, horizon, demand, actuator=_actuator(apart))
+    else:
+        case = StressCase("random", device, current, horizon, demand, coil, surface)
+    return _several(_Draw(seed, index, apart=3), case)
+
+
+def _several(draw: _Draw, case: StressCase) -> StressCase:
+    """The same for several devices, now and then, with random numbers of its own; without what is of one device."""
+    if not draw.perhaps(0.15) or case.surface is not None or case.horizon.stages > MOST_FOR_SEVERAL:
+        return case
+    worst = draw.perhaps(0.5)
+    demand = replace(case.demand, price=0.0, asked_dB=None) if worst else case.demand
+    actuator = None if case.actuator is None else replace(case.actuator, stroke=None, velocity=None, current=None)
+    return replace(
+        case,
+        current=replace(case.current, supply=None),
+        demand=demand,
+        actuator=actuator,
+        spread=Spread(draw.of(1, 2, 3, 6), draw.log(1e-4, 0.5), draw.log(1e-4, 0.5), worst),
+    )
 
 
 def _actuator(draw: _Draw) -> Actuator:

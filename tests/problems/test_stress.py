@@ -52,6 +52,23 @@ def test_random_cases_are_certified_or_refused_by_name() -> None:
     assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(cases) / 2
 
 
+def test_a_spread_of_devices_is_drawn_for_its_mean_and_for_its_worst() -> None:
+    several = [case for case in (drawn(5, index) for index in range(200)) if case.spread is not None]
+    assert {case.spread.worst for case in several if case.spread is not None} == {True, False}
+    assert any(case.actuator is not None for case in several)
+    small = [case for case in several if case.horizon.stages <= SHORT]
+    outcomes = [judge(case) for case in small]
+    assert not [f"{case}: {outcome}" for case, outcome in zip(small, outcomes, strict=True) if outcome.bad]
+    assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(small) / 2
+
+
+def test_the_worst_of_devices_that_are_nearly_alike_is_found() -> None:
+    """Their losses differ by a ten-thousandth, so that the search over the shares has hardly a slope to follow."""
+    outcome = judge(drawn(5, 645))
+    assert outcome.kind == CERTIFIED
+    assert outcome.gap < Certificate.GAP_TOLERANCE
+
+
 @pytest.mark.parametrize("times", [1.0, 5.0])
 def test_a_proof_does_not_hang_on_the_last_bits(times: float) -> None:
     """Masses of 1.5 mg over ticks of 0.8 ms, where rounding makes all of the gradient that is left.
