@@ -15,8 +15,8 @@ TRADE_COLUMNS = ("peak m/s^2", "pulse / ring", "rise ms", "duration ms", "brake 
 TRADE_LEGEND = (
     "The pulse is the acceleration until the target ends (a recorded tap: until its last instant at "
     f"{100 * PRESENT:g} % of its peak), the ring what comes after. pulse / ring: peak to peak of the one over that "
-    f"of the other. rise: first instant at {100 * PRESENT:g} % of the peak to the first at {100 * RISEN:g} %. duration: "
-    f"first to last instant at {100 * PRESENT:g} %. brake: from the target's end to the last instant at "
+    f"of the other. rise: first instant at {100 * PRESENT:g} % of the peak to the first at {100 * RISEN:g} %. "
+    f"duration: first to last instant at {100 * PRESENT:g} %. brake: from the target's end to the last instant at "
     f"{100 * PRESENT:g} %. ring energy: share of the ring in all of the acceleration squared."
 )
 
