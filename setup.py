@@ -1,8 +1,8 @@
-"""The two compiled parts: the solver's interior point and the device's core. All else stands in pyproject.toml.
+"""The compiled parts: the solver's interior point, recursions, the device's core. All else stands in pyproject.toml.
 
-Both are plain C libraries that Python loads with ctypes: they use nothing of Python's binary interface. One wheel per
-platform therefore serves every Python 3, and the files have a name without a version in it. Both are optional:
-without a C compiler the install succeeds, the solvers of CasADi take over, and a simulated device says what it lacks.
+All are plain C libraries that Python loads with ctypes: they use nothing of Python's binary interface. One wheel per
+platform therefore serves every Python 3, and the files have a name without a version in it. All are optional: without
+a C compiler the install succeeds, CasADi's solvers and BLAS take over, and a simulated device says what it lacks.
 """
 
 import os
@@ -17,6 +17,7 @@ CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 # By name: Windows exports nothing else, and elsewhere everything is exported.
 SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear"]
+RECURSION_CALLS = ["tr_most_states", "tr_run", "tr_forwards", "tr_backwards"]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),
     *("td_probe_look", "td_probe_image", "td_probe_heat", "td_device_state", "td_device_receive", "td_device_send"),
@@ -31,7 +32,7 @@ def flags(compiler: str, name: str) -> list[str]:
     """
     if compiler == "msvc":
         return ["/O2", "/fp:precise", "/std:c11"]
-    fast = ["-O3", "-fno-math-errno"] if name.endswith("_riccati") else ["-O2"]
+    fast = ["-O2"] if name.endswith("_core") else ["-O3", "-fno-math-errno"]
     return ["-std=c99", "-ffp-contract=off", *fast]
 
 
@@ -66,6 +67,12 @@ if __name__ == "__main__":
                 "transopt.solvers.native._riccati",
                 ["transopt/solvers/native/riccati.c"],
                 export_symbols=SOLVER_CALLS,
+                optional=True,
+            ),
+            Extension(
+                "transopt.base.native._recursions",
+                ["transopt/base/native/recursions.c"],
+                export_symbols=RECURSION_CALLS,
                 optional=True,
             ),
             Extension(

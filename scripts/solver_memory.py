@@ -1,12 +1,12 @@
-"""The interior point in C under AddressSanitizer, UndefinedBehaviorSanitizer and valgrind.
+"""The interior point and the recursions in C under AddressSanitizer, UndefinedBehaviorSanitizer and valgrind.
 
     python scripts/solver_memory.py
 
 Problems of the built-in scenes (saturated, with temperature, with taps that repeat, over a wall, at a rail, ideal,
 for several devices), their limits taken away, horizons of one stage, limits that nothing meets and numbers that are
 none are solved by `solver_memory.c`, whose arrays have their exact sizes, in every width of registers that the method
-is compiled for. Every run has to be clean and to give what the installed extension gives. Exit code 3: a tool is
-missing, and which is said.
+is compiled for. Every run has to be clean and to give what the installed extension gives. The recursions are held to
+sums written out in `recursions_memory.c`. Exit code 3: a tool is missing, and which is said.
 """
 
 import shutil
@@ -35,6 +35,7 @@ from transopt.solvers.native import extension
 
 SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
 SOURCE = Path(__file__).with_suffix(".c")
+RECURSIONS = SOURCE.with_name("recursions_memory.c")
 FLAGS = ("-std=c99", "-g", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra")
 SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 VALGRIND = ("valgrind", "--quiet", "--leak-check=full", "--error-exitcode=9")
@@ -134,7 +135,7 @@ def main() -> int:
     given = list(cases())
     wanted = [row for stages in given for row in expected(stages)]
     runs = {"sanitizers": SANITIZED} | {
-        f"sanitizers, {width} wide": (*SANITIZED, f"-DONLY_WIDTH={width}") for width in (1, 2)
+        f"sanitizers, {width} wide": (*SANITIZED, f"-DONLY_WIDTH={width}") for width in (1, 2, 4, 8)
     }
     if shutil.which("valgrind") is not None:
         runs["valgrind"] = ("-O2",)
@@ -158,6 +159,17 @@ def main() -> int:
                 print(f"{name}: other answers than the installed extension\n{found}\n{wanted}")
                 return 1
             print(f"{name}: {len(given)} problems, {len(found)} answers, clean")
+        for name, flags in {"sanitizers": SANITIZED, "valgrind": ("-O2",)}.items():
+            if name not in runs:
+                continue
+            driver = str(Path(folder) / "recursions")
+            subprocess.run([compiler, *FLAGS, *flags, str(RECURSIONS), "-o", driver, "-lm"], check=True)
+            command = [*(VALGRIND if name == "valgrind" else ()), driver]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+            if done.returncode:
+                print(f"recursions, {name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+                return 1
+            print(f"recursions, {name}: {done.stdout.strip()} cases, clean")
     if "valgrind" not in runs:
         print("valgrind is not installed: not run")
         return MISSING

@@ -1,9 +1,15 @@
-"""Linear recursions over the stages as banded triangular systems, solved by forward substitution.
+"""Linear recursions over the stages, compiled where there is a compiler, else as banded triangular systems.
 
 The recursion x_(k+1) = P_k x_k + f_k with m states, written for all k at once, is a unit lower triangular system with
 2 m - 1 diagonals below the main one. BLAS solves it with the recursion's own products and sums, in a fiftieth of the
-time that a loop in Python takes.
+time that a loop in Python takes; `native/recursions.c`, which does nothing else, in a fifth of that. The extension is
+optional, and both round differently in the last bits.
 """
+
+import ctypes as ct
+import os
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import blas
@@ -11,9 +17,76 @@ from scipy.linalg import blas
 from transopt.base.signals import FloatArray
 
 CHUNK = 128  # stages that one constant band spans
+EXTENSION = "_recursions.pyd" if os.name == "nt" else "_recursions.so"
+MOST_STATES = 64  # of recursions.c
 
 
-def band(P: FloatArray) -> FloatArray:
+def _library() -> ct.CDLL | None:
+    file = Path(__file__).with_name("native") / EXTENSION
+    if not file.exists():
+        return None
+    library = ct.CDLL(str(file))
+    if not hasattr(library, "tr_most_states") or library.tr_most_states() != MOST_STATES:
+        return None  # left behind by another version: as good as none
+    for call in (library.tr_run, library.tr_forwards, library.tr_backwards):
+        call.restype, call.argtypes = None, (ct.c_size_t, ct.c_int, ct.c_void_p, ct.c_void_p)
+    return library
+
+
+COMPILED = _library()
+
+
+class Recursion:
+    """x_k = A x_(k-1) + forcing_k, the matrix A (m, m) being the same at every stage."""
+
+    def __init__(self, A: FloatArray) -> None:
+        self._A = np.ascontiguousarray(A, dtype=float)
+
+    def run(self, forcing: FloatArray) -> FloatArray:
+        """(N, m) states for a forcing (N, m), from x_0 = forcing_0 on."""
+        N, m = forcing.shape
+        if COMPILED is not None and m <= MOST_STATES:
+            found = np.array(forcing, dtype=float, order="C")
+            COMPILED.tr_run(N, m, self._A.ctypes.data, found.ctypes.data)
+            return found
+        found = np.empty(forcing.shape)
+        for start in range(0, N, CHUNK):
+            part = forcing[start : start + CHUNK].copy()
+            if start:
+                part[0] += self._A @ found[start - 1]
+            found[start : start + CHUNK] = _substituted(self._band, part, transposed=False)
+        return found
+
+    @cached_property
+    def _band(self) -> FloatArray:
+        """(2 m, CHUNK m) the band of `CHUNK` stages."""
+        block = _band(self._A[None]).T
+        columns = np.empty((CHUNK, *block.shape))
+        columns[:] = block
+        return columns.reshape(-1, block.shape[1]).T
+
+
+def forwards(P: FloatArray, forcing: FloatArray) -> FloatArray:
+    """(K, m) states x_k = P_(k-1) x_(k-1) + forcing_k from x_0 = forcing_0, with P (K - 1, m, m)."""
+    return _changing(P, forcing, transposed=False)
+
+
+def backwards(P: FloatArray, forcing: FloatArray) -> FloatArray:
+    """(K, m) states x_k = P_k' x_(k+1) + forcing_k from x_(K-1) = forcing_(K-1); the transpose of `forwards`."""
+    return _changing(P, forcing, transposed=True)
+
+
+def _changing(P: FloatArray, forcing: FloatArray, *, transposed: bool) -> FloatArray:
+    if COMPILED is None:
+        last = np.zeros((1, *P.shape[1:]))  # which starts no step, but has its place in the band
+        return _substituted(_band(np.concatenate([P, last])), forcing, transposed=transposed)
+    P, found = np.ascontiguousarray(P), np.array(forcing, order="C")
+    call = COMPILED.tr_backwards if transposed else COMPILED.tr_forwards
+    call(*found.shape, P.ctypes.data, found.ctypes.data)
+    return found
+
+
+def _band(P: FloatArray) -> FloatArray:
     """The matrix of x_(k+1) - P_k x_k for k = 0..K-1, as BLAS stores lower bands.
 
     Parameters
@@ -31,50 +104,11 @@ def band(P: FloatArray) -> FloatArray:
     return columns.reshape(K * m, 2 * m).T
 
 
-def constant_band(A: FloatArray) -> FloatArray:
-    """(2 m, CHUNK m) the band of `CHUNK` stages that share the matrix A (m, m)."""
-    block = band(A[None]).T
-    columns = np.empty((CHUNK, *block.shape))
-    columns[:] = block
-    return columns.reshape(-1, block.shape[1]).T
-
-
-def substitute(lower: FloatArray, forcing: FloatArray, *, transposed: bool = False) -> FloatArray:
-    """Solve the recursion whose band is given.
-
-    Forwards x_k = P_(k-1) x_(k-1) + forcing_k from x_0 = forcing_0; transposed, and so backwards,
-    x_k = P_k' x_(k+1) + forcing_k from x_(K-1) = forcing_(K-1).
-
-    Parameters
-    ----------
-    lower : (2 m, at least K m) of `band` or `constant_band`.
-    forcing : (K, m).
-
-    Returns
-    -------
-    (K, m) states.
-    """
+def _substituted(lower: FloatArray, forcing: FloatArray, *, transposed: bool) -> FloatArray:
+    """(K, m) solution of the system whose band (2 m, at least K m) is given."""
     K, m = forcing.shape
     solved = blas.dtbsv(2 * m - 1, lower[:, : K * m], forcing.ravel(), lower=1, trans=int(transposed), diag=1)
     return np.asarray(solved).reshape(K, m)
-
-
-def run(A: FloatArray, lower: FloatArray, forcing: FloatArray) -> FloatArray:
-    """(N, m) states of x_k = A x_(k-1) + forcing_k, x_(-1) = 0, `CHUNK` stages at a time.
-
-    Parameters
-    ----------
-    A : (m, m).
-    lower : its `constant_band`.
-    forcing : (N, m).
-    """
-    found = np.empty(forcing.shape)
-    for start in range(0, forcing.shape[0], CHUNK):
-        part = forcing[start : start + CHUNK].copy()
-        if start:
-            part[0] += A @ found[start - 1]
-        found[start : start + CHUNK] = substitute(lower, part)
-    return found
 
 
 def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import band, substitute
+from transopt.base.recursions import forwards
 from transopt.base.signals import FloatArray
 
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
@@ -161,11 +161,10 @@ class CoilModel:
             # Of the rise d above the start: d+ = (1 + p) d + (p T_0 + s), which keeps what is small from drowning.
             forcing = np.zeros((M, K + 1, 2))
             forcing[:, 1:] = (change @ start[:, None, :, None])[..., 0] + forced
-            # The last temperature starts no step, but has its place in the band.
-            growth = np.concatenate([np.eye(2) + change, np.zeros((M, 1, 2, 2))], axis=1)
+            growth = np.eye(2) + change
             rises = np.empty((M, K + 1, 2))
             for rise, P, f in zip(rises, growth, forcing, strict=True):
-                rise[:] = substitute(band(P), f)
+                rise[:] = forwards(P, f)
         # In a banded system an infinity spoils all that comes after it.
         temperatures = np.where(np.isfinite(rises), start[:, None] + rises, np.inf)
         return temperatures[..., 0], temperatures[..., 1]

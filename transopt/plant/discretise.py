@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from transopt.base import recursions
 from transopt.base.errors import InputError
+from transopt.base.recursions import Recursion
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
@@ -202,12 +202,12 @@ class StageModel:
         return 0 if self.amplifier is None else split_delay(self.amplifier.delay_s, self.dt_s)[0]
 
     @cached_property
-    def _forwards(self) -> FloatArray:
-        return recursions.constant_band(self.A)
+    def _forwards(self) -> Recursion:
+        return Recursion(self.A)
 
     @cached_property
-    def _backwards(self) -> FloatArray:
-        return recursions.constant_band(self.A.T)
+    def _backwards(self) -> Recursion:
+        return Recursion(self.A.T)
 
     @cached_property
     def _outputs(self) -> tuple[FloatArray, FloatArray]:
@@ -239,7 +239,7 @@ class StageModel:
         forcing = np.zeros((command.size, self.A.shape[0]), dtype=dtype)
         forcing[1:] = command[:-1, None] * self.B[:, 0]
         if dtype == np.float64:
-            return recursions.run(self.A, self._forwards, forcing)
+            return self._forwards.run(forcing)
         for k in range(1, command.size):  # no library has extended precision
             forcing[k] += self.A @ forcing[k - 1]
         return forcing
@@ -253,9 +253,10 @@ class StageModel:
         """
         rows, direct = self._outputs
         c = command.reshape(-1, command.shape[-1])
-        found = [self.states(each) @ rows.T + each[:, None] * direct for each in c]
-        # (..., N) each, row after row of the outputs.
-        values = np.moveaxis(np.stack(found), -1, 0).reshape(-1, *command.shape)
+        found = np.empty((rows.shape[0], *c.shape), dtype=np.result_type(rows, c))
+        for j, each in enumerate(c):
+            found[:, j] = rows @ self.states(each).T + direct[:, None] * each
+        values = found.reshape(-1, *command.shape)
         acceleration, current, velocity = values[:3]
         encoder = np.zeros(command.shape) if self.Cp is None else values[3]
         names = self.output_names
@@ -266,6 +267,16 @@ class StageModel:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
         motion = self.motion(command)
         return motion.acceleration_m_s2, motion.plant_input
+
+    def state_scale(self, input_limit: float, stages: int) -> FloatArray:
+        """(n,) size of each state, as `state_scale` says. All problems of one grip share the course: it is kept."""
+        if stages not in self._peaks:
+            self._peaks[stages] = _peaks(self.A, self.B[:, 0], stages)
+        return _sizes(input_limit * self._peaks[stages])
+
+    @cached_property
+    def _peaks(self) -> dict[int, FloatArray]:
+        return {}
 
     def free_response(self, instants: int) -> tuple[FloatArray, FloatArray]:
         """Q (M, m), R (m, n) with Q R x = y'' at so many instants of the free motion from the state x; m = min(M, n).
@@ -319,7 +330,7 @@ class StageModel:
         stacked = np.stack(by_output, axis=1)
         forcing = stacked @ rows
         if forcing.dtype == np.float64:
-            costate = recursions.run(self.A.T, self._backwards, forcing[::-1])[::-1]
+            costate = self._backwards.run(forcing[::-1])[::-1]
         else:
             costate = forcing
             for k in range(costate.shape[0] - 2, -1, -1):
@@ -431,18 +442,26 @@ def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: in
     current_limit_A : size of the square wave.
     stages : N of the problem; at most 400 periods are simulated.
     """
+    return _sizes(current_limit_A * _peaks(A, B, stages))
+
+
+def _sizes(peaks: FloatArray) -> FloatArray:
+    """A state that the input cannot move has no size of its own."""
+    return np.where(peaks > 0, peaks, 1.0)
+
+
+def _peaks(A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
+    """(n,) largest size of each state under a square wave of size 1."""
     period, n = 20, B.size
     halves = -(-min(stages, 20 * period) // period)
     of_A = powers(A, period)
-    held = np.cumsum((of_A[:-n] @ (B * current_limit_A)).reshape(period, n), axis=0)
+    held = np.cumsum((of_A[:-n] @ B).reshape(period, n), axis=0)
     # Half period after half period, each seen with the sign of its own current: x+ = held_20 - A^20 x. All states of
     # one follow from where it starts.
     starts = np.zeros((halves, n))
     starts[1:] = np.cumsum((powers(-of_A[-n:], halves - 2) @ held[-1]).reshape(-1, n), axis=0)
     courses = held.ravel() - starts @ of_A[n:].T
-    peak = np.abs(courses).max(axis=0).reshape(period, n).max(axis=0)
-    # A state that the current cannot move has no size of its own.
-    return np.where(peak > 0, peak, 1.0)
+    return np.asarray(np.abs(courses).max(axis=0).reshape(period, n).max(axis=0))
 
 
 def powers(A: FloatArray, last: int) -> FloatArray:

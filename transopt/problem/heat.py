@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import band, constant_band, filtered, run, substitute
+from transopt.base.recursions import Recursion, backwards, filtered, forwards
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
@@ -129,19 +129,19 @@ class HeatModel:
         P[:, :, 0] += self.b * (self.copper * h)[:, None]
         return P, self.b * (self.gain * h)[:, None]
 
-    def _course(self, lower: FloatArray, P: FloatArray, s: FloatArray, start: FloatArray) -> FloatArray:
-        """(N, m) rises at tau_1 to tau_N of th+ = P th + s, `lower` its band."""
+    def _course(self, P: FloatArray, s: FloatArray, start: FloatArray) -> FloatArray:
+        """(N, m) rises at tau_1 to tau_N of th+ = P th + s."""
         forcing = s.copy()
         forcing[0] += P[0] @ start
-        return substitute(lower, forcing)
+        return forwards(P[1:], forcing)
 
-    def _start(self, lower: FloatArray, P: FloatArray, s: FloatArray) -> FloatArray:
+    def _start(self, P: FloatArray, s: FloatArray) -> FloatArray:
         """(m,) rise at the first switching instant."""
         if self.closure is None:
             return np.zeros(self.nodes)
         F, f = self.closure
-        units = [self._course(lower, P, np.zeros_like(s), unit)[-1] for unit in np.eye(self.nodes)]
-        offset = self._course(lower, P, s, np.zeros(self.nodes))[-1]
+        units = [self._course(P, np.zeros_like(s), unit)[-1] for unit in np.eye(self.nodes)]
+        offset = self._course(P, s, np.zeros(self.nodes))[-1]
         with np.errstate(over="ignore", invalid="ignore"):  # a runaway, which the next test sees
             period = F @ np.stack(units, axis=1)
         if not (np.all(np.isfinite(period)) and np.abs(np.linalg.eigvals(period)).max() < 1):
@@ -152,34 +152,33 @@ class HeatModel:
     def rise(self, h: FloatArray) -> FloatArray:
         """(N + 1, m) rises at tau_0 to tau_N for heatings h (N,) [A^2]; infinite without a steady state."""
         P, s = self._maps(h)
-        lower = _band(P)
-        start = self._start(lower, P, s)
+        start = self._start(P, s)
         if not np.all(np.isfinite(start)):
             return np.full((h.size + 1, self.nodes), np.inf)
-        return np.concatenate([start[None], self._course(lower, P, s, start)])
+        return np.concatenate([start[None], self._course(P, s, start)])
 
     def adjoint(self, h: FloatArray, by_winding: FloatArray, rise: FloatArray | None = None) -> FloatArray:
         """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,); `rise` of h if known."""
         course = self.rise(h) if rise is None else rise
         P, _ = self._maps(h)
-        lower, m = _band(P), self.nodes
+        m = self.nodes
 
-        def backwards(at_end: FloatArray, forcing: FloatArray) -> FloatArray:
+        def by_rises(at_end: FloatArray, forcing: FloatArray) -> FloatArray:
             """(N, m) gradients by th_1 to th_N."""
             by_rise = np.zeros((h.size, m))
             by_rise[:, 0] = forcing
             by_rise[-1] += at_end
-            return substitute(lower, by_rise, transposed=True)
+            return backwards(P[1:], by_rise)
 
         end = np.zeros(m)
         if self.closure is not None:
             F, _ = self.closure
             # What th_0 weighs comes back to th_N through the pause: nu_N = F' nu_0, a fixed point.
-            free = P[0].T @ backwards(end, by_winding)[0]
+            free = P[0].T @ by_rises(end, by_winding)[0]
             silent = np.zeros(h.size)
-            transition = np.stack([P[0].T @ backwards(unit, silent)[0] for unit in np.eye(m)], axis=1)
+            transition = np.stack([P[0].T @ by_rises(unit, silent)[0] for unit in np.eye(m)], axis=1)
             end = np.linalg.solve(np.eye(m) - F.T @ transition, F.T @ free)
-        nu = backwards(end, by_winding)
+        nu = by_rises(end, by_winding)
         return np.asarray((nu @ self.b) * (self.gain + self.copper * course[:-1, 0]))
 
     def prices(self, by_h: FloatArray) -> FloatArray:
@@ -196,11 +195,6 @@ class HeatModel:
             answer = np.array([self.b[0], wh * self.b[1] - hh * self.b[0]])
             own = np.array([1.0, -ww - hh, ww * hh - wh * hw])
         return filtered(own / answer[0], answer / answer[0], (by_h / self.gain)[::-1])[::-1]
-
-
-def _band(P: FloatArray) -> FloatArray:
-    """Of th_(k+1) = P_k th_k over k = 1..N-1: the first step starts from th_0, which is no unknown."""
-    return band(np.roll(P, -1, axis=0))
 
 
 @dataclass(frozen=True)
@@ -271,11 +265,11 @@ def _nodes(coil: CoilModel, grid: TimeGrid) -> _Nodes:
     held[:m, :m], held[:m, m] = flow, inflow
     hold = linalg.expm(held * grid.dt_s)
     M, b = hold[:m, :m], hold[:m, m]
-    courses, lower = [], constant_band(M)
+    courses, unpowered = [], Recursion(M)
     for unit in np.eye(m):
         start = np.zeros((N + 1, m))
         start[0] = unit
-        courses.append(run(M, lower, start)[:, 0])
+        courses.append(unpowered.run(start)[:, 0])
     waiting = linalg.expm(_under_power(coil, held, PWM_RIPPLE_A) * grid.delay_s)
     return _Nodes(M, b, held, np.stack(courses, axis=1), waiting)
 

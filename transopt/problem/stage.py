@@ -233,7 +233,12 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
             C[device, where.filter(device)] = Cf[0]
     units = np.ones(where.states)
     if physical_scale:
-        units[:-1] = state_scale(A[:-1, :-1], A[:-1, -1], current, problem.grid.stages)
+        N = problem.grid.stages
+        if problem.stage.A.shape[0] == where.states - 1:
+            # Without filter, wall and further devices the states are the device's, whose problems share their scale.
+            units[:-1] = problem.stage.state_scale(current, N)
+        else:
+            units[:-1] = state_scale(A[:-1, :-1], A[:-1, -1], current, N)
     if where.amplifier:
         units[where.current] = current
     units[-1] = current

@@ -1,0 +1,53 @@
+/* Runs the compiled recursions on arrays of their exact sizes, against sums written out: for sanitizers and valgrind.
+ *
+ * Prints the number of cases; exit code 1 where a state differs.
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "../transopt/base/native/recursions.c"
+
+static double drawn(void) { return (double)rand() / RAND_MAX - 0.5; }
+
+static double *doubles(size_t count)
+{
+    double *found = malloc((count ? count : 1) * sizeof(double));
+    if (!found) exit(2);
+    for (size_t i = 0; i < count; i++) found[i] = drawn();
+    return found;
+}
+
+/* x_k = P_(k-1) x_(k-1) + f_k, or against time with the transposes; `step` doubles from one matrix to the next. */
+static void expected(size_t count, size_t m, const double *P, size_t step, int back, double *x)
+{
+    for (size_t s = 1; s < count; s++) {
+        const size_t to = back ? count - 1 - s : s, from = back ? to + 1 : s - 1, at = back ? to : from;
+        for (size_t i = 0; i < m; i++)
+            for (size_t j = 0; j < m; j++)
+                x[to * m + i] += P[at * step + (back ? j * m + i : i * m + j)] * x[from * m + j];
+    }
+}
+
+int main(void)
+{
+    static const size_t counts[] = {0, 1, 2, 30};
+    int cases = 0;
+    for (int m = 1; m <= tr_most_states(); m = m < 13 ? m + 1 : m + 17)
+        for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
+            for (int way = 0; way < 3; way++) {
+                const size_t n = (size_t)m, K = counts[c], step = way ? n * n : 0;
+                double *P = doubles(way ? (K ? K - 1 : 0) * n * n : n * n), *x = doubles(K * n), *y = doubles(K * n);
+                memcpy(y, x, K * n * sizeof(double));
+                if (way == 0) tr_run(K, m, P, x);
+                if (way == 1) tr_forwards(K, m, P, x);
+                if (way == 2) tr_backwards(K, m, P, x);
+                expected(K, n, P, step, way == 2, y);
+                for (size_t i = 0; i < K * n; i++)
+                    if (!(fabs(x[i] - y[i]) <= 1e-9 * (1.0 + fabs(y[i])))) return 1;
+                free(P), free(x), free(y);
+                cases++;
+            }
+    printf("%d\n", cases);
+    return 0;
+}
