@@ -84,7 +84,8 @@ SOLVED, ACCURACY, NO_BOUNDS = 0, 1, 6  # codes of an answer; the others are fail
 
 
 def _pointer(array: FloatArray) -> int:
-    return array.ctypes.data
+    address: int = array.__array_interface__["data"][0]  # in half the time that `array.ctypes.data` takes
+    return address
 
 
 class Buffers:

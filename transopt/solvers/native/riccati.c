@@ -126,7 +126,6 @@ static int interrupted(tr_watch *watch)
     return stop;
 }
 
-static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
 
 /* Solve the closure's equations in place, by elimination with row pivoting; they are at most four. */
 static void eliminate(int count, const double *matrix, double *right)
@@ -162,6 +161,7 @@ static void eliminate(int count, const double *matrix, double *right)
 #endif
 #define AT(rows, i) (((double *)(rows))[i]) /* one double of a row of lanes */
 #define MOST_BLOCKS (MOST_STATES / WIDTH)
+#define WHOLE (WIDTH > 4 ? WIDTH : 4) /* a row of states has whole fours, and whole registers */
 
 /* The second half of this file is compiled once for each width of registers, its names with that width behind them. */
 #define PASTE(name, width) name##_##width
@@ -183,6 +183,9 @@ static void eliminate(int count, const double *matrix, double *right)
 #define add_product OF_WIDTH(add_product, WIDTH)
 #define add_nodes OF_WIDTH(add_nodes, WIDTH)
 #define factor_sized OF_WIDTH(factor_sized, WIDTH)
+#define tr_costate OF_WIDTH(tr_costate, WIDTH)
+#define backward_begin OF_WIDTH(backward_begin, WIDTH)
+#define backward_stage OF_WIDTH(backward_stage, WIDTH)
 #define backward_sized OF_WIDTH(backward_sized, WIDTH)
 #define forward_sized OF_WIDTH(forward_sized, WIDTH)
 #define factor OF_WIDTH(factor, WIDTH)
@@ -217,6 +220,12 @@ static void eliminate(int count, const double *matrix, double *right)
 #define BY_WIDTH(name) name
 #else
 #pragma GCC push_options
+#pragma GCC target("avx512f,avx512dq,avx512vl,prefer-vector-width=512")
+#define WIDTH 8
+#include "riccati.c"
+#undef WIDTH
+#pragma GCC pop_options
+#pragma GCC push_options
 #pragma GCC target("avx2")
 #define WIDTH 4
 #include "riccati.c"
@@ -224,7 +233,14 @@ static void eliminate(int count, const double *matrix, double *right)
 #pragma GCC pop_options
 #define WIDTH 2
 #include "riccati.c"
-#define BY_WIDTH(name) (__builtin_cpu_supports("avx2") ? name##_4 : name##_2)
+#define BY_WIDTH(name) (fits_eight(q) ? name##_8 : __builtin_cpu_supports("avx2") ? name##_4 : name##_2)
+
+/* Whether rows of eight doubles are at hand, and take no more of them than rows of four do. */
+static int fits_eight(const tr_problem *q)
+{
+    const int left = q->states % 8;
+    return (left == 0 || left > 4) && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+}
 #endif
 
 /* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
@@ -347,6 +363,9 @@ typedef struct {
     int from[MOST_ROWS], to[MOST_ROWS];          /* states between which a row of G has all that is not zero */
 } tr_work;
 
+/* Registers that a row of n states takes, padded with zeros. */
+#define BLOCKS(n) (((n) + WHOLE - 1) / WHOLE * (WHOLE / WIDTH))
+
 /* The next `count` doubles of the workspace, if there is one yet. */
 static void *take(double *workspace, size_t *taken, size_t count)
 {
@@ -360,7 +379,7 @@ static void *take(double *workspace, size_t *taken, size_t count)
 static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *kept)
 {
     const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
-    const size_t ld = padded((size_t)q->states);
+    const size_t ld = BLOCKS((size_t)q->states) * WIDTH;
     size_t taken = 0;
     w->q = q;
     w->ld = (int)ld;
@@ -403,7 +422,7 @@ static size_t workspace(const tr_problem *q)
 static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains, tr_watch *watch)
 {
     const size_t n = (size_t)q->states, ny = (size_t)q->outputs;
-    const size_t ld = padded(n), rows = (size_t)((q->stages + 1) * q->rows);
+    const size_t ld = BLOCKS(n) * WIDTH, rows = (size_t)((q->stages + 1) * q->rows);
     size_t kept;
     while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
     memset(w, 0, sizeof *w);
@@ -511,9 +530,107 @@ ALWAYS_INLINE double add_nodes(const int t, const int blocks, const tr_work *w, 
     return bRb;
 }
 
+/* A costate on its way backward. */
+typedef struct {
+    lanes p[MOST_BLOCKS], by_x[MOST_BLOCKS];
+    double th[MOST_NODES];
+} tr_costate;
+
+/* The costate at N. `own` is 0 for the response to the closure's multiplier alone. */
+ALWAYS_INLINE void backward_begin(const int blocks, const tr_work *w, const int t, const double *end, const int own,
+                                  tr_costate *c)
+{
+    const tr_problem *q = w->q;
+    const int N = q->stages, m = q->rows;
+    memset(c, 0, sizeof *c);
+    for (int i = 0; i < t; i++) c->th[i] = end[i];
+    if (t && own) c->th[0] += AT(w->y, N * m);
+    for (int j = 0; own && j < q->ends; j++) add(blocks, w->end_error[j], w->Z + j * blocks, c->p);
+    for (int j = t ? 1 : 0; own && j < m; j++) {
+        const double y = AT(w->y, N * m + j);
+        if (y != 0.0) add(blocks, y, w->G + j * blocks, c->p);
+    }
+}
+
+/* From k + 1 to k with the gains: steps without feedback into `offset`; without them, as not `newton`: the gradient
+ * into `offset`, and the heat's prices. */
+ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, const int t, const int k, const int own,
+                                  double *restrict offset, double *restrict offset_e, const int newton, tr_costate *c)
+{
+    const tr_problem *q = w->q;
+    const int m = q->rows, last = n - 1;
+    const lanes nothing = {0};
+    lanes a[MOST_BLOCKS], drive[MOST_BLOCKS];
+    const double *y = &AT(w->y, k * m);
+    double by_size = 0.0, th_before[MOST_NODES] = {0}, direct = 0.0;
+    /* What does not depend on later stages stands apart, to be ready before they are. */
+    for (int j = 0; j < blocks; j++) drive[j] = nothing;
+    if (own) {
+        direct = q->movement_weight * w->u[k];
+        for (int o = 0; o < q->outputs; o++) {
+            const double v = q->weight[k * q->outputs + o] * w->error[k * q->outputs + o];
+            direct += q->E[o] * v;
+            add(blocks, v, w->C + o * blocks, drive);
+        }
+        if (t) th_before[0] = y[0];
+        for (int j = t ? 1 : 0; j < m; j++) {
+            direct += q->d[j] * y[j];
+            by_size += q->d_size[j] * y[j];
+            add(blocks, y[j], w->G + j * blocks, drive);
+        }
+    }
+    combine(blocks, w->A, (const double *)c->p, a);
+    if (t) {
+        const double *heat = w->heat + 4 * k;
+        double beta = 0.0;
+        for (int i = 0; i < t; i++) beta += q->b[i] * c->th[i];
+        if (q->current >= 0) AT(c->by_x, q->current) = heat[0];
+        AT(c->by_x, last) = heat[1];
+        add(blocks, beta, c->by_x, a);
+        by_size += 2.0 * q->ripple * heat[2] * beta;
+        for (int j = 0; j < t; j++)
+            for (int i = 0; i < t; i++) th_before[j] += q->M[i * t + j] * c->th[i];
+        th_before[0] += heat[3] * beta;
+        if (!newton) w->by_heat[k] = beta;
+    }
+    double by_movement = AT(a, last) + direct;
+    for (int j = 0; j < blocks; j++) a[j] += drive[j];
+    if (newton) {
+        const lanes *gain = w->K + k * blocks;
+        if (t) {
+            offset_e[k] = -by_size * w->pivot_e[k];
+            by_movement += w->Ke_u[k] * by_size;
+            add(blocks, by_size, w->Ke + k * blocks, a);
+            for (int j = 0; j < t; j++) th_before[j] += w->Keth[k * t + j] * by_size;
+        }
+        offset[k] = -by_movement * w->pivot[k];
+        for (int j = 0; j < blocks; j++) c->p[j] = a[j] + by_movement * gain[j];
+        for (int j = 0; j < t; j++) c->th[j] = th_before[j] + w->Kth[k * t + j] * by_movement;
+    } else {
+        offset[k] = by_movement;
+        if (t) offset_e[k] = by_size;
+        for (int j = 0; j < blocks; j++) c->p[j] = a[j];
+        if (k >= q->free_stages) add(blocks, by_movement, w->K + k * blocks, c->p);
+        for (int j = 0; j < t; j++) c->th[j] = th_before[j];
+    }
+}
+
+ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, const int t, const double *end,
+                                  const int own, double *restrict offset, double *restrict offset_e, const int newton)
+{
+    tr_costate costate;
+    backward_begin(blocks, w, t, end, own, &costate);
+    for (int k = w->q->stages - 1; k >= 0; k--)
+        backward_stage(n, blocks, w, t, k, own, offset, offset_e, newton, &costate);
+    memcpy(w->p0, costate.th, (size_t)t * sizeof(double));
+}
+
 /* Backward: gains of u and e from the weights `sigma` of the rows. With `curved` the copper's bilinear terms are in.
- * Returns 0, or the code of what has ended it. */
-ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_work *w, const int curved)
+ * With `end`, the heat's price at N, the Newton step's costate goes along, as in `backward`: its chain of short sums
+ * then waits while the products of the factorisation keep the processor busy. Returns 0, or the code of what has ended
+ * it. */
+ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_work *w, const int curved,
+                               const double *end)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, m = q->rows, last = n - 1, a = q->current, ld = blocks * WIDTH;
@@ -523,6 +640,8 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
     lanes Q[MOST_NODES * MOST_BLOCKS], HQ[MOST_NODES * MOST_BLOCKS];
     double R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], hu_th[MOST_NODES], he_th[MOST_NODES];
     const double e1 = q->decay, e2 = 1.0 - e1, *s = q->square;
+    tr_costate costate;
+    if (end) backward_begin(blocks, w, t, end, 1, &costate);
     memset(P, 0, (size_t)(ld * ld) * sizeof(double));
     memset(by_x, 0, sizeof by_x);
     memset(bend_a, 0, sizeof bend_a);
@@ -637,85 +756,11 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
             for (int i = 0; i < blocks; i++) Q[j * blocks + i] = HQ[j * blocks + i];
             for (int i = 0; i <= j; i++) R[i * t + j] = R[j * t + i] = HR[i * t + j];
         }
+        if (end) backward_stage(n, blocks, w, t, k, 1, w->offset, w->offset_e, 1, &costate);
     }
+    if (end) memcpy(w->p0, costate.th, (size_t)t * sizeof(double));
     memcpy(w->P0, R, (size_t)(t * t) * sizeof(double));
     return 0;
-}
-
-/* Backward with the gains: steps without feedback into `offset`; without them: the gradient into `offset`, and the
- * heat's prices. `own` is 0 for the response to the closure's multiplier alone. */
-ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, const int t, const double *end,
-                                  const int own, double *restrict offset, double *restrict offset_e, const int newton)
-{
-    const tr_problem *q = w->q;
-    const int N = q->stages, m = q->rows, last = n - 1;
-    const lanes nothing = {0};
-    lanes p[MOST_BLOCKS], a[MOST_BLOCKS], by_x[MOST_BLOCKS], drive[MOST_BLOCKS];
-    double th[MOST_NODES] = {0};
-    memset(p, 0, sizeof p);
-    memset(by_x, 0, sizeof by_x);
-    for (int i = 0; i < t; i++) th[i] = end[i];
-    if (t && own) th[0] += AT(w->y, N * m);
-    for (int j = 0; own && j < q->ends; j++) add(blocks, w->end_error[j], w->Z + j * blocks, p);
-    for (int j = t ? 1 : 0; own && j < m; j++) {
-        const double y = AT(w->y, N * m + j);
-        if (y != 0.0) add(blocks, y, w->G + j * blocks, p);
-    }
-    for (int k = N - 1; k >= 0; k--) {
-        const double *y = &AT(w->y, k * m);
-        double by_size = 0.0, th_before[MOST_NODES] = {0}, direct = 0.0;
-        /* What does not depend on later stages stands apart, to be ready before they are. */
-        for (int j = 0; j < blocks; j++) drive[j] = nothing;
-        if (own) {
-            direct = q->movement_weight * w->u[k];
-            for (int o = 0; o < q->outputs; o++) {
-                const double v = q->weight[k * q->outputs + o] * w->error[k * q->outputs + o];
-                direct += q->E[o] * v;
-                add(blocks, v, w->C + o * blocks, drive);
-            }
-            if (t) th_before[0] = y[0];
-            for (int j = t ? 1 : 0; j < m; j++) {
-                direct += q->d[j] * y[j];
-                by_size += q->d_size[j] * y[j];
-                add(blocks, y[j], w->G + j * blocks, drive);
-            }
-        }
-        combine(blocks, w->A, (const double *)p, a);
-        if (t) {
-            const double *heat = w->heat + 4 * k;
-            double beta = 0.0;
-            for (int i = 0; i < t; i++) beta += q->b[i] * th[i];
-            if (q->current >= 0) AT(by_x, q->current) = heat[0];
-            AT(by_x, last) = heat[1];
-            add(blocks, beta, by_x, a);
-            by_size += 2.0 * q->ripple * heat[2] * beta;
-            for (int j = 0; j < t; j++)
-                for (int i = 0; i < t; i++) th_before[j] += q->M[i * t + j] * th[i];
-            th_before[0] += heat[3] * beta;
-            if (!newton) w->by_heat[k] = beta;
-        }
-        double by_movement = AT(a, last) + direct;
-        for (int j = 0; j < blocks; j++) a[j] += drive[j];
-        if (newton) {
-            const lanes *gain = w->K + k * blocks;
-            if (t) {
-                offset_e[k] = -by_size * w->pivot_e[k];
-                by_movement += w->Ke_u[k] * by_size;
-                add(blocks, by_size, w->Ke + k * blocks, a);
-                for (int j = 0; j < t; j++) th_before[j] += w->Keth[k * t + j] * by_size;
-            }
-            offset[k] = -by_movement * w->pivot[k];
-            for (int j = 0; j < blocks; j++) p[j] = a[j] + by_movement * gain[j];
-            for (int j = 0; j < t; j++) th[j] = th_before[j] + w->Kth[k * t + j] * by_movement;
-        } else {
-            offset[k] = by_movement;
-            if (t) offset_e[k] = by_size;
-            for (int j = 0; j < blocks; j++) p[j] = a[j];
-            if (k >= q->free_stages) add(blocks, by_movement, w->K + k * blocks, p);
-            for (int j = 0; j < t; j++) th[j] = th_before[j];
-        }
-    }
-    for (int i = 0; i < t; i++) w->p0[i] = th[i];
 }
 
 /* Forward by the gains from x_0 = 0 and th_0 = `th`: what a step changes, to first order. */
@@ -774,20 +819,24 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
 }
 
 /* Sizes that are known when compiled keep their rows in registers. */
+#define OF_SIZE(n, t, call) call(n, t, BLOCKS(n))
 #define BY_SIZE(call)                                              \
     switch (w->q->nodes * 100 + w->q->states) {                    \
-    case 5: call(5, 0, 8 / WIDTH);                                 \
-    case 7: call(7, 0, 8 / WIDTH);                                 \
-    case 8: call(8, 0, 8 / WIDTH);                                 \
-    case 108: call(8, 1, 8 / WIDTH);                               \
-    case 208: call(8, 2, 8 / WIDTH);                               \
+    case 4: OF_SIZE(4, 0, call);                                   \
+    case 5: OF_SIZE(5, 0, call);                                   \
+    case 6: OF_SIZE(6, 0, call);                                   \
+    case 7: OF_SIZE(7, 0, call);                                   \
+    case 8: OF_SIZE(8, 0, call);                                   \
+    case 12: OF_SIZE(12, 0, call);                                 \
+    case 108: OF_SIZE(8, 1, call);                                 \
+    case 208: OF_SIZE(8, 2, call);                                 \
     default: call(w->q->states, w->q->nodes, w->ld / WIDTH);       \
     }
-#define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved)
+#define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved, end)
 #define BACKWARD(n, t, blocks) backward_sized(n, blocks, w, t, end, own, offset, offset_e, newton); return
 #define FORWARD(n, t, blocks) forward_sized(n, blocks, w, t, start, offset, offset_e, full); return
 
-static int factor(tr_work *w, int curved)
+static int factor(tr_work *w, int curved, const double *end)
 {
     BY_SIZE(FACTOR)
 }
@@ -874,15 +923,17 @@ static void close_course(tr_work *w)
     }
 }
 
-/* One Newton step for the gradients in `y`. */
-static void newton(tr_work *w)
+/* One Newton step for the gradients in `y`; `begun`, where the factorisation has taken its costate along. */
+static void newton(tr_work *w, int begun)
 {
     const tr_problem *q = w->q;
     const int t = q->nodes, N = q->stages;
     double end[MOST_NODES] = {0}, right[2 * MOST_NODES];
     static const double nothing[MOST_NODES] = {0};
-    closure_price(w, w->eta, end);
-    backward(w, end, 1, w->offset, w->offset_e, 1);
+    if (!begun) {
+        closure_price(w, w->eta, end);
+        backward(w, end, 1, w->offset, w->offset_e, 1);
+    }
     if (!q->repeated) {
         forward(w, nothing, w->offset, w->offset_e, 1);
         return;
@@ -1092,7 +1143,7 @@ static int solve(const tr_problem *q, const tr_options *options, double *space, 
     tr_work work, *w = &work;
     prepare(w, q, space, 0, watch);
     const double count = begin(w);
-    double best = INFINITY;
+    double best = INFINITY, end[MOST_NODES] = {0};
     for (int since = 0;; r->iterations++, since++) {
         const tr_state now = judge(w);
         const double allowed = options->tolerance * fmax(now.objective, 1.0);
@@ -1108,16 +1159,19 @@ static int solve(const tr_problem *q, const tr_options *options, double *space, 
         if (r->iterations >= options->max_iterations) return near ? TR_ACCURACY : TR_ITERATION_LIMIT;
         aim(w, 0);
         if (interrupted(watch)) return TR_INTERRUPTED;
-        int failed = factor(w, 1);
-        if (failed == TR_BREAKDOWN) failed = factor(w, 0);
+        closure_price(w, w->eta, end);
+        /* The closure takes costates of its own in between. */
+        const double *along = q->repeated ? NULL : end;
+        int failed = factor(w, 1, along);
+        if (failed == TR_BREAKDOWN) failed = factor(w, 0, along);
         if (failed) return failed == TR_BREAKDOWN && near ? TR_ACCURACY : failed;
         if (q->repeated) close_course(w);
-        newton(w);
+        newton(w, along != NULL);
         if (count > 0.0) {
             const double step = slack_steps(w, 0, 0.0);
             centre(w, step, now.complementarity / count, count, LAST_GAP * allowed / count);
             aim(w, 1);
-            newton(w);
+            newton(w, 0);
         }
         /* Closer to the limits as they matter less: the last iterations then gain more than two digits each. Not with
          * sizes, whose two rows share a multiplier: how, only a centred iterate tells. */
@@ -1132,11 +1186,11 @@ static int linear(const tr_problem *q, double tolerance, int factored, double *s
 {
     tr_work work, *w = &work;
     prepare(w, q, space, factored, watch);
-    const int failed = factored ? 0 : factor(w, 0);
+    const int failed = factored ? 0 : factor(w, 0, NULL);
     if (failed) return failed;
     begin(w);
     for (double best = INFINITY;;) {
-        newton(w);
+        newton(w, 0);
         advance(w, 1.0);
         r->iterations++;
         const tr_state now = judge(w);
