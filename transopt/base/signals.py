@@ -1,6 +1,8 @@
 """Uniformly sampled signals, and the few filters and measures that the design uses."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -76,6 +78,15 @@ def sampled(spline: "scipy.interpolate.CubicSpline", times_s: FloatArray) -> Flo
     return np.asarray(np.nan_to_num(values, copy=False, nan=0.0))
 
 
+@lru_cache(maxsize=16)  # all taps of a scene pass the same few
+def _butterworth(
+    kind: Literal["lowpass", "highpass"], cutoff_Hz: float, rate_Hz: float
+) -> tuple[FloatArray, FloatArray]:
+    """A second-order Butterworth filter as one section (1, 6), and its state (1, 2) after ones for ever."""
+    sos = np.asarray(scipy.signal.butter(2, cutoff_Hz, btype=kind, fs=rate_Hz, output="sos"))
+    return sos, np.asarray(scipy.signal.sosfilt_zi(sos))
+
+
 def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
     """Zero-phase low-pass: a second-order Butterworth run forwards and backwards.
 
@@ -85,11 +96,15 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
     """
     if cutoff_Hz >= 0.45 * x.rate_Hz:
         return x
-    sos = scipy.signal.butter(2, cutoff_Hz, fs=x.rate_Hz, output="sos")
+    sos, settled = _butterworth("lowpass", cutoff_Hz, x.rate_Hz)
     # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
     # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
     pad = min(x.values.size - 1, int(np.ceil(10 * x.rate_Hz / (2 * np.pi * cutoff_Hz))))
-    return replace(x, values=np.asarray(scipy.signal.sosfiltfilt(sos, x.values, padtype="constant", padlen=pad)))
+    course = np.pad(x.values, pad, mode="edge")
+    for _ in range(2):
+        # Forwards, then backwards, each time from the steady state of its first value.
+        course = scipy.signal.sosfilt(sos, course, zi=settled * course[0])[0][::-1]
+    return replace(x, values=np.ascontiguousarray(course[pad : pad + x.values.size]))
 
 
 def highpass(x: Signal, cutoff_Hz: float) -> Signal:
@@ -99,7 +114,7 @@ def highpass(x: Signal, cutoff_Hz: float) -> Signal:
     takes away, r_raw - r, is slow and is the user's own motion. It is causal because a zero-phase filter would make
     the motor move before the contact.
     """
-    sos = scipy.signal.butter(2, cutoff_Hz, btype="highpass", fs=x.rate_Hz, output="sos")
+    sos, _ = _butterworth("highpass", cutoff_Hz, x.rate_Hz)
     return replace(x, values=np.asarray(scipy.signal.sosfilt(sos, x.values)))
 
 

@@ -11,7 +11,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.files import is_file
@@ -29,6 +28,7 @@ AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it ro
 BASELINE_SAMPLES = 8  # fewer are no baseline
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
+NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
 TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of NRMSE: contact is then put where the pulse begins
 TOE_LEVEL = 5e-3  # of the peak, from which on it has begun; below it lies no energy to speak of
 TOE_TO_NOISE = 3.0  # nor is it told from noise below this
@@ -188,7 +188,8 @@ def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> 
 def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
     """Static offset of the sensor and notes.
 
-    It is the trimmed mean of the samples before the tap, so that a bump while the hand moves does not count.
+    It is the mean of the samples before the tap without the lowest and the highest fifth of them, so that a bump
+    while the hand moves does not count.
     """
     if settings.offset_m_s2 != "baseline":
         return float(settings.offset_m_s2), []
@@ -197,7 +198,9 @@ def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
     quiet = x.values[x.times_s < find_onset(upright) - BASELINE_GUARD_S]
     if quiet.size < BASELINE_SAMPLES:
         return 0.0, ["no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one"]
-    return float(scipy.stats.trim_mean(quiet, 0.2)), []
+    fifth = quiet.size // 5
+    inner = np.partition(quiet, (fifth, quiet.size - fifth - 1))[fifth : quiet.size - fifth]
+    return float(inner.mean()), []
 
 
 def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
@@ -230,7 +233,9 @@ def _clipped(values: FloatArray, offset: float) -> int:
 
 def _noise(x: Signal) -> float:
     """Size (rms) of the white noise in a recording, from its steps: the tap itself is smooth and adds little."""
-    return float(scipy.stats.median_abs_deviation(np.diff(x.values), scale="normal") / np.sqrt(2))
+    steps = np.diff(x.values)
+    deviation = np.median(np.abs(steps - np.median(steps)))
+    return float(deviation / (NORMAL_QUARTILE * np.sqrt(2)))
 
 
 def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
