@@ -2,6 +2,7 @@
 
 import os
 import platform
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
@@ -23,4 +24,9 @@ def versions(*names: str) -> dict[str, str]:
     ------
     importlib.metadata.PackageNotFoundError : one of them is not installed.
     """
-    return {**{name: metadata.version(name) for name in names}, "python": platform.python_version()}
+    return {**{name: _version(name) for name in names}, "python": platform.python_version()}
+
+
+@lru_cache(maxsize=64)  # no package changes under a running process, and its metadata take a millisecond to read
+def _version(name: str) -> str:
+    return metadata.version(name)

@@ -1,16 +1,15 @@
 """From a scene and its recordings to a library: every entry designed, the file assembled."""
 
-import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.machine import versions
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.writing import percent
@@ -313,10 +312,7 @@ def _meta(
             *_target_sources(scene, references),
             *_model_sources(scene),
         ],
-        "versions": {
-            **{name: metadata.version(name) for name in ("transopt", "casadi", "numpy", "scipy")},
-            "python": platform.python_version(),
-        },
+        "versions": versions("transopt", "casadi", "numpy", "scipy"),
     }
 
 

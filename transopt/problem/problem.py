@@ -140,7 +140,7 @@ class TransientProblem:
         assert found is None or isinstance(found, TemperatureLimit)
         return found
 
-    @property
+    @cached_property
     def command_bound(self) -> float:
         """The bound on |c| that every admissible command obeys."""
         return self.limits.command_bound(ideal=self.stage.amplifier is None)
@@ -154,7 +154,7 @@ class TransientProblem:
         """The same problem with another r (N,) within the window."""
         return replace(self, target=replace(self.target, window_m_s2=reference_m_s2))
 
-    @property
+    @cached_property
     def reference_is_zero(self) -> bool:
         """Whether the window asks for nothing: the answer is the zero waveform."""
         return self.target.asks_for_nothing
@@ -164,12 +164,12 @@ class TransientProblem:
         """Number of commands before the hand-over."""
         return self.grid.stages - self.hand_over_samples
 
-    @property
+    @cached_property
     def input_scale(self) -> float:
         """Largest current that the limits leave: the unit in which it is of order one."""
         return min(self.command_bound, *(limit.reach(self.grid) for limit in self.limits))
 
-    @property
+    @cached_property
     def tracking(self) -> Tracking:
         """The first term."""
         level = float(10 ** (self.intensity_dB / 10))
@@ -183,7 +183,7 @@ class TransientProblem:
             worst=self.worst,
         )
 
-    @property
+    @cached_property
     def movement(self) -> Movement:
         """The second term."""
         return Movement(self.rho, self.grid.stages, self.grid.dt_s, self.limits.input_limit)

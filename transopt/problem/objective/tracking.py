@@ -106,7 +106,7 @@ class Tracking:
         by_filtered *= 2 * share / self.target.energy_m2_s4
         return by_filtered if self.error_filter is None else self.error_filter.transpose(by_filtered)
 
-    @property
+    @cached_property
     def unit_reference(self) -> FloatArray:
         """(N + M,) F r / sqrt(E), the outputs' target where they are in units of sqrt(E); zero for a tap of zero."""
         return np.asarray(self.filtered(self.target.continued_m_s2) / (np.sqrt(self.target.energy_m2_s4) or 1.0))
