@@ -67,7 +67,7 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
         asked_dB=problem.intensity_dB,
         energy_dB=found.energy_dB,
         waveform_dB=wave.energy_dB,
-        waveform_nrmse=problem.target.nrmse(first.problem.stage.rollout(first.solution.command)[0]),
+        waveform_nrmse=problem.target.nrmse(first.effect.motion.acceleration_m_s2),
         price=found.lam,
         most=most_price(problem),
         problems=problems,
@@ -93,9 +93,9 @@ def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -
 
 
 def _tried(lam: float, designed: Designed) -> _Tried:
-    problem = designed.problem
-    accelerations = problem.accelerations(designed.solution.command)
-    return _Tried(lam, problem.tracking.energy_dB(accelerations), designed.certificate.objective, designed)
+    accelerations = designed.effect.accelerations_m_s2
+    energy_dB = designed.problem.tracking.energy_dB(accelerations)
+    return _Tried(lam, energy_dB, designed.certificate.objective, designed)
 
 
 @dataclass

@@ -14,7 +14,7 @@ from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import encoder_course, leave_out, pressing, pressing_under, silence
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify, gradient_rounding, inside
+from transopt.proof.certify import Effect, certify, gradient_rounding, in_whole, inside
 from transopt.solvers import program, unlimited
 from transopt.solvers.choose import prove, solve, solve_certified
 from transopt.solvers.options import SolverOptions
@@ -33,6 +33,7 @@ class Designed:
     ----------
     problem : with every limit of the scene, and the wall pushing where the answer makes it push.
     certificate : of the answer for that whole problem.
+    effect : what the answer's command does in it.
     unlimited_command : (N,) the optimum without limits. floor : its NRMSE. free_peak : its peak current.
     left_out : part -> why the problem that was solved does not have it.
     size : of the program that was solved; None where one linear solve was enough.
@@ -43,6 +44,7 @@ class Designed:
     problem: TransientProblem
     solution: Solution
     certificate: Certificate
+    effect: Effect
     unlimited_command: FloatArray
     floor: float
     free_peak: float
@@ -197,8 +199,8 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
 def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
     """A zero reference: no transient at all, over a wall nothing but its feedback, which has to keep the limits."""
     problem, command = silence(problem)
-    answer = replace(solve(problem, options), command=command)
-    proof = prove(problem, command, answer.multipliers, options)
+    answer, effect = replace(solve(problem, options), command=command), Effect(problem, command)
+    proof = prove(problem, command, answer.multipliers, options, effect=effect)
     hopeless = unavoidable(problem)
     unstable = unstable_wall(problem)
     if hopeless:
@@ -214,7 +216,7 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
     left_out = {"limits": "zero reference: zero waveform"}
     rest = np.zeros(problem.grid.stages)
     floor = problem.target.nrmse(rest)
-    return Designed(problem, answer, proof, rest, floor, 0.0, left_out, None, hopeless)
+    return Designed(problem, answer, proof, effect, rest, floor, 0.0, left_out, None, hopeless)
 
 
 def _mask(problem: TransientProblem) -> bytes:
@@ -244,24 +246,32 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     reduced = leave_out(problem)
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = unlimited.solve(small)
-    acceleration, current = problem.stage.rollout(free.command)
-    floor = problem.target.nrmse(acceleration)
-    peak = float(np.abs(current).max())
+    effect = Effect(problem, free.command)
+    floor = problem.target.nrmse(effect.motion.acceleration_m_s2)
+    peak = float(np.abs(effect.motion.plant_input).max())
 
     def designed(
-        answer: Solution, size: program.Size | None, remarks: list[str], proof: Certificate | None = None
+        answer: Solution,
+        size: program.Size | None,
+        remarks: list[str],
+        effect: Effect,
+        proof: Certificate | None = None,
     ) -> Designed:
-        proof = prove(problem, answer.command, answer.multipliers, options) if proof is None else proof
-        return Designed(problem, answer, proof, free.command, floor, peak, left_out, size, remarks)
+        if proof is None:
+            proof = prove(problem, answer.command, answer.multipliers, options, effect=effect)
+        return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, size, remarks)
 
-    inside_all = inside(problem, free.command)
-    free_proof = certify(problem, free.command, free.multipliers) if inside_all else None
+    free_proof = None
+    if inside(problem, free.command, effect=effect):
+        free_proof = certify(problem, free.command, free.multipliers, effect=effect)
     if free_proof is not None and not free_proof.is_stationary:
         # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
         other = unlimited.solve_apart(small)
-        its_proof = certify(problem, other.command, other.multipliers)
-        if inside(problem, other.command) and its_proof.relative_gap < free_proof.relative_gap:
-            free, free_proof = other, its_proof
+        its_effect = Effect(problem, other.command)
+        its_proof = certify(problem, other.command, other.multipliers, effect=its_effect)
+        is_inside = inside(problem, other.command, effect=its_effect)
+        if is_inside and its_proof.relative_gap < free_proof.relative_gap:
+            free, free_proof, effect = other, its_proof, its_effect
     if free_proof is not None and free.status is Status.OPTIMAL and free_proof.is_stationary:
         unit = problem.driven_by.unit
         left_out["limits"] = (
@@ -269,38 +279,45 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
             f"{problem.limits.input_limit:g} {unit}, "
             f"command {np.abs(free.command).max():.3g} {unit} of {problem.command_bound:g} {unit}"
         )
-        return designed(free, None, [], free_proof)
+        return designed(free, None, [], effect, free_proof)
     hopeless = unavoidable(small)
     if hopeless:
-        return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
+        return designed(replace(free, status=Status.INFEASIBLE), None, hopeless, effect)
     spent, cold = free.solve_time_s, small.without(TemperatureLimit.name)
-    answer, proof = solve_certified(cold, options)
+    answer, proof, its_effect = solve_certified(cold, options)
     spent += answer.solve_time_s
     cold_proven = answer.status is Status.OPTIMAL and proof.is_stationary
     if small.thermal is not None:
-        if answer.status is Status.OPTIMAL and inside(problem, answer.command, only=TemperatureLimit.name):
-            hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command)).max())
+        whole = its_effect.of(problem)
+        if answer.status is Status.OPTIMAL and inside(
+            problem, answer.command, only=TemperatureLimit.name, effect=whole
+        ):
+            hottest = float(small.thermal.temperatures_C(whole.motion.plant_input, answer.command).max())
             left_out["temperature"] = (
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
             answer = replace(answer, solve_time_s=spent)
-            return designed(answer, program.size(cold), [])
+            return designed(answer, program.size(cold), [], whole, _in_whole(proof, its_effect, whole, answer))
         # What no command can do in the cold, none can with the temperature on top.
         if answer.status is not Status.INFEASIBLE:
-            answer, proof = solve_certified(small, options)
+            answer, proof, its_effect = solve_certified(small, options)
             spent += answer.solve_time_s
     proven = answer.status is Status.OPTIMAL and proof.is_stationary
     least_gap = proof.relative_gap if proof.excess <= 1 else np.inf
     if free_proof is not None and not proven and free_proof.relative_gap <= least_gap:
-        answer = free
-    answer = replace(answer, solve_time_s=spent)
+        answer, proof, its_effect = free, free_proof, effect
+    answer, whole = replace(answer, solve_time_s=spent), its_effect.of(problem)
     # A wall that grows by itself asks for anything: that is its name then. And what can be handed over in the cold is
     # forbidden by the heat.
     too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
-        return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep])
-    return designed(answer, program.size(small), [])
+        return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep], whole)
+    return designed(answer, program.size(small), [], whole, _in_whole(proof, its_effect, whole, answer))
 
 
-def _currents(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return problem.stage.rollout(command)[1], command
+def _in_whole(part: Certificate, effect: Effect, whole: Effect, answer: Solution) -> Certificate | None:
+    """The certificate in the whole problem from that of the part that was solved; None where it says too little."""
+    own, problem = effect.problem, whole.problem
+    alike = own.stage is problem.stage and own.wall is problem.wall
+    known = alike and part.is_stationary and np.isfinite(part.lower_bound)
+    return in_whole(part, whole, answer.multipliers) if known else None

@@ -17,9 +17,10 @@ from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import boxes
-from transopt.solvers.choose import solve_certified
+from transopt.proof.certify import Effect, boxes_of, certify, inside
+from transopt.solvers.choose import Certified, solve_certified
 from transopt.solvers.options import SolverOptions, TrialOptions
+from transopt.solvers.unlimited import solve as solve_unlimited
 
 BINDS = 1e-8  # of J: what all of a limit would buy along its multipliers; below, rounding
 AMPLE = (1.5, 6.0, 30.0)  # times what the optimum without limits takes: out of the way
@@ -110,14 +111,20 @@ def price_step(limit: Limit) -> float:
     return float(max(m for m in (1, 2, 5) if m * power <= size * (1 + 1e-12)) * power)
 
 
-def binding(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> dict[str, float]:
+def binding(
+    problem: TransientProblem, command: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
+) -> dict[str, float]:
     """Name of every limit that binds -> slope: by how much J falls per unit by which it is raised, to first order.
 
     Multipliers count where the limit is reached. Near a limit that is just not reached a solver leaves some as well,
     since it knows only their product with the distance.
+
+    Parameters
+    ----------
+    effect : of this command in this problem, where it is known already.
     """
     found: dict[str, float] = {}
-    for box in boxes(problem, command, problem.stage.motion(command), multipliers):
+    for box in boxes_of(effect or Effect(problem, command), multipliers):
         near = NEAR * box.limit.room
         gain = float(box.by_upper[box.upper - box.value <= near].sum())
         gain += float(box.by_lower[box.value - box.lower <= near].sum())
@@ -125,10 +132,10 @@ def binding(problem: TransientProblem, command: FloatArray, multipliers: Multipl
     return {name: gain for name, gain in found.items() if gain * problem.limits[name].room > BINDS}
 
 
-def _excess(problem: TransientProblem, limit: Limit, command: FloatArray) -> float:
+def _excess(effect: Effect, limit: Limit) -> float:
     """By how much a limit has to be raised for a command to keep it; negative where it is kept."""
-    of = boxes(problem, command, problem.stage.motion(command), Multipliers.zero(problem))
-    return max(float(box.excess.max()) for box in of if box.limit.name == limit.name)
+    of = boxes_of(effect, Multipliers.zero(effect.problem), only=limit.name)
+    return max(float(box.excess.max()) for box in of)
 
 
 @dataclass(frozen=True)
@@ -137,33 +144,57 @@ class _Answer:
 
     Attributes
     ----------
-    command : (N,).
+    effect : of its command in the problem that has been solved. multipliers : its own.
     nrmse : against r over the window.
     binding : of `binding`.
     """
 
-    command: FloatArray
+    effect: Effect
+    multipliers: Multipliers
     nrmse: float
     binding: dict[str, float]
 
 
-def _solved(problem: TransientProblem, options: SolverOptions) -> _Answer | None:
-    """The optimum; None where it is not certified, as an entry of a library has to be."""
+def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect) -> _Answer | None:
+    """The optimum; None where it is not certified, as an entry of a library has to be.
+
+    Parameters
+    ----------
+    unlimited : about what the optimum without limits does.
+    """
     small = leave_out(problem).problem
     if small.wall is None and small.thermal is None and not small.nonlinear:
-        answer, proof = solve_certified(small, options)
+        found = _without_limits(small) if _nearly_inside(unlimited.of(small)) else None
+        answer, proof, effect = found or solve_certified(small, options)
         certified = answer.status is Status.OPTIMAL and proof.accepted
     else:
         # The ticks at which the wall pushes are looked for, and whether the temperature binds at all.
         designed = optimum(problem, options)
-        problem, answer = designed.problem, designed.solution
+        small, answer, effect = designed.problem, designed.solution, designed.effect
         bent = any(name != TemperatureLimit.name for name in problem.nonlinear)
         certified = designed.is_proven and (designed.certificate.accepted or bent)
     if not certified:
         return None
-    acceleration, _ = problem.stage.rollout(answer.command)
-    error = problem.target.nrmse(acceleration)
-    return _Answer(answer.command, error, binding(problem, answer.command, answer.multipliers))
+    error = small.target.nrmse(effect.motion.acceleration_m_s2)
+    return _Answer(
+        effect, answer.multipliers, error, binding(small, answer.command, answer.multipliers, effect=effect)
+    )
+
+
+def _nearly_inside(effect: Effect) -> bool:
+    """Whether a command keeps all limits of its problem, or little is missing."""
+    of = boxes_of(effect, Multipliers.zero(effect.problem))
+    return all(bool((box.excess <= (ASIDE - 1) * box.limit.stated).all()) for box in of)
+
+
+def _without_limits(problem: TransientProblem) -> Certified | None:
+    """The optimum without limits, where it keeps them all and is proven: one linear solve."""
+    answer = solve_unlimited(problem)
+    effect = Effect(problem, answer.command)
+    if answer.status is not Status.OPTIMAL or not inside(problem, answer.command, effect=effect):
+        return None
+    proof = certify(problem, answer.command, answer.multipliers, effect=effect)
+    return Certified(answer, proof, effect) if proof.is_stationary else None
 
 
 @dataclass(frozen=True)
@@ -172,12 +203,12 @@ class _Pricing:
 
     Attributes
     ----------
-    unlimited : (N,) its optimum without limits.
+    unlimited : what its optimum without limits does.
     nrmse : of its own optimum.
     """
 
     problem: TransientProblem
-    unlimited: FloatArray
+    unlimited: Effect
     nrmse: float
     options: SolverOptions
 
@@ -205,14 +236,29 @@ class _Pricing:
             tried=widest,
         )
 
+    def _beyond(self, limit: Limit, answer: _Answer) -> float:
+        """By how much this problem's limit would have to be raised for another problem's answer to keep it."""
+        return _excess(answer.effect.of(self.problem), limit)
+
     def _raised(self, limit: Limit, by: float) -> _Answer | None:
-        return _solved(self.problem.replaced(limit.raised(by)), self.options)
+        return _solved(self.problem.replaced(limit.raised(by)), self.options, self.unlimited)
+
+    def _keeps(self, limit: Limit, by: float, without: _Answer) -> bool:
+        """Whether the optimum without a limit is proven to be that with the limit raised by so much.
+
+        Where the limit is in J as well the two have another J.
+        """
+        if limit.scales_movement:
+            return False
+        raised = without.effect.of(self.problem.replaced(limit.raised(by)))
+        proof = certify(raised.problem, raised.command, without.multipliers, effect=raised)
+        return proof.accepted and inside(raised.problem, raised.command, only=limit.name, effect=raised)
 
     def _out_of_the_way(self, limit: Limit) -> tuple[_Answer | None, float]:
         """The optimum without a limit, or with one that is so wide that it does not bind, and how wide it was."""
         if not limit.indispensable:
-            return _solved(self.problem.without(limit.name), self.options), np.inf
-        needed = limit.stated + max(_excess(self.problem, limit, self.unlimited), 0.0)
+            return _solved(self.problem.without(limit.name), self.options, self.unlimited), np.inf
+        needed = limit.stated + max(_excess(self.unlimited, limit), 0.0)
         for ample in AMPLE:
             answer = self._raised(limit, ample * needed - limit.stated)
             if answer is None or limit.name not in answer.binding:
@@ -230,7 +276,7 @@ class _Pricing:
         ----------
         without : the optimum with the limit at `widest`, where it does not bind.
         """
-        by = max(_excess(self.problem, limit, without.command), 0.0)
+        by = max(self._beyond(limit, without), 0.0)
         free, low, high, nudge = [(widest, limit.stated + by)], limit.stated, (widest, without.nrmse), NUDGE
         for trial in range(MOST_TRIALS):
             peak = free[0][1] if len(free) < 2 else _crossing(*free[-2:])
@@ -242,6 +288,8 @@ class _Pricing:
             bound = float(f"{rounded_up(max(peak + CLEARANCE * limit.room, least)):.8g}")
             if bound >= high[0]:
                 return high if np.isfinite(high[0]) else (np.nan, np.nan)
+            if self._keeps(limit, bound - limit.stated, without):
+                return bound, without.nrmse
             answer = self._raised(limit, bound - limit.stated)
             if answer is None:
                 break
@@ -251,7 +299,7 @@ class _Pricing:
             high = bound, answer.nrmse
             if not limit.scales_movement:
                 return high
-            free.append((bound, limit.stated + _excess(self.problem, limit, answer.command)))
+            free.append((bound, limit.stated + self._beyond(limit, answer)))
         return np.nan, np.nan
 
 
@@ -270,27 +318,31 @@ def prices(
     multipliers: Multipliers,
     unlimited: FloatArray,
     options: SolverOptions,
+    *,
+    effect: Effect | None = None,
 ) -> list[Price]:
     """Price of every limit that binds, the dearest first; empty if none does.
 
-    Each is two to four further solves: with the limit raised by a step, with it out of the way, and at what is then
-    said to be enough. The others stay as they are. Where the worst of several devices counts, so do their shares: to
-    first order it falls with the mean by these.
+    Each is two to four further optima: with the limit raised by a step, with it out of the way, and at what is then
+    said to be enough. The others stay as they are. Where the optimum without limits is one of them it is not searched
+    for by a method that has limits, and one that is known already only has to be proven. Where the worst of several
+    devices counts, so do their shares: to first order it falls with the mean by these.
 
     Parameters
     ----------
     command, multipliers : (N,) and its multipliers: the certified optimum.
     unlimited : (N,) the optimum without limits.
+    effect : of the certified optimum in this problem, where it is known already.
     """
     if problem.reference_is_zero:
         return []
     problem = replace(problem, worst=False)
-    binds = binding(problem, command, multipliers)
+    effect = Effect(problem, command) if effect is None else effect.of(problem)
+    binds = binding(problem, command, multipliers, effect=effect)
     if not binds:
         return []
-    acceleration, _ = problem.stage.rollout(command)
-    error = problem.target.nrmse(acceleration)
+    error = problem.target.nrmse(effect.motion.acceleration_m_s2)
     trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
-    pricing = _Pricing(problem, unlimited, error, trials)
+    pricing = _Pricing(problem, Effect(problem, unlimited), error, trials)
     found = [pricing.price(limit) for limit in problem.limits if limit.name in binds]
     return sorted(found, key=lambda price: np.inf if np.isnan(price.then) else price.then)

@@ -61,7 +61,8 @@ def resolve(
             designed.append(optimum(problem.towards(wanted), options))
         for iv, answer, played in zip(speeds, designed, replayed(library.coil(), designed), strict=True):
             command = answer.solution.command
-            predicted, current = answer.problem.stage.rollout(command)
+            motion = answer.effect.motion
+            predicted, current = motion.acceleration_m_s2, motion.plant_input
             status, shortfalls = admit(
                 answer.solution.status, answer.certificate, played, answer.problem, command, predicted
             )
@@ -91,7 +92,9 @@ def resolve(
                     "duality_gap": proof.duality_gap,
                     "lower_bound": proof.lower_bound,
                     "solve_time_s": answer.solution.solve_time_s,
-                    "binding": binding_limits(answer.problem, command, answer.solution.multipliers),
+                    "binding": binding_limits(
+                        answer.problem, command, answer.solution.multipliers, effect=answer.effect
+                    ),
                     "correction_m_s2": corrections_m_s2[iv, ig],
                 },
             )

@@ -50,7 +50,7 @@ class _Search:
         if not designed.is_proven:
             raise _UnprovenError(designed)
         problem, J = designed.problem, designed.certificate.objective
-        accelerations = problem.accelerations(designed.solution.command)
+        accelerations = designed.effect.accelerations_m_s2
         above = problem.tracking.above_mean(accelerations)
         if above < self._least:
             self.best, self._least = designed, above
@@ -108,9 +108,11 @@ def least_worst(problem: TransientProblem, options: SolverOptions) -> Designed:
     designed = search.best
     assert designed is not None
     worst, answer = replace(designed.problem, worst=True), replace(designed.solution, solve_time_s=search.spent_s)
+    effect = designed.effect.of(worst)
     return replace(
         designed,
         problem=worst,
         solution=answer,
-        certificate=prove(worst, answer.command, answer.multipliers, options),
+        certificate=prove(worst, answer.command, answer.multipliers, options, effect=effect),
+        effect=effect,
     )

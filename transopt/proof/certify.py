@@ -1,6 +1,6 @@
 """Certificate of optimality without a solver."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -89,8 +89,11 @@ class Effect:
             self.motion = motion
 
     def of(self, problem: TransientProblem) -> "Effect":
-        """The same command in a problem that differs in its limits alone."""
-        found = Effect(problem, self.command)
+        """The same command in another problem; the motion is kept where devices and wall are the same ones."""
+        found, own = Effect(problem, self.command), self.problem
+        alike = [*map(id, problem.devices)] == [*map(id, own.devices)] and problem.grid == own.grid
+        if not alike or problem.wall is not own.wall:
+            return found
         for name in ("continued", "lasting", "motion", "accelerations_m_s2"):
             if name in vars(self):
                 setattr(found, name, getattr(self, name))
@@ -141,16 +144,18 @@ class Effect:
 
 def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
     """Every limit that the problem has, with what the command does to it."""
-    return list(_boxes(Effect(problem, command, motion), multipliers))
+    return list(boxes_of(Effect(problem, command, motion), multipliers))
 
 
-def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
+def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = None) -> Iterator[Box]:
+    """The same of what is known of the command already; of all limits, or only those of one name."""
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
-        value = row.value(effect.motion, effect.command)
-        yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
+        if only in (None, limit.name):
+            value = row.value(effect.motion, effect.command)
+            yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
     thermal = problem.thermal
-    if thermal is not None:
+    if thermal is not None and only in (None, thermal.name):
         model = thermal.model
         winding, limit_C = effect.rise_K[1:, 0] + model.unpowered_C, model.headroom_K + model.unpowered_C
         yield Box(thermal, winding, np.full(N, -np.inf), limit_C, m.lower(TEMPERATURE), m.upper(TEMPERATURE))
@@ -165,8 +170,8 @@ def inside(
     ----------
     effect : of this command in this problem, where further questions about it follow.
     """
-    limits = _boxes(effect or Effect(problem, command), Multipliers.zero(problem))
-    return all(bool((box.excess <= 0).all()) for box in limits if only in (None, box.limit.name))
+    limits = boxes_of(effect or Effect(problem, command), Multipliers.zero(problem), only=only)
+    return all(bool((box.excess <= 0).all()) for box in limits)
 
 
 def reduced_gradient(effect: Effect, multipliers: Multipliers, *, of_limits_alone: bool = False) -> FloatArray:
@@ -284,7 +289,7 @@ def certify(
         return Certificate.nothing()
 
     effect, clipped = effect or Effect(problem, command), admissible(problem, multipliers)
-    limits, silent = list(_boxes(effect, clipped)), problem.reference_is_zero
+    limits, silent = list(boxes_of(effect, clipped)), problem.reference_is_zero
     objective = merit = 0.0
     if not problem.target.is_zero:
         with np.errstate(
@@ -300,20 +305,13 @@ def certify(
         # Thermal runaway: there is no steady state to speak of.
         return replace(Certificate.nothing(), objective=objective, merit=merit)
 
-    over = [float(box.excess.max()) for box in limits]
     tail = hand_over.residual(problem, command, effect.motion)
-    off = float(np.abs(tail).max())
-    violations = {"A": max(off, 0.0)}
-    for by, box in zip(over, limits, strict=True):
-        unit = box.limit.base_unit()
-        violations[unit] = max(violations.get(unit, 0.0), by)
-    excess = [by / box.limit.tolerance for by, box in zip(over, limits, strict=True)]
-    excess.append(off / tolerated(problem.limits.input_limit))
+    violations, excess = _left(problem, limits, tail)
     found = Certificate(
         objective=objective,
         merit=merit,
         violations=violations,
-        excess=max(*excess, 0.0),
+        excess=excess,
         dual_residual=0.0,
         duality_gap=0.0,
         lower_bound=merit,
@@ -346,6 +344,33 @@ def certify(
         duality_gap=gap,
         lower_bound=max(merit - gap, lower_bound) if convex else lower_bound,
     )
+
+
+def _left(problem: TransientProblem, limits: Sequence[Box], tail: FloatArray) -> tuple[dict[str, float], float]:
+    """By how much limits and hand-over are left, by unit, and the most of it in units of what is tolerated."""
+    off = float(np.abs(tail).max())
+    violations, excess = {"A": max(off, 0.0)}, [off / tolerated(problem.limits.input_limit), 0.0]
+    for box in limits:
+        by, unit = float(box.excess.max()), box.limit.base_unit()
+        violations[unit] = max(violations.get(unit, 0.0), by)
+        excess.append(by / box.limit.tolerance)
+    return violations, max(excess)
+
+
+def in_whole(part: Certificate, effect: Effect, multipliers: Multipliers) -> Certificate:
+    """The certificate of a command, from that of the problem without some limits, which bear no multipliers.
+
+    Neither J nor the Lagrangian's gradient knows of such limits: all that is left to see is whether they are kept.
+
+    Parameters
+    ----------
+    part : of the same command and multipliers in a problem that differs in nothing but those limits.
+    effect : of the command in the whole problem.
+    """
+    problem = effect.problem
+    tail = hand_over.residual(problem, effect.command, effect.motion)
+    violations, excess = _left(problem, list(boxes_of(effect, multipliers)), tail)
+    return replace(part, violations=violations, excess=excess)
 
 
 def movement_bound(problem: TransientProblem, gradient: FloatArray) -> float:
@@ -416,7 +441,7 @@ def binding_limits(
     if multipliers.largest <= BINDING_MULTIPLIER:
         return "none"
     rows: dict[str, NDArray[np.bool_]] = {}
-    for box in _boxes(effect or Effect(problem, command), multipliers):
+    for box in boxes_of(effect or Effect(problem, command), multipliers):
         near = BINDING_SLACK * abs(box.limit.stated)
         two_sided = bool(np.isfinite(box.lower).any())
         sides = [("upper", box.by_upper, box.upper - box.value), ("lower", box.by_lower, box.value - box.lower)]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify
+from transopt.proof.certify import Effect, certify
 from transopt.solvers import casadi_ipopt, casadi_piqp, riccati
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
@@ -115,10 +116,20 @@ def solve(problem: TransientProblem, options: SolverOptions | None = None) -> So
 
 
 def prove(
-    problem: TransientProblem, command: FloatArray, multipliers: Multipliers, options: SolverOptions
+    problem: TransientProblem,
+    command: FloatArray,
+    multipliers: Multipliers,
+    options: SolverOptions,
+    *,
+    effect: Effect | None = None,
 ) -> Certificate:
-    """Certificate of an answer; where the temperature binds, with the convex problem's lower bound."""
-    certificate = certify(problem, command, multipliers)
+    """Certificate of an answer; where the temperature binds, with the convex problem's lower bound.
+
+    Parameters
+    ----------
+    effect : of this command in this problem, where it is known already.
+    """
+    certificate = certify(problem, command, multipliers, effect=effect)
     if np.isfinite(certificate.lower_bound) or not certificate.finite or not problem.nonlinear:
         return certificate
     return replace(certificate, lower_bound=global_bound(problem, options))
@@ -134,12 +145,25 @@ def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
     relaxed = problem if thermal is None else problem.replaced(thermal.relaxed())
     relaxed = relaxed.without(*(name for name in problem.nonlinear if name != TemperatureLimit.name))
     return max(
-        (proof.lower_bound for _, proof in _answers(relaxed, options)),
+        (answer.proof.lower_bound for answer in _answers(relaxed, options)),
         default=-np.inf,
     )
 
 
-def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tuple[Solution, Certificate]]:
+class Certified(NamedTuple):
+    """A solver's answer, its certificate, and what its command does in the problem."""
+
+    solution: Solution
+    proof: Certificate
+    effect: Effect
+
+
+def _certified(problem: TransientProblem, answer: Solution) -> Certified:
+    effect = Effect(problem, answer.command)
+    return Certified(answer, certify(problem, answer.command, answer.multipliers, effect=effect), effect)
+
+
+def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Certified]:
     """Answers and certificates until one is proven, which is the last: the wanted solver first, then the others.
 
     On stiff and extreme problems the methods fail on different cases; the certificate tells.
@@ -148,15 +172,15 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
     first = options.solver if options.solver in able else able[0]
     asked = False
     for name in [first, *(other for other in able if other != first)]:
-        answer = solve(problem, replace(options, solver=name))
-        proof = certify(problem, answer.command, answer.multipliers)
-        if not proof.is_stationary and _nearly_proven(problem, proof):
-            answer, proof = _pulled_inside(problem, proof, replace(options, solver=name))
-        if proof.is_stationary:
+        found = _certified(problem, solve(problem, replace(options, solver=name)))
+        if not found.proof.is_stationary and _nearly_proven(problem, found.proof):
+            found = _pulled_inside(problem, found.proof, replace(options, solver=name))
+        answer = found.solution
+        if found.proof.is_stationary:
             # What is proven is proven, though the method ran on for digits that it does not have.
-            yield replace(answer, status=Status.OPTIMAL), proof
+            yield found._replace(solution=replace(answer, status=Status.OPTIMAL))
             return
-        yield answer, proof
+        yield found
         if options.brief:
             return
         if answer.solver == "riccati" and answer.status is Status.INFEASIBLE:
@@ -173,16 +197,13 @@ def _nearly_proven(problem: TransientProblem, proof: Certificate) -> bool:
     return problem.thermal is not None and 1 < proof.excess < NEARLY_INSIDE and gap < NEARLY_PROVEN
 
 
-def _pulled_inside(
-    problem: TransientProblem, proof: Certificate, options: SolverOptions
-) -> tuple[Solution, Certificate]:
+def _pulled_inside(problem: TransientProblem, proof: Certificate, options: SolverOptions) -> Certified:
     """The answer under a temperature limit that is narrower by little more than what was missed, and its proof."""
     thermal = problem.thermal
     assert thermal is not None
     headroom = thermal.model.headroom_K - ROOM * proof.excess * thermal.tolerance
     narrower = replace(thermal, model=replace(thermal.model, headroom_K=headroom))
-    answer = solve(problem.replaced(narrower), options)
-    return answer, certify(problem, answer.command, answer.multipliers)
+    return _certified(problem, solve(problem.replaced(narrower), options))
 
 
 def feasible(problem: TransientProblem) -> bool:
@@ -191,7 +212,7 @@ def feasible(problem: TransientProblem) -> bool:
     return found is None or found[0] == 1.0
 
 
-def solve_certified(problem: TransientProblem, options: SolverOptions) -> tuple[Solution, Certificate]:
-    """The first answer that is certified or, if none is, the wanted solver's; and its certificate."""
+def solve_certified(problem: TransientProblem, options: SolverOptions) -> Certified:
+    """The first answer that is certified or, if none is, the wanted solver's."""
     answers = list(_answers(problem, options))
-    return answers[-1] if answers[-1][1].is_stationary else answers[0]
+    return answers[-1] if answers[-1].proof.is_stationary else answers[0]

@@ -307,17 +307,29 @@ class TestWords:
         assert price.enough == pytest.approx(rounded_up(price.enough), rel=1e-9)
 
     def test_an_answer_that_is_not_certified_gives_no_price(self, cases: dict[str, Case]) -> None:
+        # Two limits bind, so that no optimum without one of them is that without any.
+        problem = moved_command(moved_current(cases["current 2 A"].problem, 2.0), 3.0)
+        designed, _, _ = solved(problem)
+        answer, in_vain = designed.solution, SolverOptions(max_iterations=1)
+        found = prices(problem, answer.command, answer.multipliers, designed.unlimited_command, in_vain)
+        assert {price.limit for price in found} == {"current", "command"}
+        for price in found:
+            assert np.isnan(price.then)
+            assert np.isnan(price.enough)
+            assert price.sentence == (
+                f"{price.stated}: no certified answer with 1 A more, so no price, from where on it would not bind is "
+                "not certified"
+            )
+
+    def test_what_one_linear_solve_finds_needs_no_iterations(self, cases: dict[str, Case]) -> None:
         case = cases["current 4 A"]
-        designed, _, _ = solved_at(case, 4.0)
+        designed, _, (price,) = solved_at(case, 4.0)
         problem, answer = case.moved(case.problem, 4.0), designed.solution
         in_vain = SolverOptions(max_iterations=1)
-        (price,) = prices(problem, answer.command, answer.multipliers, designed.unlimited_command, in_vain)
-        assert np.isnan(price.then)
-        assert np.isnan(price.enough)
-        assert price.sentence == (
-            "current 4 A: no certified answer with 1 A more, so no price, from where on it would not bind is not "
-            "certified"
-        )
+        (without,) = prices(problem, answer.command, answer.multipliers, designed.unlimited_command, in_vain)
+        assert np.isnan(without.then)
+        assert without.enough == price.enough
+        assert without.there == price.there
 
     def test_a_limit_that_always_binds_says_up_to_where(self) -> None:
         price = Price("current", "A", "A", 4.0, 0.2, 1.0, 0.18, np.inf, np.nan, 120.0)

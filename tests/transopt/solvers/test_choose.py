@@ -57,7 +57,7 @@ def test_the_next_method_is_asked(saturated: TransientProblem, monkeypatch: pyte
     monkeypatch.setitem(
         choose.SOLVERS, "riccati", choose.Solver(choose._apart("riccati", dies), lambda problem: True)
     )
-    answer, proof = choose.solve_certified(saturated, SolverOptions("riccati"))
+    answer, proof, _ = choose.solve_certified(saturated, SolverOptions("riccati"))
     assert answer.solver == "casadi-piqp"
     assert proof.is_stationary
 
