@@ -19,6 +19,7 @@ from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.design.price import Price, binding, prices
 from transopt.design.verify import admit
 from transopt.plant.coil import CoilModel
+from transopt.plant.continuous import Accurate, accurate
 from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.baselines import clipped_optimum, seed_inversion
@@ -26,7 +27,7 @@ from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Box, binding_limits, boxes
-from transopt.proof.replay import Replay, replay, replayed_errors
+from transopt.proof.replay import Replay, errors_of, replay, replayed_errors
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
@@ -267,8 +268,7 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     objective = scene.weights.objective
     problems = [entry_problem(scene, stage, reference, spread) for reference in references]
     designed = [best(problem, options, objective=objective) for problem in problems]
-    replays = replayed(scene.coil(), designed)
-    rivals = rivals_errors(scene.limits.steady_input, designed)
+    replays, rivals = played_with_rivals(scene.limits.steady_input, scene.coil(), designed)
     return [
         _entry(scene, grip_N, reference, d, played, baselines, options)
         for reference, d, played, baselines in zip(references, designed, replays, rivals, strict=True)
@@ -277,11 +277,41 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
 
 def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Replay]:
     """Replays of optima, through the wall if there is one; all of one device, time axis and tap rate."""
-    problems = [d.problem for d in designed]
-    budgets = [p.thermal.budget for p in problems if p.thermal is not None]
+    return _replayed(coil, designed, _transients(designed), None)
+
+
+def played_with_rivals(
+    steady_input: float, coil: CoilModel | None, designed: Sequence[Designed]
+) -> tuple[list[Replay], list[Baselines]]:
+    """Replays of optima as of `replayed`, and the two other methods at the transient limit and at the steady one.
+
+    The rivals know no wall. Without one all commands go through one simulation.
+    """
+    first = designed[0].problem
+    transients, rivals = _transients(designed), _rivals(steady_input, designed)
+    targets = [d.problem.target for d in designed] * (len(rivals) // len(designed))
+    if first.wall is None:
+        together, M = accurate(first.stage, first.grid, np.concatenate([transients, rivals]), None), len(designed)
+        replays = _replayed(coil, designed, transients, together.of(slice(M)))
+        errors = errors_of(together.of(slice(M, None)), first.grid, targets)
+    else:
+        replays = _replayed(coil, designed, transients, None)
+        errors = replayed_errors(first.stage, first.grid, rivals, targets)
+    return replays, [Baselines(*(float(error) for error in each)) for each in errors.reshape(-1, len(designed)).T]
+
+
+def _transients(designed: Sequence[Designed]) -> FloatArray:
+    """(M, N) what is played of each optimum, beside the wall's feedback."""
     # A solver that broke down returns NaN, which no integrator needs to see.
     commands = [np.nan_to_num(d.solution.command, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
-    transients = np.stack([p.transient_command(c) for p, c in zip(problems, commands, strict=True)])
+    return np.stack([d.problem.transient_command(c) for d, c in zip(designed, commands, strict=True)])
+
+
+def _replayed(
+    coil: CoilModel | None, designed: Sequence[Designed], transients: FloatArray, simulated: Accurate | None
+) -> list[Replay]:
+    problems = [d.problem for d in designed]
+    budgets = [p.thermal.budget for p in problems if p.thermal is not None]
     walls = [p.wall for p in problems if p.wall is not None]
     return replay(
         problems[0].stage,
@@ -292,22 +322,20 @@ def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Repla
         limits=[problem.limits for problem in problems],
         walls=walls or None,
         budgets=budgets or None,
+        simulated=simulated,
     )
 
 
-def rivals_errors(steady_current_A: float, designed: Sequence[Designed]) -> list[Baselines]:
-    """The two other methods of each entry, at its transient limit and at the steady one, replayed."""
+def _rivals(steady_input: float, designed: Sequence[Designed]) -> FloatArray:
+    """(4 M, N) commands of the two other methods, in the order of `Baselines`, each of all entries."""
     first = designed[0].problem
     references = np.stack([d.problem.reference_m_s2 for d in designed])
     free = np.stack([d.unlimited_command for d in designed])
     # Both limits at once: what is clipped at them is the same.
-    limits = np.array([first.limits.input_limit, steady_current_A])[:, None, None]
+    limits = np.array([first.limits.input_limit, steady_input])[:, None, None]
     seed = seed_inversion(first.stage, first.grid, references, limits, first.hand_over_samples)
     clipped = clipped_optimum(first.stage, first.grid, free, limits)
-    played = np.stack([seed, clipped], axis=1)  # (limit, method, entry, N), limit after limit as in `Baselines`
-    targets = [d.problem.target for d in designed] * (played.shape[0] * played.shape[1])
-    errors = replayed_errors(first.stage, first.grid, played.reshape(-1, first.grid.stages), targets)
-    return [Baselines(*(float(error) for error in each)) for each in errors.reshape(-1, len(designed)).T]
+    return np.stack([seed, clipped], axis=1).reshape(-1, first.grid.stages)  # limit, method, entry
 
 
 def _spread_errors(problem: TransientProblem, nominal: FloatArray, command: FloatArray) -> SpreadErrors | None:
@@ -338,9 +366,8 @@ def _entry(
     baselines: Baselines,
     options: SolverOptions,
 ) -> Entry:
-    problem, solution = designed.problem, designed.solution
-    command = solution.command
-    predicted, current = problem.stage.rollout(command)
+    problem, solution, effect = designed.problem, designed.solution, designed.effect
+    command, predicted = solution.command, effect.motion.acceleration_m_s2
     status, shortfalls = admit(solution.status, designed.certificate, played, problem, command, predicted)
     spread = None
     if problem.spread and status is Status.OPTIMAL:
@@ -356,7 +383,7 @@ def _entry(
         certificate=designed.certificate,
         played=played,
         predicted_m_s2=predicted,
-        plant_input=current,
+        plant_input=effect.motion.plant_input,
         transient_command=problem.transient_command(command),
         floor=designed.floor,
         free_peak=designed.free_peak,
@@ -364,8 +391,8 @@ def _entry(
         repeatability=reference.repeatability,
         status=status,
         shortfalls=[*designed.remarks, *(text for text in shortfalls if not designed.remarks)],
-        binding=binding_limits(problem, command, solution.multipliers),
-        prices=prices(problem, command, solution.multipliers, designed.unlimited_command, options)
+        binding=binding_limits(problem, command, solution.multipliers, effect=effect),
+        prices=prices(problem, command, solution.multipliers, designed.unlimited_command, options, effect=effect)
         if status is Status.OPTIMAL
         else [],
         left_out={**left_out_by_scene(scene, problem), **designed.left_out},

@@ -10,14 +10,14 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.entry import Baselines, energy_dB, replayed, rivals_errors
+from transopt.design.entry import Baselines, played_with_rivals, replayed
 from transopt.design.intensity import best
 from transopt.design.optimum import Designed
 from transopt.design.posed import entry_problem, scene_stage
@@ -28,9 +28,9 @@ from transopt.problem.answer import Status
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.supply import SupplyLimit
-from transopt.problem.objective.bands import levels
+from transopt.problem.objective.bands import pacinian_dB
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits, boxes
+from transopt.proof.certify import binding_limits, boxes_of
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between
@@ -158,16 +158,6 @@ def _text(scene: Scene, *parts: str) -> str:
     return json.dumps(scene.model_dump(include=set(parts), mode="json"), sort_keys=True)
 
 
-def _reference(task: Task, scene: Scene, item: Item) -> Reference:
-    recorded = task.scene.grid.speeds_m_s
-    key = f"{task.source} {scene.time_grid()} {_text(scene, 'recordings', 'targets')} {recorded}"
-    grid = task.scene.grid
-    references = _references.get(key, lambda: references_of(scene.model_copy(update={"grid": grid}), task.recordings))
-    if item.target:
-        return next(reference for reference in references if reference.name == item.target)
-    return between(references, item.speed_m_s)
-
-
 def _device(scene: Scene, grip_N: float) -> str:
     """Everything that the stage model and its time axis depend on."""
     parts = ("model", "motor", "transmission", "tip", "amplifier", "time", "feedback")
@@ -178,30 +168,60 @@ def _stage(scene: Scene, grip_N: float) -> StageModel:
     return _stages.get(_device(scene, grip_N), lambda: scene_stage(scene, grip_N))
 
 
-def _played_with(scene: Scene, grip_N: float, problem: TransientProblem) -> str:
-    """What entries must have in common to be replayed together."""
-    parts = ([limit.name for limit in problem.limits], problem.wall is None)
-    return f"{_device(scene, grip_N)} {scene.coil()} {scene.thermal.tap_rate_Hz} {parts}"
+class _Point:
+    """One scene of a task: what all its entries have in common, found when it is first asked for."""
+
+    def __init__(self, task: Task, scene: Scene) -> None:
+        self.task, self.scene = task, scene
+
+    @cached_property
+    def references(self) -> list[Reference]:
+        """Of all recorded speeds, or of all targets."""
+        task, scene, grid = self.task, self.scene, self.task.scene.grid
+        key = f"{task.source} {scene.time_grid()} {_text(scene, 'recordings', 'targets')} {grid.speeds_m_s}"
+        recorded = scene.model_copy(update={"grid": grid})
+        return _references.get(key, lambda: references_of(recorded, task.recordings))
+
+    def reference(self, item: Item) -> Reference:
+        if item.target:
+            return next(reference for reference in self.references if reference.name == item.target)
+        return between(self.references, item.speed_m_s)
+
+    @cached_property
+    def stage(self) -> StageModel:
+        return _stage(self.scene, self.task.grip_N)
+
+    @cached_property
+    def spread(self) -> tuple[StageModel, ...]:
+        return tuple(_stage(of, grip) for of, grip in self.scene.spread(self.task.grip_N))
+
+    @cached_property
+    def _plays_on(self) -> str:
+        scene = self.scene
+        return f"{_device(scene, self.task.grip_N)} {scene.coil()} {scene.thermal.tap_rate_Hz}"
+
+    def played_with(self, problem: TransientProblem) -> str:
+        """What entries must have in common to be replayed together."""
+        parts = ([limit.name for limit in problem.limits], problem.wall is None)
+        return f"{self._plays_on} {parts}"
 
 
 @dataclass(frozen=True)
 class _Solved:
     item: Item
-    scene: Scene
+    point: _Point
     designed: Designed
     spent_s: float
 
 
-def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
+def _solved(task: Task, item: Item, points: dict[int, _Point]) -> _Solved:
     start = time.perf_counter()
-    if item.point not in scenes:
-        scenes[item.point] = with_values(task.scene, task.points[item.point])
-    scene = scenes[item.point]
-    spread = tuple(_stage(of, grip) for of, grip in scene.spread(task.grip_N))
-    reference = _reference(task, scene, item)
-    problem = entry_problem(scene, _stage(scene, task.grip_N), reference, spread)
-    designed = best(problem, task.options, objective=scene.weights.objective)
-    return _Solved(item, scene, designed, time.perf_counter() - start)
+    if item.point not in points:
+        points[item.point] = _Point(task, with_values(task.scene, task.points[item.point]))
+    point = points[item.point]
+    problem = entry_problem(point.scene, point.stage, point.reference(item), point.spread)
+    designed = best(problem, task.options, objective=point.scene.weights.objective)
+    return _Solved(item, point, designed, time.perf_counter() - start)
 
 
 def multiplier_column(kind: type[Limit]) -> str:
@@ -214,9 +234,8 @@ MULTIPLIER_COLUMNS = {kind.label: multiplier_column(kind) for kind in KINDS}
 
 def _largest(designed: Designed) -> dict[str, float]:
     """Largest multiplier of each limit that the problem has."""
-    problem, answer = designed.problem, designed.solution
     found: dict[str, float] = {}
-    for box in boxes(problem, answer.command, problem.stage.motion(answer.command), answer.multipliers):
+    for box in boxes_of(designed.effect, designed.solution.multipliers):
         name = multiplier_column(type(box.limit))
         found[name] = max(found.get(name, 0.0), float(box.by_upper.max()), float(box.by_lower.max()))
     return found
@@ -227,10 +246,10 @@ def _intensity(designed: Designed, predicted_m_s2: FloatArray) -> dict[str, floa
     problem, attained = designed.problem, designed.attained
     if problem.reference_is_zero:
         return {}
-    made_dB = energy_dB(problem, designed.solution.command)
+    made_dB = problem.tracking.energy_dB(designed.effect.accelerations_m_s2)
     return {
         "energy_dB": made_dB,
-        "pacinian_dB": levels(predicted_m_s2, problem.reference_m_s2, problem.grid.dt_s).pacinian_dB,
+        "pacinian_dB": pacinian_dB(predicted_m_s2, problem.reference_m_s2, problem.grid.dt_s),
         "waveform_dB": made_dB if attained is None else attained.waveform_dB,
         "intensity": problem.intensity,
     }
@@ -240,13 +259,13 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
     start = time.perf_counter()
     designed, item = solved.designed, solved.item
     problem, answer, proof = designed.problem, designed.solution, designed.certificate
-    command = answer.command
-    predicted, _ = problem.stage.rollout(command)
+    command, predicted = answer.command, designed.effect.motion.acceleration_m_s2
     status, shortfalls = admit(answer.status, proof, played, problem, command, predicted)
     finite = bool(np.all(np.isfinite(command)))
     price = ""
     if task.rivals and status is Status.OPTIMAL:
-        found = prices(problem, command, answer.multipliers, designed.unlimited_command, task.options)
+        free, effect = designed.unlimited_command, designed.effect
+        found = prices(problem, command, answer.multipliers, free, task.options, effect=effect)
         price = "; ".join(one.sentence for one in found)
     return Outcome(
         index=item.index,
@@ -272,7 +291,7 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
         multipliers=_largest(designed) if finite else {},
         nrmse_seed=NAN if rivals is None else rivals.seed,
         nrmse_clipped=NAN if rivals is None else rivals.clipped,
-        binding=binding_limits(problem, command, answer.multipliers) if finite else "",
+        binding=binding_limits(problem, command, answer.multipliers, effect=designed.effect) if finite else "",
         price=price,
         solver=answer.solver,
         reason="; ".join(designed.remarks or shortfalls),
@@ -305,12 +324,12 @@ def run_task(task: Task) -> list[Outcome]:
 def _run(task: Task) -> list[Outcome]:
     outcomes: list[Outcome] = []
     together: dict[str, list[_Solved]] = {}
-    scenes: dict[int, Scene] = {}
+    points: dict[int, _Point] = {}
     for item in task.items:
-        solved, refused = _guarded([item], task, partial(_solved, task, item, scenes))
+        solved, refused = _guarded([item], task, partial(_solved, task, item, points))
         outcomes += refused
         if solved is not None:
-            together.setdefault(_played_with(solved.scene, task.grip_N, solved.designed.problem), []).append(solved)
+            together.setdefault(solved.point.played_with(solved.designed.problem), []).append(solved)
     for group in together.values():
         finished, refused = _guarded([s.item for s in group], task, partial(_finished, task, group))
         outcomes += refused if finished is None else finished
@@ -320,11 +339,12 @@ def _run(task: Task) -> list[Outcome]:
 
 def _finished(task: Task, group: Sequence[_Solved]) -> list[Outcome]:
     start = time.perf_counter()
-    scene, designed = group[0].scene, [solved.designed for solved in group]
-    replays = replayed(scene.coil(), designed)
+    scene, designed = group[0].point.scene, [solved.designed for solved in group]
     rivals: Sequence[Baselines | None] = [None] * len(designed)
     if task.rivals:
-        rivals = rivals_errors(scene.limits.steady_input, designed)
+        replays, rivals = played_with_rivals(scene.limits.steady_input, scene.coil(), designed)
+    else:
+        replays = replayed(scene.coil(), designed)
     share = (time.perf_counter() - start) / len(group)
     return [
         _outcome(task, solved, played, baselines, share)

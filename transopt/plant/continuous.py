@@ -7,7 +7,7 @@ that are held a Runge-Kutta step is a linear map, the same in every period.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -216,25 +216,49 @@ class Flow:
 
 
 @dataclass(frozen=True)
-class Course:
-    """States of M taps at the start of every segment, from the first tick until `after_s` after tau_N.
+class Period:
+    """One servo period as one map: the second of its segments goes on from the first.
 
     Attributes
     ----------
-    segments : of a period, two.
-    states : (M, periods, n) per segment, at its start.
-    felt : (M, periods) per segment, the command that is felt in it.
-    command : (M, N) as issued.
+    segments : two.
+    P : (n, n), by_command : (n, 1 + late) of x_(k+1) = P x_k + by_command @ (issued_k, .., issued_(k+late)), where
+        the issued commands begin with the silence before the first.
     arriving : index of the segment in which a tick's own command is felt first.
+    periods : that are played, until `after_s` after tau_N.
     instants : N and those after the window that the problem looks at.
     """
 
     segments: list[Segment]
-    states: list[FloatArray]
-    felt: list[FloatArray]
-    command: FloatArray
+    P: FloatArray
+    by_command: FloatArray
     arriving: int
+    periods: int
     instants: int
+
+    @classmethod
+    def of(cls, flow: Flow, grid: TimeGrid, halvings: int) -> "Period":
+        """With a Runge-Kutta step that is halved so often."""
+        segments = _segments(flow.A, flow.B, grid, halvings)
+        first, second = segments
+        late = first.behind - second.behind
+        by_command = np.zeros((flow.A.shape[0], 1 + late))
+        by_command[:, 0] += (second.P[-1] @ first.Q[-1])[:, 0]
+        by_command[:, late] += second.Q[-1][:, 0]
+        return cls(
+            segments,
+            second.P[-1] @ first.P[-1],
+            by_command,
+            # With a whole delay the command arrives with the tick, else with the second segment.
+            arriving=0 if late == 0 else 1,
+            periods=grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s)),
+            instants=grid.stages + grid.after_stages,
+        )
+
+    @property
+    def late(self) -> int:
+        """Ticks by which the second segment's command was issued after the first's."""
+        return int(self.by_command.shape[1]) - 1
 
     @property
     def at_switching(self) -> slice:
@@ -242,22 +266,67 @@ class Course:
         behind = self.segments[self.arriving].behind
         return slice(behind, behind + self.instants)
 
+    def issued(self, commands: FloatArray) -> FloatArray:
+        """(M, periods + late or more) of commands (M, N), with the silence before the first and after the last."""
+        behind = self.segments[0].behind
+        found = np.zeros((commands.shape[0], behind + self.periods))
+        found[:, behind : behind + commands.shape[1]] = commands
+        return found
+
+    def accelerations(self, flow: Flow, commands: FloatArray) -> FloatArray:
+        """(M, instants) y'' just after the switching instants under held commands (M, N), their states left out."""
+        issued, at = self.issued(commands), self.at_switching
+        row, now = flow.rows[0], flow.direct[0] * issued[:, self.late :][:, at]
+        if self.arriving == 1:
+            first = self.segments[0]
+            row, now = row @ first.P[-1], now + (row @ first.Q[-1][:, 0]) * issued[:, at]
+        return np.asarray(_held(self.P, self.by_command, issued, self.periods, row[:, None])[:, at, 0] + now)
+
+
+@dataclass(frozen=True)
+class Course:
+    """States of M taps at the start of every segment, from the first tick until `after_s` after tau_N.
+
+    Attributes
+    ----------
+    period : that is played again and again.
+    states : (M, periods, n) per segment, at its start.
+    felt : (M, periods) per segment, the command that is felt in it.
+    command : (M, N) as issued.
+    """
+
+    period: Period
+    states: list[FloatArray]
+    felt: list[FloatArray]
+    command: FloatArray
+
+    def of(self, taps: slice) -> "Course":
+        """Of some of the taps."""
+        return Course(
+            self.period,
+            [states[taps] for states in self.states],
+            [felt[taps] for felt in self.felt],
+            self.command[taps],
+        )
+
     def accelerations(self, flow: Flow) -> FloatArray:
         """(M, instants) y'' just after the switching instants."""
-        at = self.at_switching
-        states, felt = self.states[self.arriving][:, at], self.felt[self.arriving][:, at]
+        at, arriving = self.period.at_switching, self.period.arriving
+        states, felt = self.states[arriving][:, at], self.felt[arriving][:, at]
         return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
 
     def rounding(self, flow: Flow) -> FloatArray:
         """(M,) `ROUNDING` times the largest sum of the sizes of the terms that add up to y'' there [m/s^2]."""
-        states = np.abs(self.states[self.arriving][:, self.at_switching])
-        felt = np.abs(self.felt[self.arriving][:, self.at_switching])
+        at, arriving = self.period.at_switching, self.period.arriving
+        states, felt = np.abs(self.states[arriving][:, at]), np.abs(self.felt[arriving][:, at])
         terms = states @ np.abs(flow.rows[0]) + np.abs(flow.direct[0]) * felt
         return np.asarray(ROUNDING * terms.max(axis=1))
 
 
-def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int) -> FloatArray:
-    """(M, periods, n) of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
+def _held(
+    P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int, looked_at: FloatArray
+) -> FloatArray:
+    """(M, periods, p) of x_k @ looked_at, x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
 
     In blocks of `BLOCK` periods, each a linear map of the state before it and of the commands in it: what the
     commands do and what the state before does are one matrix product each for all blocks at once.
@@ -266,67 +335,59 @@ def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: in
     ----------
     by_command : (n, w).
     issued : (M, at least periods + w - 1).
+    looked_at : (n, p) columns.
     """
-    (n, w), M = by_command.shape, issued.shape[0]
+    (n, w), M, p = by_command.shape, issued.shape[0], looked_at.shape[1]
     powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows
     powers[0] = np.eye(n)
     for j in range(BLOCK):
         np.matmul(powers[j], P.T, out=powers[j + 1])
-    answers = np.zeros((BLOCK + w - 1, BLOCK, n))  # of the states after each period to each command in the block
+    pushed = by_command.T @ powers[:BLOCK]  # (BLOCK, w, n) of the state so many periods after a command
+    seen = pushed @ looked_at
+    answers = np.zeros((BLOCK + w - 1, BLOCK, p))  # after each period to each command in the block
+    ends = np.zeros((BLOCK + w - 1, n))  # of the state after the last
     for j in range(BLOCK):
-        pushed = by_command.T @ powers[: BLOCK - j]
         for delay in range(w):
-            answers[j + delay, j:] += pushed[:, delay]
+            answers[j + delay, j:] += seen[: BLOCK - j, delay]
+            ends[j + delay] += pushed[BLOCK - 1 - j, delay]
     blocks = -(-(periods - 1) // BLOCK)
     padded = np.zeros((M, blocks * BLOCK + w - 1))
     kept = min(padded.shape[1], issued.shape[1])
     padded[:, :kept] = issued[:, :kept]
     windows = np.lib.stride_tricks.sliding_window_view(padded, BLOCK + w - 1, axis=1)[:, ::BLOCK]
-    states = np.zeros((M, 1 + blocks * BLOCK, n))
-    after = (windows.reshape(M * blocks, -1) @ answers.reshape(BLOCK + w - 1, -1)).reshape(M, blocks, BLOCK, n)
-    before = np.zeros((M, blocks, n))
+    windows = windows.reshape(M * blocks, -1)
+    before, end = np.zeros((blocks, M, n)), (windows @ ends).reshape(M, blocks, n)
     for j in range(1, blocks):
-        before[:, j] = before[:, j - 1] @ powers[BLOCK] + after[:, j - 1, -1]
-    kept_on = powers[1:].transpose(1, 0, 2).reshape(n, -1)
-    after += (before.reshape(M * blocks, n) @ kept_on).reshape(after.shape)
-    states[:, 1:] = after.reshape(M, -1, n)
-    return states[:, :periods]
+        np.matmul(before[j - 1], powers[BLOCK], out=before[j])
+        before[j] += end[:, j - 1]
+    found = np.zeros((M, 1 + blocks * BLOCK, p))
+    after = windows @ answers.reshape(BLOCK + w - 1, -1)
+    kept_on = (powers[1:] @ looked_at).transpose(1, 0, 2).reshape(n, -1)
+    after += before.transpose(1, 0, 2).reshape(M * blocks, n) @ kept_on
+    found[:, 1:] = after.reshape(M, -1, p)
+    return found[:, :periods]
 
 
 def _play(
-    stage: StageModel, flow: Flow, grid: TimeGrid, commands: FloatArray, halvings: int, loop: Loop | None
+    stage: StageModel, flow: Flow, grid: TimeGrid, commands: FloatArray, period: Period, loop: Loop | None
 ) -> Course:
-    """The states of M taps under the commands (M, N) [A], period by period.
-
-    `halvings` is how often the Runge-Kutta step is halved; `loop` adds the wall's feedback to the commands.
-    """
-    segments = _segments(flow.A, flow.B, grid, halvings)
-    first, second = segments
-    # With a whole delay the command arrives with the tick, else with the second segment.
-    arriving = 0 if first.behind == second.behind else 1
-    (M, N), n = commands.shape, flow.A.shape[0]
-    periods = N + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
+    """The states of M taps under the commands (M, N) [A], period by period; `loop` adds the wall's feedback."""
+    (M, N), n, late = commands.shape, flow.A.shape[0], period.late
+    first, periods = period.segments[0], period.periods
     # Before the first command and after the waveform there is silence, or what the wall goes on asking for.
-    issued = np.zeros((M, first.behind + periods))
-    issued[:, first.behind : first.behind + N] = commands
-    # One period as one map: the second segment goes on from the first.
-    late = first.behind - second.behind
-    P, by_command = second.P[-1] @ first.P[-1], np.zeros((n, 1 + late))
-    by_command[:, 0] += (second.P[-1] @ first.Q[-1])[:, 0]
-    by_command[:, late] += second.Q[-1][:, 0]
+    issued = period.issued(commands)
     if loop is None:
-        starts = _held(P, by_command, issued, periods)
+        starts = _held(period.P, period.by_command, issued, periods, np.eye(n))
     else:
         starts, x = np.zeros((M, periods, n)), np.zeros((M, n))
         feedback = loop.start(stage, grid.dt_s)
         for k in range(periods):
             starts[:, k] = x
             issued[:, first.behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
-            x = x @ P.T + issued[:, k : k + 1 + late] @ by_command.T
+            x = x @ period.P.T + issued[:, k : k + 1 + late] @ period.by_command.T
     felt = [issued[:, :periods], issued[:, late : late + periods]]
     middle = starts @ first.P[-1].T + felt[0][..., None] * first.Q[-1][:, 0]
-    command = issued[:, first.behind : first.behind + N]
-    return Course(segments, [starts, middle], felt, command, arriving, N + grid.after_stages)
+    return Course(period, [starts, middle], felt, issued[:, first.behind : first.behind + N])
 
 
 def after_s(grid: TimeGrid) -> float:
@@ -337,12 +398,12 @@ def after_s(grid: TimeGrid) -> float:
 def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
     """All kept samples of a course: `SAMPLES_PER_PERIOD` a period, and the start of each segment besides."""
     M, periods, _ = course.states[0].shape
-    samples = course.segments[0].offsets_s.size
+    period, samples = course.period, course.period.segments[0].offsets_s.size
     # Segment after segment within each period, all of it along one axis in the end.
     values, felt = np.empty((flow.direct.size, M, periods, 2, samples)), np.empty((M, periods, 2, samples))
     times = np.empty((periods, 2, samples))
     ticks = grid.dt_s * np.arange(periods) - grid.lead_s
-    for j, (segment, states, command) in enumerate(zip(course.segments, course.states, course.felt, strict=True)):
+    for j, (segment, states, command) in enumerate(zip(period.segments, course.states, course.felt, strict=True)):
         for row, direct, found in zip(flow.rows, flow.direct, values, strict=True):
             by_state, by_command = row @ segment.P, row @ segment.Q[..., 0].T + direct
             found[:, :, j] = states @ by_state.T
@@ -351,7 +412,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
         times[:, j] = ticks[:, None] + segment.offsets_s
     acceleration, current, velocity, *further = values.reshape(flow.direct.size, M, -1)
     starts = samples * np.arange(2 * periods)
-    at = course.at_switching
+    at = period.at_switching
     return Trajectory(
         times_s=times.ravel(),
         acceleration_m_s2=acceleration,
@@ -359,47 +420,79 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
         felt=felt.reshape(M, -1),
         velocity_m_s=velocity,
         outputs=dict(zip(flow.names, further, strict=True)),
-        at_switching=starts[course.arriving :: 2][at][: grid.stages],
+        at_switching=starts[period.arriving :: 2][at][: grid.stages],
         segment_starts=starts,
     )
 
 
 @dataclass(frozen=True)
 class Accurate:
-    """A course whose Runge-Kutta step is fine enough.
+    """M commands played with a Runge-Kutta step that is fine enough.
 
     Attributes
     ----------
-    flow : what was integrated.
-    course : states at the starts of the segments.
+    stage, flow, grid, period, loop : what was played. commands : (M, N).
     acceleration_m_s2 : (M, instants) y'' just after the switching instants, those after the window behind.
-    rounding_m_s2 : (M,) size of what rounding may do to them.
     step_error : (M,) largest difference of y'' to the course of twice the step, relative to its peak.
+    played : the states, where they were needed on the way.
     """
 
+    stage: StageModel
     flow: Flow
-    course: Course
+    grid: TimeGrid
+    period: Period
+    loop: Loop | None
+    commands: FloatArray
     acceleration_m_s2: FloatArray
-    rounding_m_s2: FloatArray
     step_error: FloatArray
+    played: Course | None
+
+    def course(self) -> Course:
+        """The states at the starts of the segments, played for once more where they are not known."""
+        if self.played is not None:
+            return self.played
+        return _play(self.stage, self.flow, self.grid, self.commands, self.period, self.loop)
+
+    def of(self, taps: slice) -> "Accurate":
+        """Of some of the commands, which no wall's feedback was added to."""
+        assert self.loop is None
+        return replace(
+            self,
+            commands=self.commands[taps],
+            acceleration_m_s2=self.acceleration_m_s2[taps],
+            step_error=self.step_error[taps],
+            played=None if self.played is None else self.played.of(taps),
+        )
 
 
 def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
     """Play commands (M, N) [A], halving the step until halving changes y'' by no more than `STEP_ERROR`.
 
-    After `MOST_HALVINGS` the finest course is returned as it is; its `step_error` says how good it is.
+    After `MOST_HALVINGS` the finest course is returned as it is; its `step_error` says how good it is. Without a
+    wall the states are left out, unless all that is left of y'' may be rounding, which they tell.
 
     Parameters
     ----------
     loop : the walls whose feedback is added to the commands; None for none.
     """
     flow = Flow.of(stage)
-    coarse = _play(stage, flow, grid, commands, 0, loop).accelerations(flow)
+
+    def played(period: Period) -> tuple[FloatArray, Course | None]:
+        if loop is None:
+            return period.accelerations(flow, commands), None
+        course = _play(stage, flow, grid, commands, period, loop)
+        return course.accelerations(flow), course
+
+    coarse, _ = played(Period.of(flow, grid, 0))
     for halvings in range(1, MOST_HALVINGS + 1):
-        course = _play(stage, flow, grid, commands, halvings, loop)
-        found, rounding = course.accelerations(flow), course.rounding(flow)
-        step_error = np.abs(found - coarse).max(axis=1) / peak_scale(np.abs(found).max(axis=1), rounding)
+        period = Period.of(flow, grid, halvings)
+        found, course = played(period)
+        difference, peak = np.abs(found - coarse).max(axis=1), np.abs(found).max(axis=1)
+        step_error = difference / peak_scale(peak, 0.0)
+        if not np.all(step_error <= STEP_ERROR):
+            course = course or _play(stage, flow, grid, commands, period, loop)
+            step_error = difference / peak_scale(peak, course.rounding(flow))
         coarse = found
         if np.all(step_error <= STEP_ERROR):
             break
-    return Accurate(flow, course, found, rounding, step_error)
+    return Accurate(stage, flow, grid, period, loop, commands, found, step_error, course)

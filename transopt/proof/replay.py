@@ -13,7 +13,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
-from transopt.plant.continuous import AGREEMENT, Loop, Trajectory, accurate, fine, peak_scale
+from transopt.plant.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
@@ -105,7 +105,12 @@ class Replay:
 
 def replayed_errors(stage: StageModel, grid: TimeGrid, commands: FloatArray, targets: Sequence[Target]) -> FloatArray:
     """(M,) NRMSE of M commands (M, N) against what they shall do, by the same simulation as `replay`."""
-    found = accurate(stage, grid, commands, None).acceleration_m_s2[:, : grid.stages]
+    return errors_of(accurate(stage, grid, commands, None), grid, targets)
+
+
+def errors_of(simulated: Accurate, grid: TimeGrid, targets: Sequence[Target]) -> FloatArray:
+    """(M,) NRMSE of M commands that have been simulated against what they shall do."""
+    found = simulated.acceleration_m_s2[:, : grid.stages]
     return np.array([target.nrmse(a) for a, target in zip(found, targets, strict=True)])
 
 
@@ -114,15 +119,18 @@ def largest_reached(
 ) -> list[tuple[dict[str, float], dict[str, float]]]:
     """Of each command, by limit: the largest size of the values that it watches, and the largest up to tau_(N-1)."""
     instants = np.append(grid.switching_times_s, grid.end_s)
-    playing = (run.times_s >= grid.switching_times_s[0]) & (run.times_s <= grid.end_s)
+    playing = slice(
+        int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left")),
+        int(np.searchsorted(run.times_s, grid.end_s, side="right")),
+    )
     # The sample just before an instant has its time, but the command before it.
-    stated = np.arange(run.times_s.size) <= run.at_switching[-1]
+    last_stated = int(run.at_switching[-1])
     found = []
     for m, of_entry in enumerate(limits):
         posed = _Posed(stage, grid, of_entry)
         peaks, early = ({limit.name: 0.0 for limit in of_entry} for _ in range(2))
         for limit in of_entry:
-            at = np.ones_like(playing) if limit.after_the_waveform else playing
+            at = slice(0, run.times_s.size) if limit.after_the_waveform else playing
             motion = Motion(
                 run.acceleration_m_s2[m, at],
                 run.plant_input[m, at],
@@ -136,7 +144,9 @@ def largest_reached(
                     offset = np.interp(run.times_s[at], instants[: offset.size], offset)
                 size = np.abs(replace(row, offset=offset).value(motion, run.felt[m, at]))
                 peaks[limit.name] = np.maximum(peaks[limit.name], size.max()).item()
-                early[limit.name] = np.maximum(early[limit.name], size[stated[at]].max(initial=0.0)).item()
+                early[limit.name] = np.maximum(
+                    early[limit.name], size[: last_stated + 1 - at.start].max(initial=0.0)
+                ).item()
         found.append((peaks, early))
     return found
 
@@ -185,6 +195,7 @@ def replay(
     walls: Sequence[HandOver] | None = None,
     budgets: Sequence[Budget] | None = None,
     count_m: float = 0.0,
+    simulated: Accurate | None = None,
 ) -> list[Replay]:
     """Play M commands (M, N) through one device, from rest, and compare each with what it shall do.
 
@@ -198,10 +209,13 @@ def replay(
     walls : one per command: the commands are then the transients, and the feedback is added tick by tick from the
         replay's own encoder position, which `count_m` rounds to whole counts.
     budgets : one per command, of one tap rate; with it the temperatures are those of the periodic steady state.
+    simulated : these commands, where they have been simulated together with others.
     """
-    loop = None if walls is None else Loop(walls, count_m)
-    found = accurate(stage, grid, commands, loop)
-    run, command = fine(found.course, found.flow, grid), found.course.command
+    if simulated is None:
+        loop = None if walls is None else Loop(walls, count_m)
+        simulated = accurate(stage, grid, commands, loop)
+    found, course = simulated, simulated.course()
+    run, command, rounding = fine(course, found.flow, grid), course.command, course.rounding(found.flow)
     acceleration, later = np.split(found.acceleration_m_s2, [grid.stages], axis=1)
     current = run.plant_input[:, run.at_switching]
     M, after = commands.shape[0], run.times_s > grid.end_s
@@ -232,7 +246,7 @@ def replay(
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),
             command=command[m],
-            rounding_m_s2=float(found.rounding_m_s2[m]),
+            rounding_m_s2=float(rounding[m]),
             step_error=float(found.step_error[m]),
         )
         for m in range(M)

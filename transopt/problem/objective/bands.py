@@ -81,27 +81,42 @@ def _integrals(N: int, dt_s: float) -> FloatArray:
     return np.diff(up_to, axis=1)
 
 
+def pacinian_dB(made_m_s2: FloatArray, wanted_m_s2: FloatArray, dt_s: float) -> float:
+    """`Levels.pacinian_dB` alone."""
+    felt = _felt(np.atleast_2d(made_m_s2), wanted_m_s2, dt_s)
+    return _energy_dB(*felt) if felt else float("nan")
+
+
+def _felt(made: FloatArray, wanted: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray] | None:
+    """Accelerations (S, N) and (N,) as they are felt; None at a servo rate that cannot carry the band-pass."""
+    if not 2 * PACINIAN_Hz * dt_s < 1:
+        return None
+    by = pacinian(dt_s)
+    return by.apply(made), by.apply(wanted)
+
+
+def _energy_dB(made: FloatArray, wanted: FloatArray) -> float:
+    """Mean energy of (S, N) over that of (N,)."""
+    return _dB(float(np.mean(np.sum(made**2, axis=-1))), float(wanted @ wanted))
+
+
 def levels(made_m_s2: FloatArray, wanted_m_s2: FloatArray, dt_s: float) -> Levels:
     """Of accelerations (N,), or the mean energy of those (S, N) of several devices, beside (N,) wanted."""
     made = np.atleast_2d(made_m_s2)
-    broadband = _dB(float(np.mean(np.sum(made**2, axis=-1))), float(wanted_m_s2 @ wanted_m_s2))
-    felt_made, felt_wanted, pacinian_dB = made, wanted_m_s2, float("nan")
-    if 2 * PACINIAN_Hz * dt_s < 1:
-        by = pacinian(dt_s)
-        felt_made, felt_wanted = by.apply(made), by.apply(wanted_m_s2)
-        pacinian_dB = _dB(float(np.mean(np.sum(felt_made**2, axis=-1))), float(felt_wanted @ felt_wanted))
+    felt = _felt(made, wanted_m_s2, dt_s)
+    felt_made, felt_wanted = felt or (made, wanted_m_s2)
     plain = band_energies(np.vstack([made, wanted_m_s2, felt_made, felt_wanted]), dt_s)
     S = made.shape[0]
     own, asked = plain[:S].mean(axis=0), plain[S]
-    felt, felt_asked = plain[S + 1 : -1].mean(axis=0), plain[-1]
+    felt_own, felt_asked = plain[S + 1 : -1].mean(axis=0), plain[-1]
     heard = (asked > QUIET * float(wanted_m_s2 @ wanted_m_s2)) | (
         felt_asked > QUIET * float(felt_wanted @ felt_wanted)
     )
     thirds = {f: _dB(own[j + 1], asked[j + 1]) for j, f in enumerate(NOMINAL_Hz) if heard[j + 1]}
-    off = int(np.argmax(np.abs(felt - felt_asked)))
+    off = int(np.argmax(np.abs(felt_own - felt_asked)))
     return Levels(
-        broadband_dB=broadband,
-        pacinian_dB=pacinian_dB,
+        broadband_dB=_energy_dB(made, wanted_m_s2),
+        pacinian_dB=_energy_dB(*felt) if felt else float("nan"),
         below_dB=_dB(own[0], asked[0]) if heard[0] else float("nan"),
         thirds_dB=thirds,
         lacking_Hz=(0.0, *NOMINAL_Hz)[off],

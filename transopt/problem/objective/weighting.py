@@ -1,6 +1,7 @@
 """Weighting of the tracking error by what the hand feels."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -49,6 +50,7 @@ def error_filter(name: str, dt_s: float) -> ErrorFilter | None:
     return pacinian(dt_s) if name == "pacinian" else None
 
 
+@lru_cache(maxsize=8)  # every entry's verdict asks for it
 def pacinian(dt_s: float) -> ErrorFilter:
     """Band-pass at 275 Hz, Q 0.5, unit peak, over a floor of -20 dB.
 
