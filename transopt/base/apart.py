@@ -26,6 +26,7 @@ from time import monotonic
 from typing import IO, Any, TypeVar
 
 from transopt.base.files import ctrl_c_waits
+from transopt.base.threads import one_thread
 
 T = TypeVar("T")
 
@@ -33,8 +34,6 @@ START_S = 120.0  # for the process to load what a call needs; a second on an idl
 LOOK_S = 0.1  # between two looks at the clock: on Windows nothing else lets a Ctrl-C through
 ORPHANED_S = 5.0  # after the caller's own deadline: whoever had to end the process is gone
 BEGUN = b"begun"
-# Matrices are small: threads of the linear algebra would only wait for each other.
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class UnansweredError(RuntimeError):
@@ -54,7 +53,7 @@ class _Process:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**dict.fromkeys(THREADS, "1"), **os.environ},
+            env={**os.environ, **one_thread(os.environ)},
             **alone,
         )
         assert self._popen.stdin is not None

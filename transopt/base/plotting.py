@@ -43,8 +43,9 @@ def save_figure(figure: Figure, path: Path) -> None:
     figure.set_dpi(DPI)
     if (layout := figure.get_layout_engine()) is not None:
         # savefig would draw the figure a second time only to lay it out, so that is done here, once.
+        # (By "none" a placeholder would stay, for which savefig goes through the whole figure all the same.)
         layout.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)
     with whole_file(path) as file:
         figure.savefig(file, format="png", dpi=DPI)
 

@@ -21,6 +21,7 @@ from rich.text import Text
 from transopt.base import apart
 from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
+from transopt.base.threads import one_thread
 
 AGAIN_S = 0.01  # between a signal that Python ignored and the next try
 LAST_S = 0.6  # between a signal and the end of the process, whatever it is doing
@@ -84,9 +85,7 @@ def run(app: Callable[..., object], name: str | None = None) -> None:
     app : a Typer application, or a function without arguments.
     name : of the command, as its usage and its errors call it, however Python was started; None for a function.
     """
-    # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
-    # processor and gain nothing. The variable is read when numpy is loaded, which happens inside the commands.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.update(one_thread(os.environ))  # in time: numpy is loaded inside the commands
     # What the terminal's encoding lacks (the C locale's is ASCII) is escaped: no table ends in an encoding error.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -18,13 +18,10 @@ from typing import Any, ParamSpec, TypeVar
 
 from transopt.base.errors import InputError
 from transopt.base.files import ctrl_c_waits
+from transopt.base.threads import one_thread
 
 P = ParamSpec("P")
 T = TypeVar("T")
-
-# The workers multiply small matrices: threads of theirs would only wait for each other.
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-
 
 LAST_WORDS_S = 1.0  # between a closed line and the exit code of the worker at its other end
 _one_at_a_time = threading.Lock()  # of all executors here: a worker's start changes this process's environment
@@ -73,8 +70,8 @@ class Serial(Executor):
 @contextmanager
 def _starting() -> Iterator[None]:
     """Processes started inside use one thread each, and a Ctrl-C, which is this process's own, passes them by."""
-    lacking = [name for name in THREADS if name not in os.environ]
-    os.environ.update(dict.fromkeys(lacking, "1"))
+    lacking = one_thread(os.environ)
+    os.environ.update(lacking)
     try:
         with ctrl_c_waits():
             yield

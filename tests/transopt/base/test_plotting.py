@@ -23,6 +23,15 @@ def test_a_saved_figure_is_a_png_at_150_dpi(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["bode.png"]
 
 
+def test_a_figure_with_a_layout_is_drawn_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figure = Figure(layout="constrained")
+    (line,) = figure.subplots().plot([0.0, 1.0])
+    drawn = []
+    monkeypatch.setattr(line, "draw", drawn.append)
+    save_figure(figure, tmp_path / "line.png")
+    assert len(drawn) == 1
+
+
 def test_a_failing_save_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "bode.png"
     path.write_bytes(b"old")

@@ -60,3 +60,17 @@ def test_a_file_in_nobodys_way_is_left_alone(tmp_path: Path, name: str) -> None:
 
 def test_the_packages_themselves_are_in_nobodys_way() -> None:
     assert [in_the_way(package) for package in ("transopt", "problems", "controller")] == [None] * 3
+
+
+def test_the_end_of_a_command_searches_nothing_for_garbage(tmp_path: Path) -> None:
+    counted = "import atexit, gc; atexit.register(lambda: print(gc.get_freeze_count(), len(gc.get_objects())))"
+    ended = subprocess.run(
+        [sys.executable, "-c", f"{counted}; from transopt.cli.start import transopt; transopt()", "scene", "list"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=True,
+    )
+    left_out, searched = map(int, ended.stdout.splitlines()[-1].split())
+    assert left_out > 20 * searched
