@@ -50,6 +50,17 @@ def save_figure(figure: Figure, path: Path) -> None:
         figure.savefig(file, format="png", dpi=DPI)
 
 
+def leave_room(figure: Figure, left_in: float, right_in: float, below_in: float, above_in: float) -> None:
+    """State the margins around the panels of a figure without a layout engine.
+
+    To find room for labels whose size is known takes Matplotlib as long as to draw them.
+    """
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=left_in / width, right=1 - right_in / width, bottom=below_in / height, top=1 - above_in / height
+    )
+
+
 def colours(n: int) -> FloatArray:
     """(n, 4) colours from dark to light, for quantities that have an order."""
     return np.asarray(colormaps["viridis"](np.linspace(*VIRIDIS_RANGE, n) if n > 1 else [0.35]))

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from transopt.base.axes import Axes
-from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, Drawing, colours, plain, style
+from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, Drawing, colours, leave_room, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
 from transopt.plant.discretise import TimeGrid
@@ -32,6 +32,9 @@ END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": "-."}  # o
 
 MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows legibly
 
+LEGEND_IN, LEGEND_ROW_IN = 0.1, 0.17  # height of a legend in SMALL_PT: its edges, and each row
+TITLE_IN = 0.27
+
 QUIET = 0.1  # of the reference's peak: the time axis is compressed once all references stay below it
 PROMINENT = 0.7  # share of the time axis before that
 TICK_STEPS = (1, 2, 5, 10)
@@ -41,11 +44,15 @@ def grip_label(grip_N: float) -> str:
     return "free device" if grip_N == 0 else f"grip {grip_N:g} N"
 
 
-def legend_above(figure: Figure, handles: Sequence[Any], entry_in: float) -> None:
-    """One legend above all axes, in as many columns of `entry_in` inches as the figure has room for."""
+def legend_above(figure: Figure, handles: Sequence[Any], entry_in: float) -> float:
+    """One legend above all axes, in as many columns of `entry_in` inches as the figure has room for; its height [in].
+
+    A figure without a layout engine has to leave that height.
+    """
     rows = -(-len(handles) // max(int(figure.get_figwidth() / entry_in), 1))
     columns = -(-len(handles) // rows)
     figure.legend(handles=handles, loc="outside upper center", ncols=columns, fontsize=SMALL_PT, frameon=False)
+    return LEGEND_IN + LEGEND_ROW_IN * rows
 
 
 def _ticks(intervals: int, start: float, end: float) -> FloatArray:
@@ -195,8 +202,9 @@ def transients_figure(drawn: Transients) -> Figure:
     hand_over_ms = (grid.issue_times_s[-drawn.hand_over_samples] + grid.delay_s) * 1e3
     shades = colours(len(shown_speeds))
 
-    figure = Drawing(figsize=(max(1.0 + 2.1 * len(shown_grips), 4.4), 5.0), layout="constrained")
-    rows = figure.subplots(2, len(shown_grips), sharex=True, sharey="row", squeeze=False)
+    figure = Drawing(figsize=(max(1.0 + 2.1 * len(shown_grips), 4.4), 5.0))
+    spaced = {"wspace": 0.06, "hspace": 0.08}
+    rows = figure.subplots(2, len(shown_grips), sharex=True, sharey="row", squeeze=False, gridspec_kw=spaced)
     binds = False
     for column, ig in enumerate(shown_grips):
         above, below = rows[:, column]
@@ -248,5 +256,6 @@ def transients_figure(drawn: Transients) -> Figure:
         *([Patch(color=BINDING, label="limit binds")] if binds else []),
         *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
-    legend_above(figure, handles, entry_in=1.15)
+    above_in = legend_above(figure, handles, entry_in=1.15) + (0.0 if named else TITLE_IN)
+    leave_room(figure, left_in=0.72, right_in=0.08, below_in=0.66, above_in=above_in)
     return figure

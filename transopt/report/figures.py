@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from transopt.base.plotting import CLIPPED, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, plain, style
+from transopt.base.plotting import CLIPPED, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, leave_room, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.figures import QUIET, grip_label, legend_above
 from transopt.library.library import Library
@@ -167,8 +167,8 @@ def method_figure(build: "Build") -> Figure:
 def bode_figure(library: Library) -> Figure:
     """The device at every grip: magnitude [g/A] and phase [deg] of current to added acceleration, y''/i."""
     frequencies = np.geomspace(*BODE_HZ, BODE_POINTS)
-    figure = Figure(figsize=(5.0, 4.6), layout="constrained")
-    magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    figure = Figure(figsize=(5.0, 4.6))
+    magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2), gridspec_kw={"hspace": 0.08})
     shades = colours(library.grips_N.size)
     for ig, grip in enumerate(library.grips_N):
         matrices = (library.plant_A, library.plant_B, library.plant_C, library.plant_D)
@@ -199,7 +199,8 @@ def bode_figure(library: Library) -> Figure:
     phase.set_xlim(*BODE_HZ)
     phase.xaxis.set_major_formatter(FuncFormatter(plain))
     phase.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
-    legend_above(figure, magnitude.get_lines(), entry_in=1.2)
+    above_in = legend_above(figure, magnitude.get_lines(), entry_in=1.2)
+    leave_room(figure, left_in=0.72, right_in=0.1, below_in=0.48, above_in=above_in)
     return figure
 
 

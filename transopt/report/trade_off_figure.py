@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from transopt.base.plotting import LABEL_PT, SMALL_PT, colours, style
+from transopt.base.plotting import LABEL_PT, SMALL_PT, colours, leave_room, style
 from transopt.design.trade_off import TradeOff
 from transopt.library.figures import legend_above
 from transopt.problem.objective.bands import JUST_NOTICED_dB
@@ -25,7 +25,7 @@ def trade_off_figure(build: "Build") -> Figure:
     build : with at least one entry that a limit cuts.
     """
     found = build.trade_offs
-    figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+    figure = Figure(figsize=(6.4, 4.6))
     axes = figure.subplots()
     style(axes)
     axes.axvspan(-JUST_NOTICED_dB, JUST_NOTICED_dB, color="0.93", linewidth=0)
@@ -58,7 +58,7 @@ def trade_off_figure(build: "Build") -> Figure:
         fontsize=SMALL_PT,
         va="top",
     )
-    legend_above(figure, lines, entry_in=1.6)
+    leave_room(figure, left_in=0.62, right_in=0.1, below_in=0.48, above_in=legend_above(figure, lines, entry_in=1.6))
     return figure
 
 
