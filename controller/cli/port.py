@@ -227,8 +227,10 @@ def _who(port: str, hello: "HelloReply") -> str:
 
 @contextmanager
 def no_long_pauses() -> Iterator[None]:
-    """A full collection over all that numpy, scipy and rich have made takes 0.15 s, most of a lease."""
-    gc.collect()
+    """A search for garbage in all that numpy, scipy and rich have made takes 0.15 s, most of a lease.
+
+    What there is of it by now stays until the end of this.
+    """
     gc.freeze()
     try:
         yield

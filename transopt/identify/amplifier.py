@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal, special
+from scipy import optimize, special
 
 from transopt.base.errors import InputError
+from transopt.base.recursions import filtered
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.checks import COHERENT, Fault, Finding, check_bins
 from transopt.identify.condensed import Condensed
@@ -181,7 +182,7 @@ def simulate_current(command_A: FloatArray, pole_Hz: float, delay_s: float, dt_s
     """(n,) current sampled at the ticks for commands (n,) held from the ticks, from rest, exactly."""
     whole, now, before, keep = _difference_equation(pole_Hz, delay_s, dt_s)
     numerator = np.concatenate([np.zeros(whole + 1), [now, before]])
-    return np.asarray(signal.lfilter(numerator, [1.0, -keep], command_A))
+    return filtered(numerator, np.array([1.0, -keep]), command_A)
 
 
 def less_dead_band(command_A: FloatArray, half_width_A: float) -> FloatArray:

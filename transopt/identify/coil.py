@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
@@ -392,7 +392,7 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
     excess = float(2 * solved[0].cost / free)
     # Noise that is not white shows as misfit, and widens the intervals.
     covariance = np.linalg.pinv(J.T @ J) * max(excess, 1.0)
-    half = float(stats.t.ppf((1 + LEVEL) / 2, free)) * np.sqrt(np.diagonal(covariance)[:4])
+    half = float(special.stdtrit(free, (1 + LEVEL) / 2)) * np.sqrt(np.diagonal(covariance)[:4])
     values = np.exp(theta[:4])
     with np.errstate(over="ignore"):  # a parameter that the record does not determine
         intervals = np.exp(np.clip(np.stack([theta[:4] - half, theta[:4] + half], axis=1), -300, 300))

@@ -64,20 +64,27 @@ def _driven(
     seen = np.concatenate([outputs @ stage for stage in stages])  # (4 x 2, size + 4), stage after stage
     by_state = np.concatenate([after[:, :size], seen[:, :size]])
     by_force = np.ascontiguousarray(after[:, size:])
-    earlier = [seen[2 * j : 2 * j + 2, size : size + j].copy() for j in range(4)]
     states, forces = np.empty((steps + 1, *start.shape)), np.empty((steps + 1, start.shape[1]))
-    stage_forces = np.empty((4, start.shape[1]))
     states[0] = start
+    # Written into the same few arrays at every step: to make new ones takes as long as what is computed here.
+    free, pushed = np.empty((size + 8, start.shape[1])), np.empty_like(start)
+    stage_forces = np.empty((4, start.shape[1]))
+    by_itself, first = free[:size], free[size : size + 2]
+    later = []
+    for j in range(1, 4):
+        earlier = seen[2 * j : 2 * j + 2, size : size + j].copy()
+        later.append((j, earlier, stage_forces[:j], np.empty_like(first), free[size + 2 * j : size + 2 * j + 2]))
     for k in range(steps + 1):
-        free = by_state @ states[k]
-        for j in range(4):
-            reached = free[size + 2 * j : size + 2 * j + 2]
-            if j:
-                reached += earlier[j] @ stage_forces[:j]
+        np.dot(by_state, states[k], free)
+        stage_forces[0] = force(*first)
+        for j, earlier, before, further, reached in later:
+            np.dot(earlier, before, further)
+            np.add(reached, further, reached)
             stage_forces[j] = force(*reached)
         forces[k] = stage_forces[0]
         if k < steps:
-            states[k + 1] = free[:size] + by_force @ stage_forces
+            np.dot(by_force, stage_forces, pushed)
+            np.add(by_itself, pushed, states[k + 1])
     return states, forces
 
 
