@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from controller.record.played import PlayedTap
-from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
+from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, leave_room
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 BEFORE_MS = 5.0
@@ -28,8 +28,8 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
     ----------
     walled : whether the library has a wall, without which only the transient holds the stylus up.
     """
-    figure = Figure(figsize=(7.0, 7.6), layout="constrained")
-    panels = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1.8, 1.3, 0.8])
+    figure = Figure(figsize=(7.0, 7.6))
+    panels = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1.8, 1.3, 0.8], gridspec_kw={"hspace": 0.1})
     position, acceleration, current, temperature = panels
     contact, prediction = tap.contact, tap.prediction
     # What the library looks at: the waveform, and how the stylus comes to rest after it.
@@ -92,4 +92,5 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
         found = tap.compared
         title += f": latency {found.latency_s * 1e6:.0f} µs, NRMSE {100 * found.nrmse:.2f} % after it"
     figure.suptitle(title, fontsize=LABEL_PT)
+    leave_room(figure, left_in=0.85, right_in=0.1, below_in=0.48, above_in=0.35)
     return figure
