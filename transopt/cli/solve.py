@@ -67,7 +67,8 @@ def solve(
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up.
 
-    Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met.
+    Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met. Of a scene with
+    [model.nonlinear]: commands certified stationary and a report beside the linear design, and no library.
     """
     try:
         from transopt.design.refine_grid import check_tolerance
@@ -79,6 +80,9 @@ def solve(
         options = SolverOptions(name, solver_tolerance)
         loaded = _load(scene, recordings, model)
         unfit = _unfit(loaded, accept_unfit_model)
+        if loaded.nonlinear:
+            _solve_nonlinear(loaded, options, Path("out") / loaded.name if out is None else out, grid_tolerance)
+            return
         if grid_tolerance is not None:
             check_tolerance(loaded, grid_tolerance, grid_cap)
         folder = Path("out") / loaded.name if out is None else out
@@ -95,6 +99,46 @@ def solve(
         raise typer.Exit(130) from None
     _print(terminal.console(), build, f"{folder}: {', '.join(names)}", unfit)
     if build.refused or (build.refinement is not None and build.refinement.shortfall):
+        raise typer.Exit(1)
+
+
+def _solve_nonlinear(scene: "Scene", options: "SolverOptions", folder: Path, grid_tolerance: float | None) -> None:
+    """Design for the plant of `[model.nonlinear]`, write and print.
+
+    Raises
+    ------
+    InputError : a grid to be refined, which named targets do not have; a folder that cannot be written.
+    """
+    if grid_tolerance is not None:
+        raise InputError("--grid-tolerance: refines a grid of speeds, and model.nonlinear has targets: leave it out")
+    # CasADi takes longer to load than a linear library to solve: it is loaded only for a nonlinear plant.
+    from rich.table import Table
+
+    from transopt.design.nonlinear import COLUMNS, design_nonlinear
+    from transopt.report.nonlinear import refusals, write_nonlinear
+
+    terminal.make_folder(folder)
+    design = design_nonlinear(scene, options=options)
+    written = write_nonlinear(design, folder)
+    console = terminal.console()
+    shown = Table(*COLUMNS)
+    for row in design.rows():
+        shown.add_row(*row)
+    console.print(shown)
+    for entry in design.entries:
+        for said in refusals(entry):
+            console.print(f"refused: {entry.target}: {said}", style="red", highlight=False, soft_wrap=True)
+    names = ", ".join(path.name for path in written)
+    console.print(f"{folder}: {names}; no library.npz, which holds linear plants", highlight=False, soft_wrap=True)
+    refused = len(design.entries) - len(design.proven)
+    console.print(
+        f"{len(design.proven)} of {len(design.entries)} targets certified stationary and replayed on the nonlinear "
+        f"plant; {design.elapsed_s:.1f} s",
+        style="red" if refused else None,
+        highlight=False,
+        soft_wrap=True,
+    )
+    if refused:
         raise typer.Exit(1)
 
 

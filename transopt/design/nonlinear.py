@@ -109,9 +109,8 @@ class NonlinearDesign:
     elapsed_s: float
 
     def __repr__(self) -> str:
-        proven = [entry for entry in self.entries if entry.status is Status.STATIONARY]
         return wrapped(
-            f"NonlinearDesign({cut(self.scene.name)}: {len(proven)} of {len(self.entries)} targets certified "
+            f"NonlinearDesign({cut(self.scene.name)}: {len(self.proven)} of {len(self.entries)} targets certified "
             f"stationary and replayed; {self.elapsed_s:.2f} s)"
         )
 
@@ -135,6 +134,11 @@ class NonlinearDesign:
             )
             for entry in self.entries
         ]
+
+    @property
+    def proven(self) -> tuple[NonlinearEntry, ...]:
+        """Entries that are certified stationary and replayed clean."""
+        return tuple(entry for entry in self.entries if entry.status is Status.STATIONARY)
 
     @property
     def commands(self) -> FloatArray:

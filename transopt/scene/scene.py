@@ -416,7 +416,7 @@ class Scene(Section):
         if self.nonlinear:
             raise InputError(
                 f"{self.name}: model.nonlinear: no library holds a nonlinear plant; design it with "
-                "transopt.design_nonlinear or scripts/nonlinear_plant.py, or leave the table out"
+                "transopt.design_nonlinear or `transopt solve`, or leave the table out"
             )
         grid = self.time_grid()
         return Posing(

@@ -1,5 +1,6 @@
 """Designs for a nonlinear plant, whole: beside the linear design, refused where they must be, and nowhere else."""
 
+import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from transopt.design import nonlinear
 from transopt.design.nonlinear import NonlinearDesign, design_nonlinear
 from transopt.problem.answer import Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
+from transopt.proof.nonlinear_replay import replay_nonlinear
 from transopt.scene.builtin import load_scene
 from transopt.solvers.options import SolverOptions
 
@@ -145,8 +147,42 @@ class TestScene:
         path = stated(tmp_path)
         with pytest.raises(InputError, match=r"no library holds a nonlinear plant; design it with transopt\.design_"):
             to.build(path)
-        refused = terminal("transopt", "solve", path, "--out", tmp_path / "out")
-        assert_refused(refused, "no library holds a nonlinear plant", "scripts/nonlinear_plant.py")
+        refused = terminal("transopt", "solve", path, "--out", tmp_path / "out", "--grid-tolerance", "0.02")
+        assert_refused(refused, "--grid-tolerance", "model.nonlinear")
+        assert not (tmp_path / "out").exists()
+
+    def test_solve_writes_what_the_design_says(self, tmp_path: Path, terminal: Terminal) -> None:
+        out = tmp_path / "out"
+        solved = terminal("transopt", "solve", stated(tmp_path), "--out", out)
+        assert solved.code == 0, solved.err
+        assert "1 of 1 targets certified stationary" in solved.out
+        [entry] = json.loads((out / "nonlinear.json").read_text())["entries"]
+        assert entry["status"] == "stationary"
+        assert entry["nrmse"] < 0.5 * entry["linear_nrmse"]
+        assert "stationary" in (out / "nonlinear.md").read_text()
+        assert not (out / "library.npz").exists()
+        # The command in the file, played by DOP853 on the equations of motion, has the error that the report states.
+        command = np.loadtxt(out / "nonlinear.csv", delimiter=",", skiprows=1)[:, 1]
+        [own] = design_nonlinear(stated(tmp_path)).entries
+        [played] = replay_nonlinear(own.problem, [command])
+        assert played.nrmse == pytest.approx(entry["nrmse"], rel=1e-6)
+
+    def test_solve_hands_out_no_command_that_is_not_proven(
+        self, tmp_path: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        out = tmp_path / "out"
+        out.mkdir()
+        (out / "nonlinear.csv").write_text("of an earlier design")
+        solve = nonlinear.solve
+        monkeypatch.setattr(
+            nonlinear, "solve", lambda posed, start, options: solve(posed, start, replace(options, max_iterations=2))
+        )
+        solved = terminal("transopt", "solve", stated(tmp_path), "--out", out)
+        assert solved.code == 1
+        assert "refused: click: IPOPT: " in solved.out
+        assert "0 of 1 targets certified stationary" in solved.out
+        assert json.loads((out / "nonlinear.json").read_text())["entries"][0]["status"] == "iteration_limit"
+        assert not (out / "nonlinear.csv").exists()
 
     def test_without_the_table_it_is_the_linear_scene(self, tmp_path: Path) -> None:
         path = stated(tmp_path)

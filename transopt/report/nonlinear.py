@@ -1,0 +1,109 @@
+"""What `transopt solve` leaves of a scene with `[model.nonlinear]`: figures of both designs, and the commands."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from transopt.base.files import without_nan
+from transopt.base.terminal import make_folder
+from transopt.base.writing import csv_text, table, write_text
+from transopt.design.nonlinear import COLUMNS, NonlinearDesign, NonlinearEntry
+from transopt.problem.answer import Status
+from transopt.report.publish import publish
+
+REPORT, FIGURES, COMMANDS = "nonlinear.md", "nonlinear.json", "nonlinear.csv"
+
+
+def write_nonlinear(design: NonlinearDesign, folder: str | Path) -> list[Path]:
+    """Write `nonlinear.md`, `nonlinear.json` and the proven commands as `nonlinear.csv`, all or none.
+
+    Where no entry is proven there is no `nonlinear.csv`, and an earlier one goes, which would be of another design.
+
+    Returns
+    -------
+    The files.
+
+    Raises
+    ------
+    InputError : the folder cannot be written.
+    """
+    folder = Path(folder)
+    make_folder(folder)
+    files: dict[str, Callable[[Path], object]] = {
+        REPORT: lambda path: write_text(nonlinear_markdown(design), path),
+        FIGURES: lambda path: write_text(nonlinear_json(design), path),
+    }
+    if design.proven:
+        files[COMMANDS] = lambda path: write_text(commands_csv(design), path)
+    publish(folder, files, [] if design.proven else [COMMANDS])
+    return [folder / name for name in files]
+
+
+def nonlinear_markdown(design: NonlinearDesign) -> str:
+    """The report in Markdown."""
+    lines = [
+        f"# {design.scene.name}",
+        "",
+        *filter(None, [design.scene.description]),
+        "",
+        "Each target is designed for the plant of `[model.nonlinear]`, and beside it for the plant as it is at rest. "
+        "`linear, promised` is what the linear plant would have; all other errors are of the command played on the "
+        "nonlinear plant in continuous time. The status is `stationary`: the gradient of the Lagrangian vanishes "
+        "within the tolerance (`gap`); no lower bound follows, since the problem is not convex.",
+        "",
+        *table(COLUMNS, design.rows()),
+    ]
+    for entry in design.entries:
+        lines += [f"## {entry.target}", "", f"- binds: {entry.binding}"]
+        lines += [f"- the linear design leaves on this plant: {said}" for said in entry.linear_leaves]
+        lines += [f"- refused: {said}" for said in refusals(entry)] + [""]
+    return "\n".join(lines)
+
+
+def nonlinear_json(design: NonlinearDesign) -> str:
+    """The same figures for programs; what has no value is null."""
+    content = {
+        "scene": design.scene.name,
+        "elapsed_s": design.elapsed_s,
+        "entries": [_figures(entry) for entry in design.entries],
+    }
+    return json.dumps(without_nan(content), indent=1)
+
+
+def _figures(entry: NonlinearEntry) -> dict[str, Any]:
+    c = entry.certificate
+    return {
+        "target": entry.target,
+        "status": entry.status.name.lower(),
+        "shortfalls": refusals(entry),
+        "nrmse": entry.nrmse,
+        "nrmse_after": entry.played.nrmse_after,
+        "linear_promised": entry.linear_promised,
+        "linear_nrmse": entry.linear_nrmse,
+        "linear_nrmse_after": entry.linear_played.nrmse_after,
+        "linear_leaves": entry.linear_leaves,
+        "objective": c.objective,
+        "relative_gap": c.relative_gap,
+        "excess": c.excess,
+        "off_replay": entry.off_replay,
+        "substeps": entry.problem.stage.substeps,
+        "iterations": entry.solution.iterations,
+        "solve_s": entry.solution.solve_time_s,
+        "binding": entry.binding,
+    }
+
+
+def refusals(entry: NonlinearEntry) -> list[str]:
+    """Why an entry is not proven, one sentence each; empty where it is."""
+    return [] if entry.status is Status.STATIONARY else entry.shortfalls or [entry.status.value]
+
+
+def commands_csv(design: NonlinearDesign) -> str:
+    """The proven commands, a column for each target: when each value is issued [s], and the value, which is held."""
+    grid = design.scene.time_grid()
+    unit = design.entries[0].problem.linear.driven_by.unit
+    issued_s = [k * grid.dt_s - grid.lead_s for k in range(grid.stages)]
+    columns = [entry.solution.command for entry in design.proven]
+    head = ["issued_s", *(f"{entry.target}_{unit}" for entry in design.proven)]
+    return csv_text(head, zip(map(repr, issued_s), *(map(repr, c.tolist()) for c in columns), strict=True))
