@@ -111,7 +111,7 @@ def _solve_nonlinear(scene: "Scene", options: "SolverOptions", folder: Path, gri
     """
     if grid_tolerance is not None:
         raise InputError("--grid-tolerance: refines a grid of speeds, and model.nonlinear has targets: leave it out")
-    # CasADi takes longer to load than a linear library to solve: it is loaded only for a nonlinear plant.
+    # What only a nonlinear plant needs is loaded only for one.
     from rich.table import Table
 
     from transopt.design.nonlinear import COLUMNS, design_nonlinear
