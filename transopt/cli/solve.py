@@ -80,13 +80,13 @@ def solve(
         options = SolverOptions(name, solver_tolerance)
         loaded = _load(scene, recordings, model)
         unfit = _unfit(loaded, accept_unfit_model)
+        folder = Path("out") / loaded.name if out is None else out
+        wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures)
         if loaded.nonlinear:
-            _solve_nonlinear(loaded, options, Path("out") / loaded.name if out is None else out, grid_tolerance)
+            _solve_nonlinear(wanted)
             return
         if grid_tolerance is not None:
             check_tolerance(loaded, grid_tolerance, grid_cap)
-        folder = Path("out") / loaded.name if out is None else out
-        wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures)
         terminal.make_folder(folder)
         try:
             build, names = _build(wanted)
@@ -102,14 +102,14 @@ def solve(
         raise typer.Exit(1)
 
 
-def _solve_nonlinear(scene: "Scene", options: "SolverOptions", folder: Path, grid_tolerance: float | None) -> None:
+def _solve_nonlinear(wanted: Wanted) -> None:
     """Design for the plant of `[model.nonlinear]`, write and print.
 
     Raises
     ------
     InputError : a grid to be refined, which named targets do not have; a folder that cannot be written.
     """
-    if grid_tolerance is not None:
+    if wanted.grid_tolerance is not None:
         raise InputError("--grid-tolerance: refines a grid of speeds, and model.nonlinear has targets: leave it out")
     # What only a nonlinear plant needs is loaded only for one.
     from rich.table import Table
@@ -117,9 +117,10 @@ def _solve_nonlinear(scene: "Scene", options: "SolverOptions", folder: Path, gri
     from transopt.design.nonlinear import COLUMNS, design_nonlinear
     from transopt.report.nonlinear import refusals, write_nonlinear
 
+    folder = wanted.folder
     terminal.make_folder(folder)
-    design = design_nonlinear(scene, options=options)
-    written = write_nonlinear(design, folder)
+    design = design_nonlinear(wanted.scene, options=wanted.options)
+    written = write_nonlinear(design, folder, figures=wanted.figures)
     console = terminal.console()
     shown = Table(*COLUMNS)
     for row in design.rows():

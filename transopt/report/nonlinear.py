@@ -12,13 +12,17 @@ from transopt.design.nonlinear import COLUMNS, NonlinearDesign, NonlinearEntry
 from transopt.problem.answer import Status
 from transopt.report.publish import publish
 
-REPORT, FIGURES, COMMANDS = "nonlinear.md", "nonlinear.json", "nonlinear.csv"
+REPORT, FIGURES, COMMANDS, DRAWN = "nonlinear.md", "nonlinear.json", "nonlinear.csv", "nonlinear.png"
 
 
-def write_nonlinear(design: NonlinearDesign, folder: str | Path) -> list[Path]:
-    """Write `nonlinear.md`, `nonlinear.json` and the proven commands as `nonlinear.csv`, all or none.
+def write_nonlinear(design: NonlinearDesign, folder: str | Path, *, figures: bool = True) -> list[Path]:
+    """Write `nonlinear.md`, `.json`, `.png` and the proven commands as `nonlinear.csv`, all or none.
 
-    Where no entry is proven there is no `nonlinear.csv`, and an earlier one goes, which would be of another design.
+    Where no entry is proven there is no `nonlinear.csv`. What is not written goes if an earlier design left it.
+
+    Parameters
+    ----------
+    figures : whether both designs are drawn.
 
     Returns
     -------
@@ -36,7 +40,12 @@ def write_nonlinear(design: NonlinearDesign, folder: str | Path) -> list[Path]:
     }
     if design.proven:
         files[COMMANDS] = lambda path: write_text(commands_csv(design), path)
-    publish(folder, files, [] if design.proven else [COMMANDS])
+    if figures:
+        from transopt.base.plotting import save_figure
+        from transopt.report.nonlinear_figure import nonlinear_figure
+
+        files[DRAWN] = lambda path: save_figure(nonlinear_figure(design.entries), path)
+    publish(folder, files, [name for name in (COMMANDS, DRAWN) if name not in files])
     return [folder / name for name in files]
 
 

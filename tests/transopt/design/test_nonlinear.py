@@ -161,6 +161,7 @@ class TestScene:
         assert entry["nrmse"] < 0.5 * entry["linear_nrmse"]
         assert "stationary" in (out / "nonlinear.md").read_text()
         assert not (out / "library.npz").exists()
+        assert (out / "nonlinear.png").read_bytes().startswith(b"\x89PNG")
         # The command in the file, played by DOP853 on the equations of motion, has the error that the report states.
         command = np.loadtxt(out / "nonlinear.csv", delimiter=",", skiprows=1)[:, 1]
         [own] = design_nonlinear(stated(tmp_path)).entries
