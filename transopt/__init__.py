@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from transopt.library.library import Library, Waveform
     from transopt.library.online import Online
     from transopt.library.trade import trade_figures
+    from transopt.page.serve import page
     from transopt.plant.state_space import Input, Output, StateSpace
     from transopt.problem.answer import Certificate, Multipliers, Solution, Status
     from transopt.problem.limits.limit import Limits
@@ -85,6 +86,7 @@ __all__ = [
     "load_library",
     "load_scene",
     "own_limit",
+    "page",
     "prepare",
     "read_recordings",
     "recordings_of",
@@ -133,6 +135,7 @@ _HOME = {
     "load_library": "library.file",
     "load_scene": "scene.builtin",
     "own_limit": "solvers.own",
+    "page": "page.serve",
     "prepare": "recordings.tap",
     "read_recordings": "recordings.tap",
     "recordings_of": "scene.recordings",

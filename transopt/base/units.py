@@ -10,6 +10,7 @@ from typing import Any
 # The ending of a name is its unit; longer endings come first.
 UNITS = {
     "A_per_s": "A/s",
+    "V_per_s": "V/s",
     "m_s2": "m/s^2",
     "N_s_m": "N s/m",
     "V_s_m": "V s/m",
@@ -33,6 +34,7 @@ LARGEST = {
     "A": 1e4,
     "A or V": 1e6,
     "A/s": 1e10,
+    "V/s": 1e13,
     "m/s^2": 1e7,
     "N s/m": 1e8,
     "V s/m": 1e5,

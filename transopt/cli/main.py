@@ -1,4 +1,4 @@
-"""`transopt`: scene, plant, taps, identify, solve, verify, show, compare, export, study.
+"""`transopt`: scene, plant, taps, identify, solve, verify, show, compare, export, study, page.
 
 Every command is a file of its own beside this one. Exit codes: 0 done, 1 a result fell short, 2 bad input. A command
 imports what it computes with only when it runs, so that help and errors come at once.
@@ -12,6 +12,7 @@ from transopt.base import terminal
 from transopt.cli.compare import compare
 from transopt.cli.export import export
 from transopt.cli.identify import app as identify
+from transopt.cli.page import page
 from transopt.cli.plant import app as plant
 from transopt.cli.scene import app as scene
 from transopt.cli.show import show
@@ -39,6 +40,7 @@ app.command(epilog=f"Example: transopt show {LIBRARY} --figure transients.png")(
 app.command(epilog=f"Example: transopt compare {LIBRARY} fine/library.npz --out changes.md")(compare)
 app.command(epilog=f"Example: transopt export {LIBRARY} wood.csv")(export)
 app.command(epilog="Example: transopt study wood_on_foam --vary limits.current_A=4,5,6 --out cost")(study)
+app.command(epilog="Example: transopt page wood_on_foam")(page)
 app.add_typer(scene, name="scene")
 app.add_typer(plant, name="plant")
 app.add_typer(identify, name="identify")

@@ -47,6 +47,7 @@ class Key:
     integer : whether it takes only whole ones.
     optional : whether it may be left out.
     description : of the table it stands in.
+    interval : the bounds as two numbers; a bound may itself be refused ("> 0").
     """
 
     path: str
@@ -60,6 +61,7 @@ class Key:
     integer: bool
     optional: bool
     description: str
+    interval: tuple[float, float] = (-math.inf, math.inf)
 
 
 def _flat(annotation: Any) -> Iterator[Any]:
@@ -87,6 +89,18 @@ def _bounds(parts: list[Any], unit: str) -> str:
     if unit and not any(isinstance(part, Lt | Le) for part in parts):
         words.append(f"<= {most:g}" if any(isinstance(part, Gt | Ge) for part in parts) else f"|.| <= {most:g}")
     return ", ".join(dict.fromkeys(words))
+
+
+def _interval(parts: list[Any], unit: str) -> tuple[float, float]:
+    """The bounds as two numbers: what pydantic states, and the largest of the unit."""
+    low, high = -largest(unit), largest(unit)
+    for part in parts:
+        match part:
+            case Gt(gt=float() | int() as bound) | Ge(ge=float() | int() as bound):
+                low = max(low, float(bound))
+            case Lt(lt=float() | int() as bound) | Le(le=float() | int() as bound):
+                high = min(high, float(bound))
+    return low, high
 
 
 def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[Key]:
@@ -137,6 +151,7 @@ def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, about: str
         integer=float not in parts and (int in parts or bool(numbers)),
         optional=type(None) in parts,
         description=about,
+        interval=(min(numbers), max(numbers)) if numbers else _interval(parts, unit_of(path)),
     )
 
 

@@ -1,0 +1,37 @@
+"""`transopt page`: limits as sliders, the optimum solved while they are dragged, in the browser."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from transopt.base.errors import InputError
+from transopt.cli.scene import DEFAULT_SCENE
+
+
+def page(
+    source: Annotated[
+        str, typer.Argument(metavar="[SCENE|LIBRARY]", help="Built-in name, .toml file or library.npz.")
+    ] = DEFAULT_SCENE,
+    port: Annotated[int, typer.Option(help="Of the address; any that is free without it.", min=0, max=65535)] = 0,
+    recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
+    show: Annotated[bool, typer.Option("--open", help="Open the address in the browser.")] = False,
+) -> None:
+    """Design on a page in the browser: limits as sliders, certified optima while they are dragged.
+
+    Serves this machine alone, at the address that it prints, until Ctrl-C.
+    """
+    from transopt.page.serve import Page
+    from transopt.page.server import check_extra
+
+    check_extra()
+    if recordings is not None and not recordings.is_dir():
+        raise InputError(f"--recordings {recordings}: no such folder")
+    served = Page(source, port=port, recordings=recordings)
+    typer.echo(f"{served.name}: {served.address}")
+    typer.echo("open it in a browser on this machine; Ctrl-C ends it")
+    if show:
+        import webbrowser
+
+        webbrowser.open(served.address)
+    served.serve()

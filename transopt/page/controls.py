@@ -1,0 +1,244 @@
+"""The sliders and choices of a scene, by rule from its own keys.
+
+Which keys there are, their units, bounds and defaults come from `transopt.scene.keys`, which reads the tables of which
+a scene is made: a limit that is added to the project has its slider without a change here. A key is offered if the
+scene takes it, which is found by stating it.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from transopt.base.errors import InputError
+from transopt.base.section import Section
+from transopt.base.units import UNITS
+from transopt.plant.state_space import Input
+from transopt.problem.limits import kinds_of
+from transopt.scene.keys import Key, Value, keys, with_values
+from transopt.scene.scene import Scene
+
+TABLES = ("limits", "thermal", "feedback", "weights", "robust", "amplifier")  # of a scene, in the order of the page
+DEVICE = ("amplifier.pole_Hz", "amplifier.delay_s")  # what the device is, and no limit of it
+DECADE = 10.0  # a slider of a number reaches from a tenth to ten times of it
+HALVINGS = 10  # until the end of a slider is found that the scene just takes
+# About what devices have, by unit: the middle of the slider of a limit that the scene does not state. Others begin at 1.
+USUAL = {
+    "A": 2.0,
+    "A/s": 1e4,
+    "V": 10.0,
+    "V/s": 1e5,
+    "m": 1e-3,
+    "m/s": 0.3,
+    "K": 0.1,
+    "Hz": 2.0,
+    "N/m": 200.0,
+    "N s/m": 1.0,
+    "": 0.1,
+}
+
+
+@dataclass(frozen=True)
+class Control:
+    """One number or choice of a scene that can be changed on the page.
+
+    Attributes
+    ----------
+    key : dotted.
+    label : what it is called: the words of its limit, or the key's own.
+    table : of the scene it stands in.
+    unit : empty without one.
+    value : in the scene, None where it is not stated; the default of what has one.
+    low, high : ends of the slider; of a choice zero.
+    start : where the slider begins that is switched on.
+    log : whether equal steps are equal ratios.
+    integer : whether only whole numbers are taken.
+    optional : whether it can be left out.
+    choices : the words it takes; none of a number.
+    bounds : what is allowed, in words.
+    about : of the table.
+    """
+
+    key: str
+    label: str
+    table: str
+    unit: str
+    value: Value
+    low: float
+    high: float
+    start: float
+    log: bool
+    integer: bool
+    optional: bool
+    choices: tuple[str, ...]
+    bounds: str
+    about: str
+
+    def at(self, share: float) -> float:
+        """The value at a share, 0 to 1, of the slider."""
+        if self.log:
+            value = self.low * (self.high / self.low) ** share
+        else:
+            value = self.low + share * (self.high - self.low)
+        return round(value) if self.integer else float(f"{value:.4g}")
+
+
+def input_key(scene: Scene) -> str:
+    """The key of the transient limit on what drives the plant, which the plots show."""
+    return "limits.current_A" if scene.driven_by.unit == "A" else "limits.voltage_V"
+
+
+def controls(scene: Scene) -> list[Control]:
+    """Everything on the page that can be changed, table by table."""
+    found = [control for key in keys(scene) if (control := _control(scene, key)) is not None]
+    return sorted(found, key=lambda control: TABLES.index(control.table))
+
+
+def _control(scene: Scene, key: Key) -> Control | None:
+    """A key's control; None for one that is none of a limit or a weight, or that the scene does not take."""
+    table = key.path.split(".", 1)[0]
+    if table not in TABLES or key.path.count(".") != 1 or key.path in DEVICE or not (key.number or key.choices):
+        return None
+    if not isinstance(getattr(scene, table), Section):  # no wall and no spread to change, or an ideal amplifier
+        return None
+    if table == "amplifier" and key.unit != scene.driven_by.unit:
+        return None
+    value = _now(scene, key)
+    choices = key.choices or (tuple(map(str, _whole(key))) if "one of" in key.bounds else ())
+    low, high, log = (0.0, 0.0, False) if choices else _range(key, value)
+    start = float(value) if isinstance(value, int | float) else _usual(key, low, high)
+    control = Control(
+        key=key.path,
+        label=_label(key.path, scene.driven_by),
+        table=table,
+        unit=key.unit,
+        value=value,
+        low=low,
+        high=high,
+        start=start,
+        log=log,
+        integer=key.integer,
+        optional=key.optional and not _needed(scene, key.path),
+        choices=choices,
+        bounds=key.bounds,
+        about=key.description,
+    )
+    if choices:
+        return control if any(_takes(scene, key.path, parsed(control, word)) for word in choices) else None
+    if value is None:
+        return control if _takes(scene, key.path, control.at(_share(control, start))) else None
+    ends = (_end(scene, control, high), _end(scene, control, low))
+    return None if ends[0] == ends[1] else replace(control, low=ends[1], high=ends[0])
+
+
+def parsed(control: Control, word: str) -> Value:
+    """A choice as the scene takes it: whole numbers are numbers."""
+    return int(word) if word.isdigit() else word
+
+
+def _share(control: Control, value: float) -> float:
+    """Where on the slider a value lies, 0 to 1."""
+    if control.log:
+        return math.log(value / control.low) / math.log(control.high / control.low)
+    return (value - control.low) / (control.high - control.low)
+
+
+def _takes(scene: Scene, path: str, value: Value) -> bool:
+    """Whether the scene takes a value."""
+    try:
+        with_values(scene, {path: value})
+    except InputError:
+        return False
+    return True
+
+
+def _end(scene: Scene, control: Control, end: float) -> float:
+    """The end of a slider, drawn in to what the scene takes: a motor has a peak current, whatever the key allows."""
+    inside, outside = _share(control, control.start), _share(control, end)
+    if _takes(scene, control.key, control.at(outside)):
+        return control.at(outside)
+    for _ in range(HALVINGS):
+        middle = (inside + outside) / 2
+        if _takes(scene, control.key, control.at(middle)):
+            inside = middle
+        else:
+            outside = middle
+    return control.at(inside)
+
+
+def _now(scene: Scene, key: Key) -> Value:
+    """What is in force: of the transient limit what beta makes of the steady current."""
+    if key.path == input_key(scene):
+        return scene.limits.transient_input
+    if key.path == "limits.beta" and scene.driven_by.unit == "A":
+        return float(f"{scene.limits.transient_input / scene.limits.steady_input:.6g}")
+    stated = key.value
+    if stated is None and not key.optional and getattr(scene, key.path.split(".", 1)[0]) is not None:
+        return key.default
+    return stated
+
+
+def _needed(scene: Scene, path: str) -> bool:
+    """Whether a scene cannot be without the key, although its table may."""
+    needed = {input_key(scene), "limits.beta"}
+    return path in needed or (path == "limits.steady_current_A" and scene.driven_by.unit == "A")
+
+
+def _whole(key: Key) -> Iterator[int]:
+    low, high = key.interval
+    return iter(range(int(low), int(high) + 1))
+
+
+def _usual(key: Key, low: float, high: float) -> float:
+    usual = min(max(USUAL.get(key.unit, 1.0), low), high)
+    return round(usual) if key.integer else usual
+
+
+def _range(key: Key, value: Value) -> tuple[float, float, bool]:
+    """Ends of the slider, and whether it is logarithmic: a decade around what is stated, within what is allowed."""
+    least, most = key.interval
+    centre = float(value) if isinstance(value, int | float) else USUAL.get(key.unit, 1.0)
+    if key.unit in ("C", "dB"):  # differences from a zero of their own
+        return max(least, min(centre, 0.0) - 20), min(most, centre + 60), False
+    if centre > 0 and least >= 0:
+        low, high = max(centre / DECADE, least), min(centre * DECADE, most)
+        if key.path == "weights.calm" or (least == 1 and not key.integer):
+            low, high = 1.0, min(max(centre * DECADE, 100.0), most)
+        if 0 < low < high:
+            return float(f"{low:.3g}"), _below(high, most), not key.integer
+    span = USUAL.get(key.unit, 1.0)
+    low = max(least, 0.0) if least >= 0 else -span
+    return low, min(low + 2 * span, most), False
+
+
+def _below(high: float, most: float) -> float:
+    """A round end of a slider that a strict bound does not refuse."""
+    return float(f"{(high if high < most else most * (1 - 1e-3)):.3g}")
+
+
+def _label(path: str, driven_by: Input) -> str:
+    """A limit's own label, or the words of its key without the unit."""
+    table, name = path.split(".", 1)
+    if table == "limits":
+        of_kind = next((kind.label for kind in kinds_of(driven_by) if kind.key == name), None)
+        if of_kind is not None:
+            return of_kind
+    return WORDS.get(path, _plain(name))
+
+
+WORDS = {
+    "limits.beta": "transient limit over the steady one",
+    "limits.steady_current_A": "steady current",
+    "weights.rho": "weight of the command's movement",
+    "weights.calm": "weight of what rings afterwards",
+    "weights.after_s": "time after the waveform that counts",
+    "amplifier.command_limit_A": "command",
+    "amplifier.command_limit_V": "command",
+}
+
+
+def _plain(name: str) -> str:
+    for ending in UNITS:
+        if name.endswith(f"_{ending}"):
+            name = name[: -len(ending) - 1]
+            break
+    return name.replace("_", " ")

@@ -1,0 +1,70 @@
+"""Messages in binary: a head in JSON and numbers in float32, which a browser reads without parsing them.
+
+A frame is the length of the head in bytes (uint32, little-endian), the head, padded by spaces to a multiple of four,
+and then the arrays one after the other in the order in which the head names them.
+"""
+
+import json
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.page.service import Shown, plain
+
+CURVES = ("recorded_m_s2", "optimum_m_s2", "clipped_m_s2", "input", "clipped_input", "temperature_C")
+LENGTH = struct.Struct("<I")
+
+
+def frame(head: dict[str, Any], body: bytes) -> bytes:
+    """A head and what follows it."""
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    return LENGTH.pack(len(text)) + text + body
+
+
+def arrays(head: dict[str, Any], named: Sequence[tuple[str, FloatArray]]) -> bytes:
+    """A frame of arrays, which the head lists with their lengths."""
+    listed = {"arrays": [[name, int(values.size)] for name, values in named]}
+    return frame({**head, **listed}, b"".join(np.asarray(values, dtype="<f4").tobytes() for _, values in named))
+
+
+def curves(head: dict[str, Any], taps: Sequence[Shown]) -> bytes:
+    """A frame of taps: their times [s] once, then the curves of each, as `CURVES` names them."""
+    named: list[tuple[str, FloatArray]] = []
+    shown = []
+    for tap in taps:
+        if tap.curves is None:
+            continue
+        if not named:
+            named.append(("times_s", tap.curves.times_s))
+        named += [(f"{tap.index}.{name}", getattr(tap.curves, name)) for name in CURVES]
+        limit_C = tap.curves.temperature_limit_C
+        shown.append(
+            {
+                **plain(tap),
+                "input_limit": tap.curves.input_limit,
+                "temperature_limit_C": limit_C if np.isfinite(limit_C) else None,
+            }
+        )
+    return arrays({**head, "taps": shown}, named)
+
+
+def parted(message: bytes) -> tuple[dict[str, Any], bytes]:
+    """The head and the body of a frame that a browser has sent.
+
+    Raises
+    ------
+    InputError : it is none.
+    """
+    try:
+        (length,) = LENGTH.unpack_from(message)
+        head = json.loads(message[LENGTH.size : LENGTH.size + length])
+    except (struct.error, ValueError):
+        head = None
+    if not isinstance(head, dict):
+        raise InputError("a message of the page cannot be read: load the page again")
+    return head, message[LENGTH.size + length :]

@@ -1,0 +1,85 @@
+"""The inverse question of one tap: which limit does its error need."""
+
+from dataclasses import dataclass
+
+from transopt.base.errors import InputError
+from transopt.design.intensity import best
+from transopt.design.posed import entry_problem, scene_stage, spread_stages
+from transopt.page.controls import Control
+from transopt.page.service import Service
+from transopt.problem.answer import Status
+from transopt.scene.keys import Value, find_key, with_values
+from transopt.study.inverse import Question, Requirement, answer
+from transopt.study.rows import OPTIMAL, Row
+
+PRECISION = 1e-3  # of the answer
+
+
+@dataclass(frozen=True)
+class Found:
+    """What an inverse question came to.
+
+    Attributes
+    ----------
+    value : of the key; None where none within its slider does.
+    words : what was found, or how near the search came.
+    """
+
+    value: Value
+    words: str
+
+
+def asked(service: Service, index: int, control: Control, nrmse: float) -> Found:
+    """The least value of a key at which one tap has at most this NRMSE, every value solved and certified.
+
+    Parameters
+    ----------
+    control : of the number that is asked for; its slider is the range.
+    nrmse : 0.05 for 5 %.
+
+    Raises
+    ------
+    InputError : a key that is no number, or an error that is none.
+    """
+    if control.choices:
+        raise InputError(f"{control.key}: a choice and no number: ask about a limit")
+    if not 0 < nrmse < 1:
+        raise InputError(f"error {100 * nrmse:g} %: must be between 0 and 100 %")
+    place, reference = service.places[index], service.reference(service.places[index])
+    question = Question(
+        find_key(service.scene, control.key),
+        control.low,
+        control.high,
+        max(PRECISION * control.start, 1.0 if control.integer else 0.0),
+        greatest=False,
+        requirements=(Requirement("nrmse", at_most=True, bound=nrmse),),
+    )
+
+    def row(value: float) -> Row:
+        cells = {"speed_m_s": str(place.speed_m_s), "grip_N": str(place.grip_N), "target": place.target}
+        try:
+            scene = with_values(service.scene, {control.key: value})
+            stage, spread = scene_stage(scene, place.grip_N), spread_stages(scene, place.grip_N)
+            problem = entry_problem(scene, stage, reference, spread)
+            designed = best(problem, service.trial, objective=scene.weights.objective)
+        except InputError as error:
+            return {**cells, "status": "REFUSED", "reason": str(error), "nrmse": ""}
+        if designed.solution.status is not Status.OPTIMAL or not designed.certificate.accepted:
+            said = designed.solution.status.value
+            return {**cells, "status": Status.NOT_CERTIFIED.name, "reason": said, "nrmse": ""}
+        predicted, _ = problem.stage.rollout(designed.solution.command)
+        return {**cells, "status": OPTIMAL, "reason": "", "nrmse": repr(problem.target.nrmse(predicted))}
+
+    found = answer(question, lambda values: [[row(value)] for value in values])
+    unit = f" {control.unit}" if control.unit else ""
+    wanted = f"{place.title}: an error of at most {100 * nrmse:.3g} %"
+    if found.met is None:
+        nearest = min(found.tried, key=lambda tried: tried.excess)
+        reached = nearest.rows[0]["nrmse"]
+        how_near = f"; the nearest is {100 * float(reached):.3g} % at {nearest.value:.4g}{unit}" if reached else ""
+        return Found(
+            None,
+            f"{wanted} is met by no {control.label} from {control.low:.4g} to {control.high:.4g}{unit}{how_near}",
+        )
+    ends = "" if found.missed is not None else ", the end of its slider"
+    return Found(found.met.value, f"{wanted} takes a {control.label} of {found.met.value:.4g}{unit}{ends}")

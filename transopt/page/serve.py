@@ -1,0 +1,98 @@
+"""A scene or a library on its page: for the command, for Python, for a notebook."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from transopt.base.errors import InputError
+from transopt.library.library import Library
+from transopt.page.server import Server, check_extra
+from transopt.page.service import Service, opened
+from transopt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    import plotly.graph_objects
+
+
+class Page:
+    """A page that can be served; every window that opens it has a service of its own.
+
+    Parameters
+    ----------
+    source : a scene, a library, the name of a built-in scene, or the path of a .toml or .npz file.
+    port : 0 for any that is free.
+    recordings : folder of the scene's recordings, in place of the one that it names.
+
+    Attributes
+    ----------
+    address : what a browser on this machine opens; its token is secret.
+
+    Raises
+    ------
+    InputError : a file that cannot be used, the extra `page` is missing, or the port is taken.
+    """
+
+    def __init__(
+        self, source: Scene | Library | str | Path, *, port: int = 0, recordings: Path | None = None, token: str = ""
+    ) -> None:
+        check_extra()
+        self.service = opened(source, recordings)
+        library = source if isinstance(source, Library) else self.service.of_library
+        scene = self.service.opened
+        self._server = Server(lambda: Service(scene, library=library), port, token)
+
+    @property
+    def name(self) -> str:
+        """Of the scene."""
+        return self.service.opened.name
+
+    @property
+    def address(self) -> str:
+        return self._server.address
+
+    def serve(self) -> None:
+        """Serve until a signal asks to end."""
+        self._server.serve()
+
+    def start(self) -> Self:
+        """Serve in a thread of its own."""
+        self._server.start()
+        return self
+
+    def close(self) -> None:
+        """End what `start` has begun."""
+        self._server.close()
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Page({self.name}: {self.address})"
+
+    def plot(self) -> "plotly.graph_objects.Figure":
+        """Every tap as plotly draws it, without a server."""
+        from transopt.page.figure import service_figure
+
+        return service_figure(self.service)
+
+    def _repr_mimebundle_(self, **how: Any) -> Any:
+        """The figure, in a notebook."""
+        return self.plot()._repr_mimebundle_(**how)
+
+
+def page(source: Scene | Library | str | Path, *, port: int = 0) -> Page:
+    """Serve a scene or a library on its page, in a thread of this process.
+
+    Returns
+    -------
+    The page, whose `address` a browser on this machine opens, and which a notebook shows; `close` ends it.
+
+    Raises
+    ------
+    InputError : what `Page` refuses; a nonlinear plant.
+    """
+    if not isinstance(source, Scene | Library | str | Path):
+        raise InputError(f"page: a scene, a library, or the name or path of one, not {type(source).__name__}")
+    return Page(source, port=port).start()

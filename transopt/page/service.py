@@ -1,0 +1,505 @@
+"""A scene and its taps, solved under other limits again and again: what the page shows, with no web in it.
+
+While a slider moves, an answer is the optimum with its certificate (`Service.quick`). When it rests, every tap is
+made anew as `transopt solve` makes it, replayed, priced and admitted (`Service.settled`), so that what the table says
+is what a library would hold.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.design.build import build_library
+from transopt.design.entry import Entry, design_grip, energy_dB
+from transopt.design.explain import what_would_do
+from transopt.design.intensity import best
+from transopt.design.optimum import Designed
+from transopt.design.posed import entry_problem, scene_stage, spread_stages
+from transopt.design.remedy import remedies
+from transopt.design.scene_entry import SceneEntry
+from transopt.library.library import Library
+from transopt.library.proven import load_proven
+from transopt.page.controls import DEVICE, TABLES, Control, controls, input_key
+from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.problem.answer import Status
+from transopt.problem.baselines import clipped_optimum
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import binding_limits
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, between
+from transopt.recordings.tap import check_usable, prepare, read_recordings
+from transopt.scene.builtin import load_scene
+from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
+from transopt.scene.recordings import recordings_of, references_of
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions, TrialOptions
+
+MOST_REMEDY_S = 1.5  # of a processor's time for what would do for one tap
+RECORDED = {"recordings", "targets", "time", "weights", "grid", "model", "motor", "transmission", "tip", "striker"}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Which tap it is.
+
+    Attributes
+    ----------
+    speed_m_s, grip_N : 0 of a named target.
+    target : its name; empty for a tap.
+    title : in words.
+    between : whether it lies between the nodes of the scene, where the sliders of speed and grip put it.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    target: str
+    title: str
+    between: bool = False
+
+
+@dataclass(frozen=True)
+class Curves:
+    """One tap as it is drawn; without a certified optimum its own curves are NaN.
+
+    Attributes
+    ----------
+    times_s : (N + M,) the switching instants, and those after the window.
+    recorded_m_s2 : (N + M,) r, the motor's share of what was recorded.
+    optimum_m_s2, clipped_m_s2 : (N + M,) y'' of the optimum, and of the unlimited one cut at the limit.
+    input, clipped_input : (N + M,) what drives the plant [A or V].
+    input_limit : that they stay within.
+    temperature_C : (N,) of the winding at the ends of the periods; (0,) without a coil.
+    temperature_limit_C : NaN without a coil.
+    """
+
+    times_s: FloatArray
+    recorded_m_s2: FloatArray
+    optimum_m_s2: FloatArray
+    clipped_m_s2: FloatArray
+    input: FloatArray
+    clipped_input: FloatArray
+    input_limit: float
+    temperature_C: FloatArray
+    temperature_limit_C: float
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One tap of an answer.
+
+    Attributes
+    ----------
+    index : of the place.
+    certified : whether the project's certificate is accepted; what is not is greyed.
+    replayed : whether it is admitted too, as an entry of a library is.
+    reason : why it is not certified; empty if it is.
+    nrmse, floor, clipped : NRMSE of the optimum, without limits, and of the clipped inversion.
+    energy_dB : of the optimum over the recorded tap within the window.
+    after : NRMSE after the window. after_peak_g : largest error there.
+    binds : what holds it back, in words.
+    curves : as drawn; None in the answer of `settled`, which changes no curve.
+    price : of the dearest limit, in a sentence; known when settled.
+    verdict : known when settled.
+    """
+
+    index: int
+    certified: bool
+    replayed: bool
+    reason: str
+    nrmse: float
+    floor: float
+    clipped: float
+    energy_dB: float
+    after: float
+    after_peak_g: float
+    binds: str
+    curves: Curves | None = None
+    price: str = ""
+    verdict: str = ""
+
+
+class Service:
+    """A scene, its taps, and the changes that have been made to it.
+
+    Parameters
+    ----------
+    scene : as it was opened.
+    recordings : to be reproduced in place of those that the scene names.
+    library : of which it is the scene: then its references serve as long as the time axis stays, and no recording
+        need be there.
+
+    Raises
+    ------
+    InputError : recordings that cannot serve; a nonlinear plant.
+    """
+
+    def __init__(
+        self, scene: Scene, recordings: Sequence[Recording] | None = None, library: Library | None = None
+    ) -> None:
+        self.opened, self.of_library, self._given = scene, library, recordings
+        self.changes: dict[str, Value] = {}
+        self.options = SolverOptions()
+        self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
+        self._references: tuple[str, list[Reference]] = ("", [])
+        self._recordings: tuple[str, list[Recording]] = ("", [])
+        self._stages: tuple[str, StageModel, tuple[StageModel, ...]] | None = None
+        self.probe: tuple[float, float] | None = None
+        self._known = {key.path for key in keys(scene) if key.path.split(".", 1)[0] in TABLES} - set(DEVICE)
+        scene.posing()  # a nonlinear plant is refused here, by name
+        if library is not None:
+            self._references = (self._axis(scene), _references(library))
+        self.scene = scene
+        self.references(scene)
+
+    @property
+    def places(self) -> list[Place]:
+        """The taps of the scene, speeds outermost, and the one between the nodes where it is asked for."""
+        axes, scene = self.scene.axes, self.scene
+        names = axes.targets or ("",) * len(axes.speeds_m_s)
+        found = [
+            Place(speed, grip, name, axes.place(iv, ig))
+            for iv, (speed, name) in enumerate(zip(axes.speeds_m_s, names, strict=True))
+            for ig, grip in enumerate(axes.grips_N)
+        ]
+        if self.probe is not None and not scene.targets:
+            speed, grip = self.probe
+            found.append(Place(speed, grip, "", f"{speed:.3g} m/s, {grip:.3g} N", between=True))
+        return found
+
+    @property
+    def controls(self) -> list[Control]:
+        """Of the scene as it is now."""
+        return controls(self.scene)
+
+    @property
+    def grid(self) -> TimeGrid:
+        return self.scene.time_grid()
+
+    def change(self, changes: Mapping[str, Value], probe: tuple[float, float] | None = None) -> None:
+        """Take other values into the scene, and a speed [m/s] and a grip [N] between the nodes, or None for none.
+
+        Raises
+        ------
+        InputError : values that the scene does not take; it stays as it was.
+        """
+        for key in changes:
+            if key not in self._known:
+                raise InputError(f"{key}: no slider of this scene")
+        wanted = {**self.changes, **changes}
+        for key in changes:
+            wanted.pop(IN_PLACE_OF.get(key, ""), None)
+        scene = with_values(self.opened, wanted)
+        self._check_probe(scene, probe)
+        self.references(scene)
+        self.scene, self.changes, self.probe = scene, wanted, probe
+
+    def _check_probe(self, scene: Scene, probe: tuple[float, float] | None) -> None:
+        if probe is None:
+            return
+        axes = scene.axes
+        ends = ((axes.speeds_m_s, "speed", "m/s"), (axes.grips_N, "grip", "N"))
+        for value, (nodes, name, unit) in zip(probe, ends, strict=True):
+            if not nodes[0] <= value <= nodes[-1]:
+                raise InputError(
+                    f"{name} {value:g} {unit}: outside of the nodes, {nodes[0]:g} to {nodes[-1]:g} {unit}"
+                )
+
+    def _axis(self, scene: Scene) -> str:
+        """What the references depend on, as text."""
+        return f"{scene.time_grid()} {json.dumps(scene.model_dump(include={'recordings', 'targets'}, mode='json'))}"
+
+    def references(self, scene: Scene) -> list[Reference]:
+        """What the device has to do at each speed of a scene or for each of its targets; kept until the axis changes.
+
+        Raises
+        ------
+        InputError : recordings that cannot serve.
+        """
+        axis = self._axis(scene)
+        if axis != self._references[0]:
+            self._references = (axis, references_of(scene, self._taps(scene)))
+        return self._references[1]
+
+    def _taps(self, scene: Scene) -> Sequence[Recording]:
+        if self._given is not None or scene.targets:
+            return self._given or ()
+        of = json.dumps(scene.model_dump(include=RECORDED, mode="json"))
+        if of != self._recordings[0]:
+            self._recordings = (of, recordings_of(scene))
+        return self._recordings[1]
+
+    def reference(self, place: Place) -> Reference:
+        """Of one tap, between the recorded speeds too."""
+        references = self.references(self.scene)
+        if place.target:
+            return next(reference for reference in references if reference.name == place.target)
+        return between(references, place.speed_m_s)
+
+    def _posed(self, place: Place) -> TransientProblem:
+        # Taps of one grip come one after the other in a settled answer, but not with the selected one first.
+        scene = self.scene
+        of = f"{place.grip_N!r} {id(scene)}"
+        if self._stages is None or self._stages[0] != of:
+            self._stages = (of, scene_stage(scene, place.grip_N), spread_stages(scene, place.grip_N))
+        return entry_problem(scene, self._stages[1], self.reference(place), self._stages[2])
+
+    def order(self, selected: int) -> list[int]:
+        """All taps, the selected one first, then grip by grip."""
+        places = self.places
+        rest = sorted(range(len(places)), key=lambda index: (places[index].grip_N, index))
+        return [index for index in (selected,) if 0 <= index < len(places)] + [i for i in rest if i != selected]
+
+    def quick(self, index: int) -> Shown:
+        """One tap under the present limits: its optimum and the certificate, no replay and no price."""
+        problem = self._posed(self.places[index])
+        with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
+            designed = best(problem, self.trial, objective=self.scene.weights.objective)
+            return _shown(index, designed)
+
+    def entry(self, index: int) -> Entry:
+        """One tap as an entry of a library: solved, certified, replayed, priced, or refused with its reason."""
+        place = self.places[index]
+        (found,) = design_grip(self.scene, place.grip_N, [self.reference(place)], self.options)
+        return found
+
+    def settled(self, index: int) -> Shown:
+        """One tap as a library would hold it; of a refused one the reason, and what would do."""
+        place, entry = self.places[index], self.entry(index)
+        problem, played = entry.problem, entry.played
+        admitted = entry.status is Status.OPTIMAL
+        reason = ""
+        if not admitted:
+            said = list(dict.fromkeys([entry.status.value, *entry.shortfalls]))
+            posed = SceneEntry(self.scene, place.grip_N, self.reference(place))
+            found = remedies(posed, problem, played, entry.status, self.options, most_s=MOST_REMEDY_S)
+            reason = ": ".join([said[0], "; ".join([*said[1:], what_would_do(found)])])
+        return Shown(
+            index=index,
+            certified=admitted,
+            replayed=admitted,
+            reason=reason,
+            nrmse=entry.nrmse if admitted else np.nan,
+            floor=entry.floor,
+            clipped=entry.baselines.clipped,
+            energy_dB=entry.energy_dB if admitted else np.nan,
+            after=played.nrmse_after if admitted else np.nan,
+            after_peak_g=played.error_peak_after_m_s2 / STANDARD_GRAVITY_M_S2 if admitted else np.nan,
+            binds=entry.binding if admitted else "",
+            price=entry.prices[0].sentence if entry.prices else "",
+            verdict=entry.verdict,
+        )
+
+    def accelerations(self, index: int) -> dict[str, FloatArray]:
+        """What a tap sounds like: (N + M,) of recorded, clipped and, if certified, optimum [m/s^2]."""
+        shown = self.quick(index)
+        assert shown.curves is not None
+        found = {"recorded": shown.curves.recorded_m_s2, "clipped": shown.curves.clipped_m_s2}
+        return {**found, "optimum": shown.curves.optimum_m_s2} if shown.certified else found
+
+    def library(self, progress: Callable[[int, int], None] = lambda done, of: None) -> Library:
+        """Build the library of the scene as it is.
+
+        Parameters
+        ----------
+        progress : called with how many taps are done, and of how many.
+
+        Raises
+        ------
+        InputError : an entry is refused, with its reason; recordings that are not there.
+        """
+        scene, done = self.scene, 0
+
+        def advance(count: int) -> None:
+            nonlocal done
+            done += count
+            progress(done, scene.axes.entries)
+
+        progress(0, scene.axes.entries)
+        made = build_library(scene, self._taps(scene), options=self.options, progress=advance)
+        if made.library is None:
+            first = made.refused[0]
+            raise InputError(
+                f"no library: {len(made.refused)} of {scene.axes.entries} taps are refused, the first at "
+                f"{first.place}: {'; '.join(first.shortfalls) or first.status.value}"
+            )
+        return made.library
+
+
+def opened(source: Scene | Library | str | Path, recordings: Path | None = None) -> Service:
+    """The service of a scene, of a library, or of the name or path of one.
+
+    Parameters
+    ----------
+    recordings : folder of the scene's recordings, in place of the one that it names.
+
+    Raises
+    ------
+    InputError : a file that cannot be used.
+    """
+    if isinstance(source, str | Path) and str(source).lower().endswith(".npz"):
+        source = load_proven(Path(source))
+    if isinstance(source, Library):
+        return Service(source.scene(), library=source)
+    scene = source if isinstance(source, Scene) else load_scene(source)
+    if recordings is not None:
+        scene = with_values(scene, {"recordings.folder": str(recordings.resolve())})
+    return Service(scene)
+
+
+def own_taps(scene: Scene, folder: Path, files: Sequence[str], speed_m_s: float | None) -> Service:
+    """The service of a scene with taps of a user's own in place of its recordings.
+
+    The grid takes the speeds of the files, one each, since taps within the scene's tolerance of each other share one.
+
+    Parameters
+    ----------
+    files : names in the folder.
+    speed_m_s : of files that state none.
+
+    Raises
+    ------
+    InputError : a file that is no tap, or whose speed nobody states.
+    """
+    if scene.targets:
+        raise InputError(
+            f"{scene.name}: has named targets, which no tap takes the place of: open a scene with speeds"
+        )
+    stated = scene.recordings.model_dump(include={"lowpass_Hz", "highpass_Hz", "speed_tolerance"})
+    table = {**stated, "files": list(files), "folder": str(folder), "speed_m_s": speed_m_s}
+    settings = with_values(scene, {"recordings": table}).recordings
+    taps = [prepare(recording, settings) for recording in read_recordings(settings)]
+    nodes: list[float] = []
+    for tap in sorted(taps, key=lambda tap: tap.speed_m_s):
+        check_usable(tap, settings)
+        speed = float(f"{tap.speed_m_s:.3g}")
+        if not nodes or abs(nodes[-1] / tap.speed_m_s - 1) > settings.speed_tolerance:
+            nodes.append(speed)
+    return Service(with_values(scene, {"recordings": table, "grid.speeds_m_s": nodes}))
+
+
+def _references(library: Library) -> list[Reference]:
+    """What a library was designed for, as its file has it."""
+    grid = library.time_grid()
+    at_ticks = np.concatenate([library.nominal_position_at_ticks_m, library.nominal_after_at_ticks_m], axis=1)
+    ends = library.meta.get("target_ends_s", [np.inf] * library.speeds_m_s.size)
+    spreads = [np.nan if each is None else each for each in library.meta["repeatability"]]
+    return [
+        Reference(
+            speed_m_s=float(speed),
+            raw_m_s2=library.reference_raw_m_s2[iv],
+            motor_m_s2=library.reference_m_s2[iv],
+            before_m_s2=library.reference_before_m_s2[iv],
+            after_m_s2=library.reference_after_m_s2[iv],
+            raw_after_m_s2=library.reference_raw_after_m_s2[iv],
+            nominal_position_m=library.nominal_position_m[iv],
+            nominal_velocity_m_s=library.nominal_velocity_m_s[iv],
+            nominal_position_at_ticks_m=at_ticks[iv],
+            repeatability=spreads[iv],
+            repeatability_unaligned=np.nan,
+            taps=(),
+            factors=np.zeros(0),
+            times_s=np.append(grid.switching_times_s, grid.after_times_s)
+            if np.isinf(ends[iv])
+            else np.array([ends[iv]]),
+            repeats_m_s2=np.zeros((0, 0)),
+            name=str(library.targets[iv]),
+        )
+        for iv, speed in enumerate(library.speeds_m_s)
+    ]
+
+
+def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N + M,) acceleration and input of a command (N,), after which there is none."""
+    return problem.stage.rollout(np.append(command, np.zeros(problem.grid.after_stages)))
+
+
+def _shown(index: int, designed: Designed) -> Shown:
+    problem, answer, proof = designed.problem, designed.solution, designed.certificate
+    grid, target = problem.grid, problem.target
+    N = grid.stages
+    certified = answer.status is Status.OPTIMAL and (proof.accepted or _bent(designed))
+    clipped = clipped_optimum(problem.stage, grid, designed.unlimited_command, problem.limits.input_limit)
+    clipped_m_s2, clipped_input = _rolled(problem, clipped)
+    nothing = np.full(N + grid.after_stages, np.nan)
+    optimum, current = (
+        problem.stage.rollout(problem.continued(answer.command)) if certified else (nothing, nothing.copy())
+    )
+    thermal = problem.limits.get(TemperatureLimit.name)
+    warm, limit_C = np.zeros(0), np.nan
+    if isinstance(thermal, TemperatureLimit):
+        limit_C = thermal.limit_C
+        warm = thermal.temperatures_C(current[:N], answer.command) if certified else nothing[:N]
+    curves = Curves(
+        times_s=np.append(grid.switching_times_s, grid.after_times_s),
+        recorded_m_s2=target.continued_m_s2,
+        optimum_m_s2=optimum,
+        clipped_m_s2=clipped_m_s2,
+        input=current,
+        clipped_input=clipped_input,
+        input_limit=problem.limits.input_limit,
+        temperature_C=warm,
+        temperature_limit_C=limit_C,
+    )
+    said = "; ".join(dict.fromkeys([answer.status.value, *designed.remarks]))
+    if not certified and answer.status is Status.OPTIMAL:
+        said = f"{Status.NOT_CERTIFIED.value}: gap {proof.relative_gap:.1e}, limit {proof.GAP_TOLERANCE:.0e}"
+    return Shown(
+        index=index,
+        certified=certified,
+        replayed=False,
+        reason="" if certified else said,
+        nrmse=target.nrmse(optimum[:N]) if certified else np.nan,
+        floor=designed.floor,
+        clipped=target.nrmse(clipped_m_s2[:N]),
+        energy_dB=energy_dB(problem, answer.command) if certified else np.nan,
+        after=target.nrmse_after(optimum[N:]) if certified else np.nan,
+        after_peak_g=target.peak_after_m_s2(optimum[N:]) / STANDARD_GRAVITY_M_S2 if certified else np.nan,
+        binds=binding_limits(problem, answer.command, answer.multipliers) if certified else "",
+        curves=curves,
+    )
+
+
+def _bent(designed: Designed) -> bool:
+    """Whether the answer is a stationary point under a limit of a user's own, of which nobody can promise more."""
+    own = any(name != TemperatureLimit.name for name in designed.problem.nonlinear)
+    return designed.certificate.is_stationary and own
+
+
+def described(service: Service) -> dict[str, Any]:
+    """What a page has to know of a scene before anything of it is solved: words, units, taps and controls."""
+    scene, axes = service.scene, service.scene.axes
+    driven = scene.driven_by
+    return {
+        "name": scene.name,
+        "description": scene.description,
+        "driven_by": {"name": driven.name, "unit": driven.unit},
+        "input_key": input_key(scene),
+        "window_end_s": service.grid.end_s,
+        "columns": axes.columns,
+        "places": [vars(place) for place in service.places],
+        "controls": [vars(control) for control in service.controls],
+        "between": None
+        if scene.targets
+        else {
+            "speed_m_s": [axes.speeds_m_s[0], axes.speeds_m_s[-1]],
+            "grip_N": [axes.grips_N[0], axes.grips_N[-1]],
+        },
+        "unfit": scene.unfit_model(),
+        "solver": service.options.solver,
+    }
+
+
+def plain(shown: Shown) -> dict[str, Any]:
+    """An answer without its curves, as JSON has it: null where there is no number."""
+    bare = replace(shown, curves=None)
+    found = {name: value for name, value in vars(bare).items() if name != "curves"}
+    return {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value for name, value in found.items()
+    }
