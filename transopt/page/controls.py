@@ -75,10 +75,7 @@ class Control:
 
     def at(self, share: float) -> float:
         """The value at a share, 0 to 1, of the slider."""
-        if self.log:
-            value = self.low * (self.high / self.low) ** share
-        else:
-            value = self.low + share * (self.high - self.low)
+        value = self.low * (self.high / self.low) ** share if self.log else self.low + share * (self.high - self.low)
         return round(value) if self.integer else float(f"{value:.4g}")
 
 

@@ -128,7 +128,7 @@ class Session:
         self._say({"type": "scene", **described(self.service), "own": self._names})
 
     def _answer(self, message: Message, body: bytes) -> None:
-        handlers = {
+        handlers: dict[str, Callable[[Message], None]] = {
             "change": self._change,
             "ask": self._ask,
             "sound": self._sound,

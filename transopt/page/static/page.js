@@ -12,7 +12,7 @@ const by = (id) => document.getElementById(id);
 
 const state = {
   scene: null, places: [], taps: [], times: null, selected: 0, changes: {}, kept: {}, probe: null,
-  pending: null, inFlight: 0, number: 0, began: new Map(), rest: null, answered: 0, resting: false, wantSound: null, resume: false,
+  pending: null, inFlight: 0, number: 0, began: new Map(), rest: null, resting: false, wantSound: null, resume: false,
 };
 const sound = new Sound();
 let detail = null;
@@ -130,16 +130,20 @@ function drawn(message, arrays) {
   for (const tap of message.taps) row(tap);
   sound.forget();
   if (!message.last) return;
-  state.inFlight = Math.max(state.inFlight - 1, 0);
-  state.answered += 1;
+  const began = state.began.get(message.id);
+  done(message.id);
   flush();
   // The frame that is drawn after this: what the eye sees of the event that began it.
-  const began = state.began.get(message.id);
-  state.began.delete(message.id);
   requestAnimationFrame(() => {
     if (began !== undefined) performance.measure("slider to frame", { start: began, end: performance.now() });
   });
   tellCertified();
+}
+
+// The server answers the newest: what was asked before it is answered with it.
+function done(number) {
+  state.inFlight = state.number - number;
+  for (const each of state.began.keys()) if (each <= number) state.began.delete(each);
 }
 
 function settled(message) {
@@ -166,10 +170,7 @@ function rested(message) {
 }
 
 function refused(message) {
-  if (message.about === "change") {
-    state.inFlight = Math.max(state.inFlight - 1, 0);
-    state.began.delete(message.id);
-  }
+  if (message.about === "change") done(message.id);
   const key = Object.keys(state.kept).find((each) => message.words.includes(each));
   complain(message.words);
   if (message.about === "change" && key) sliders.complain(key, message.words);

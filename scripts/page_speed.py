@@ -1,0 +1,116 @@
+"""How fast the page answers a hand: from the input event to the frame after the plots are drawn, in headless Chromium.
+
+    python scripts/page_speed.py
+
+Drags the slider of the current limit of `wood_on_foam`, of one tap alone and of all twelve: events that come one by
+one, and as fast as the browser takes them. It takes the extra `page`, playwright and a chromium. What is timed here
+is asserted in no test.
+"""
+
+import math
+import shutil
+import time
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import typer
+from common.command import at_least, run
+from common.page import PageFile, write_part
+from playwright.sync_api import Page as Tab
+from playwright.sync_api import expect, sync_playwright
+
+from transopt.base.writing import table
+from transopt.page.serve import Page
+from transopt.scene.builtin import load_scene
+from transopt.scene.keys import with_values
+
+SCENE = "wood_on_foam"
+SLIDER = "[id='of-limits.current_A']"
+MEASURED = "performance.getEntriesByType('measure').map(entry => [entry.startTime, entry.duration])"
+SETTLED_MS = 30_000
+SINGLE_S = 0.12  # between events that come one by one
+BOUNDS_MS = {1: 33, 12: 66}
+
+
+@dataclass(frozen=True)
+class Came:
+    """What one drag came to.
+
+    Attributes
+    ----------
+    taps : in the scene.
+    single_ms : from events that came one by one to the frame.
+    dragged_ms : the same of those that were answered while the slider never rested.
+    per_s : answers drawn per second of that drag.
+    """
+
+    taps: int
+    single_ms: list[float]
+    dragged_ms: list[float]
+    per_s: float
+
+
+def measured(tab: Tab, address: str, taps: int, events: int) -> Came:
+    """Open the page, drag its slider, and read what it has measured of itself."""
+    tab.goto(address)
+    expect(tab.locator("#state")).to_contain_text("replayed", timeout=SETTLED_MS)
+    box = tab.locator(SLIDER).bounding_box()
+    assert box is not None
+    y, width = box["y"] + box["height"] / 2, box["width"]
+
+    def x(j: int) -> float:
+        return float(box["x"] + width * (0.55 + 0.2 * math.sin(0.37 * j)))
+
+    def drag(count: int, pause_s: float) -> tuple[list[float], float]:
+        tab.mouse.move(x(0), y)
+        tab.mouse.down()
+        tab.evaluate("performance.clearMeasures()")
+        began = time.perf_counter()
+        for j in range(1, count + 1):
+            tab.mouse.move(x(j), y)
+            time.sleep(pause_s)
+        lasted = time.perf_counter() - began
+        found = tab.evaluate(MEASURED)
+        tab.mouse.up()
+        expect(tab.locator("#state")).to_contain_text("replayed", timeout=SETTLED_MS)
+        return [duration for _, duration in found], len(found) / lasted
+
+    drag(30, 0.03)  # what is done for the first time is not what is measured
+    single, _ = drag(events, SINGLE_S)
+    dragged, per_s = drag(4 * events, 0.008)
+    return Came(taps, single, dragged, per_s)
+
+
+def row(came: Came) -> list[str]:
+    p50, p95 = np.percentile(came.single_ms, [50, 95])
+    q50, q95 = np.percentile(came.dragged_ms, [50, 95])
+    numbers = [f"{value:.0f}" for value in (p50, p95, q50, q95, came.per_s)]
+    return [str(came.taps), *numbers, str(BOUNDS_MS[came.taps])]
+
+
+def script(
+    page: PageFile = None,
+    events: Annotated[int, at_least(20, "of each drag")] = 100,
+    chromium: Annotated[str, typer.Option(help="the browser")] = "chromium",
+) -> None:
+    whole = load_scene(SCENE)
+    one = with_values(whole, {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]})
+    rows = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which(chromium), args=["--no-sandbox"])
+        for scene, taps in ((one, 1), (whole, 12)):
+            with Page(scene) as served:
+                tab = browser.new_page(viewport={"width": 1280, "height": 800})
+                rows.append(row(measured(tab, served.address, taps, events)))
+                tab.close()
+        version = browser.version
+        browser.close()
+    head = ["taps", "one by one, median ms", "p95 ms", "dragged, median ms", "p95 ms", "updates/s", "p95 wanted, ms"]
+    lines = [*table(head, rows), "", f"Headless Chromium {version}, drawing without a graphics card."]
+    print("\n".join(lines))
+    write_part(page, lines)
+
+
+if __name__ == "__main__":
+    run(script)
