@@ -1,8 +1,8 @@
 """The sliders and choices of a scene, by rule from its own keys.
 
-Which keys there are, their units, bounds and defaults come from `transopt.scene.keys`, which reads the tables of which
-a scene is made: a limit that is added to the project has its slider without a change here. A key is offered if the
-scene takes it, which is found by stating it.
+Which keys there are, their units, bounds and defaults come from `transopt.scene.keys`, which reads the tables of
+which a scene is made: a limit that is added to the project has its slider without a change here. A key is offered if
+the scene takes it, which is found by stating it.
 """
 
 import math
@@ -21,7 +21,7 @@ TABLES = ("limits", "thermal", "feedback", "weights", "robust", "amplifier")  # 
 DEVICE = ("amplifier.pole_Hz", "amplifier.delay_s")  # what the device is, and no limit of it
 DECADE = 10.0  # a slider of a number reaches from a tenth to ten times of it
 HALVINGS = 10  # until the end of a slider is found that the scene just takes
-# About what devices have, by unit: the middle of the slider of a limit that the scene does not state. Others begin at 1.
+# About what devices have, by unit: the middle of the slider of a limit that a scene does not state; of others it is 1.
 USUAL = {
     "A": 2.0,
     "A/s": 1e4,

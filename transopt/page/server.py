@@ -1,8 +1,8 @@
 """The page on this machine: files for the browser and one websocket for each window.
 
 It is bound to 127.0.0.1 alone. The address has a random token, which every request must have; a request that a page
-of another origin makes, or that came by another host name (DNS rebinding), is refused. Nothing is loaded from anywhere
-else: plotly's JavaScript is that of its Python package.
+of another origin makes, or that came by another host name (DNS rebinding), is refused. Nothing is loaded from
+anywhere else: plotly's JavaScript is that of its Python package.
 """
 
 import asyncio
@@ -10,6 +10,7 @@ import hmac
 import json
 import secrets
 import socket
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +28,7 @@ KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".s
 MOST_WINDOWS = 16
 FRAME_BYTES = MOST_UPLOAD_BYTES + 2**20
 READY_S = 10.0
+SWITCH_S = 5e-4
 REFUSED = 4403  # closes a websocket that is not the page's own
 
 Asgi = Callable[..., Any]
@@ -243,6 +245,8 @@ class Server:
 
     def serve(self) -> None:
         """Serve until a signal asks to end."""
+        # A window's thread computes while this one sends: at Python's own 5 ms an answer waits longer than it takes.
+        sys.setswitchinterval(SWITCH_S)
         try:
             self._server.run(sockets=[self._socket])
         finally:

@@ -149,7 +149,8 @@ class Service:
         self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
         self._references: tuple[str, list[Reference]] = ("", [])
         self._recordings: tuple[str, list[Recording]] = ("", [])
-        self._stages: tuple[str, StageModel, tuple[StageModel, ...]] | None = None
+        self._staged: Scene | None = None  # whose stages are kept, by grip
+        self._stages: dict[float, tuple[StageModel, tuple[StageModel, ...]]] = {}
         self.probe: tuple[float, float] | None = None
         self._known = {key.path for key in keys(scene) if key.path.split(".", 1)[0] in TABLES} - set(DEVICE)
         scene.posing()  # a nonlinear plant is refused here, by name
@@ -243,12 +244,13 @@ class Service:
         return between(references, place.speed_m_s)
 
     def _posed(self, place: Place) -> TransientProblem:
-        # Taps of one grip come one after the other in a settled answer, but not with the selected one first.
         scene = self.scene
-        of = f"{place.grip_N!r} {id(scene)}"
-        if self._stages is None or self._stages[0] != of:
-            self._stages = (of, scene_stage(scene, place.grip_N), spread_stages(scene, place.grip_N))
-        return entry_problem(scene, self._stages[1], self.reference(place), self._stages[2])
+        if scene is not self._staged:
+            self._staged, self._stages = scene, {}
+        if place.grip_N not in self._stages:
+            self._stages[place.grip_N] = (scene_stage(scene, place.grip_N), spread_stages(scene, place.grip_N))
+        stage, spread = self._stages[place.grip_N]
+        return entry_problem(scene, stage, self.reference(place), spread)
 
     def order(self, selected: int) -> list[int]:
         """All taps, the selected one first, then grip by grip."""
@@ -256,12 +258,17 @@ class Service:
         rest = sorted(range(len(places)), key=lambda index: (places[index].grip_N, index))
         return [index for index in (selected,) if 0 <= index < len(places)] + [i for i in rest if i != selected]
 
-    def quick(self, index: int) -> Shown:
-        """One tap under the present limits: its optimum and the certificate, no replay and no price."""
+    def quick(self, index: int, *, words: bool = True) -> Shown:
+        """One tap under the present limits: its optimum and the certificate, no replay and no price.
+
+        Parameters
+        ----------
+        words : whether it is found out what binds, and the energy; else these are left empty and NaN.
+        """
         problem = self._posed(self.places[index])
         with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
             designed = best(problem, self.trial, objective=self.scene.weights.objective)
-            return _shown(index, designed)
+            return _shown(index, designed, words=words)
 
     def entry(self, index: int) -> Entry:
         """One tap as an entry of a library: solved, certified, replayed, priced, or refused with its reason."""
@@ -420,7 +427,7 @@ def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray,
     return problem.stage.rollout(np.append(command, np.zeros(problem.grid.after_stages)))
 
 
-def _shown(index: int, designed: Designed) -> Shown:
+def _shown(index: int, designed: Designed, *, words: bool) -> Shown:
     problem, answer, proof = designed.problem, designed.solution, designed.certificate
     grid, target = problem.grid, problem.target
     N = grid.stages
@@ -458,10 +465,10 @@ def _shown(index: int, designed: Designed) -> Shown:
         nrmse=target.nrmse(optimum[:N]) if certified else np.nan,
         floor=designed.floor,
         clipped=target.nrmse(clipped_m_s2[:N]),
-        energy_dB=energy_dB(problem, answer.command) if certified else np.nan,
+        energy_dB=energy_dB(problem, answer.command) if certified and words else np.nan,
         after=target.nrmse_after(optimum[N:]) if certified else np.nan,
         after_peak_g=target.peak_after_m_s2(optimum[N:]) / STANDARD_GRAVITY_M_S2 if certified else np.nan,
-        binds=binding_limits(problem, answer.command, answer.multipliers) if certified else "",
+        binds=binding_limits(problem, answer.command, answer.multipliers) if certified and words else "",
         curves=curves,
     )
 

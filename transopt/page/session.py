@@ -158,7 +158,7 @@ class Session:
             curves({"type": "curves", "id": number, "last": len(order) == 1}, [service.quick(order[0])]),
         )
         if order[1:]:
-            rest = [service.quick(index) for index in order[1:]]
+            rest = [service.quick(index, words=False) for index in order[1:]]
             self._send(curves({"type": "curves", "id": number, "last": True}, rest))
         if message.get("final"):
             self._settle(service, order, number)

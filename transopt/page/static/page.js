@@ -7,6 +7,7 @@ import { Sound } from "./sound.js";
 
 const IN_FLIGHT = 2; // requests that the server may have at once: one is solved while the other is drawn
 const RESTS_MS = 250; // after the last key or movement a slider is at rest
+const TABLE_MS = 300; // between two states of the table while something is dragged
 const STEPS = 400;
 const by = (id) => document.getElementById(id);
 
@@ -127,7 +128,7 @@ function drawn(message, arrays) {
     if (tap.index === state.selected) large(first || !before);
     small(tap, colour);
   }
-  for (const tap of message.taps) row(tap);
+  later();
   sound.forget();
   if (!message.last) return;
   const began = state.began.get(message.id);
@@ -226,7 +227,7 @@ function percent(share) {
 
 function came(tap) {
   if (!tap) return "...";
-  return tap.certified ? `${percent(tap.nrmse)} %${tap.binds && !/^(nothing|none)/.test(tap.binds) ? ", limited" : ""}` : "refused";
+  return tap.certified ? `${percent(tap.nrmse)} %${tap.nrmse > 1.05 * tap.floor ? ", limited" : ""}` : "refused";
 }
 
 // ---- the small plots
@@ -369,6 +370,15 @@ function rows() {
     if (state.taps[index]) row(state.taps[index]);
   });
   marked();
+}
+
+// A table is laid out anew with every word in it: while something is dragged, only now and then.
+let waiting = null;
+function later() {
+  waiting ??= setTimeout(() => {
+    waiting = null;
+    for (const tap of state.taps) if (tap) row(tap);
+  }, TABLE_MS);
 }
 
 function row(tap) {
