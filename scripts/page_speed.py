@@ -1,4 +1,4 @@
-"""How fast the page answers a hand: from the input event to the frame after the plots are drawn, in headless Chromium.
+"""How fast the page answers a hand: from the input event to the frame after the plots are drawn, in Chromium.
 
     python scripts/page_speed.py
 
@@ -21,9 +21,9 @@ from playwright.sync_api import Page as Tab
 from playwright.sync_api import expect, sync_playwright
 
 from transopt.base.writing import table
-from transopt.page.serve import Page
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
+from transopt.web.serve import Page
 
 SCENE = "wood_on_foam"
 SLIDER = "[id='of-limits.current_A']"

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from transopt.library.library import Library, Waveform
     from transopt.library.online import Online
     from transopt.library.trade import trade_figures
-    from transopt.page.serve import page
     from transopt.plant.state_space import Input, Output, StateSpace
     from transopt.problem.answer import Certificate, Multipliers, Solution, Status
     from transopt.problem.limits.limit import Limits
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from transopt.solvers.choose import solve as solve_problem
     from transopt.solvers.options import SolverOptions
     from transopt.solvers.own import own_limit
+    from transopt.web.serve import page
 
 __all__ = [
     "Build",
@@ -135,7 +135,7 @@ _HOME = {
     "load_library": "library.file",
     "load_scene": "scene.builtin",
     "own_limit": "solvers.own",
-    "page": "page.serve",
+    "page": "web.serve",
     "prepare": "recordings.tap",
     "read_recordings": "recordings.tap",
     "recordings_of": "scene.recordings",

@@ -21,8 +21,8 @@ def page(
 
     Serves this machine alone, at the address that it prints, until Ctrl-C.
     """
-    from transopt.page.serve import Page
-    from transopt.page.server import check_extra
+    from transopt.web.serve import Page
+    from transopt.web.server import check_extra
 
     check_extra()
     if recordings is not None and not recordings.is_dir():

@@ -1,13 +1,16 @@
 """A scene or a library on its page: for the command, for Python, for a notebook."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from transopt.base.errors import InputError
+from transopt.base.shown import html_figure, html_table
+from transopt.base.writing import percent
+from transopt.design.figures import entries_figure
 from transopt.library.library import Library
-from transopt.page.server import Server, check_extra
-from transopt.page.service import Service, opened
 from transopt.scene.scene import Scene
+from transopt.web.server import Server, check_extra
+from transopt.web.service import Service, opened
 
 if TYPE_CHECKING:
     import plotly.graph_objects
@@ -73,13 +76,23 @@ class Page:
 
     def plot(self) -> "plotly.graph_objects.Figure":
         """Every tap as plotly draws it, without a server."""
-        from transopt.page.figure import service_figure
+        from transopt.web.figure import service_figure
 
         return service_figure(self.service)
 
-    def _repr_mimebundle_(self, **how: Any) -> Any:
-        """The figure, in a notebook."""
-        return self.plot()._repr_mimebundle_(**how)
+    def _repr_html_(self) -> str:
+        """Table and figure in a notebook: static, and made of every tap as a library would hold it."""
+        service = self.service
+        axes, places = service.scene.axes, range(len(service.places))
+        entries = [service.entry(index) for index in places]
+        rows = [
+            [*entry.cells, percent(entry.nrmse), percent(entry.floor), entry.binding, entry.verdict]
+            for entry in entries
+        ]
+        width = len(axes.grips_N)
+        figure = entries_figure([entries[at : at + width] for at in range(0, len(entries), width)])
+        columns = [*axes.columns, "NRMSE %", "floor %", "what binds", "verdict"]
+        return html_table(repr(self), columns, rows) + html_figure(figure)
 
 
 def page(source: Scene | Library | str | Path, *, port: int = 0) -> Page:

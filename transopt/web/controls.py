@@ -21,7 +21,7 @@ TABLES = ("limits", "thermal", "feedback", "weights", "robust", "amplifier")  # 
 DEVICE = ("amplifier.pole_Hz", "amplifier.delay_s")  # what the device is, and no limit of it
 DECADE = 10.0  # a slider of a number reaches from a tenth to ten times of it
 HALVINGS = 10  # until the end of a slider is found that the scene just takes
-# About what devices have, by unit: the middle of the slider of a limit that a scene does not state; of others it is 1.
+# About what devices have, by unit: the middle of the slider of a limit that no scene states; of other units it is 1.
 USUAL = {
     "A": 2.0,
     "A/s": 1e4,
@@ -76,7 +76,8 @@ class Control:
     def at(self, share: float) -> float:
         """The value at a share, 0 to 1, of the slider."""
         value = self.low * (self.high / self.low) ** share if self.log else self.low + share * (self.high - self.low)
-        return round(value) if self.integer else float(f"{value:.4g}")
+        rounded = round(value) if self.integer else float(f"{value:.4g}")
+        return min(max(rounded, self.low), self.high)
 
 
 def input_key(scene: Scene) -> str:
@@ -159,7 +160,8 @@ def _end(scene: Scene, control: Control, end: float) -> float:
             inside = middle
         else:
             outside = middle
-    return control.at(inside)
+    found = control.at(inside)
+    return found if _takes(scene, control.key, found) else control.start
 
 
 def _now(scene: Scene, key: Key) -> Value:

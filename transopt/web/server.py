@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
-from transopt.page.frames import parted
-from transopt.page.service import Service
-from transopt.page.session import MOST_UPLOAD_BYTES, Session
+from transopt.web.frames import parted
+from transopt.web.service import Service
+from transopt.web.session import MOST_UPLOAD_BYTES, Session
 
 HOST = "127.0.0.1"
 MISSING = "the page needs starlette, uvicorn, websockets and plotly: pip install 'transopt[page]'"

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from transopt.base.errors import InputError
 from transopt.design.intensity import best
 from transopt.design.posed import entry_problem, scene_stage, spread_stages
-from transopt.page.controls import Control
-from transopt.page.service import Service
 from transopt.problem.answer import Status
 from transopt.scene.keys import Value, find_key, with_values
 from transopt.study.inverse import Question, Requirement, answer
 from transopt.study.rows import OPTIMAL, Row
+from transopt.web.controls import Control
+from transopt.web.service import Service
 
 PRECISION = 1e-3  # of the answer
 

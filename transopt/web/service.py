@@ -25,7 +25,6 @@ from transopt.design.remedy import remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
-from transopt.page.controls import DEVICE, TABLES, Control, controls, input_key
 from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
@@ -40,6 +39,7 @@ from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
 from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions, TrialOptions
+from transopt.web.controls import DEVICE, TABLES, Control, controls, input_key
 
 MOST_REMEDY_S = 1.5  # of a processor's time for what would do for one tap
 RECORDED = {"recordings", "targets", "time", "weights", "grid", "model", "motor", "transmission", "tip", "striker"}

@@ -8,10 +8,10 @@ export function shareOf(control, value) {
 }
 
 export function valueAt(control, share) {
-  let value = control.log ? control.low * (control.high / control.low) ** share
+  const value = control.log ? control.low * (control.high / control.low) ** share
     : control.low + share * (control.high - control.low);
-  value = Math.min(Math.max(value, control.low), control.high);
-  return control.integer ? Math.round(value) : Number(value.toPrecision(4));
+  const rounded = control.integer ? Math.round(value) : Number(value.toPrecision(4));
+  return Math.min(Math.max(rounded, control.low), control.high);
 }
 
 export function said(value, unit) {

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
-from transopt.page.service import Service
+from transopt.web.service import Service
 
 if TYPE_CHECKING:
     import plotly.graph_objects

@@ -21,10 +21,10 @@ from scipy import signal
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.page.frames import arrays, curves, frame
-from transopt.page.question import asked
-from transopt.page.service import Service, described, own_taps, plain
 from transopt.scene.written import scene_text
+from transopt.web.frames import arrays, curves, frame
+from transopt.web.question import asked
+from transopt.web.service import Service, described, own_taps, plain
 
 SUFFIXES = (".csv", ".txt", ".mat", ".npz", ".wav")
 MOST_FILES = 200

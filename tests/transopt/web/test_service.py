@@ -1,0 +1,130 @@
+"""What the page shows is what a library would hold."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import transopt as to
+from transopt.design.build import build_library
+from transopt.problem.answer import Status
+from transopt.scene.recordings import recordings_of
+from transopt.web.controls import controls
+from transopt.web.question import asked
+from transopt.web.service import Service, described, opened, own_taps, plain
+
+RECORDINGS = Path(__file__).parents[3] / "problems/recordings"
+
+
+@pytest.mark.parametrize("name", ["single_grip", "lra_click"])
+def test_the_table_is_the_librarys(name: str) -> None:
+    service, scene = opened(name), to.load_scene(name)
+    build = build_library(scene, recordings_of(scene))
+    for index, entry in enumerate(build.all_entries()):
+        quick, settled = service.quick(index), service.settled(index)
+        for shown in (quick, settled):
+            assert shown.certified
+            assert shown.nrmse == pytest.approx(entry.nrmse, rel=1e-8)
+            assert shown.floor == pytest.approx(entry.floor, rel=1e-8)
+            assert shown.after == pytest.approx(entry.played.nrmse_after, rel=1e-6)
+            assert shown.energy_dB == pytest.approx(entry.energy_dB, rel=1e-8)
+            assert shown.binds == entry.binding
+        assert settled.replayed
+        assert settled.verdict == entry.verdict
+        assert settled.price == (entry.prices[0].sentence if entry.prices else "")
+
+
+def test_a_change_is_what_the_changed_scene_is_solved_to(service: Service) -> None:
+    service.change({"limits.current_A": 3.0})
+    changed = to.with_values(service.opened, {"limits.current_A": 3.0})
+    (entry,) = [e for e in build_library(changed, recordings_of(changed)).all_entries() if e.speed_m_s == 0.4]
+    shown = service.quick(1)
+    assert shown.nrmse == pytest.approx(entry.nrmse, rel=1e-8)
+    assert shown.curves is not None
+    np.testing.assert_allclose(shown.curves.input[: entry.plant_input.size], entry.plant_input, atol=1e-9)
+    assert np.abs(shown.curves.input).max() <= 3.0 + 1e-6
+
+
+def test_the_later_of_two_statements_of_one_limit_counts(service: Service) -> None:
+    service.change({"limits.current_A": 3.0})
+    service.change({"limits.beta": 2.0})
+    assert service.scene.limits.transient_input == pytest.approx(2.5)
+    service.change({"limits.current_A": 3.5})
+    assert service.scene.limits.transient_input == pytest.approx(3.5)
+
+
+def test_what_the_scene_does_not_take_leaves_it_as_it_was(service: Service) -> None:
+    with pytest.raises(to.InputError, match="i_peak_A"):
+        service.change({"limits.current_A": 1e3})
+    with pytest.raises(to.InputError, match="no slider"):
+        service.change({"recordings.folder": "/"})
+    assert service.scene == service.opened
+
+
+def test_a_tap_between_the_nodes_is_the_optimum_there(service: Service) -> None:
+    service.change({}, (0.3, 3.0))
+    assert [place.title for place in service.places] == ["0.2 m/s, 3 N", "0.4 m/s, 3 N", "0.3 m/s, 3 N"]
+    shown = service.settled(2)
+    assert shown.certified
+    assert shown.nrmse < service.settled(1).nrmse
+    with pytest.raises(to.InputError, match="outside of the nodes"):
+        service.change({}, (0.5, 3.0))
+
+
+def test_what_cannot_be_met_is_not_shown_and_says_what_would_do() -> None:
+    service = opened("low_supply")
+    service.change({"limits.supply_V": 0.3})
+    last = len(service.places) - 1
+    quick = service.quick(last)
+    assert not quick.certified
+    assert quick.reason
+    assert quick.curves is not None
+    assert np.isnan(quick.curves.optimum_m_s2).all()
+    settled = service.settled(last)
+    assert not settled.certified
+    assert "supply" in settled.reason
+    assert "would do" in settled.reason or "tried in vain" in settled.reason
+    assert plain(settled)["nrmse"] is None
+
+
+def test_the_inverse_question_finds_the_limit_that_an_error_needs(service: Service) -> None:
+    (control,) = [each for each in controls(service.scene) if each.key == "limits.current_A"]
+    found = asked(service, 1, control, 0.05)
+    assert isinstance(found.value, float)
+    service.change({control.key: found.value})
+    assert service.quick(1).nrmse <= 0.05
+    service.change({control.key: found.value - 0.02})
+    assert service.quick(1).nrmse > 0.05
+    none = asked(service, 1, control, 1e-4)
+    assert none.value is None
+    assert "met by no" in none.words
+
+
+def test_own_taps_take_the_place_of_the_scenes(tmp_path: Path, small: to.Scene) -> None:
+    text = (RECORDINGS / "tap_0.3_m_s.csv").read_text()
+    (tmp_path / "mine.csv").write_text(text)
+    service = own_taps(small, tmp_path, ["mine.csv"], None)
+    assert len(service.places) == 1
+    assert service.places[0].speed_m_s == pytest.approx(0.31)
+    assert service.quick(0).certified
+    (tmp_path / "none.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(to.InputError, match=r"none\.csv"):
+        own_taps(small, tmp_path, ["none.csv"], None)
+
+
+def test_a_library_opens_without_its_recordings(tmp_path: Path) -> None:
+    library = to.solve("lra_click")
+    library.save(tmp_path / "library.npz")
+    service = opened(tmp_path / "library.npz")
+    assert service.quick(0).nrmse == pytest.approx(float(library.nrmse[0, 0]), rel=1e-8)
+    assert described(service)["driven_by"]["unit"] == "V"
+
+
+def test_the_saved_library_is_the_one_that_is_shown(service: Service) -> None:
+    told: list[tuple[int, int]] = []
+    service.change({"limits.current_A": 3.0})
+    library = service.library(lambda done, of: told.append((done, of)))
+    assert told[0] == (0, 2)
+    assert told[-1] == (2, 2)
+    assert (library.status == Status.OPTIMAL.value).all()
+    assert float(library.nrmse[1, 0]) == pytest.approx(service.quick(1).nrmse, rel=1e-8)
