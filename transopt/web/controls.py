@@ -76,7 +76,7 @@ class Control:
     def at(self, share: float) -> float:
         """The value at a share, 0 to 1, of the slider."""
         value = self.low * (self.high / self.low) ** share if self.log else self.low + share * (self.high - self.low)
-        rounded = round(value) if self.integer else float(f"{value:.4g}")
+        rounded = round(value) if self.integer else float(f"{value:.3g}")
         return min(max(rounded, self.low), self.high)
 
 

@@ -10,7 +10,7 @@ export function shareOf(control, value) {
 export function valueAt(control, share) {
   const value = control.log ? control.low * (control.high / control.low) ** share
     : control.low + share * (control.high - control.low);
-  const rounded = control.integer ? Math.round(value) : Number(value.toPrecision(4));
+  const rounded = control.integer ? Math.round(value) : Number(value.toPrecision(3));
   return Math.min(Math.max(rounded, control.low), control.high);
 }
 

@@ -5,7 +5,8 @@ import { Detail, colours, drawSmall } from "./plots.js";
 import { Sliders, said, shareOf, valueAt } from "./controls.js";
 import { Sound } from "./sound.js";
 
-const IN_FLIGHT = 2; // requests that the server may have at once: one is solved while the other is drawn
+const IN_FLIGHT = 2; // requests that the server may have at once: one is solved while the other is drawn,
+const SLOW_MS = 50; // but one alone where an answer takes longer: what waits behind it is old when it comes
 const RESTS_MS = 250; // after the last key or movement a slider is at rest
 const TABLE_MS = 300; // between two states of the table while something is dragged
 const STEPS = 400;
@@ -13,7 +14,7 @@ const by = (id) => document.getElementById(id);
 
 const state = {
   scene: null, places: [], taps: [], times: null, selected: 0, changes: {}, kept: {}, probe: null,
-  pending: null, inFlight: 0, number: 0, began: new Map(), rest: null, resting: false, wantSound: null, resume: false,
+  pending: null, inFlight: 0, number: 0, began: new Map(), sent: new Map(), takes: 0, rest: null, resting: false, wantSound: null, resume: false,
 };
 const sound = new Sound();
 let detail = null;
@@ -34,17 +35,19 @@ function want(changes, began = performance.now()) {
   state.pending ??= { changes: {}, began };
   Object.assign(state.pending.changes, changes);
   state.resting = false;
+  if (by("state").textContent.includes("replayed")) tell("solving ...");
   rest(RESTS_MS);
   flush();
 }
 
 function flush(final = false) {
-  if (!state.scene || !link.connected || (!state.pending && !final) || state.inFlight >= IN_FLIGHT) return false;
+  if (!state.scene || !link.connected || (!state.pending && !final) || state.inFlight >= (state.takes > SLOW_MS ? 1 : IN_FLIGHT)) return false;
   const pending = state.pending ?? { changes: {}, began: performance.now() };
   state.pending = null;
   state.number += 1;
   state.inFlight += 1;
   state.began.set(state.number, pending.began);
+  state.sent.set(state.number, performance.now());
   link.say({ type: "change", id: state.number, changes: pending.changes, selected: state.selected, probe: state.probe, final });
   return true;
 }
@@ -144,7 +147,8 @@ function drawn(message, arrays) {
 // The server answers the newest: what was asked before it is answered with it.
 function done(number) {
   state.inFlight = state.number - number;
-  for (const each of state.began.keys()) if (each <= number) state.began.delete(each);
+  state.takes = performance.now() - (state.sent.get(number) ?? performance.now());
+  for (const times of [state.began, state.sent]) for (const each of times.keys()) if (each <= number) times.delete(each);
 }
 
 function settled(message) {
@@ -328,7 +332,7 @@ function handle() {
 
 function limited(value, resting, began) {
   const control = state.scene.controls.find((each) => each.key === state.scene.input_key);
-  const inside = Number(Math.min(Math.max(value, control.low), control.high).toPrecision(4));
+  const inside = Number(Math.min(Math.max(value, control.low), control.high).toPrecision(3));
   sliders.set(control.key, inside);
   moved(control.key, inside, resting, began);
 }

@@ -143,7 +143,7 @@ export class Detail {
     const titles = {
       acceleration: "acceleration, g",
       input: `${this.input[0]}, ${this.input[1]}`,
-      temperature: "winding, C",
+      temperature: `winding, C; limit ${Number((tap.temperature_limit_C || 0).toPrecision(4))}`,
       after: "error after, g",
     };
     const heights = { acceleration: 3, input: 2.6, temperature: 1.3, after: 1.3 };
