@@ -148,6 +148,7 @@ class Service:
         self.options = SolverOptions()
         self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
         self._references: tuple[str, list[Reference]] = ("", [])
+        self._referenced: Scene | None = None  # that the references were last looked up for
         self._recordings: tuple[str, list[Recording]] = ("", [])
         self._staged: Scene | None = None  # whose stages are kept, by grip
         self._stages: dict[float, tuple[StageModel, tuple[StageModel, ...]]] = {}
@@ -223,9 +224,11 @@ class Service:
         ------
         InputError : recordings that cannot serve.
         """
-        axis = self._axis(scene)
-        if axis != self._references[0]:
-            self._references = (axis, references_of(scene, self._taps(scene)))
+        if scene is not self._referenced:
+            axis = self._axis(scene)
+            if axis != self._references[0]:
+                self._references = (axis, references_of(scene, self._taps(scene)))
+            self._referenced = scene
         return self._references[1]
 
     def _taps(self, scene: Scene) -> Sequence[Recording]:
