@@ -167,7 +167,7 @@ export class Detail {
     panels.forEach((name, j) => {
       const height = (heights[name] / whole) * free;
       layout.annotations.push({ text: titles[name], xref: "paper", yref: "paper", x: 1, xanchor: "right",
-        y: name === "input" ? top - 0.22 * height : top, yanchor: "top", showarrow: false, bgcolor: colour.ground,
+        y: name === "input" ? top - 0.57 * height : top, yanchor: "top", showarrow: false, bgcolor: colour.ground,
         font: { size: 12 }, xshift: -4 });
       const axis = { anchor: "x", gridcolor: colour.grid, zerolinecolor: colour.grid, domain: [Math.max(top - height, 0), top], nticks: heights[name] > 2 ? 6 : 3 };
       if (name === "acceleration") axis.range = this.wide([largest(tap.recorded_m_s2) / G]);
