@@ -14,7 +14,7 @@ from transopt.base.errors import InputError
 from transopt.design.explain import what_would_do
 from transopt.design.intensity import best
 from transopt.design.optimum import Designed
-from transopt.design.remedy import remedies
+from transopt.design.remedy import MOST_S, remedies
 from transopt.design.verify import admit
 from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.problem import TransientProblem
@@ -22,6 +22,7 @@ from transopt.proof.replay import Replay, replay
 from transopt.solvers.options import SolverOptions
 
 CERTIFIED = "certified"
+PATIENCE = 10.0  # times as long a remedy is looked for where the worst of several devices counts
 UNCHECKED = ", unchecked"  # a claim that no command keeps all limits, which the independent method could not decide
 # Refusals that may stand, by what their remarks must name: a limit with amount and unit.
 REMARKS = {
@@ -134,7 +135,9 @@ def with_remedy(case: StressCase, designed: Designed, run: Replay, found: Outcom
     problem, solution = designed.problem, designed.solution
     predicted, _ = problem.stage.rollout(solution.command)
     status, _ = admit(solution.status, designed.certificate, run, problem, solution.command, predicted)
-    own = remedies(case, problem, run, status, SolverOptions())
+    # The worst of several devices takes some ten problems where another one takes one.
+    patience = PATIENCE if problem.worst else 1.0
+    own = remedies(case, problem, run, status, SolverOptions(), most_s=patience * MOST_S)
     kind = found.kind if any(remedy.solved for remedy in own) else "bad: no remedy"
     return replace(found, kind=kind, detail=f"{found.detail}; {what_would_do(own)}")
 

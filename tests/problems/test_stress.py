@@ -62,6 +62,11 @@ def test_a_spread_of_devices_is_drawn_for_its_mean_and_for_its_worst() -> None:
     assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(small) / 2
 
 
+def test_a_search_for_intensity_is_not_thrown_off_by_energies_that_are_nearly_alike() -> None:
+    """Two answers point to a price far below zero, whose exponential no double holds."""
+    assert judge(drawn(28112026, 901)).kind == CERTIFIED
+
+
 def test_the_worst_of_devices_that_are_nearly_alike_is_found() -> None:
     """Their losses differ by a ten-thousandth, so that the search over the shares has hardly a slope to follow."""
     outcome = judge(drawn(5, 645))

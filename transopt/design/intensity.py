@@ -178,7 +178,7 @@ def _next(nearest: list[_Tried], asked_dB: float) -> float:
     t = first.t + (asked_dB - first.energy_dB) / FIRST_dB
     if len(nearest) > 1:
         t = _parabola(first, nearest[1], asked_dB)
-    return float(-np.expm1(-t))
+    return float(-np.expm1(-max(t, 0.0)))  # a guess beyond the start is as good as none
 
 
 def _parabola(one: _Tried, other: _Tried, at_dB: float) -> float:
