@@ -432,6 +432,8 @@ class StressCase:
         circuit = Circuit(R_OHM, L_H=0.238e-3, emf_V_s_m=force_N_A)
         outputs = needed_outputs(asked, driven)
         stage = discretise(plant, amplifier, grid.dt_s, position=wall is not None, outputs=outputs)
+        others = () if self.spread is None else tuple(self._others(self.spread))
+        spread = tuple(discretise(each, amplifier, grid.dt_s, outputs=outputs) for each in others)
         setting = Setting(
             stage=stage,
             grid=grid,
@@ -442,6 +444,7 @@ class StressCase:
             reference_m_s2=target.window_m_s2,
             nominal_m=-speed * grid.switching_times_s,
             nominal_m_s=np.full(N, -speed),
+            spread=spread,
         )
         key = f"{driven.name}_{driven.unit}"
         plain = TransientProblem(
@@ -458,8 +461,7 @@ class StressCase:
         # A reference that is refused is named before the limits that it cannot be held to.
         whole = replace(plain, limits=posed(asked, setting))
         if self.spread is not None:
-            others = tuple(discretise(each, amplifier, grid.dt_s) for each in self._others(self.spread))
-            whole = replace(whole, spread=others, worst=self.spread.worst)
+            whole = replace(whole, spread=spread, worst=self.spread.worst)
         return replace(
             whole, intensity=self.demand.price * most_price(whole), intensity_dB=self.demand.asked_dB or 0.0
         )

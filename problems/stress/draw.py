@@ -132,19 +132,13 @@ def drawn(seed: int, index: int) -> StressCase:
 
 
 def _several(draw: _Draw, case: StressCase) -> StressCase:
-    """The same for several devices, now and then, with random numbers of its own; without what is of one device."""
+    """The same for several devices, now and then, with random numbers of its own."""
     if not draw.perhaps(0.15) or case.surface is not None or case.horizon.stages > MOST_FOR_SEVERAL:
         return case
     worst = draw.perhaps(0.5)
     demand = replace(case.demand, price=0.0, asked_dB=None) if worst else case.demand
-    actuator = None if case.actuator is None else replace(case.actuator, stroke=None, velocity=None, current=None)
-    return replace(
-        case,
-        current=replace(case.current, supply=None),
-        demand=demand,
-        actuator=actuator,
-        spread=Spread(draw.of(1, 2, 3, 6), draw.log(1e-4, 0.5), draw.log(1e-4, 0.5), worst),
-    )
+    spread = Spread(draw.of(1, 2, 3, 6), draw.log(1e-4, 0.5), draw.log(1e-4, 0.5), worst)
+    return replace(case, demand=demand, spread=spread)
 
 
 def _actuator(draw: _Draw) -> Actuator:

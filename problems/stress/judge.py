@@ -75,6 +75,7 @@ def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
         limits=[problem.limits],
         walls=None if wall is None else [wall],
         budgets=None if thermal is None else [thermal.budget],
+        spread=problem.spread,
     )
     return run
 

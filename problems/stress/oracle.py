@@ -81,7 +81,7 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
     for limit in limits:
         if isinstance(limit, OutputLimit):
             reached = motion.outputs[limit.output + AFTER].T
-            quantities.append((reached, limit.nominal[1:], limit.limit - limit.margin))
+            quantities.append((reached, limit.nominal[1:], limit.limit - limit.margin()))
     if slew is not None:
         quantities.append(((np.eye(N) - np.eye(N, k=-1)) * unit, np.zeros(N), slew.stated))
     if supply is not None:

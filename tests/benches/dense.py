@@ -55,10 +55,16 @@ def states(problem: TransientProblem) -> FloatArray:
     return np.stack([linalg.toeplitz(each, np.zeros(N)) for each in found.T], axis=-1)
 
 
-def responses(problem: TransientProblem) -> Responses:
-    """By one matrix exponential of plant and amplifier pole, and Toeplitz matrices of the impulse responses."""
-    plant, N = problem.stage.plant, problem.grid.stages
-    n, states = plant.order, _impulse(problem.stage, problem.grid.dt_s, N + 1)
+def responses(problem: TransientProblem, device: StageModel | None = None) -> Responses:
+    """By one matrix exponential of plant and amplifier pole, and Toeplitz matrices of the impulse responses.
+
+    Parameters
+    ----------
+    device : another one than the entry's own.
+    """
+    device = problem.stage if device is None else device
+    plant, N = device.plant, problem.grid.stages
+    n, states = plant.order, _impulse(device, problem.grid.dt_s, N + 1)
 
     def of(row: FloatArray) -> FloatArray:
         return linalg.toeplitz(states @ row, np.zeros(N))

@@ -17,7 +17,7 @@ from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
-from transopt.library.library import PLANT, Library, multiplier_arrays, own_arrays
+from transopt.library.library import PLANT, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import in_file_form, shared_left_out, temperature_is_in
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.answer import Status
@@ -250,7 +250,8 @@ def _assemble(
         status=over_grid(lambda e: e.status.value),
         binding=over_grid(lambda e: e.binding),
         multipliers_of=multiplier_arrays(
-            [[entry.solution.multipliers for entry in row] for row in entries], own_arrays(scene.limits.asked())
+            [[entry.solution.multipliers for entry in row] for row in entries],
+            further_arrays(scene.limits.asked(), len(spreads[0])),
         ),
         current_sign=over_grid(lambda e: e.solution.multipliers.slope),
         mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
@@ -273,9 +274,15 @@ def _meta(
     watched = needed_outputs(scene.limits.asked(), scene.driven_by)
     # A mass in a case is told from one that the nominal motion moves whether or not a limit looks at it.
     outputs = [entry.problem.stage.plant.stored((POSITION, VELOCITY, *watched)) for entry in entries[0]]
+    of_spread = [[device.plant.stored(watched) for device in entry.problem.spread] for entry in entries[0]]
     return {
         **({"outputs": outputs} if any(outputs) else {}),
-        **in_file_form(scene.driven_by, scene.axes.targets, worst=problem.worst),
+        **({"spread_outputs": of_spread} if any(map(any, of_spread)) else {}),
+        **in_file_form(
+            scene.driven_by,
+            scene.axes.targets,
+            of_devices=problem.worst or any(row.device for _, row in problem.rows()),
+        ),
         **({"target_ends_s": [r.ends_s for r in references]} if scene.targets else {}),
         "dt_s": scene.time.dt_s,
         "lead_s": scene.lead_s,

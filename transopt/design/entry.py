@@ -323,6 +323,7 @@ def _replayed(
         walls=walls or None,
         budgets=budgets or None,
         simulated=simulated,
+        spread=problems[0].spread,
     )
 
 

@@ -26,7 +26,7 @@ def scene_stage(scene: Scene, grip_N: float) -> StageModel:
 
 def spread_stages(scene: Scene, grip_N: float) -> tuple[StageModel, ...]:
     """Further devices that the commands of one grip shall serve."""
-    return tuple(scene.posing().stage(of.plant(grip), watched=False) for of, grip in scene.spread(grip_N))
+    return tuple(scene.posing().stage(of.plant(grip)) for of, grip in scene.spread(grip_N))
 
 
 def entry_problem(

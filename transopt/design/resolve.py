@@ -11,7 +11,7 @@ from transopt.base.signals import FloatArray
 from transopt.design.entry import energy_dB, left_out_by_scene, replayed
 from transopt.design.optimum import Designed, optimum
 from transopt.design.verify import admit, unlimited_nrmse
-from transopt.library.library import MULTIPLIERS, Library, multiplier_arrays, own_arrays
+from transopt.library.library import MULTIPLIERS, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
 from transopt.proof.certify import binding_limits
@@ -47,8 +47,8 @@ def resolve(
     options = SolverOptions() if options is None else options
     scene = library.scene()
     has_energy = scene.weights.objective == "intensity"
-    own = own_arrays(library.meta["limits"])
-    arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *own)}
+    further = further_arrays(library.meta["limits"], library.spread_A.shape[1])
+    arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *further)}
     nv, ng, _ = library.command.shape
     left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
     kept: dict[tuple[int, int], str] = {}
@@ -73,7 +73,7 @@ def resolve(
             _put(
                 arrays,
                 (iv, ig),
-                _multipliers(answer, own)
+                _multipliers(answer, further)
                 | {
                     "command": command,
                     "transient_command": answer.problem.transient_command(command),
@@ -108,7 +108,7 @@ def resolve(
         "solver": asdict(options),
         "refinement": refinement,
     }
-    multipliers = {name: arrays.pop(name) for name in (*MULTIPLIERS, *own)}
+    multipliers = {name: arrays.pop(name) for name in (*MULTIPLIERS, *further)}
     return replace(library, **arrays, multipliers_of=multipliers, meta=meta), kept
 
 
@@ -138,9 +138,9 @@ _CHANGED = (
 )
 
 
-def _multipliers(answer: Designed, own: Sequence[str]) -> dict[str, Any]:
+def _multipliers(answer: Designed, further: Sequence[str]) -> dict[str, Any]:
     found = answer.solution.multipliers
-    arrays = {name: array[0, 0] for name, array in multiplier_arrays([[found]], own).items()}
+    arrays = {name: array[0, 0] for name, array in multiplier_arrays([[found]], further).items()}
     return {**arrays, "current_sign": found.slope, "mu_end": found.hand_over}
 
 

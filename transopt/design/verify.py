@@ -188,6 +188,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
             limits=[problem.limits for problem in problems],
             walls=walls or None,
             budgets=[p.thermal.budget for p in problems if p.thermal is not None] or None,
+            spread=problems[0].spread,
         )
         for iv, (problem, played) in enumerate(zip(problems, replays, strict=True)):
             command = library.command[iv, ig]

@@ -32,7 +32,7 @@ from transopt.base.sizes import (
 )
 from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash, stored_names
-from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
+from transopt.library.library import ARRAYS, SCHEMAS, Library, further_arrays
 from transopt.library.meta import lacking
 from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.problem.limits.supply import COPPER, SupplyLimit
@@ -128,6 +128,13 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], names: dict[str, 
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 
+def _check_multipliers(path: Path, arrays: dict[str, NDArray[Any]], shape: tuple[int, int, int]) -> None:
+    """Those of limits that not every library has: one number for every command."""
+    for name, array in arrays.items():
+        if array.shape != shape or array.dtype.kind != "f" or not np.all(np.isfinite(array)):
+            raise InputError(f"{path}: {name} is no finite array of shape {shape}; solve the scene again")
+
+
 def load_library(path: str | Path) -> Library:
     """Read a library file and check it whole before anything is used.
 
@@ -156,7 +163,9 @@ def load_library(path: str | Path) -> Library:
 def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Library:
     optional, names = absent(ARRAYS, meta), stored_names(ARRAYS, meta["schema"])
     missing = [names[name] for name in ARRAYS if names[name] not in arrays and name not in optional]
-    missing += [name for name in own_arrays(meta["limits"]) if name not in arrays]
+    spread = arrays[names["spread_A"]].shape[1] if names["spread_A"] in arrays else 0
+    further = further_arrays(meta["limits"], spread)
+    missing += [name for name in further if name not in arrays]
     if missing:
         raise InputError(f"{path}: array {missing[0]} is missing; solve the scene again")
     stored = str(arrays.pop(HASH_FIELD))
@@ -164,6 +173,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
         raise InputError(f"{path}: content does not match its hash: changed or damaged; solve the scene again")
     sizes = {"1": 1, "2": 2, **({} if meta["weights"]["spread"] else {"s": 0}), **_beside_the_window(path, meta)}
     _check_arrays(path, arrays, names, sizes)
+    _check_multipliers(path, {name: arrays[name] for name in further}, (sizes["v"], sizes["g"], sizes["N"]))
     arrays |= {name: arrays[names[name]] for name in ARRAYS if names[name] in arrays}
     for name in optional:
         shape = [sizes[letter] for letter in ARRAYS[name].shape]

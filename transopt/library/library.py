@@ -25,8 +25,8 @@ from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers
 from transopt.problem.leave_out import pressing_under
 from transopt.problem.limits import KINDS
-from transopt.problem.limits.limit import SIDES
-from transopt.problem.limits.own import OwnLimit
+from transopt.problem.limits.limit import SIDES, device_row
+from transopt.problem.limits.own import OwnLimit, follows_motion
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
@@ -218,7 +218,8 @@ class Library:
     def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
         """From all arrays of `ARRAYS`, and of the user's own limits in `meta`, by their names in the file."""
         own = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
-        multipliers = {name: arrays[name] for name in (*MULTIPLIERS, *own_arrays(meta["limits"]))}
+        further = further_arrays(meta["limits"], arrays["spread_A"].shape[1])
+        multipliers = {name: arrays[name] for name in (*MULTIPLIERS, *further)}
         return cls(**own, multipliers_of=multipliers, meta=meta)
 
     def __repr__(self) -> str:
@@ -305,9 +306,8 @@ class Library:
     def plant(self, ig: int) -> StateSpace:
         """The device of one grip, with the outputs that limits of a user's own look at."""
         by_grip = self.meta.get("outputs")  # not there where no limit looks at any
-        stored = by_grip[ig] if by_grip else {}
-        outputs = {name: Output(**{**each, "row": np.array([each["row"]])}) for name, each in stored.items()}
         A, B, C, D, Ce = (getattr(self, f"plant_{name}")[ig] for name in PLANT)
+        outputs = _outputs(by_grip[ig] if by_grip else {})
         return StateSpace.from_matrices(A, B, C, D, Ce, outputs, self.driven_by)
 
     def stage(self, ig: int) -> StageModel:
@@ -316,12 +316,13 @@ class Library:
 
     def spread(self, ig: int) -> tuple[StageModel, ...]:
         """Further devices that the entries of one grip were designed for."""
-        devices = range(self.spread_A.shape[1])
-        matrices = [{name: getattr(self, f"spread_{name}")[ig, j] for name in PLANT} for j in devices]
-        return tuple(
-            self.posing().stage(StateSpace.from_matrices(**each, driven_by=self.driven_by), watched=False)
-            for each in matrices
-        )
+        by_grip, found = self.meta.get("spread_outputs"), list[StageModel]()
+        for j in range(self.spread_A.shape[1]):
+            A, B, C, D, Ce = (getattr(self, f"spread_{name}")[ig, j] for name in PLANT)
+            outputs = _outputs(by_grip[ig][j] if by_grip else {})
+            plant = StateSpace.from_matrices(A, B, C, D, Ce, outputs, self.driven_by)
+            found.append(self.posing().stage(plant))
+        return tuple(found)
 
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
         """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""
@@ -383,8 +384,7 @@ class Library:
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""
         stages, pairs = self.command.shape[2], {}
-        rows = [row for row, _ in MULTIPLIERS.values()] + [table["name"] for table in self._own]
-        for row in dict.fromkeys(rows):
+        for row in dict.fromkeys(_row_of(name) for name in self.multipliers_of):
             lower, upper = (self.multipliers_of.get(f"mu_{row}_{side}") for side in SIDES)
             if lower is not None or upper is not None:
                 nothing = np.zeros(stages)
@@ -437,7 +437,8 @@ class Library:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
         missing = absent(ARRAYS, self.meta)
         arrays = {self.in_file(name): self.array(name) for name in ARRAYS if name not in missing}
-        arrays |= {name: self.multipliers_of[name] for name in own_arrays(self.meta["limits"])}
+        further = further_arrays(self.meta["limits"], self.spread_A.shape[1])
+        arrays |= {name: self.multipliers_of[name] for name in further}
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
         return arrays
@@ -486,20 +487,45 @@ MULTIPLIERS = _multiplier_arrays()
 ARRAYS = {**declared(Library), **{name: array for name, (_, array) in MULTIPLIERS.items()}}
 
 
-def multiplier_arrays(of_entries: Sequence[Sequence[Multipliers]], own: Sequence[str] = ()) -> dict[str, FloatArray]:
+def multiplier_arrays(
+    of_entries: Sequence[Sequence[Multipliers]], further: Sequence[str] = ()
+) -> dict[str, FloatArray]:
     """`Library.multipliers_of` from the multipliers of all entries, speeds outermost.
 
     Parameters
     ----------
-    own : arrays of a user's own limits, see `own_arrays`.
+    further : those that not every library has, see `further_arrays`.
     """
     found = {}
-    for name in (*MULTIPLIERS, *own):
-        row, side = name.removeprefix("mu_").rsplit("_", 1)
+    for name in (*MULTIPLIERS, *further):
+        row, side = _row_of(name), name.rsplit("_", 1)[1]
         found[name] = np.array([[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries])
     return found
 
 
-def own_arrays(limits: Mapping[str, Any]) -> list[str]:
-    """Names of the multipliers of a user's own limits, from what a scene or a library says of its limits."""
-    return [f"mu_{table['name']}_{side}" for table in limits.get(OwnLimit.key) or [] for side in SIDES]
+def _row_of(array: str) -> str:
+    """The row whose multipliers on one side are stored under a name."""
+    return array.removeprefix("mu_").rsplit("_", 1)[0]
+
+
+def further_arrays(limits: Mapping[str, Any], spread: int) -> list[str]:
+    """Names of the multipliers that not every library has, from what a scene or a library says of its limits.
+
+    They are those of a user's own limits and, for each further device of a spread, those of the limits on the motion.
+
+    Parameters
+    ----------
+    spread : number of further devices.
+    """
+    own = limits.get(OwnLimit.key) or []
+    of_each = [kind for kind in KINDS if kind.of_each_device and limits.get(kind.key) is not None]
+    rows = [row for kind in of_each for row in kind.row_names]
+    rows += [table["name"] for table in own if follows_motion(table["outputs"])]
+    found = [table["name"] for table in own]
+    found += [device_row(row, device) for device in range(1, spread + 1) for row in dict.fromkeys(rows)]
+    return [f"mu_{row}_{side}" for row in found for side in SIDES]
+
+
+def _outputs(stored: Mapping[str, Mapping[str, Any]]) -> dict[str, Output]:
+    """Further outputs of a plant as `StateSpace.stored` writes them."""
+    return {name: Output(**{**each, "row": np.array([each["row"]])}) for name, each in stored.items()}

@@ -109,18 +109,24 @@ META = {
     "versions": _needed("of this project and of what it computed with", whole=True),
     "solver": Stated("method and its options", whole=True),
     "outputs": Stated("outputs of the plant that limits bound, by grip", whole=True),
+    "spread_outputs": Stated("the same of the further devices of a spread, by grip and device", whole=True),
     "grid_refinement": Stated("what `--grid-tolerance` reached", "the grid was taken as it stood", whole=True),
     "refinement": Stated("what `transopt-play refine` learnt on the device, by round", whole=True),
 }
 
 
-def in_file_form(driven_by: Input, targets: Sequence[str], *, worst: bool = False) -> dict[str, Any]:
+def in_file_form(driven_by: Input, targets: Sequence[str], *, of_devices: bool = False) -> dict[str, Any]:
     """What `meta` says of the form of its file: the oldest schema that can hold it, so that most can read it.
 
     Schema 2 knows a current as the input, speeds, and the mean over a spread of devices; schema 3 names arrays for
-    any input, holds named targets, and the shares of the devices where the `worst` of them counts.
+    any input, holds named targets, the shares of the devices where the worst of them counts, and the multipliers of
+    limits on the motion of each.
+
+    Parameters
+    ----------
+    of_devices : whether something of the last two is in it.
     """
-    if driven_by is CURRENT_INPUT and not targets and not worst:
+    if driven_by is CURRENT_INPUT and not targets and not of_devices:
         return {"schema": 2}
     return {"schema": 3, "command_unit": driven_by.unit, "targets": list(targets) or None}
 

@@ -142,10 +142,10 @@ class Online:
 
     def _devices(self, posing: Posing, grip_N: float) -> tuple[StageModel, ...]:
         """The device of a grip and those of its spread, discretised with the amplifier and the outputs it takes."""
-        key = (grip_N, posing.amplifier, needed_outputs(posing.asked))
+        key = (grip_N, posing.amplifier, needed_outputs(posing.asked, posing.driven_by))
         found = self._stages.get(key)
         if found is None:
-            others = (posing.stage(plant, watched=False) for plant in _made(self._spread, grip_N, "spread"))
+            others = (posing.stage(plant) for plant in _made(self._spread, grip_N, "spread"))
             found = (posing.stage(*_made(self._plant, grip_N, "plant")), *others)
             if len(self._stages) >= FAMILIES:
                 del self._stages[next(iter(self._stages))]
@@ -205,7 +205,7 @@ class Online:
         """
         start = time.perf_counter()
         limits = _table(limits)
-        posing = with_limits(limits, self._posing, self._library.meta) if limits else self._posing
+        posing = with_limits(limits, self._posing) if limits else self._posing
         place = self._library.located(speed_m_s, grip_N)
         coil, remark = _heated(self._coil, limits.get("temperature_C"), winding_C, housing_C)
         if place.silent and not remark:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -19,14 +18,13 @@ BY_KEY = {kind.key: kind for kind in KINDS if kind.key}
 NAMES = (*BY_KEY, AMPLIFIER)
 
 
-def with_limits(limits: Mapping[str, float], posing: Posing, meta: dict[str, Any]) -> Posing:
+def with_limits(limits: Mapping[str, float], posing: Posing) -> Posing:
     """What the problems of a library share, with these limits in place of its own.
 
     Parameters
     ----------
     limits : keys of a scene's `limits`, and `command` for the amplifier's range. `temperature_C` is checked here
         and is the coil's, see `CoilModel.limit_C`.
-    meta : of the library, which knows whether it serves a spread of devices.
 
     Raises
     ------
@@ -52,8 +50,6 @@ def with_limits(limits: Mapping[str, float], posing: Posing, meta: dict[str, Any
         kind = BY_KEY.get(name)
         if kind is None:
             continue
-        if kind.of_one_device and meta["weights"]["spread"] is not None:
-            raise InputError(f"limits.{name}: depends on the motion of one device, and the library serves a spread")
         lacks = (
             posing.coil is None if kind is TemperatureLimit else posing.circuit is None or posing.amplifier is None
         )

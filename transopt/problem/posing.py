@@ -114,12 +114,8 @@ class Posing:
             worst=(weights["spread"] or {}).get("minimise") == "worst",
         )
 
-    def stage(self, plant: StateSpace, *, watched: bool = True) -> StageModel:
+    def stage(self, plant: StateSpace) -> StageModel:
         """A device as the problems need it: with the encoder's position for a wall, and what the limits look at.
-
-        Parameters
-        ----------
-        watched : False for a further device that a robust command serves, which no limit looks at.
 
         Raises
         ------
@@ -130,7 +126,7 @@ class Posing:
             self.amplifier,
             self.grid.dt_s,
             position=self.wall is not None,
-            outputs=needed_outputs(self.asked, self.driven_by) if watched else (),
+            outputs=needed_outputs(self.asked, self.driven_by),
         )
 
     def problem(
@@ -167,6 +163,7 @@ class Posing:
             reference_m_s2=wanted.target.window_m_s2,
             nominal_m=carried * wanted.nominal_position_m,
             nominal_m_s=carried * wanted.nominal_velocity_m_s,
+            spread=spread,
         )
         return TransientProblem(
             stage=stage,

@@ -129,7 +129,7 @@ class LinearStage:
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / sqrt(E) from x_k and dc_k.
     unit_m_s2 : sqrt(E), what outputs are in units of; 1 for a tap of zero.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
-    device : the entry's own, whose outputs have names. where : its states among x.
+    devices : the entry's own and those of the spread, whose outputs have names. where : their states among x.
     """
 
     A: FloatArray
@@ -139,13 +139,13 @@ class LinearStage:
     E: FloatArray
     unit_m_s2: float
     feedback: FloatArray
-    device: StageModel
+    devices: tuple[StageModel, ...]
     where: Layout
 
     @cached_property
-    def outputs(self) -> Mapping[str, tuple[FloatArray, float]]:
-        """Named output -> (n,), scalar: its value in SI by x_k and by dc_k."""
-        return _named(self.device, self.where, self.units)
+    def outputs(self) -> tuple[Mapping[str, tuple[FloatArray, float]], ...]:
+        """(S) of every device: named output -> (n,), scalar: its value in SI by x_k and by dc_k."""
+        return tuple(_named(stage, device, self.where, self.units) for device, stage in enumerate(self.devices))
 
     def rescaled(self, problem: TransientProblem) -> "LinearStage":
         """The same for another problem of the same device, in which at most reference and limits are other ones."""
@@ -159,7 +159,7 @@ class LinearStage:
         """(n,) and scalar: the value of a limit's row by x_k and by dc_k, in SI."""
         G, d = np.zeros(self.units.size), 0.0
         for name, coefficient in row.outputs.items():
-            by_state, by_movement = self.outputs[name]
+            by_state, by_movement = self.outputs[row.device][name]
             G, d = G + coefficient * by_state, d + coefficient * by_movement
         return G, d
 
@@ -259,7 +259,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         E=E * current / unit,
         unit_m_s2=unit,
         feedback=feedback * units,
-        device=problem.stage,
+        devices=problem.devices,
         where=where,
     )
 
@@ -269,15 +269,15 @@ def _unit_m_s2(problem: TransientProblem) -> float:
     return float(np.sqrt(problem.target.energy_m2_s4)) or 1.0
 
 
-def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:
-    """The named outputs of the entry's own device by the scaled states and by the scaled movement."""
-    size, current = where.plants[0], float(units[-1])
+def _named(stage: StageModel, device: int, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:
+    """The named outputs of a device by the scaled states and by the scaled movement."""
+    size, current, own = where.plants[device], float(units[-1]), where.plant(device)
     command = np.zeros(where.states)
     command[-1] = current
 
     def of_device(row: FloatArray) -> FloatArray:
         found = np.zeros(where.states)
-        found[where.plant(0)] = row[:size] * units[where.plant(0)]
+        found[own] = row[:size] * units[own]
         if where.amplifier:
             found[where.current] = row[size] * current
         return found

@@ -171,7 +171,7 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
         row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every)
     if thermal is not None:
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
-        heating, flows, asked = thermal.model.heating, stage.outputs[INPUT], stage.outputs[COMMAND]
+        heating, flows, asked = thermal.model.heating, stage.outputs[0][INPUT], stage.outputs[0][COMMAND]
         G, d = (
             mean_current(heating.share, heating.decay, i, c) / stage.input_scale
             for i, c in zip(flows, asked, strict=True)

@@ -94,7 +94,7 @@ class Effect:
         alike = [*map(id, problem.devices)] == [*map(id, own.devices)] and problem.grid == own.grid
         if not alike or problem.wall is not own.wall:
             return found
-        for name in ("continued", "lasting", "motion", "accelerations_m_s2"):
+        for name in ("continued", "lasting", "motion", "others", "accelerations_m_s2"):
             if name in vars(self):
                 setattr(found, name, getattr(self, name))
         return found
@@ -117,10 +117,18 @@ class Effect:
         return self.lasting.first(self.command.size)
 
     @cached_property
+    def others(self) -> tuple[Motion, ...]:
+        """(N + M,) of every further device, through the window and after it."""
+        return tuple(device.motion(self.continued) for device in self.problem.spread)
+
+    def motion_of(self, device: int) -> Motion:
+        """(N,) of a device within the window; 0 is the problem's own."""
+        return self.others[device - 1].first(self.command.size) if device else self.motion
+
+    @cached_property
     def accelerations_m_s2(self) -> FloatArray:
         """(S, N + M) of every device."""
-        others = [device.rollout(self.continued)[0] for device in self.problem.spread]
-        return np.stack([self.lasting.acceleration_m_s2, *others])
+        return np.stack([motion.acceleration_m_s2 for motion in (self.lasting, *self.others)])
 
     @cached_property
     def mean_square_A2(self) -> FloatArray:
@@ -152,7 +160,7 @@ def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = Non
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
         if only in (None, limit.name):
-            value = row.value(effect.motion, effect.command)
+            value = row.value(effect.motion_of(row.device), effect.command)
             yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
     thermal = problem.thermal
     if thermal is not None and only in (None, thermal.name):
@@ -187,7 +195,13 @@ def _reduced_gradient(
 ) -> FloatArray:
     problem, command, motion, m = effect.problem, effect.command, effect.motion, multipliers
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
-    through, by_command = transposed(by_row, motion, command)
+    through, by_command = transposed([each for each in by_row if not each[0].device], motion, command)
+    through_others = list[Motion]()
+    for j in range(1, len(problem.devices)):
+        of_device = [each for each in by_row if each[0].device == j]
+        its_own, directly = transposed(of_device, effect.motion_of(j) if of_device else motion, command)
+        through_others.append(its_own)
+        by_command = by_command + directly
     by_current = through.plant_input
     if problem.thermal is not None and by_heating.any():
         heating = problem.thermal.model.heating
@@ -197,14 +211,17 @@ def _reduced_gradient(
     by_command = by_command + by_tail
     by_motion = replace(through, plant_input=by_current, encoder_m=by_encoder)
     if of_limits_alone:
+        for device, its_own in zip(problem.spread, through_others, strict=True):
+            by_command = by_command + device.adjoint(its_own)
         return np.asarray(problem.stage.adjoint(by_motion) + by_command)
     # What happens after the window moves with the commands within it; no limit's row looks there.
+    after = problem.grid.after_stages
     tracking, shares = problem.tracking, problem.shared
     by_error = [tracking.gradient(a, share) for a, share in zip(effect.accelerations_m_s2, shares, strict=True)]
-    by_motion = replace(by_motion.padded(problem.grid.after_stages), acceleration_m_s2=by_error[0])
+    by_motion = replace(by_motion.padded(after), acceleration_m_s2=by_error[0])
     by_lasting = problem.stage.adjoint(by_motion)
-    for device, its_own in zip(problem.spread, by_error[1:], strict=True):
-        by_lasting = by_lasting + device.adjoint(replace(Motion.zero(its_own.size), acceleration_m_s2=its_own))
+    for device, its_own, by_its_error in zip(problem.spread, through_others, by_error[1:], strict=True):
+        by_lasting = by_lasting + device.adjoint(replace(its_own.padded(after), acceleration_m_s2=by_its_error))
     by_tracking = problem.feedback.continued_transposed(by_lasting)
     return np.asarray(by_tracking + problem.movement.gradient(command) + by_command)
 

@@ -123,7 +123,7 @@ def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) 
         run, other = (_trajectory(stage, grid, each) for each in (course, coarse))
         found, before = (each.acceleration_m_s2[:, course.instants] for each in (run, other))
         error = np.abs(found - before).max(axis=1) / peak_scale(np.abs(found).max(axis=1), 0.0)
-        limits = largest_reached(run, [linear.limits] * len(played), linear.stage, grid)
+        limits = largest_reached([run], [linear.limits] * len(played), linear.devices, grid)
     after = run.times_s > grid.end_s
     return [
         Replay(

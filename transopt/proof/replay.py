@@ -115,9 +115,16 @@ def errors_of(simulated: Accurate, grid: TimeGrid, targets: Sequence[Target]) ->
 
 
 def largest_reached(
-    run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid
+    runs: Sequence[Trajectory], limits: Sequence[Limits], devices: tuple[StageModel, ...], grid: TimeGrid
 ) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """Of each command, by limit: the largest size of the values that it watches, and the largest up to tau_(N-1)."""
+    """Of each command, by limit: the largest size of the values that it watches, and the largest up to tau_(N-1).
+
+    Parameters
+    ----------
+    runs : the same commands on the entry's own device, and on those of its spread where a limit looks at them.
+    devices : as many, or more where nothing looks at them.
+    """
+    run = runs[0]
     instants = np.append(grid.switching_times_s, grid.end_s)
     playing = slice(
         int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left")),
@@ -127,22 +134,25 @@ def largest_reached(
     last_stated = int(run.at_switching[-1])
     found = []
     for m, of_entry in enumerate(limits):
-        posed = _Posed(stage, grid, of_entry)
+        posed = _Posed(devices, grid, of_entry)
         peaks, early = ({limit.name: 0.0 for limit in of_entry} for _ in range(2))
         for limit in of_entry:
             at = slice(0, run.times_s.size) if limit.after_the_waveform else playing
-            motion = Motion(
-                run.acceleration_m_s2[m, at],
-                run.plant_input[m, at],
-                run.velocity_m_s[m, at],
-                np.zeros(0),
-                {name: values[m, at] for name, values in run.outputs.items()},
-            )
+            motions = [
+                Motion(
+                    each.acceleration_m_s2[m, at],
+                    each.plant_input[m, at],
+                    each.velocity_m_s[m, at],
+                    np.zeros(0),
+                    {name: values[m, at] for name, values in each.outputs.items()},
+                )
+                for each in runs
+            ]
             for row in limit.watched(posed):
                 offset = row.offset
                 if isinstance(offset, np.ndarray):
                     offset = np.interp(run.times_s[at], instants[: offset.size], offset)
-                size = np.abs(replace(row, offset=offset).value(motion, run.felt[m, at]))
+                size = np.abs(replace(row, offset=offset).value(motions[row.device], run.felt[m, at]))
                 peaks[limit.name] = np.maximum(peaks[limit.name], size.max()).item()
                 early[limit.name] = np.maximum(
                     early[limit.name], size[: last_stated + 1 - at.start].max(initial=0.0)
@@ -155,9 +165,13 @@ def largest_reached(
 class _Posed:
     """What the rows of limits look at."""
 
-    stage: StageModel
+    devices: tuple[StageModel, ...]
     grid: TimeGrid
     limits: Limits
+
+    @property
+    def stage(self) -> StageModel:
+        return self.devices[0]
 
 
 def _temperatures(
@@ -196,6 +210,7 @@ def replay(
     budgets: Sequence[Budget] | None = None,
     count_m: float = 0.0,
     simulated: Accurate | None = None,
+    spread: tuple[StageModel, ...] = (),
 ) -> list[Replay]:
     """Play M commands (M, N) through one device, from rest, and compare each with what it shall do.
 
@@ -210,6 +225,8 @@ def replay(
         replay's own encoder position, which `count_m` rounds to whole counts.
     budgets : one per command, of one tap rate; with it the temperatures are those of the periodic steady state.
     simulated : these commands, where they have been simulated together with others.
+    spread : further devices that the commands shall serve: limits on the motion are followed on each of them, by a
+        simulation of its own, and everything else is of the first device.
     """
     if simulated is None:
         loop = None if walls is None else Loop(walls, count_m)
@@ -223,7 +240,13 @@ def replay(
     winding, housing = (
         (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
     )
-    reached = [({}, {})] * M if limits is None else largest_reached(run, limits, stage, grid)
+    runs, step_error = [run], found.step_error
+    if limits is not None and any(limit.of_each_device for of_entry in limits for limit in of_entry):
+        for device in spread:
+            its_own = accurate(device, grid, commands, None)
+            runs.append(fine(its_own.course(), its_own.flow, grid))
+            step_error = np.maximum(step_error, its_own.step_error)
+    reached = [({}, {})] * M if limits is None else largest_reached(runs, limits, (stage, *spread), grid)
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
         errors = [target.nrmse(own) for own, target in zip(acceleration, targets, strict=True)]
         # What is not asked about after the window is not compared.
@@ -247,7 +270,7 @@ def replay(
             housing_C=float(housing[m]),
             command=command[m],
             rounding_m_s2=float(rounding[m]),
-            step_error=float(found.step_error[m]),
+            step_error=float(step_error[m]),
         )
         for m in range(M)
     ]

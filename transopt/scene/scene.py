@@ -219,11 +219,9 @@ class Scene(Section):
                 f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
                 f"amplifier's delay: must be at most {rounded_down(BELOW / takes_s):g}, or shorten time.stages"
             )
-        of_one = ["feedback"] * (self.feedback is not None) + [f"limits.{key}" for key in self._one_device()]
-        if self.robust is not None and of_one:
+        if self.robust is not None and self.feedback is not None:
             raise ValueError(
-                f"robust: {', '.join(of_one)} depend{'s' if len(of_one) == 1 else ''} on one device's motion, not on "
-                "a spread of them: leave one out"
+                "robust: feedback answers one device's motion, and a spread of them has many: leave one of them out"
             )
         if self.robust is not None and self.robust.minimise == "worst" and self.weights.objective == "intensity":
             raise ValueError(
@@ -246,10 +244,10 @@ class Scene(Section):
         """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
         return isinstance(self.model, IdentifiedModel) and self.model.device is not None
 
-    def _one_device(self) -> list[str]:
-        """Keys of the limits asked for that depend on the motion of one device."""
+    def _on_the_motion(self) -> list[str]:
+        """Keys of the limits asked for that look at the device's motion."""
         asked, kinds = self.limits.asked(), kinds_of(self.driven_by)
-        return [kind.key for kind in kinds if kind.of_one_device and asked.get(kind.key) is not None]
+        return [kind.key for kind in kinds if kind.of_each_device and asked.get(kind.key) is not None]
 
     def _check_identified(self, model: IdentifiedModel) -> None:
         """What the scene states beside a model file must not contradict it."""
@@ -273,7 +271,7 @@ class Scene(Section):
         if isinstance(model.device, StateSpaceDevice):
             for key, stated_in_scene in (
                 ("feedback", self.feedback is not None),
-                *((f"limits.{key}", True) for key in self._one_device()),
+                *((f"limits.{key}", True) for key in self._on_the_motion()),
             ):
                 if stated_in_scene:
                     raise ValueError(

@@ -145,7 +145,7 @@ def _widths(statement: Statement, limits: Collection[str]) -> tuple[FloatArray, 
     shape, stage = statement.shape, statement.stage
     wide_x, wide_g = np.zeros((shape.stages, shape.variables)), np.zeros(statement.upper_g.size)
     upper = statement.upper_x[shape.first :].reshape(shape.stages, shape.variables)
-    named = {row for limit in statement.problem.limits if limit.name in limits for row in limit.row_names}
+    named = {row.name for limit, row in statement.problem.rows() if limit.name in limits}
     for row in statement.rows:
         if row.name not in named:
             continue

@@ -10,6 +10,7 @@ scene or a library solved from it needs neither the file nor, where all is linea
 """
 
 import keyword
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,6 +28,7 @@ from transopt.problem.limits.limit import COMMAND, HELD, VELOCITY
 
 CURVED = 1e-12  # of the largest curvature: what rounding leaves of none
 TAKEN = {row for kind in KINDS for row in kind.row_names} | {"end"}
+OF_A_DEVICE = re.compile(r".*_device_\d+")  # what rows of further devices are called (`limit.device_row`)
 
 
 class StageSymbols:
@@ -151,7 +153,7 @@ def own_limit(
     ------
     InputError : a name that cannot be one, no bound, bounds that cross, or no scalar expression.
     """
-    if not name.isidentifier() or keyword.iskeyword(name) or name in TAKEN:
+    if not name.isidentifier() or keyword.iskeyword(name) or name in TAKEN or OF_A_DEVICE.fullmatch(name):
         raise InputError(f"limit {name!r}: the name must be a word of letters, digits and _ that no other limit has")
     if lower is None and upper is None:
         raise InputError(f"limit {name}: state lower, upper or both")

@@ -11,7 +11,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.problem.stage_data import stages
 from transopt.proof.farkas import is_infeasible
-from transopt.solvers.native.extension import MOST_STATES, Buffers, available, interior_point
+from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Buffers, available, interior_point
 from transopt.solvers.options import SolverOptions
 
 __all__ = ["available", "can_solve", "solve", "stages"]
@@ -19,6 +19,7 @@ __all__ = ["available", "can_solve", "solve", "stages"]
 # Gap and residuals are both asked for this much more loosely than `SolverOptions.tolerance`: at the default that
 # leaves three digits to the certificate's tolerance, and more digits only cost iterations.
 LOOSER = 10.0
+ROWS_OF_HEAT = 4  # beside those of the limits: the winding, and the size of the mean current
 
 # What `tr_solve` returns.
 STATUS = (
@@ -32,10 +33,12 @@ STATUS = (
 
 
 def can_solve(problem: TransientProblem) -> bool:
-    """Whether the extension is there and the problem small enough: many devices in a spread are too many states."""
+    """Whether the extension is there and the problem small enough: many devices are too many states, or rows."""
     nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
     # Of what is not linear the compiled recursion knows the temperature alone.
     if set(problem.nonlinear) - {TemperatureLimit.name}:
+        return False
+    if len(problem.rows()) + ROWS_OF_HEAT > MOST_ROWS:
         return False
     return available and layout(problem).states + nodes <= MOST_STATES
 

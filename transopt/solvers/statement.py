@@ -125,7 +125,7 @@ def _parameters(
         values[f"d_{row.name}"] = [given[row.name].d]
     for limit, law in problem.rows():
         if isinstance(law, LawRow):
-            seen = [stage.outputs[name] for name in law.outputs]
+            seen = [stage.outputs[law.device][name] for name in law.outputs]
             # CasADi reads matrices column by column.
             values[f"G_{law.name}"] = np.array([G for G, _ in seen]).T.ravel()
             values[f"d_{law.name}"] = [d for _, d in seen]

@@ -206,6 +206,6 @@ def test_intensity_is_of_the_mean(scene: Scene) -> None:
         with_values(scene, {**ROBUST, "weights.objective": "intensity"})
 
 
-def test_what_is_of_one_device_is_named(scene: Scene) -> None:
-    with pytest.raises(InputError, match=r"limits\.stroke_m depends on one device"):
-        with_values(scene, {**ROBUST, "limits.stroke_m": 2e-3})
+def test_a_wall_answers_one_device(scene: Scene) -> None:
+    with pytest.raises(InputError, match="robust: feedback answers one device's motion"):
+        with_values(scene, {**ROBUST, "feedback": {"stiffness_N_m": 200.0, "damping_N_s_m": 0.2}})

@@ -37,7 +37,7 @@ class CoilCurrentLimit(OutputLimit):
     driven_by = VOLTAGE_INPUT
     row_names: ClassVar[tuple[str, ...]] = ("current",)
     needs: ClassVar[tuple[str, ...]] = ("current",)
-    of_one_device: ClassVar[bool] = True
+    of_each_device: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no limit on the coil's current"
     output: ClassVar[str] = "current"
 

@@ -8,7 +8,7 @@ same rows.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, reduce
 from operator import add
 from typing import Any, ClassVar, Protocol, Self
@@ -51,6 +51,7 @@ class Row:
     lower, upper : (N,) or one number for all instants; infinite where nothing is asked.
     offset : (N,) or one number: the part of the value that no command changes.
     condition : under which the value is this one, as it is said where the row binds; empty for none.
+    device : which of the problem's devices has the value; 0 is the entry's own.
     """
 
     name: str
@@ -59,6 +60,14 @@ class Row:
     upper: FloatArray | float
     offset: FloatArray | float = 0.0
     condition: str = ""
+    device: int = 0
+
+    def of_device(self, device: int) -> "Row":
+        """The same of another device of a spread, with multipliers of its own; 0 is the entry's own, as it stands."""
+        if device == 0:
+            return self
+        said = f"{self.condition} of device {device} of the spread".lstrip()
+        return replace(self, name=device_row(self.name, device), condition=said, device=device)
 
     def value(self, motion: Motion, command: FloatArray) -> FloatArray:
         """(..., N) what a command (..., N) with this motion makes of it."""
@@ -84,6 +93,11 @@ class Row:
     def waits(self) -> bool:
         """Whether the command c_k has no say in the value of stage k: in that of the first nobody has."""
         return not any(name == COMMAND or name.endswith(AFTER) for name in self.outputs)
+
+
+def device_row(name: str, device: int) -> str:
+    """What the row of a further device of a spread is called, beside the row of the entry's own device."""
+    return f"{name}_device_{device}" if device else name
 
 
 def _along(value: FloatArray | float, stages: int) -> FloatArray:
@@ -138,6 +152,9 @@ class Posed(Protocol):
     def stage(self) -> StageModel: ...
 
     @property
+    def devices(self) -> tuple[StageModel, ...]: ...
+
+    @property
     def grid(self) -> TimeGrid: ...
 
     @property
@@ -159,6 +176,7 @@ class Setting:
     reference_m_s2 : (N,) r at the switching instants.
     nominal_m, nominal_m_s : (N,) z_nom and its derivative at the switching instants, as far as they are part of the
         device's position: zero where that is of a mass in a case.
+    spread : further devices that the one command shall serve.
     """
 
     stage: StageModel
@@ -170,6 +188,12 @@ class Setting:
     reference_m_s2: FloatArray
     nominal_m: FloatArray
     nominal_m_s: FloatArray
+    spread: tuple[StageModel, ...] = ()
+
+    @property
+    def devices(self) -> tuple[StageModel, ...]:
+        """The device and those of the spread."""
+        return (self.stage, *self.spread)
 
     def input_limit(self, asked: Mapping[str, Any]) -> float:
         """The number among those asked for that bounds the plant's input."""
@@ -189,15 +213,15 @@ class Limit(ABC):
     key : its number in a scene, below `limits`; empty where the number stands elsewhere.
     driven_by : the input of the plants that may have it; None for any.
     implied : whether a problem may have it although the scene states no number for it below `limits`.
-    row_names : of all rows that it can have. sides : on which they are bounded.
+    row_names : of all rows that it can have of one device. sides : on which they are bounded.
     needs : outputs of the stage that its rows use beyond those that every stage has.
     in_every_file : whether a library has its multipliers even where the limit is not in force.
     after_the_waveform : whether it is watched in the replay after the waveform too, where a wall goes on pushing.
     scales_movement : whether it is the unit I of the movement's weight in J.
     indispensable : whether it bounds the command of every problem that has it, so that none can be without it.
     price_step : by how much it is raised where its price is asked for; infinite for a share of it.
-    of_one_device : whether it depends on the motion of the entry's own device, which a spread of devices does
-        not share.
+    of_each_device : whether it depends on the motion, which each device of a spread has for itself: it then holds for
+        all of them, with rows for each (`device_row`).
     asks_for : what a scene has to state beside its number; empty for nothing.
     said_without : why a problem does not have it.
     """
@@ -217,7 +241,7 @@ class Limit(ABC):
     scales_movement: ClassVar[bool] = False
     indispensable: ClassVar[bool] = False
     price_step: ClassVar[float] = np.inf
-    of_one_device: ClassVar[bool] = False
+    of_each_device: ClassVar[bool] = False
     asks_for: ClassVar[str] = ""
     said_without: ClassVar[str] = ""
 

@@ -35,22 +35,21 @@ class OutputLimit(Limit):
     ----------
     limit : > 0.
     nominal : (N + 1,) the nominal motion's part of the output at tau_0 to tau_N.
-    excursion : bound on what it may do beyond its values at the switching instants within a period.
+    excursions : of every device, a bound on what it may do within a period beyond its values at its ends.
     """
 
     output: ClassVar[str]
 
     limit: float
     nominal: FloatArray
-    excursion: float
+    excursions: tuple[float, ...]
 
     def __post_init__(self) -> None:
         positive(self.key, self.limit)
 
-    @property
-    def margin(self) -> float:
+    def margin(self, device: int = 0) -> float:
         """What is taken off the limit for the time between the switching instants."""
-        return min(self.excursion, MOST_KEPT * self.limit)
+        return min(self.excursions[device], MOST_KEPT * self.limit)
 
     @staticmethod
     @abstractmethod
@@ -64,37 +63,43 @@ class OutputLimit(Limit):
         nominal = np.append(own, 2 * own[-1] - own[-2] if own.size > 1 else own[-1])
         largest = setting.input_limit(asked) if stage.amplifier is None else stage.amplifier.command_limit
         curved = float(np.abs(np.diff(nominal, 2)).max(initial=0.0)) / 8
-        return cls(asked[cls.key], nominal, _excursion(stage, cls.output, setting.grid.stages) * largest + curved)
+        stages = setting.grid.stages
+        excursions = [_excursion(device, cls.output, stages) * largest + curved for device in setting.devices]
+        return cls(asked[cls.key], nominal, tuple(excursions))
 
     @property
     def stated(self) -> float:
         return self.limit
 
     def wider(self, factor: float) -> Self:
-        return type(self)(factor * self.limit, self.nominal, self.excursion)
+        return type(self)(factor * self.limit, self.nominal, self.excursions)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         # At tau_0 it is what it is; the commands have their say from tau_1 to tau_N.
-        bound = self.limit - self.margin
-        return (Row(self.name, {self.output + AFTER: 1.0}, -bound, bound, self.nominal[1:]),)
+        def of(device: int) -> Row:
+            bound = self.limit - self.margin(device)
+            return Row(self.name, {self.output + AFTER: 1.0}, -bound, bound, self.nominal[1:]).of_device(device)
+
+        return tuple(of(device) for device in range(len(problem.devices)))
 
     def watched(self, problem: Posed) -> tuple[Row, ...]:
-        return (Row(self.name, {self.output: 1.0}, -self.limit, self.limit, self.nominal),)
+        own = Row(self.name, {self.output: 1.0}, -self.limit, self.limit, self.nominal)
+        return tuple(own.of_device(device) for device in range(len(problem.devices)))
 
     @property
     def kept_back(self) -> float:
-        return self.margin
+        return max(self.margin(device) for device in range(len(self.excursions)))
 
     def bound(self, problem: Posed) -> float:
         """What no admissible command can exceed: the sum of the response's sizes, every command at its largest."""
         largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         impulse = np.eye(1, problem.grid.stages)[0]
-        response = problem.stage.motion(impulse).outputs[self.output + AFTER]
-        return float((np.cumsum(np.abs(response)) * largest + np.abs(self.nominal[1:])).max())
+        responses = [device.motion(impulse).outputs[self.output + AFTER] for device in problem.devices]
+        return float((np.cumsum(np.abs(responses), axis=1) * largest + np.abs(self.nominal[1:])).max())
 
     def cannot_bind(self, problem: Posed) -> str:
         bound = self.bound(problem)
-        if bound > self.limit - self.margin:
+        if bound > self.limit - self.kept_back:
             return ""
         return (
             f"no command inside its limits moves it beyond {bound:.4g} {self.unit}, limit {self.limit:g} {self.unit}"
@@ -102,7 +107,10 @@ class OutputLimit(Limit):
 
     def unavoidable(self, problem: Posed) -> str:
         # What the first command can do about the first period is nothing beside the motion that is there.
-        start = max(abs(float(self.nominal[0])), abs(float(self.nominal[1])) + self.margin - self._reach(problem))
+        reach = self._reach(problem)
+        start = max(
+            abs(float(self.nominal[0])), abs(float(self.nominal[1])) + float(max(self._kept(problem) - reach))
+        )
         if start <= self.limit + self.tolerance:
             return ""
         return (
@@ -110,13 +118,17 @@ class OutputLimit(Limit):
             f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms: the motion of the incoming stylus alone"
         )
 
-    def _reach(self, problem: Posed) -> float:
-        """By how much the first command can move the output within its period."""
+    def _kept(self, problem: Posed) -> FloatArray:
+        """(S,) margin of every device."""
+        return np.array([self.margin(device) for device in range(len(problem.devices))])
+
+    def _reach(self, problem: Posed) -> FloatArray:
+        """(S,) by how much the first command can move the output of every device within its period."""
         largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
-        return largest * abs(problem.stage.output(self.output + AFTER)[1])
+        return np.array([largest * abs(device.output(self.output + AFTER)[1]) for device in problem.devices])
 
     def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
-        if self.excursion <= self.margin:
+        if all(excursion <= self.margin(device) for device, excursion in enumerate(self.excursions)):
             return ""
         return (
             f"{self.label} {peak - self.limit:.3g} {self.unit} over its {self.limit:g} {self.unit} between the "

@@ -5,7 +5,7 @@ other. What else it may be is a law: a function of the outputs whose values and 
 since nothing in this room loads CasADi. A problem with a law is no quadratic program.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, Self
 
@@ -14,7 +14,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, Motion
-from transopt.plant.state_space import Input
+from transopt.plant.state_space import INPUTS, Input
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Posed, Row, Setting, output_values
 
 OF_EVERY_STAGE = (COMMAND, HELD)
@@ -113,7 +113,9 @@ class OwnLimit(Limit):
         return self.row.linear
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        return (replace(self.row, lower=self.lower, upper=self.upper),)
+        own = replace(self.row, lower=self.lower, upper=self.upper)
+        count = len(problem.devices) if follows_motion(own.outputs) else 1
+        return tuple(own.of_device(device) for device in range(count))
 
     def watched(self, problem: Posed) -> tuple[Row, ...]:
         # Stated at the switching instants, and known to nobody between them.
@@ -125,6 +127,11 @@ class OwnLimit(Limit):
 
     def said(self, side: str, *, two_sided: bool) -> str:
         return f"{self.lower if side == 'lower' else self.upper:.8g}"
+
+
+def follows_motion(outputs: Iterable[str]) -> bool:
+    """Whether outputs depend on the motion, which every device of a spread has for itself."""
+    return not {*outputs} <= {*OF_EVERY_STAGE, *(each.name for each in INPUTS.values()), INPUT}
 
 
 def outputs_needed(tables: Sequence[Mapping[str, Any]], driven_by: Input) -> list[str]:

@@ -19,7 +19,7 @@ class StrokeLimit(OutputLimit):
     key: ClassVar[str] = "stroke_m"
     row_names: ClassVar[tuple[str, ...]] = ("stroke",)
     needs: ClassVar[tuple[str, ...]] = ("position",)
-    of_one_device: ClassVar[bool] = True
+    of_each_device: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no stroke limit"
     output: ClassVar[str] = "position"
 

@@ -79,7 +79,7 @@ class SupplyLimit(Limit):
     row_names: ClassVar[tuple[str, ...]] = tuple(
         f"{end}_{side}" for end in (COLD, HOT) for side in ("before", "after")
     )
-    of_one_device: ClassVar[bool] = True
+    of_each_device: ClassVar[bool] = True
     price_step: ClassVar[float] = 1.0
     asks_for: ClassVar[str] = "the motor's circuit and an amplifier with a pole"
     driven_by = CURRENT_INPUT
@@ -149,7 +149,7 @@ class SupplyLimit(Limit):
             for side, command in (("before", HELD), ("after", COMMAND)):
                 outputs = {**common, command: by_command}
                 found.append(Row(f"{end.rows}_{side}", outputs, -volts, volts, nominal, end.said))
-        return tuple(found)
+        return tuple(row.of_device(device) for device in range(len(problem.devices)) for row in found)
 
     def bounds_V(self, problem: Posed) -> list[float]:
         """Of each end the largest terminal voltage of any command inside the current and command limits."""
@@ -157,9 +157,9 @@ class SupplyLimit(Limit):
         command = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         impulse = np.zeros(problem.grid.stages)
         impulse[0] = 1.0
-        response = np.abs(problem.stage.motion(impulse).velocity_m_s)
-        velocity = np.append(0.0, np.cumsum(response)[1:]) * command + np.abs(self.nominal_m_s)
-        emf = self.emf_V_s_m * velocity.max()
+        responses = np.abs([device.motion(impulse).velocity_m_s for device in problem.devices])
+        responses[:, 0] = 0.0
+        emf = self.emf_V_s_m * (np.cumsum(responses, axis=1) * command + np.abs(self.nominal_m_s)).max()
         return [
             float(abs(self._by_current(end)) * current + self._by_command(end) * command + emf) for end in self.ends
         ]
@@ -199,8 +199,8 @@ class SupplyLimit(Limit):
         return f"terminal voltage {peak:.4f} V, limit {self.limit_V:g} V"
 
     def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
-        motion = problem.stage.motion(command)
-        stated = max(float(np.abs(row.value(motion, command)).max()) for row in self.rows(problem))
+        motions = [device.motion(command) for device in problem.devices]
+        stated = max(float(np.abs(row.value(motions[row.device], command)).max()) for row in self.rows(problem))
         if stated > self.limit_V + self.replay_tolerance:
             return ""
         return (

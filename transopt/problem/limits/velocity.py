@@ -19,7 +19,7 @@ class VelocityLimit(OutputLimit):
     key: ClassVar[str] = "velocity_m_s"
     row_names: ClassVar[tuple[str, ...]] = ("velocity",)
     needs: ClassVar[tuple[str, ...]] = ("velocity",)
-    of_one_device: ClassVar[bool] = True
+    of_each_device: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no velocity limit"
     output: ClassVar[str] = "velocity"
 

@@ -160,7 +160,7 @@ class TestValues:
         for limit, row in problem.rows():
             assert row.name in limit.row_names
             # What an output may do within a servo period is taken off.
-            room = limit.stated - (limit.margin if isinstance(limit, OutputLimit) else 0.0)
+            room = limit.stated - (limit.margin() if isinstance(limit, OutputLimit) else 0.0)
             assert (row.lower, row.upper) == (-room, room)
             assert 0 < room <= limit.stated
 
