@@ -6,7 +6,8 @@ runs in a second process, and this one waits for the answer where it can be inte
 a signal ends the wait, the second process is killed.
 
 The process is started by the first call and kept for the next ones, so that what a method prepares once (imports,
-solver objects) is prepared once. It is a plain Python process that speaks through its standard input and output: it
+solver objects) is prepared once. Who wants several side by side has processes of his own (`Process`), of which each
+takes one call after the other. Each is a plain Python process that speaks through its standard input and output: it
 needs no fork, and it does not run the caller's main program again as `multiprocessing` would.
 """
 
@@ -20,6 +21,7 @@ import subprocess
 import sys
 import threading
 import warnings
+import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from time import monotonic
@@ -34,17 +36,19 @@ START_S = 120.0  # for the process to load what a call needs; a second on an idl
 LOOK_S = 0.1  # between two looks at the clock: on Windows nothing else lets a Ctrl-C through
 ORPHANED_S = 5.0  # after the caller's own deadline: whoever had to end the process is gone
 BEGUN = b"begun"
+Outcome = tuple[Any, Exception | None, list[tuple[type[Warning], str]]]  # value, what was raised, warnings
 
 
 class UnansweredError(RuntimeError):
     """A call whose process gave no answer in time, or ended without one; the message says which."""
 
 
-class _Process:
-    """The second process, and the thread of this one that listens to it."""
+class Process:
+    """Another process for calls, and the thread of this one that listens to it; it ends with this one."""
 
     def __init__(self) -> None:
         self.of = os.getpid()
+        self._within_s = 0.0
         program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
         alone: dict[str, Any] = {"process_group": 0} if os.name == "posix" else {"creationflags": 0x200}
         # A group of its own: a Ctrl-C in the terminal is this process's, which ends the other one.
@@ -59,8 +63,42 @@ class _Process:
         assert self._popen.stdin is not None
         assert self._popen.stdout is not None
         self._line, self._said = self._popen.stdin, _received(self._popen.stdout)
+        _started.add(self)
 
-    def hear(self, within_s: float) -> bytes:
+    @property
+    def number(self) -> int:
+        """Of the process, as the system counts."""
+        return self._popen.pid
+
+    def ask(self, function: Callable[..., Any], *arguments: Any, within_s: float) -> None:
+        """Begin a call; `answer` has its end, and until then no other may begin.
+
+        Parameters
+        ----------
+        function, arguments, within_s : as of `call`.
+        """
+        self._within_s = within_s
+        with suppress(OSError):  # has ended: `answer` tells
+            _send(pickle.dumps((function, arguments, within_s)), self._line)
+
+    def answer(self) -> Any:
+        """What the function returns that was asked for; raises what `call` raises, and is of no more use after an
+        `UnansweredError`.
+        """
+        return _told(*self.outcome())
+
+    def outcome(self) -> "Outcome":
+        """How the call ended that was asked for.
+
+        Raises
+        ------
+        UnansweredError : there is no answer in time, or the process ended without one.
+        """
+        self._hear(START_S)
+        outcome: Outcome = pickle.loads(self._hear(self._within_s))
+        return outcome
+
+    def _hear(self, within_s: float) -> bytes:
         """The next message of the process.
 
         Raises
@@ -76,37 +114,44 @@ class _Process:
                 return said
         raise UnansweredError(f"no answer within {within_s:.3g} s")
 
-    def say(self, message: bytes) -> None:
-        with suppress(OSError):  # has ended: `hear` tells
-            _send(message, self._line)
-
     def end(self) -> None:
-        """Kill the process and wait for its end, which is immediate."""
+        """Kill the process and wait for its end, which is immediate; a fork of this one has none to kill."""
+        if self.of != os.getpid():
+            return
         self._popen.kill()
         self._popen.wait()
         with suppress(OSError):
             self._line.close()
 
 
+def _told(value: Any, error: Exception | None, warned: list[tuple[type[Warning], str]]) -> Any:
+    """The value of a call, its warnings given here again; or what it raised."""
+    for category, text in warned:
+        warnings.warn(text, category, stacklevel=3)
+    if error is not None:
+        raise error
+    return value
+
+
 _one_at_a_time = threading.Lock()
-_kept: list[_Process] = []  # the process of this one, if it has been started
+_kept: list[Process] = []  # the process of this one that `call` speaks to, if it has been started
+_started: "weakref.WeakSet[Process]" = weakref.WeakSet()
 
 
-def _running() -> _Process:
+def _running() -> Process:
     """The process of this one; another is started where there is none, also after a fork of this one."""
     if not _kept or _kept[0].of != os.getpid():
         with ctrl_c_waits():  # between its start and its place here it would be nobody's
-            _kept[:] = [_Process()]
+            _kept[:] = [Process()]
     return _kept[0]
 
 
 @atexit.register
 def end() -> None:
-    """End the process, if there is one; the next call starts another."""
-    while _kept:
-        process = _kept.pop()
-        if process.of == os.getpid():
-            process.end()
+    """End all processes of this one; the next call starts another."""
+    _kept.clear()
+    for process in list(_started):
+        process.end()
 
 
 def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:
@@ -125,22 +170,17 @@ def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:
     UnansweredError : there is no answer in time, or the process ended without one. It is gone then.
     Exception : what the function raises.
     """
-    message = pickle.dumps((function, arguments, within_s))
     with _one_at_a_time:
         try:
             process = _running()
-            process.say(message)
-            process.hear(START_S)
-            value, error, warned = pickle.loads(process.hear(within_s))
+            process.ask(function, *arguments, within_s=within_s)
+            outcome = process.outcome()
         except BaseException:
             # Interrupted, late or dead: whatever it is doing, nobody will hear of it.
-            end()
+            while _kept:
+                _kept.pop().end()
             raise
-    for category, text in warned:
-        warnings.warn(text, category, stacklevel=2)
-    if error is not None:
-        raise error
-    answer: T = value
+    answer: T = _told(*outcome)
     return answer
 
 

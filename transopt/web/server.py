@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
+from transopt.web.crew import Crew
 from transopt.web.frames import parted
 from transopt.web.service import Service
 from transopt.web.session import MOST_UPLOAD_BYTES, Session
@@ -114,12 +115,13 @@ class Guard:
         await self._inner(scope, receive, sealed)
 
 
-def application(opener: Callable[[], Service], token: str, port: int) -> Asgi:
+def application(opener: Callable[[], Service], crew: Crew, token: str, port: int) -> Asgi:
     """The page as an ASGI application.
 
     Parameters
     ----------
     opener : makes the service of each window.
+    crew : solves the taps of all windows.
     """
     from starlette.applications import Starlette
     from starlette.requests import Request
@@ -151,7 +153,7 @@ def application(opener: Callable[[], Service], token: str, port: int) -> Asgi:
             if not loop.is_closed():
                 loop.call_soon_threadsafe(outgoing.put_nowait, message)
 
-        session = Session(opener, send)
+        session = Session(opener, send, crew)
         windows.add(session)
 
         async def deliver() -> None:
@@ -227,9 +229,10 @@ class Server:
         self.port = int(self._socket.getsockname()[1])
         self.token = token or secrets.token_urlsafe()
         self.address = f"http://{HOST}:{self.port}/{self.token}/"
+        self._crew = Crew()
         self._server = uvicorn.Server(
             uvicorn.Config(
-                application(opener, self.token, self.port),
+                application(opener, self._crew, self.token, self.port),
                 log_level="critical",
                 access_log=False,
                 lifespan="off",
@@ -247,10 +250,12 @@ class Server:
         """Serve until a signal asks to end."""
         # A window's thread computes while this one sends: at Python's own 5 ms an answer waits longer than it takes.
         sys.setswitchinterval(SWITCH_S)
+        self._crew.start()
         try:
             self._server.run(sockets=[self._socket])
         finally:
             self._socket.close()
+            self._crew.end()
 
     def start(self) -> None:
         """Serve in a thread of its own."""

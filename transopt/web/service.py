@@ -160,6 +160,15 @@ class Service:
         self.scene = scene
         self.references(scene)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # For another process: it makes the devices itself, and needs no library beside the references.
+        return {**vars(self), "_staged": None, "_stages": {}, "of_library": None}
+
+    @property
+    def axis(self) -> str:
+        """What its references were made for, as text: as long as it stays, so do they."""
+        return self._references[0]
+
     @property
     def places(self) -> list[Place]:
         """The taps of the scene, speeds outermost, and the one between the nodes where it is asked for."""

@@ -22,6 +22,7 @@ from scipy import signal
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.scene.written import scene_text
+from transopt.web.crew import Crew, service_name
 from transopt.web.frames import arrays, curves, frame
 from transopt.web.question import asked
 from transopt.web.service import Service, described, own_taps, plain
@@ -43,16 +44,18 @@ class Session:
     ----------
     opener : makes its service.
     send : takes what goes to the browser; called from this session's thread.
+    crew : solves several taps side by side; by default nobody does.
     """
 
-    def __init__(self, opener: Callable[[], Service], send: Send) -> None:
-        self._opener, self._send = opener, send
+    def __init__(self, opener: Callable[[], Service], send: Send, crew: Crew | None = None) -> None:
+        self._opener, self._send, self._crew = opener, send, crew or Crew(0)
         self._waiting = threading.Condition()
         self._newest: Message | None = None
         self._others: deque[tuple[Message, bytes]] = deque()
         self._ended = False
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._names: list[str] = []
+        self._service_name = ""  # by which the crew knows the service
         self.service: Service | None = None
         self.thread = threading.Thread(target=self._run, name="page", daemon=True)
 
@@ -120,7 +123,7 @@ class Session:
         self._say({"type": "refused", "about": about, "id": (message or {}).get("id"), "words": words})
 
     def _open(self) -> None:
-        self.service = self._opener()
+        self.service, self._service_name = self._opener(), service_name()
         self._describe()
 
     def _describe(self) -> None:
@@ -154,11 +157,9 @@ class Session:
         if service.places != before:
             self._say({"type": "places", "places": [vars(place) for place in service.places]})
         order = service.order(int(message["selected"]))
-        self._send(
-            curves({"type": "curves", "id": number, "last": len(order) == 1}, [service.quick(order[0])]),
-        )
-        if order[1:]:
-            rest = [service.quick(index, words=False) for index in order[1:]]
+        found = self._crew.quick(self._service_name, service, order)
+        self._send(curves({"type": "curves", "id": number, "last": len(order) == 1}, [next(found)]))
+        if rest := list(found):
             self._send(curves({"type": "curves", "id": number, "last": True}, rest))
         if message.get("final"):
             self._settle(service, order, number)
@@ -249,7 +250,7 @@ class Session:
             raise
         if self._folder is not None:
             self._folder.cleanup()
-        self._folder, self._names, self.service = folder, names, taken
+        self._folder, self._names, self.service, self._service_name = folder, names, taken, service_name()
         self._describe()
 
     def _reset(self) -> None:

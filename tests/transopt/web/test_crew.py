@@ -1,0 +1,127 @@
+"""The processes that solve a page's taps side by side: the same answers, whoever dies or gives up meanwhile."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from transopt.scene.builtin import load_scene
+from transopt.scene.keys import with_values
+from transopt.web.crew import Crew, service_name
+from transopt.web.service import Service, Shown
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture(scope="module")
+def service() -> Service:
+    small = {"grid.speeds_m_s": [0.2, 0.4], "grid.grips_N": [2.0, 3.0], "time.stages": 200}
+    return Service(with_values(load_scene("wood_on_foam"), small))
+
+
+@pytest.fixture
+def crew() -> Iterator[Crew]:
+    found = Crew(2)
+    found.enlist()
+    yield found
+    found.end()
+
+
+def alone(service: Service, order: list[int]) -> list[Shown]:
+    return list(Crew(0).quick("alone", service, order))
+
+
+def same(found: list[Shown], expected: list[Shown]) -> None:
+    assert [shown.index for shown in found] == [shown.index for shown in expected]
+    for one, other in zip(found, expected, strict=True):
+        assert (one.certified, one.reason, one.binds) == (other.certified, other.reason, other.binds)
+        assert one.nrmse == pytest.approx(other.nrmse, rel=1e-9)
+        assert one.curves is not None
+        assert other.curves is not None
+        np.testing.assert_allclose(one.curves.input, other.curves.input, atol=1e-6)
+        np.testing.assert_allclose(one.curves.clipped_m_s2, other.curves.clipped_m_s2, atol=1e-6)
+
+
+def test_the_answers_are_those_of_one_process(crew: Crew, service: Service) -> None:
+    name = service_name()
+    assert len(crew.numbers) == 2
+    for limit_A in (4.0, 2.5, 3.0):
+        service.change({"limits.current_A": limit_A})
+        for order in (service.order(3), service.order(0), [2]):
+            same(list(crew.quick(name, service, order)), alone(service, order))
+
+
+def test_a_tap_between_the_nodes_and_another_time_axis_are_taken_along(crew: Crew, service: Service) -> None:
+    name = service_name()
+    same(list(crew.quick(name, service, service.order(0))), alone(service, service.order(0)))
+    service.change({"limits.current_A": 3.5}, (0.31, 2.4))
+    same(list(crew.quick(name, service, service.order(4))), alone(service, service.order(4)))
+    shorter = Service(with_values(service.opened, {"time.stages": 150}))
+    same(list(crew.quick(service_name(), shorter, shorter.order(1))), alone(shorter, shorter.order(1)))
+    service.change({}, None)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
+def test_the_share_of_one_that_was_killed_is_solved_and_another_takes_its_place(crew: Crew, service: Service) -> None:
+    name, before = service_name(), crew.numbers
+    expected = alone(service, service.order(1))
+    same(list(crew.quick(name, service, service.order(1))), expected)
+    for number in before:
+        os.kill(number, signal.SIGKILL)
+    same(list(crew.quick(name, service, service.order(1))), expected)
+    crew.enlist()
+    assert len(crew.numbers) == 2
+    assert not set(crew.numbers) & set(before)
+    same(list(crew.quick(name, service, service.order(1))), expected)
+
+
+def test_an_answer_that_nobody_waits_for_is_not_taken_for_the_next(crew: Crew, service: Service) -> None:
+    name = service_name()
+    service.change({"limits.current_A": 1.0})
+    given_up = crew.quick(name, service, service.order(0))
+    next(given_up)
+    given_up.close()
+    service.change({"limits.current_A": 4.0})
+    same(list(crew.quick(name, service, service.order(0))), alone(service, service.order(0)))
+
+
+def test_while_it_works_for_one_window_another_is_served_by_the_server(crew: Crew, service: Service) -> None:
+    first = crew.quick(service_name(), service, service.order(0))
+    next(first)
+    same(list(crew.quick(service_name(), service, service.order(2))), alone(service, service.order(2)))
+    assert [shown.index for shown in first] == service.order(0)[1:]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="asks the system by a signal")
+def test_none_is_left_when_its_program_ends(crew: Crew) -> None:
+    numbers = crew.numbers
+    crew.end()
+    program = (
+        "import os\nfrom transopt.web.crew import Crew\ncrew = Crew(2)\ncrew.enlist()\n"
+        "print(*crew.numbers, flush=True)\nos._exit(0)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=200, check=True)
+    left = [int(number) for number in run.stdout.split()]
+    assert len(left) == 2
+    for number in numbers:
+        with pytest.raises(ProcessLookupError):
+            os.kill(number, 0)
+    # A program that does not tidy up leaves processes that find their input closed, and end by themselves.
+    for number in left:
+        deadline = 400
+        while deadline and _lives(number):
+            subprocess.run([sys.executable, "-c", ""], check=True)
+            deadline -= 1
+        assert deadline
+
+
+def _lives(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    return True

@@ -1,0 +1,162 @@
+"""Processes that solve the taps of a page side by side, each with a share of them.
+
+Most of what one tap takes is Python's own work, which threads of one process take in turns. So a crew of processes
+stands beside the server, as many as leave it and the browser a core each; they are started when the page is, and
+until they are there, or while they work for another window, the server solves all taps itself. An answer is the same
+wherever it was found.
+"""
+
+import itertools
+import os
+import pickle
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+
+from transopt.base.apart import Process, UnansweredError
+from transopt.scene.scene import Scene
+from transopt.web.service import Service, Shown
+
+MOST = 3  # processes: with the server's own share that is three taps each of twelve
+MOST_S = 20.0  # for a share; who takes longer is ended, and the server solves it
+READY_S = 60.0
+KEPT = 16  # services that a process remembers
+
+_names = itertools.count()
+
+
+class Crew:
+    """The processes of one page, shared by its windows.
+
+    Parameters
+    ----------
+    size : how many; by default as many as there are cores beside two, at least one where there are two, at most
+        `MOST`.
+    """
+
+    def __init__(self, size: int | None = None) -> None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self._size = min(MOST, max(cores - 2, int(cores > 1))) if size is None else size
+        self._at_work, self._enlisting, self._ended = threading.Lock(), threading.Lock(), threading.Event()
+        self._members: list[_Member] = []
+
+    def start(self) -> None:
+        """Start the processes, without waiting until they are ready."""
+        threading.Thread(target=self.enlist, name="page crew", daemon=True).start()
+
+    def enlist(self) -> None:
+        """Start as many processes as are lacking, and take each on when it has loaded all it needs."""
+        with self._enlisting:
+            lacking = 0 if self._ended.is_set() else self._size - len(self._members)
+            for member in [_Member() for _ in range(lacking)]:
+                with suppress(UnansweredError):
+                    member.process.ask(_ready, within_s=READY_S)
+                    member.process.answer()
+                    with self._at_work:
+                        if not self._ended.is_set():
+                            self._members.append(member)
+                            continue
+                member.process.end()
+
+    @property
+    def numbers(self) -> list[int]:
+        """Of the processes that are ready, as the system counts them."""
+        return [member.process.number for member in self._members]
+
+    def end(self) -> None:
+        """End all processes, whatever they are doing."""
+        self._ended.set()
+        for member in self._members:
+            member.process.end()
+
+    def quick(self, name: str, service: Service, order: Sequence[int]) -> Iterator[Shown]:
+        """`Service.quick` of several taps, the first of them first and with its words, the others without.
+
+        Parameters
+        ----------
+        name : of the service, by which the processes know it again (`service_name`).
+        """
+        alone = len(order) < 2 or not self._at_work.acquire(blocking=False)
+        if alone:
+            yield from (service.quick(index, words=index == order[0]) for index in order)
+            return
+        pending: list[tuple[_Member, Sequence[int]]] = []
+        try:
+            # Neighbours in the order share the device of their grip, which is made once for each process.
+            own, *others = _shares(order, len(self._members) + 1)
+            for member, share in zip(list(self._members), others, strict=False):
+                member.ask(name, service, share)
+                pending.append((member, share))
+            yield from (service.quick(index, words=index == order[0]) for index in own)
+            while pending:
+                yield from self._answer(*pending.pop(0), service)
+        finally:
+            for member, _ in pending:  # nobody waits for these answers any more, but they come
+                with suppress(Exception):
+                    member.process.outcome()
+            self._at_work.release()
+
+    def _answer(self, member: "_Member", share: Sequence[int], service: Service) -> Sequence[Shown]:
+        try:
+            found: list[Shown] = member.process.answer()
+        except UnansweredError:
+            # Dead or late: its share is solved here, and another takes its place.
+            self._members.remove(member)
+            member.process.end()
+            if not self._ended.is_set():
+                self.start()
+            return [service.quick(index, words=False) for index in share]
+        return found
+
+
+def _shares(order: Sequence[int], count: int) -> list[Sequence[int]]:
+    """The order in at most so many parts of about the same length."""
+    ends = [round(j * len(order) / min(count, len(order))) for j in range(min(count, len(order)) + 1)]
+    return [order[first:after] for first, after in itertools.pairwise(ends)]
+
+
+class _Member:
+    """One process, and the services that it has been sent."""
+
+    def __init__(self) -> None:
+        self.process = Process()
+        self._sent: OrderedDict[str, str] = OrderedDict()
+
+    def ask(self, name: str, service: Service, share: Sequence[int]) -> None:
+        """Begin with a share of a window's taps."""
+        whole, axis = None, service.axis
+        if self._sent.get(name) != axis:
+            # For the first time, or with references on another time axis.
+            whole = pickle.dumps(service)
+            self._sent[name] = axis
+        self._sent.move_to_end(name)
+        if len(self._sent) > KEPT:
+            self._sent.popitem(last=False)
+        self.process.ask(_share, name, whole, service.scene, service.probe, list(share), within_s=MOST_S)
+
+
+_services: OrderedDict[str, Service] = OrderedDict()
+
+
+def _ready() -> None:
+    """Nothing; when it returns, the process has loaded this module."""
+
+
+def _share(
+    name: str, whole: bytes | None, scene: Scene, probe: tuple[float, float] | None, share: list[int]
+) -> list[Shown]:
+    """What a process of the crew does."""
+    if whole is not None:
+        _services[name] = pickle.loads(whole)
+    _services.move_to_end(name)
+    if len(_services) > KEPT:
+        _services.popitem(last=False)
+    service = _services[name]
+    service.scene, service.probe = scene, probe
+    return [service.quick(index, words=False) for index in share]
+
+
+def service_name() -> str:
+    """Another one for every service that a window opens."""
+    return f"service {next(_names)}"
