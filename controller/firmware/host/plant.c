@@ -169,7 +169,7 @@ void plant_read(plant *of, uint64_t tick, td_readings *readings)
     readings->grip_N = (td_real)(grip_N > 0 ? grip_N : 0);
     readings->current_A = (td_real)(current_A + of->current_noise_A * normal(of));
     readings->acceleration_m_s2 = (td_real)within(sensed_m_s2 + of->wander_m_s2, of->acceleration_limit_m_s2);
-    readings->emergency_stop = false;
+    readings->emergency_stop = readings->late = readings->host_stop = false;
 }
 
 /* What the amplifier's pole follows: the command cut at its range, less the crossover's dead band. */

@@ -61,7 +61,7 @@ class Sensed(ctypes.Structure):
         ("tick", ctypes.c_uint64),
         ("encoder_counts", ctypes.c_int32),
         *((name, ctypes.c_double) for name in ("grip_N", "current_A", "acceleration_m_s2")),
-        ("emergency_stop", ctypes.c_bool),
+        *((name, ctypes.c_bool) for name in ("emergency_stop", "late", "host_stop")),
     )
 
 
@@ -90,6 +90,19 @@ def test_the_compiled_plant_moves_as_the_simulator(hand: TapsInTurn | StillHand,
     assert np.ptp(wanted[:, 2]) > 2.0
     assert np.abs(compiled[:, 0] - wanted[:, 0]).max() <= 1  # where it rounds the other way
     np.testing.assert_allclose(compiled[:, 1:], wanted[:, 1:], rtol=1e-9, atol=1e-9)
+
+
+def test_every_reading_is_written(plant: Path) -> None:
+    """Whatever stood there before: a stop or a late tick that nobody reported would latch a fault."""
+    room, sensed = ctypes.create_string_buffer(1 << 16), Sensed()
+    library = ctypes.CDLL(str(build("plant", [FIRMWARE / "host" / "plant.c"], flags=STRICT, shared=True)))
+    library.plant_load.restype = ctypes.c_char_p
+    assert library.plant_load(room, str(plant).encode(), ctypes.c_uint64(0)) is None
+    ctypes.memset(ctypes.byref(sensed), 1, ctypes.sizeof(sensed))
+    library.plant_read(room, ctypes.c_uint64(7), ctypes.byref(sensed))
+    library.plant_free(room)
+    assert sensed.tick == 7
+    assert (sensed.emergency_stop, sensed.late, sensed.host_stop) == (False, False, False)
 
 
 @pytest.mark.parametrize(("change", "message"), [({"ground": Ground(friction_N=0.1)}, "knows no friction")])
