@@ -5,6 +5,7 @@ refused where they are read, so that nothing that is computed from them overflow
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 # The ending of a name is its unit; longer endings come first.
@@ -65,6 +66,7 @@ LARGEST = {
 LARGEST_PLAIN = 1e30  # of a number without a unit: its cube still fits double precision
 
 
+@lru_cache(maxsize=2048)  # the keys of scenes, asked again for every change of one
 def unit_of(path: str) -> str:
     """Unit of a number by its dotted path, from the ending of the last name."""
     *tables, name = path.rsplit(".", 1)

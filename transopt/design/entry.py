@@ -31,7 +31,7 @@ from transopt.proof.replay import Replay, errors_of, replay, replayed_errors
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import Size
+from transopt.solvers.program import Size, size
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
@@ -84,7 +84,7 @@ class Entry:
     remedies : what would do for a refused one, or what was tried; empty where nothing was.
     prices : what each limit that binds costs.
     left_out : part of the problem -> why it is not in it.
-    size : of the program that was solved; None where one linear solve was enough.
+    solved : the problem that a program was made of; None where one linear solve was enough.
     spread : errors over the spread of devices; None for an entry designed for one device.
     attained : what was found of the energy that was asked for; None where the scene asks for none.
     """
@@ -108,7 +108,7 @@ class Entry:
     binding: str
     prices: list[Price]
     left_out: dict[str, str]
-    size: Size | None
+    solved: TransientProblem | None
     spread: SpreadErrors | None
     remedies: tuple[Remedy, ...] = ()
     attained: Attained | None = None
@@ -175,6 +175,11 @@ class Entry:
         from transopt.design.figures import entries_figure
 
         return entries_figure([[self]])
+
+    @cached_property
+    def size(self) -> Size | None:
+        """Of the program that was solved; None where one linear solve was enough."""
+        return None if self.solved is None else size(self.solved)
 
     @property
     def nrmse(self) -> float:
@@ -397,7 +402,7 @@ def _entry(
         if status is Status.OPTIMAL
         else [],
         left_out={**left_out_by_scene(scene, problem), **designed.left_out},
-        size=designed.size,
+        solved=designed.solved,
         spread=spread,
         attained=designed.attained,
     )

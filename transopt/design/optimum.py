@@ -36,7 +36,7 @@ class Designed:
     effect : what the answer's command does in it.
     unlimited_command : (N,) the optimum without limits. floor : its NRMSE. free_peak : its peak current.
     left_out : part -> why the problem that was solved does not have it.
-    size : of the program that was solved; None where one linear solve was enough.
+    solved : the problem that a program was made of; None where one linear solve was enough.
     remarks : why an entry has no answer.
     attained : what was found of the energy that was asked for; None where none is.
     """
@@ -49,11 +49,16 @@ class Designed:
     floor: float
     free_peak: float
     left_out: dict[str, str]
-    size: program.Size | None
+    solved: TransientProblem | None
     remarks: list[str]
     attained: Attained | None = None
 
     __repr__ = brief
+
+    @property
+    def size(self) -> program.Size | None:
+        """Of the program that was solved; None where one linear solve was enough."""
+        return None if self.solved is None else program.size(self.solved)
 
     @property
     def is_proven(self) -> bool:
@@ -252,14 +257,14 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
 
     def designed(
         answer: Solution,
-        size: program.Size | None,
+        solved: TransientProblem | None,
         remarks: list[str],
         effect: Effect,
         proof: Certificate | None = None,
     ) -> Designed:
         if proof is None:
             proof = prove(problem, answer.command, answer.multipliers, options, effect=effect)
-        return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, size, remarks)
+        return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, solved, remarks)
 
     free_proof = None
     if inside(problem, free.command, effect=effect):
@@ -297,7 +302,7 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
             answer = replace(answer, solve_time_s=spent)
-            return designed(answer, program.size(cold), [], whole, _in_whole(proof, its_effect, whole, answer))
+            return designed(answer, cold, [], whole, _in_whole(proof, its_effect, whole, answer))
         # What no command can do in the cold, none can with the temperature on top.
         if answer.status is not Status.INFEASIBLE:
             answer, proof, its_effect = solve_certified(small, options)
@@ -311,8 +316,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     # forbidden by the heat.
     too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
-        return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep], whole)
-    return designed(answer, program.size(small), [], whole, _in_whole(proof, its_effect, whole, answer))
+        return designed(replace(answer, status=Status.HAND_OVER), small, [too_deep], whole)
+    return designed(answer, small, [], whole, _in_whole(proof, its_effect, whole, answer))
 
 
 def _in_whole(part: Certificate, effect: Effect, whole: Effect, answer: Solution) -> Certificate | None:

@@ -9,7 +9,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.design.intensity import best
 from transopt.plant.discretise import StageModel
-from transopt.problem.posing import Wanted
+from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
@@ -18,22 +18,33 @@ from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.own import law
 
+_last: list[tuple[Scene, Posing]] = []  # the scene that was asked for last, whose entries ask one after the other
+
+
+def posing_of(scene: Scene) -> Posing:
+    """What the problems of all taps of a scene share, limits of a user's own evaluated."""
+    known = next((posing for of, posing in _last if of is scene), None)
+    if known is None:
+        known = replace(scene.posing(), law_of=law)
+        _last[:] = [(scene, known)]
+    return known
+
 
 def scene_stage(scene: Scene, grip_N: float) -> StageModel:
     """The device of one grip as the scene's problem needs it."""
-    return scene.posing().stage(scene.plant(grip_N))
+    return posing_of(scene).stage(scene.plant(grip_N))
 
 
 def spread_stages(scene: Scene, grip_N: float) -> tuple[StageModel, ...]:
     """Further devices that the commands of one grip shall serve."""
-    return tuple(scene.posing().stage(of.plant(grip)) for of, grip in scene.spread(grip_N))
+    return tuple(posing_of(scene).stage(of.plant(grip)) for of, grip in scene.spread(grip_N))
 
 
 def entry_problem(
     scene: Scene, stage: StageModel, reference: Reference, spread: tuple[StageModel, ...] = ()
 ) -> TransientProblem:
     """What one entry has to meet: the stage model of its grip, the reference of its speed."""
-    return replace(scene.posing(), law_of=law).problem(wanted_of(reference), stage, spread)
+    return posing_of(scene).problem(wanted_of(reference), stage, spread)
 
 
 def wanted_of(reference: Reference) -> Wanted:

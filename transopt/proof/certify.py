@@ -12,7 +12,7 @@ from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits import hand_over
-from transopt.problem.limits.limit import Limit, tolerated, transposed
+from transopt.problem.limits.limit import Limit, Row, tolerated, transposed
 from transopt.problem.limits.own import LawRow
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
@@ -85,6 +85,7 @@ class Effect:
 
     def __init__(self, problem: TransientProblem, command: FloatArray, motion: Motion | None = None) -> None:
         self.problem, self.command = problem, command
+        self._values: dict[str, FloatArray] = {}
         if motion is not None:
             self.motion = motion
 
@@ -120,6 +121,12 @@ class Effect:
     def others(self) -> tuple[Motion, ...]:
         """(N + M,) of every further device, through the window and after it."""
         return tuple(device.motion(self.continued) for device in self.problem.spread)
+
+    def value(self, row: Row) -> FloatArray:
+        """(N,) of a row of the problem's limits."""
+        if row.name not in self._values:
+            self._values[row.name] = row.value(self.motion_of(row.device), self.command)
+        return self._values[row.name]
 
     def motion_of(self, device: int) -> Motion:
         """(N,) of a device within the window; 0 is the problem's own."""
@@ -160,8 +167,7 @@ def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = Non
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
         if only in (None, limit.name):
-            value = row.value(effect.motion_of(row.device), effect.command)
-            yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
+            yield Box(limit, effect.value(row), *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
     thermal = problem.thermal
     if thermal is not None and only in (None, thermal.name):
         model = thermal.model

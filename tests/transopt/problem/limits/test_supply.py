@@ -217,6 +217,6 @@ class TestLibrary:
         for of in (low, library):
             for end_of_copper in ({}, {"supply_copper_C": None}):
                 meta = {**of.meta, "limits": {**of.meta["limits"], **end_of_copper}}
-                posing = with_limits({"supply_V": 9.0}, Posing.of(meta, of.command.shape[2]), meta)
+                posing = with_limits({"supply_V": 9.0}, Posing.of(meta, of.command.shape[2]))
                 wanted = of.wanted(float(of.speeds_m_s[0]), np.eye(of.speeds_m_s.size)[0])
                 assert supply_of(posing.problem(wanted, of.stage(0))).copper_C == [25.0, 100.0]
