@@ -247,7 +247,7 @@ def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]
     parts = {
         "feedback": (problem.wall is None, "the scene has no wall"),
         "position": (
-            problem.wall is None,
+            problem.wall is None and not problem.stage.outputs,
             "nothing in the scene depends on it" + (f": {idle} state fewer" if idle else ""),
         ),
         "amplifier": (problem.stage.amplifier is None, "ideal in the scene"),
