@@ -193,6 +193,17 @@ class Service:
     def grid(self) -> TimeGrid:
         return self.scene.time_grid()
 
+    @property
+    def remarks(self) -> list[str]:
+        """What has to be known before anything that is shown is believed."""
+        found = [self.scene.unfit_model()]
+        if self.of_library is not None and self.of_library.meta.get("refinement"):
+            found.append(
+                "the library was refined on its device; what is shown and saved here is designed anew for the "
+                "recorded taps, without what was learnt there"
+            )
+        return [each for each in found if each]
+
     def change(self, changes: Mapping[str, Value], probe: tuple[float, float] | None = None) -> None:
         """Take other values into the scene, and a speed [m/s] and a grip [N] between the nodes, or None for none.
 
@@ -510,7 +521,7 @@ def described(service: Service) -> dict[str, Any]:
             "speed_m_s": [axes.speeds_m_s[0], axes.speeds_m_s[-1]],
             "grip_N": [axes.grips_N[0], axes.grips_N[-1]],
         },
-        "unfit": scene.unfit_model(),
+        "remarks": service.remarks,
         "solver": service.options.solver,
     }
 

@@ -1,5 +1,6 @@
 """What the page shows is what a library would hold."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,3 +129,10 @@ def test_the_saved_library_is_the_one_that_is_shown(service: Service) -> None:
     assert told[-1] == (2, 2)
     assert (library.status == Status.OPTIMAL.value).all()
     assert float(library.nrmse[1, 0]) == pytest.approx(service.quick(1).nrmse, rel=1e-8)
+
+
+def test_a_library_that_was_refined_on_its_device_is_said_to_be_shown_anew(library: to.Library) -> None:
+    assert described(opened(library))["remarks"] == []
+    learnt = replace(library, meta={**library.meta, "refinement": {"rounds": []}})
+    (remark,) = described(opened(learnt))["remarks"]
+    assert "refined on its device" in remark

@@ -99,7 +99,7 @@ function opened(scene) {
   by("reset").hidden = !scene.own.length;
   by("probe").checked = Boolean(state.probe);
   detail = new Detail(by("plot"), scene.driven_by.name, scene.driven_by.unit);
-  if (scene.unfit) complain(scene.unfit);
+  if (scene.remarks.length) complain(scene.remarks.join("; "));
   sliders.show(scene.controls);
   keysOfError(scene.controls);
   probes();
