@@ -1,8 +1,10 @@
 """Where the rows of a study are kept: one SQLite file, from which a study that was stopped or killed goes on.
 
-SQLite gives what a long run needs on every system: a row is on the disk whole or not at all, whenever the process is
+SQLite gives what a long run needs on every system: a row is in the file whole or not at all, whenever the process is
 killed; a second process that opens the file finds it locked; and rows come out in the order of their numbers, in
-whatever order the workers finished them.
+whatever order the workers finished them. Rows go through SQLite's write-ahead log, which the file takes in when it is
+closed or, after a kill, opened again: waiting for the disk after every row would take a sixth of a study's time. A
+power cut can cost the last rows, never the file.
 """
 
 import json
@@ -106,6 +108,8 @@ class Store:
     def _open(self) -> None:
         # The lock that the first transaction takes is kept until the file is closed.
         self._file.execute("PRAGMA locking_mode = EXCLUSIVE")
+        self._file.execute("PRAGMA journal_mode = WAL")
+        self._file.execute("PRAGMA synchronous = NORMAL")
         self._file.execute("BEGIN EXCLUSIVE")
         with self._file:
             self._file.execute("CREATE TABLE IF NOT EXISTS study (definition TEXT NOT NULL)")
