@@ -212,7 +212,7 @@ class TestCommandLine:
         out = Path("out")
         words = [str(scene_file), "--vary", "limits.current_A=1:4:32", "--speed", "0.3,0.4", "--grip", "1,5"]
         command = [sys.executable, str(ROOT / "scripts" / "constraint_study.py"), *words, *how, "--out", str(out)]
-        file = out / "study.sqlite"
+        file, log = out / "study.sqlite", out / "study.sqlite-wal"  # rows stand in the log first
         with subprocess.Popen(
             command,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -220,7 +220,7 @@ class TestCommandLine:
             stderr=subprocess.PIPE,
             text=True,
         ) as running:
-            while not file.exists() or file.read_bytes().count(b"OPTIMAL") <= TOGETHER:  # one task is kept
+            while not log.exists() or log.read_bytes().count(b"OPTIMAL") <= TOGETHER:  # one task is kept
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     running.wait(timeout=0.02)
                     pytest.fail("ended before anything was written")
