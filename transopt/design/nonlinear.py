@@ -233,7 +233,8 @@ def design_entry(
     posed, found = solve(NonlinearProblem(problem, stage), at_rest, options)
     command = np.nan_to_num(found.command)
     motion = posed.effect(command).motion
-    linear_played, played = replay_nonlinear(posed, [at_rest, command])
+    # One by one: a linear design whose motion has no value on this plant would take the other's with it.
+    linear_played, played = (replay_nonlinear(posed, [each])[0] for each in (at_rest, command))
     off = float(np.abs(motion.acceleration_m_s2 - played.acceleration_m_s2).max())
     certificate = certify_nonlinear(posed, found.command, found.multipliers)
     shortfalls = played.shortfalls(problem, command, motion.acceleration_m_s2)

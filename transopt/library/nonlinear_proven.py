@@ -12,7 +12,7 @@ import numpy as np
 
 from transopt.library.library import Library
 from transopt.library.nonlinear import nonlinear_effect
-from transopt.library.proven import FIGURE, RIVAL, SAME, Floors, contradictions, not_feasible, predictions
+from transopt.library.proven import FIGURE, RIVAL, ROUNDING, SAME, Floors, contradictions, not_feasible, predictions
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.baselines import seed_inversion
 from transopt.problem.nonlinear import NonlinearProblem
@@ -46,19 +46,28 @@ def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProbl
     yield from predictions(library, iv, ig, effect)
     floor = floors.of(problem.linear, library.target(np.eye(library.speeds_m_s.size)[iv]))
     yield from contradictions(library, iv, ig, effect, proof, floor)
-    yield from of_the_others(library, iv, ig, problem)
+    played = problem.nrmse(library.linear_command[iv, ig])
+    # Where a motion has no value one method may come further than another.
+    if math.isnan(played) or math.isnan(library.nrmse_linear[iv, ig]):
+        played = float(library.nrmse_linear[iv, ig])
+    yield from of_the_others(library, iv, ig, problem, played, FIGURE)
 
 
-def of_the_others(library: Library, iv: int, ig: int, problem: NonlinearProblem) -> Iterator[str]:
-    """Errors of the linear design and of the seed's method that the file states and that are other ones."""
+def of_the_others(
+    library: Library, iv: int, ig: int, problem: NonlinearProblem, linear_nrmse: float, tolerance: float
+) -> Iterator[str]:
+    """Errors of the linear design and of the seed's method that the file states and that are other ones.
+
+    Parameters
+    ----------
+    linear_nrmse : of the linear design on the nonlinear plant, as found now; NaN where its motion has no value.
+    tolerance : relative, of the linear design's errors.
+    """
     linear, command = problem.linear, library.linear_command[iv, ig]
     promised = linear.target.nrmse(linear.stage.rollout(command)[0])
-    claims = {"nrmse_promised": promised, "nrmse_linear": problem.nrmse(command)}
-    for name, value in claims.items():
+    for name, value in {"nrmse_promised": promised, "nrmse_linear": linear_nrmse}.items():
         stored = float(getattr(library, name)[iv, ig])
-        # Where a motion has no value one method may come further than another.
-        unknown = name == "nrmse_linear" and (math.isnan(stored) or math.isnan(value))
-        if not (unknown or math.isclose(stored, value, rel_tol=FIGURE, abs_tol=SAME)):
+        if not np.isclose(stored, value, rtol=tolerance, atol=ROUNDING, equal_nan=True):
             yield f"{name} says {stored:.6g}, recomputed {value:.6g}"
     bounds = np.array([library.input_limit, library.steady_input])[:, None]
     taper = library.meta["hand_over_samples"]

@@ -117,6 +117,7 @@ class Online:
         for kind, made in (("plant", plant), ("spread", spread)):
             if made is not None and not callable(made):
                 raise InputError(f"online: {kind} = {cut(repr(made))}: must be a function of the grip in N")
+        library.check_linear("online")
         if library.posing().worst:
             raise InputError(
                 'online: robust.minimise = "worst" is a search through many optima for one tap: solve the scene '
