@@ -1,4 +1,4 @@
-"""The library of a design on a nonlinear plant: the commands of the nonlinear program, the linear design beside them."""
+"""The library of a design on a nonlinear plant: the nonlinear program's commands, the linear design beside them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,8 +22,8 @@ def nonlinear_library(
 ) -> Library:
     """The library of proven entries, one for each reference.
 
-    Everything that the file states of the problem is of the plant as it is at rest; what the commands do, and the errors
-    of the other methods, are of the nonlinear plant.
+    Everything that the file states of the problem is of the plant as it is at rest; what the commands do, and the
+    errors of the other methods, are of the nonlinear plant.
 
     Parameters
     ----------

@@ -106,7 +106,8 @@ def _on_nonlinear_plant(scene: Scene, options: SolverOptions | None, *, given: b
 
     if given:
         raise InputError(
-            f"{scene.name}: recordings and grid_tolerance are for speeds, and model.nonlinear has targets: leave them out"
+            f"{scene.name}: recordings and grid_tolerance are for speeds, and model.nonlinear has targets: leave "
+            "them out"
         )
     design = design_nonlinear(scene, options=options)
     if design.library is not None:

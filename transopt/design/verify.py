@@ -171,8 +171,8 @@ def stored_contradictions(
 def verify_library(library: Library) -> list[EntryCheck]:
     """Certify and replay every entry from the file alone.
 
-    Only the floor takes a (linear) solve and, where the temperature binds, the lower bound a convex one; on a nonlinear
-    plant the linear design is solved besides.
+    Only the floor takes a (linear) solve and, where the temperature binds, the lower bound a convex one; on a
+    nonlinear plant the linear design is solved besides.
 
     Returns
     -------

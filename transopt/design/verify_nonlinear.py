@@ -1,8 +1,8 @@
 """Entries on a nonlinear plant, checked again from the file alone.
 
-Each stored command is rolled out on the nonlinear plant of the library's own scene, certified stationary with its stored
-multipliers, and played by DOP853; every stated figure has to follow from that. The linear design that stands beside it
-is played likewise, and has to be the optimum of the plant as it is at rest, which takes a linear-quadratic solve.
+Each stored command is rolled out on the nonlinear plant of the library's own scene, certified stationary with its
+stored multipliers, and played by DOP853; every stated figure has to follow from that. The linear design that stands
+beside it is played likewise, and has to be the optimum of the plant as it is at rest, which is solved for.
 """
 
 from collections.abc import Iterator
@@ -66,7 +66,7 @@ def _linear_design(library: Library, iv: int, ig: int, problem: NonlinearProblem
     yield from of_the_others(library, iv, ig, problem, error, STORED_TOLERANCE)
     options = SolverOptions()
     designed = optimum(problem.linear, options)
-    # Limits that no command meets at rest may be met on the nonlinear plant: then there is no linear design to hold to.
+    # Limits that no command meets at rest may be met on the nonlinear plant: then there is no linear design.
     if not designed.is_proven:
         return
     proof = prove(problem.linear, command, designed.solution.multipliers, options)

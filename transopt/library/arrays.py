@@ -30,8 +30,8 @@ class Array:
     may_be_nan : NaN stands for what is not known; every other number is finite.
     needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread`, `worst` (as
         what is minimised over the spread), `refinement`, `nonlinear`, `speeds` or `targets` (the one or the other),
-        `after_s` (which files of schema 1 do not state) or `intensity` as the objective; empty for an array that is always
-        there. Without it the array is zero or empty, or of no device or instant.
+        `after_s` (which files of schema 1 do not state) or `intensity` as the objective; empty for an array that is
+        always there. Without it the array is zero or empty, or of no device or instant.
     before : its name in files of schemas 1 and 2, which know no input but a current; empty where it is the same.
     """
 

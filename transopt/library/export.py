@@ -124,7 +124,8 @@ def wav_file(library: Library) -> bytes:
     for iv, reference in enumerate(library.reference_m_s2):
         for ig, stage in enumerate(stages):
             command = seed_inversion(stage, grid, reference, limit, taper)
-            for sound in (reference, _made(library, iv, ig, stage, command), library.acceleration_m_s2[iv, ig]):
+            inversion = _made(library, iv, ig, stage, command)
+            for sound in (reference, inversion, library.acceleration_m_s2[iv, ig]):
                 pieces += [sound, silence]
     # Resampled as one stretch, so that the filter rings out into the silences instead of being cut off.
     ratio = Fraction(SOUND_RATE_HZ * grid.dt_s).limit_denominator(1000)
@@ -138,7 +139,7 @@ def wav_file(library: Library) -> bytes:
 
 
 def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatArray) -> FloatArray:
-    """(N,) y'' of a command on the device of an entry; silence from where a nonlinear one's motion has no value."""
+    """(N,) y'' of a command on an entry's device; silence from where a nonlinear one's motion has no value."""
     if not library.nonlinear:
         return stage.rollout(command)[0]
     # Of such a library alone.

@@ -249,8 +249,8 @@ def transients_figure(drawn: Transients) -> Figure:
     whole = len(shown_speeds) == len(speeds) and len(shown_grips) == len(grips)
     rows_of = f"{len(shown_speeds)} of {len(speeds)} {'targets' if named else 'speeds'}"
     some = "" if whole else f"; {rows_of}, {len(shown_grips)} of {len(grips)} grips"
-    of_plant = "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
-    label = f"time {'' if named else 'after contact '}[ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}{of_plant}"
+    some += "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
+    label = f"time {'' if named else 'after contact '}[ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
 
     handles = [
@@ -261,5 +261,7 @@ def transients_figure(drawn: Transients) -> Figure:
         *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
     above_in = legend_above(figure, handles, entry_in=1.15) + (0.0 if named else TITLE_IN)
-    leave_room(figure, left_in=0.72, right_in=0.08, below_in=0.66 + LEGEND_ROW_IN * drawn.nonlinear, above_in=above_in)
+    leave_room(
+        figure, left_in=0.72, right_in=0.08, below_in=0.66 + LEGEND_ROW_IN * drawn.nonlinear, above_in=above_in
+    )
     return figure

@@ -1,9 +1,9 @@
 """The problems of a library whose plant is nonlinear.
 
-The file holds the plant as it is at rest, as of every library, and the formulas of `[model.nonlinear]`, as the scene in
-it has them. The nonlinear plant is made from that scene; `transopt.library.proven` refuses a file whose formulas, or
-whose plant at rest, are others. Limits, weights and references are those of the linear problem: only the device over a
-period is another one.
+The file holds the plant as it is at rest, as of every library, and the formulas of `[model.nonlinear]`, as the scene
+in it has them. The nonlinear plant is made from that scene; `transopt.library.proven` refuses a file whose formulas,
+or whose plant at rest, are others. Limits, weights and references are those of the linear problem: only the device
+over a period is another one.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ def nonlinear_problem(library: Library, iv: int, ig: int, plant: NonlinearCoil |
 
 
 def nonlinear_effect(problem: NonlinearProblem, command: FloatArray) -> Effect:
-    """What a command (N,) does on the nonlinear plant, in the form in which limits and figures read a linear one's."""
+    """What a command (N,) does on the nonlinear plant, as limits and figures read what one does on a linear plant."""
     own = problem.effect(command)
     found = Effect(problem.linear, command, own.motion)
     found.lasting = own.lasting

@@ -17,8 +17,9 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief, cut
 from transopt.base.signals import FloatArray
-from transopt.library.library import Library, Waveform, finite, interpolation_weights, speed_weights
+from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
+from transopt.library.place import Waveform, finite, interpolation_weights, speed_weights
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
