@@ -113,8 +113,8 @@ def wav_file(library: Library) -> bytes:
     """16 bit mono at 48 kHz, to listen to the accelerations.
 
     For every entry, speeds outermost: the recorded r, then what the seed's clipped inversion makes of it at the
-    library's transient limit, then the library's command; 0.3 s of silence after each. One scale for the whole file, its
-    peak at -1 dBFS, so that loudness compares.
+    library's transient limit, then the library's own command; 0.3 s of silence after each. One scale for the whole
+    file, its peak at -1 dBFS, so that loudness compares.
     """
     grid, meta = library.time_grid(), library.meta
     limit, taper = library.input_limit, meta["hand_over_samples"]

@@ -212,8 +212,8 @@ class Library:
         """
         if self.nonlinear:
             raise InputError(
-                f"{what}: this library's plant is nonlinear, and this is done with linear plants alone: verify, show, "
-                "compare and export take it; for all else solve the scene without model.nonlinear"
+                f"{what}: this library's plant is nonlinear, and this is done with linear plants alone: verify, "
+                "show, compare and export take it; for all else solve the scene without model.nonlinear"
             )
 
     @property
