@@ -42,7 +42,7 @@ class NonlinearEntry:
     problem : J, limits and the nonlinear stage.
     solution : command (N,) [A or V] and multipliers of the nonlinear program.
     certificate : that the command is a stationary point, by the adjoint; its lower bound is minus infinity.
-    predicted_m_s2 : (N,) y'' of the command at the switching instants, by the nonlinear stage.
+    predicted_m_s2, plant_input : (N,) y'' and input of the command at the switching instants, by the nonlinear stage.
     off_replay : largest difference of that y'' to the replay's, relative to its peak: the stage's own error.
     played : the command on the nonlinear plant in continuous time.
     designed : the linear design, the optimum for the plant as it is at rest.
@@ -59,6 +59,7 @@ class NonlinearEntry:
     solution: Solution
     certificate: Certificate
     predicted_m_s2: FloatArray
+    plant_input: FloatArray
     off_replay: float
     played: Replay
     designed: Designed
@@ -233,8 +234,7 @@ def design_entry(
     posed, found = solve(NonlinearProblem(problem, stage), at_rest, options)
     command = np.nan_to_num(found.command)
     motion = posed.effect(command).motion
-    # One by one: a linear design whose motion has no value on this plant would take the other's with it.
-    linear_played, played = (replay_nonlinear(posed, [each])[0] for each in (at_rest, command))
+    linear_played, played = replay_nonlinear(posed, [at_rest, command])
     off = float(np.abs(motion.acceleration_m_s2 - played.acceleration_m_s2).max())
     certificate = certify_nonlinear(posed, found.command, found.multipliers)
     shortfalls = played.shortfalls(problem, command, motion.acceleration_m_s2)
@@ -252,6 +252,7 @@ def design_entry(
         solution=found,
         certificate=certificate,
         predicted_m_s2=motion.acceleration_m_s2,
+        plant_input=motion.plant_input,
         off_replay=off / max(played.scale_m_s2, np.finfo(float).tiny),
         played=played,
         designed=designed,

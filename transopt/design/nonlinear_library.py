@@ -58,7 +58,6 @@ def _finite_or_nan(value: float) -> float:
 def _entry(linear: Scene, reference: Reference, entry: "NonlinearEntry") -> Entry:
     """One entry in the form in which a library takes it."""
     problem, command = entry.problem.linear, entry.solution.command
-    motion = entry.problem.effect(command).motion
     others = rivals_of(linear.limits.steady_input, [entry.designed])
     return Entry(
         speed_m_s=reference.speed_m_s,
@@ -70,7 +69,7 @@ def _entry(linear: Scene, reference: Reference, entry: "NonlinearEntry") -> Entr
         certificate=replace(entry.certificate, lower_bound=0.0),
         played=entry.played,
         predicted_m_s2=entry.predicted_m_s2,
-        plant_input=motion.plant_input,
+        plant_input=entry.plant_input,
         transient_command=command,
         floor=entry.designed.floor,
         free_peak=entry.designed.free_peak,

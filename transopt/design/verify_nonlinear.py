@@ -20,6 +20,7 @@ from transopt.library.nonlinear import nonlinear_effect, nonlinear_problem
 from transopt.library.nonlinear_proven import certificate_of, of_the_others, shortfall
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.nonlinear_replay import replay_nonlinear
+from transopt.proof.replay import Replay
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
@@ -41,13 +42,14 @@ def verify_nonlinear(library: Library) -> list[EntryCheck]:
 def _checked(library: Library, iv: int, ig: int, problem: NonlinearProblem) -> EntryCheck:
     command, predicted = library.command[iv, ig], library.acceleration_m_s2[iv, ig]
     effect, certificate = nonlinear_effect(problem, command), certificate_of(library, iv, ig, problem)
-    (played,) = replay_nonlinear(problem, [command])
+    # Together, as when they were designed: then the integrator takes the same steps.
+    linear_played, played = replay_nonlinear(problem, [library.linear_command[iv, ig], command])
     said = shortfall(library, iv, ig, certificate)
     found = [said] if said else []
     found += played.shortfalls(problem.linear, command, predicted)
     if certificate.finite:
         found += stored_contradictions(library, iv, ig, effect, certificate, played)
-    found += _linear_design(library, iv, ig, problem)
+    found += _linear_design(library, iv, ig, problem, linear_played)
     return EntryCheck(
         columns=library.axes.columns,
         cells=library.axes.cells(iv, ig),
@@ -58,10 +60,8 @@ def _checked(library: Library, iv: int, ig: int, problem: NonlinearProblem) -> E
     )
 
 
-def _linear_design(library: Library, iv: int, ig: int, problem: NonlinearProblem) -> Iterator[str]:
+def _linear_design(library: Library, iv: int, ig: int, problem: NonlinearProblem, played: Replay) -> Iterator[str]:
     """What the file says of the linear design and does not hold: its errors, and that it is one."""
-    command = library.linear_command[iv, ig]
-    (played,) = replay_nonlinear(problem, [command])
     error = played.nrmse if np.isfinite(played.nrmse) else float("nan")
     yield from of_the_others(library, iv, ig, problem, error, STORED_TOLERANCE)
     options = SolverOptions()
@@ -69,7 +69,7 @@ def _linear_design(library: Library, iv: int, ig: int, problem: NonlinearProblem
     # Limits that no command meets at rest may be met on the nonlinear plant: then there is no linear design.
     if not designed.is_proven:
         return
-    proof = prove(problem.linear, command, designed.solution.multipliers, options)
+    proof = prove(problem.linear, library.linear_command[iv, ig], designed.solution.multipliers, options)
     if not proof.is_stationary:
         yield (
             "linear_command is not the optimum of the plant at rest: its gap is "

@@ -136,7 +136,13 @@ def played_nonlinear(
     after = np.zeros(grid.after_stages)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # Where a motion has no value the states up to there tell their sizes; at tau_0 they are zero.
-        peaks = np.max([np.nanmax(np.abs(stage.states(np.append(c, after))), axis=0) for c in played], axis=0)
+        states = [stage.states(np.append(each, after)) for each in played]
+        if len(played) > 1 and not np.isfinite(states).all():
+            # All commands share their steps, and one whose motion has no value would take the others with it.
+            return [
+                found for each in played for found in played_nonlinear(stage, at_rest, grid, target, watched, [each])
+            ]
+        peaks = np.max([np.nanmax(np.abs(each), axis=0) for each in states], axis=0)
         sizes = np.where(peaks > 0, peaks, 1.0)
         course = _integrated(stage, grid, played, sizes, RELATIVE)
         coarse = _integrated(stage, grid, played, sizes, COARSER * RELATIVE)
