@@ -233,10 +233,11 @@ def design_entry(
     stage = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
     posed, found = solve(NonlinearProblem(problem, stage), at_rest, options)
     command = np.nan_to_num(found.command)
-    motion = posed.effect(command).motion
+    effect = posed.effect(command)
+    motion = effect.motion
     linear_played, played = replay_nonlinear(posed, [at_rest, command])
     off = float(np.abs(motion.acceleration_m_s2 - played.acceleration_m_s2).max())
-    certificate = certify_nonlinear(posed, found.command, found.multipliers)
+    certificate = certify_nonlinear(posed, found.command, found.multipliers, effect=effect)
     shortfalls = played.shortfalls(problem, command, motion.acceleration_m_s2)
     status = Status.STATIONARY
     if found.status is not Status.OPTIMAL:

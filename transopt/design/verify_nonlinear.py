@@ -16,7 +16,7 @@ from transopt.design.verify import (
     stored_contradictions,
 )
 from transopt.library.library import Library
-from transopt.library.nonlinear import nonlinear_effect, nonlinear_problem
+from transopt.library.nonlinear import as_on_linear, nonlinear_problem
 from transopt.library.nonlinear_proven import certificate_of, of_the_others, shortfall
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.nonlinear_replay import replay_nonlinear
@@ -41,14 +41,15 @@ def verify_nonlinear(library: Library) -> list[EntryCheck]:
 
 def _checked(library: Library, iv: int, ig: int, problem: NonlinearProblem) -> EntryCheck:
     command, predicted = library.command[iv, ig], library.acceleration_m_s2[iv, ig]
-    effect, certificate = nonlinear_effect(problem, command), certificate_of(library, iv, ig, problem)
+    effect = problem.effect(command)
+    certificate = certificate_of(library, iv, ig, effect)
     # Together, as when they were designed: then the integrator takes the same steps.
     linear_played, played = replay_nonlinear(problem, [library.linear_command[iv, ig], command])
     said = shortfall(library, iv, ig, certificate)
     found = [said] if said else []
     found += played.shortfalls(problem.linear, command, predicted)
     if certificate.finite:
-        found += stored_contradictions(library, iv, ig, effect, certificate, played)
+        found += stored_contradictions(library, iv, ig, as_on_linear(effect), certificate, played)
     found += _linear_design(library, iv, ig, problem, linear_played)
     return EntryCheck(
         columns=library.axes.columns,

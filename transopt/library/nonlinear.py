@@ -9,11 +9,10 @@ over a period is another one.
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.nonlinear_stage import MOST_SUBSTEPS, NonlinearStage
-from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
 from transopt.proof.certify import Effect
 
 
@@ -39,9 +38,8 @@ def nonlinear_problem(library: Library, iv: int, ig: int, plant: NonlinearCoil |
     )
 
 
-def nonlinear_effect(problem: NonlinearProblem, command: FloatArray) -> Effect:
-    """What a command (N,) does on the nonlinear plant, as limits and figures read what one does on a linear plant."""
-    own = problem.effect(command)
-    found = Effect(problem.linear, command, own.motion)
-    found.lasting = own.lasting
+def as_on_linear(effect: NonlinearEffect) -> Effect:
+    """What a command does on the nonlinear plant, as limits and figures read what one does on a linear plant."""
+    found = Effect(effect.problem.linear, effect.command, effect.motion)
+    found.lasting = effect.lasting
     return found

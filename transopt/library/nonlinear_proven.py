@@ -11,17 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from transopt.library.library import Library
-from transopt.library.nonlinear import nonlinear_effect
+from transopt.library.nonlinear import as_on_linear
 from transopt.library.proven import FIGURE, RIVAL, ROUNDING, SAME, Floors, contradictions, not_feasible, predictions
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.baselines import seed_inversion
-from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
 from transopt.proof.nonlinear import certify_nonlinear
 
 
-def certificate_of(library: Library, iv: int, ig: int, problem: NonlinearProblem) -> Certificate:
-    """Of a stored command and its stored multipliers; its lower bound is 0, below which no sum of squares is."""
-    proof = certify_nonlinear(problem, library.command[iv, ig], library.multipliers(iv, ig))
+def certificate_of(library: Library, iv: int, ig: int, effect: NonlinearEffect) -> Certificate:
+    """Of a stored command and its stored multipliers; its lower bound is 0, below which no sum of squares is.
+
+    Parameters
+    ----------
+    effect : of that command.
+    """
+    proof = certify_nonlinear(effect.problem, effect.command, library.multipliers(iv, ig), effect=effect)
     return replace(proof, lower_bound=0.0) if proof.finite else proof
 
 
@@ -39,10 +44,12 @@ def shortfall(library: Library, iv: int, ig: int, proof: Certificate) -> str:
 
 def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProblem, floors: Floors) -> Iterator[str]:
     """What is not proven of an entry, one phrase each; none if all is."""
-    effect, proof = nonlinear_effect(problem, library.command[iv, ig]), certificate_of(library, iv, ig, problem)
+    own = problem.effect(library.command[iv, ig])
+    proof = certificate_of(library, iv, ig, own)
     if said := shortfall(library, iv, ig, proof):
         yield said
         return
+    effect = as_on_linear(own)
     yield from predictions(library, iv, ig, effect)
     floor = floors.of(problem.linear, library.target(np.eye(library.speeds_m_s.size)[iv]))
     yield from contradictions(library, iv, ig, effect, proof, floor)
