@@ -65,7 +65,7 @@ def nonlinear_markdown(design: NonlinearDesign) -> str:
         "`linear, promised` is what the linear plant would have; all other errors are of the command played on the "
         "nonlinear plant in continuous time. The status is `stationary`: the gradient of the Lagrangian vanishes "
         "within the tolerance (`gap`); no lower bound follows, since the problem is not convex.",
-        *(["", f"`{LIBRARY}` holds the nonlinear designs: {NONLINEAR_CLAIM}."] if design.library is not None else []),
+        *(["", f"`{LIBRARY}`: {NONLINEAR_CLAIM}."] if design.library is not None else []),
         "",
         *table(COLUMNS, design.rows()),
     ]
