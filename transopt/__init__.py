@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from transopt.library.drive_files import export_drive
     from transopt.library.export import export_library
     from transopt.library.file import load_library
-    from transopt.library.library import Library, Waveform
+    from transopt.library.library import Library
     from transopt.library.online import Online
+    from transopt.library.place import Waveform
     from transopt.library.trade import trade_figures
     from transopt.plant.state_space import Input, Output, StateSpace
     from transopt.problem.answer import Certificate, Multipliers, Solution, Status
@@ -125,7 +126,7 @@ _HOME = {
     "StateSpace": "plant.state_space",
     "Status": "problem.answer",
     "TransientProblem": "problem.problem",
-    "Waveform": "library.library",
+    "Waveform": "library.place",
     "build": "design.solve",
     "build_references": "recordings.reference",
     "certify": "design.solve",

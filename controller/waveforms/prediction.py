@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.library.library import Library, interpolation_weights, speed_weights
+from transopt.library.library import Library
+from transopt.library.place import interpolation_weights, speed_weights
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver
 from transopt.proof.replay import replay

@@ -19,7 +19,8 @@ from controller.waveforms.prediction import predict, scene_of
 from scripts.common.experiment import Played, play_tap
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, nrmse
-from transopt.library.library import Library, speed_weights
+from transopt.library.library import Library
+from transopt.library.place import speed_weights
 from transopt.recordings.reference import Reference, between
 
 DT = 1e-4

@@ -68,7 +68,7 @@ def solve(
     """Solve a scene: certified library of current transients, report, figures; the last line sums up.
 
     Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met. Of a scene with
-    [model.nonlinear]: commands certified stationary and a report beside the linear design, and no library.
+    [model.nonlinear] the library holds stationary points, replayed, and the report has the linear design beside them.
     """
     try:
         from transopt.design.refine_grid import check_tolerance
@@ -130,8 +130,9 @@ def _solve_nonlinear(wanted: Wanted) -> None:
         for said in refusals(entry):
             console.print(f"refused: {entry.target}: {said}", style="red", highlight=False, soft_wrap=True)
     names = ", ".join(path.name for path in written)
-    console.print(f"{folder}: {names}; no library.npz, which holds linear plants", highlight=False, soft_wrap=True)
     refused = len(design.entries) - len(design.proven)
+    kept = "; no library written, an earlier one is kept" if refused else ""
+    console.print(f"{folder}: {names}{kept}", highlight=False, soft_wrap=True)
     console.print(
         f"{len(design.proven)} of {len(design.entries)} targets certified stationary and replayed on the nonlinear "
         f"plant; {design.elapsed_s:.1f} s",

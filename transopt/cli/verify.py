@@ -32,6 +32,8 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
     failed = sum(bool(check.shortfalls) for check in checks)
     for said in misstated:
         console.print(f"{library}: {said}", style="red", highlight=False, soft_wrap=True)
+    if loaded.claim:
+        console.print(loaded.claim, highlight=False, soft_wrap=True)
     console.print(f"{len(checks) - failed} of {len(checks)} entries certified and replayed clean", highlight=False)
     if failed or misstated:
         raise typer.Exit(1)

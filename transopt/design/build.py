@@ -188,20 +188,22 @@ def build_library(
         scene=scene,
         references=references,
         entries=entries,
-        library=_assemble(scene, references, entries, options, refinement) if admitted else None,
+        library=assemble(scene, references, entries, options, refinement) if admitted else None,
         solver=options.solver,
         elapsed_s=time.perf_counter() - start,
         refinement=refinement,
     )
 
 
-def _assemble(
+def assemble(
     scene: Scene,
     references: list[Reference],
     entries: list[list[Entry]],
     options: SolverOptions,
-    refinement: Refinement | None,
+    refinement: Refinement | None = None,
 ) -> Library:
+    """The library of admitted entries, speeds outermost."""
+
     def over_grid(value: Callable[[Entry], Any]) -> Any:
         return np.array([[value(entry) for entry in row] for row in entries])
 
@@ -256,6 +258,9 @@ def _assemble(
         current_sign=over_grid(lambda e: e.solution.multipliers.slope),
         mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
         correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
+        # Of linear plants there is nothing beside them; `nonlinear_library` puts it in.
+        linear_command=np.zeros((len(references), len(plants), scene.time.stages)),
+        **{name: np.zeros((len(references), len(plants))) for name in ("nrmse_promised", "nrmse_linear", "substeps")},
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
         spread_share=over_grid(lambda e: e.problem.shared[1:]),

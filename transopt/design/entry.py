@@ -293,7 +293,7 @@ def played_with_rivals(
     The rivals know no wall. Without one all commands go through one simulation.
     """
     first = designed[0].problem
-    transients, rivals = _transients(designed), _rivals(steady_input, designed)
+    transients, rivals = _transients(designed), rivals_of(steady_input, designed)
     targets = [d.problem.target for d in designed] * (len(rivals) // len(designed))
     if first.wall is None:
         together, M = accurate(first.stage, first.grid, np.concatenate([transients, rivals]), None), len(designed)
@@ -332,7 +332,7 @@ def _replayed(
     )
 
 
-def _rivals(steady_input: float, designed: Sequence[Designed]) -> FloatArray:
+def rivals_of(steady_input: float, designed: Sequence[Designed]) -> FloatArray:
     """(4 M, N) commands of the two other methods, in the order of `Baselines`, each of all entries."""
     first = designed[0].problem
     references = np.stack([d.problem.reference_m_s2 for d in designed])

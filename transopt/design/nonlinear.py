@@ -11,8 +11,10 @@ from transopt.base.errors import InputError
 from transopt.base.shown import cut, html_table, wrapped
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
-from transopt.design.optimum import optimum
+from transopt.design.nonlinear_library import nonlinear_library
+from transopt.design.optimum import Designed, optimum
 from transopt.design.posed import entry_problem, scene_stage
+from transopt.library.library import Library
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.problem.answer import Certificate, Solution, Status
@@ -40,10 +42,11 @@ class NonlinearEntry:
     problem : J, limits and the nonlinear stage.
     solution : command (N,) [A or V] and multipliers of the nonlinear program.
     certificate : that the command is a stationary point, by the adjoint; its lower bound is minus infinity.
-    predicted_m_s2 : (N,) y'' of the command at the switching instants, by the nonlinear stage.
+    predicted_m_s2, plant_input : (N,) y'' and input of the command at the switching instants, by the nonlinear stage.
     off_replay : largest difference of that y'' to the replay's, relative to its peak: the stage's own error.
     played : the command on the nonlinear plant in continuous time.
-    linear_command : (N,) optimum for the plant as it is at rest.
+    designed : the linear design, the optimum for the plant as it is at rest.
+    linear_command : (N,) its command.
     linear_promised : NRMSE that the linear plant would have under it.
     linear_played : what it does on the nonlinear plant.
     status : STATIONARY where all is proven and played, else why not.
@@ -56,8 +59,10 @@ class NonlinearEntry:
     solution: Solution
     certificate: Certificate
     predicted_m_s2: FloatArray
+    plant_input: FloatArray
     off_replay: float
     played: Replay
+    designed: Designed
     linear_command: FloatArray
     linear_promised: float
     linear_played: Replay
@@ -101,11 +106,13 @@ class NonlinearDesign:
     ----------
     scene : with its table `model.nonlinear`.
     entries : in the order of the scene's targets.
+    library : of the nonlinear design; None unless every entry is proven.
     elapsed_s : wall time of it all.
     """
 
     scene: Scene
     entries: tuple[NonlinearEntry, ...]
+    library: Library | None
     elapsed_s: float
 
     def __repr__(self) -> str:
@@ -193,7 +200,7 @@ def design_nonlinear(scene: Scene | str | Path, *, options: SolverOptions | None
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     options = SolverOptions() if options is None else options
     check_name(options.solver)
-    plant = nonlinear_plant(loaded)
+    plant = loaded.nonlinear_plant()
     linear = loaded.at_rest()
     stage = scene_stage(linear, 0.0)
     references = target_references(linear.targets, linear.time_grid(), linear.recordings)
@@ -201,20 +208,9 @@ def design_nonlinear(scene: Scene | str | Path, *, options: SolverOptions | None
         design_entry(reference.name, entry_problem(linear, stage, reference), plant, options)
         for reference in references
     )
-    return NonlinearDesign(loaded, entries, time.perf_counter() - began)
-
-
-def nonlinear_plant(scene: Scene) -> NonlinearCoil:
-    """The plant of a scene with `model.nonlinear`.
-
-    Raises
-    ------
-    InputError : a scene without it.
-    """
-    plant = scene.model.nonlinear_plant() if scene.nonlinear else None  # type: ignore[union-attr]
-    if plant is None:
-        raise InputError(f"{scene.name}: model.nonlinear: missing; add it to the scene, or use transopt.build")
-    return plant
+    proven = all(entry.status is Status.STATIONARY for entry in entries)
+    library = nonlinear_library(loaded, references, entries, options) if proven else None
+    return NonlinearDesign(loaded, entries, library, time.perf_counter() - began)
 
 
 def design_entry(
@@ -237,10 +233,11 @@ def design_entry(
     stage = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
     posed, found = solve(NonlinearProblem(problem, stage), at_rest, options)
     command = np.nan_to_num(found.command)
-    motion = posed.effect(command).motion
+    effect = posed.effect(command)
+    motion = effect.motion
     linear_played, played = replay_nonlinear(posed, [at_rest, command])
     off = float(np.abs(motion.acceleration_m_s2 - played.acceleration_m_s2).max())
-    certificate = certify_nonlinear(posed, found.command, found.multipliers)
+    certificate = certify_nonlinear(posed, found.command, found.multipliers, effect=effect)
     shortfalls = played.shortfalls(problem, command, motion.acceleration_m_s2)
     status = Status.STATIONARY
     if found.status is not Status.OPTIMAL:
@@ -256,8 +253,10 @@ def design_entry(
         solution=found,
         certificate=certificate,
         predicted_m_s2=motion.acceleration_m_s2,
+        plant_input=motion.plant_input,
         off_replay=off / max(played.scale_m_s2, np.finfo(float).tiny),
         played=played,
+        designed=designed,
         linear_command=at_rest,
         linear_promised=problem.target.nrmse(problem.stage.rollout(at_rest)[0]),
         linear_played=linear_played,

@@ -40,8 +40,9 @@ def resolve(
 
     Raises
     ------
-    InputError : a library with a wall, whose feedback is no part of what is corrected.
+    InputError : a library with a wall, whose feedback is no part of what is corrected, or of a nonlinear plant.
     """
+    library.check_linear("refine")
     if library.meta["feedback"] is not None:
         raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
     options = SolverOptions() if options is None else options

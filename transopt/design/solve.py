@@ -9,7 +9,7 @@ from transopt.base.signals import FloatArray
 from transopt.design.build import Build, build_library
 from transopt.design.refine_grid import DEFAULT_CAP, check_tolerance, refine_grid
 from transopt.library.library import Library
-from transopt.problem.answer import Certificate, Multipliers
+from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.scene.builtin import load_scene
@@ -68,12 +68,17 @@ def solve(
 ) -> Library:
     """The library of a scene, every entry certified and replayed; parameters as of `build`.
 
+    Of a scene with `[model.nonlinear]` it is that of `design_nonlinear`: stationary points on the nonlinear plant.
+
     Raises
     ------
     InputError : what `build` refuses; or entries that are refused, with the first one's reason.
     """
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    if loaded.nonlinear:
+        return _on_nonlinear_plant(loaded, options, given=recordings is not None or grid_tolerance is not None)
     made = build(
-        scene,
+        loaded,
         recordings,
         options=options,
         grid_tolerance=grid_tolerance,
@@ -87,6 +92,31 @@ def solve(
     raise InputError(
         f"{made.scene.name}: {len(made.refused)} of {count} entries refused, the first at "
         f"{first.place}: {cut(reason, 200)}; transopt.build returns all of them with their reasons"
+    )
+
+
+def _on_nonlinear_plant(scene: Scene, options: SolverOptions | None, *, given: bool) -> Library:
+    """
+    Parameters
+    ----------
+    given : whether recordings or a tolerance of the grid are, which only speeds have.
+    """
+    # IPOPT is loaded for such a plant alone.
+    from transopt.design.nonlinear import design_nonlinear
+
+    if given:
+        raise InputError(
+            f"{scene.name}: recordings and grid_tolerance are for speeds, and model.nonlinear has targets: leave "
+            "them out"
+        )
+    design = design_nonlinear(scene, options=options)
+    if design.library is not None:
+        return design.library
+    refused = [entry for entry in design.entries if entry.status is not Status.STATIONARY]
+    reason = "; ".join(refused[0].shortfalls) or refused[0].status.value
+    raise InputError(
+        f"{scene.name}: {len(refused)} of {len(design.entries)} targets refused, the first is {refused[0].target}: "
+        f"{cut(reason, 200)}; transopt.design_nonlinear returns all of them with their reasons"
     )
 
 

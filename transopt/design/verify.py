@@ -136,10 +136,16 @@ def unlimited_nrmse(problem: TransientProblem, target: Target) -> float:
     return target.nrmse(problem.stage.rollout(free)[0])
 
 
-def _stored(
-    library: Library, iv: int, ig: int, problem: TransientProblem, certificate: Certificate, played: Replay
+def stored_contradictions(
+    library: Library, iv: int, ig: int, effect: Effect, certificate: Certificate, played: Replay
 ) -> list[str]:
-    """Figures in the file that do not follow from the waveform in the file."""
+    """Figures in the file that do not follow from the waveform in the file.
+
+    Parameters
+    ----------
+    effect : of the entry's command. certificate : of it. played : its replay.
+    """
+    problem = effect.problem
     claims = {
         "nrmse": played.nrmse,
         "nrmse_after": played.nrmse_after,
@@ -153,7 +159,6 @@ def _stored(
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{library.in_file(name)} says {stored:.8g}, recomputed {value:.8g}")
     floor = unlimited_nrmse(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
-    effect = Effect(problem, library.command[iv, ig])
     found += contradictions(library, iv, ig, effect, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
     current_off = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())
     if not current_off <= tolerated(problem.limits.input_limit):
@@ -166,12 +171,18 @@ def _stored(
 def verify_library(library: Library) -> list[EntryCheck]:
     """Certify and replay every entry from the file alone.
 
-    Only the floor takes a (linear) solve and, where the temperature binds, the lower bound a convex one.
+    Only the floor takes a (linear) solve and, where the temperature binds, the lower bound a convex one; on a
+    nonlinear plant the linear design is solved besides.
 
     Returns
     -------
     One check per entry, speeds outermost; clean where `shortfalls` is empty.
     """
+    if library.nonlinear:
+        # Of such a library alone.
+        from transopt.design.verify_nonlinear import verify_nonlinear
+
+        return verify_nonlinear(library)
     options, axes = SolverOptions(), library.axes
     nv, ng, _ = library.command.shape
     checks: dict[tuple[int, int], EntryCheck] = {}
@@ -205,6 +216,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
                 unit=library.driven_by.unit,
                 certificate=certificate,
                 played=played,
-                shortfalls=shortfalls + _stored(library, iv, ig, problem, certificate, played),
+                shortfalls=shortfalls
+                + stored_contradictions(library, iv, ig, Effect(problem, command), certificate, played),
             )
     return [checks[iv, ig] for iv in range(nv) for ig in range(ng)]

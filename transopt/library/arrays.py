@@ -29,9 +29,9 @@ class Array:
     is_text : words and not double-precision numbers.
     may_be_nan : NaN stands for what is not known; every other number is finite.
     needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread`, `worst` (as
-        what is minimised over the spread), `refinement`, `speeds` or `targets` (the one or the other), `after_s`
-        (which files of schema 1 do not state) or `intensity` as the objective; empty for an array that is always
-        there. Without it the array is zero or empty, or of no device or instant.
+        what is minimised over the spread), `refinement`, `nonlinear`, `speeds` or `targets` (the one or the other),
+        `after_s` (which files of schema 1 do not state) or `intensity` as the objective; empty for an array that is
+        always there. Without it the array is zero or empty, or of no device or instant.
     before : its name in files of schemas 1 and 2, which know no input but a current; empty where it is the same.
     """
 
@@ -75,6 +75,7 @@ def absent(arrays: dict[str, Array], meta: dict[str, Any]) -> list[str]:
         "after_s": weights.get("after_s"),
         "speeds": None if meta.get("targets") else True,
         "targets": meta.get("targets"),
+        "nonlinear": meta.get("nonlinear"),
         "intensity": True if weights.get("objective") == "intensity" else None,
     }
     return [name for name, array in arrays.items() if array.needs and stated.get(array.needs) is None]

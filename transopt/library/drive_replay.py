@@ -5,6 +5,7 @@ entry by the exact zero-order hold of that period (`discretise`). The target is 
 which lie somewhere within the driver's periods: a hold over a part of a period takes the state there.
 
 The limits were kept by the design's samples and not by these: the independent replay watches them at every fine step.
+On a nonlinear plant the samples go through its stage over the driver's period, and its own replay watches the limits.
 """
 
 from collections.abc import Sequence
@@ -13,12 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from transopt.base.arithmetic import NUMPY
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.library.drive import Drive, Driver
 from transopt.library.library import Library
 from transopt.library.trade import TradeFigures, entry_trade
 from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.nonlinear_stage import resolved
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limit, Limits, Setting
 from transopt.problem.limits.slew import SlewLimit
@@ -61,6 +64,16 @@ class PlayedDrive:
     __repr__ = brief
 
 
+def _within(grid: TimeGrid, driver: Driver) -> tuple[NDArray[np.intp], FloatArray]:
+    """Of each of the design's N + M instants the driver's sample that is held there, and the share of its period.
+
+    The driver's first sample acts from tau_0 on. An instant at a switch comes just after it, as in the design.
+    """
+    periods = grid.dt_s * driver.rate_Hz * np.arange(grid.stages + grid.after_stages)
+    sample = np.floor(periods + 10.0**-SAME).astype(np.intp)
+    return sample, np.round(np.maximum(periods - sample, 0.0), SAME)
+
+
 @dataclass(frozen=True)
 class _Instants:
     """How y'' at instants follows from the states at the driver's samples: rows of C e^(A theta) and what c adds.
@@ -81,12 +94,10 @@ class _Instants:
     @classmethod
     def of(cls, library: Library, ig: int, driver: Driver) -> "_Instants":
         """At tau_0 to tau_(N+M-1); the driver's first sample acts from tau_0 on."""
-        grid, plant, amplifier = library.time_grid(), library.plant(ig), library.amplifier()
+        plant, amplifier = library.plant(ig), library.amplifier()
         stage = discretise(plant, amplifier, 1 / driver.rate_Hz)
-        periods = grid.dt_s * driver.rate_Hz * np.arange(grid.stages + grid.after_stages)
-        # An instant at a switch comes just after it, as in the design.
-        sample = np.floor(periods + 10.0**-SAME).astype(np.intp)
-        parts, of_part = np.unique(np.round(np.maximum(periods - sample, 0.0), SAME), return_inverse=True)
+        sample, share = _within(library.time_grid(), driver)
+        parts, of_part = np.unique(share, return_inverse=True)
         rows, direct = [], []
         for part in parts:
             A, B = np.eye(stage.A.shape[0]), np.zeros_like(stage.B)
@@ -99,10 +110,34 @@ class _Instants:
 
     def accelerations(self, values: FloatArray) -> FloatArray:
         """(K,) y'' of a driver's output (m,), zero after it."""
-        output = np.zeros(max(int(self.sample[-1]) + 1, values.size))
-        output[: values.size] = values
+        output = _lasting(values, self.sample)
         states = self.stage.states(output)[self.sample]
         return np.asarray((self.rows * states).sum(axis=1) + self.direct * output[self.sample])
+
+
+def _lasting(values: FloatArray, sample: NDArray[np.intp]) -> FloatArray:
+    """A driver's output (m,), zero after it, at least up to the last sample that is asked for."""
+    return np.pad(values, (0, max(int(sample[-1]) + 1 - values.size, 0)))
+
+
+def _nonlinear_accelerations(library: Library, drive: Drive) -> FloatArray:
+    """(N + M,) y'' of a drive at the instants of the design, on the nonlinear plant; NaN where it has no value."""
+    # Of such a library alone, as below.
+    from transopt.library.nonlinear import nonlinear_problem
+
+    problem, driver = nonlinear_problem(library, drive.iv, drive.ig), drive.driver
+    sample, share = _within(problem.linear.grid, driver)
+    output = _lasting(drive.values, sample)
+    over_period, _ = resolved(replace(problem.stage, dt_s=1 / driver.rate_Hz, substeps=1), output)
+    states, found = over_period.states(output)[sample], np.empty(sample.size)
+    with np.errstate(all="ignore"):  # what overflows is found as not finite
+        for part in np.unique(share):
+            at = share == part
+            held, z = output[sample[at]], list(states[at].T)
+            if part > 0:
+                z = replace(over_period, dt_s=float(part) / driver.rate_Hz).step(z, held, NUMPY)
+            found[at] = over_period.acceleration(z, held, NUMPY)
+    return found
 
 
 def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
@@ -136,7 +171,14 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
     limits = Limits(
         tuple(limit for limit in posed(posing.asked, setting, posing.law_of) if limit.name not in NOT_WATCHED)
     )
-    (found,) = replay(stage, grid, values[None], [Target(nothing)], None, limits=[limits])
+    if library.nonlinear:
+        from transopt.library.nonlinear import nonlinear_problem
+        from transopt.proof.nonlinear_replay import played_nonlinear
+
+        device = nonlinear_problem(library, drive.iv, drive.ig).stage
+        (found,) = played_nonlinear(device, stage, grid, Target(nothing), limits, [values])
+    else:
+        (found,) = replay(stage, grid, values[None], [Target(nothing)], None, limits=[limits])
 
     def most(limit: Limit) -> float:
         rounded = drive.driver.scale / 2 if limit.unit == drive.driver.unit else 0.0
@@ -152,9 +194,12 @@ def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
     instants: dict[int, _Instants] = {}
     found = []
     for drive in drives:
-        if drive.ig not in instants:
-            instants[drive.ig] = _Instants.of(library, drive.ig, drive.driver)
-        acceleration = instants[drive.ig].accelerations(drive.values)
+        if library.nonlinear:
+            acceleration = _nonlinear_accelerations(library, drive)
+        else:
+            if drive.ig not in instants:
+                instants[drive.ig] = _Instants.of(library, drive.ig, drive.driver)
+            acceleration = instants[drive.ig].accelerations(drive.values)
         target = library.target(np.eye(library.speeds_m_s.size)[drive.iv])
         found.append(
             PlayedDrive(

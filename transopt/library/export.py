@@ -17,6 +17,7 @@ from transopt.library.arrays import HASH_FIELD
 from transopt.library.c_header import c_header
 from transopt.library.drive_files import refuse_descriptions
 from transopt.library.library import ARRAYS, Library
+from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.baselines import seed_inversion
 
@@ -89,6 +90,7 @@ def csv_file(library: Library) -> bytes:
         "contact at time 0",
         f"command k is issued at issue_time_s = -lead + k dt and held; {drive.name}, acceleration (what the "
         f"{drive.name} adds) and reference are those at switching_time_s = issue_time_s + delay",
+        *([library.claim] if library.nonlinear else []),
         f"dt_s: {grid.dt_s!r}",
         f"lead_s: {grid.lead_s!r}",
         f"delay_s: {grid.delay_s!r}",
@@ -111,18 +113,19 @@ def wav_file(library: Library) -> bytes:
     """16 bit mono at 48 kHz, to listen to the accelerations.
 
     For every entry, speeds outermost: the recorded r, then what the seed's clipped inversion makes of it at the
-    library's transient limit, then the optimum; 0.3 s of silence after each. One scale for the whole file, its
-    peak at -1 dBFS, so that loudness compares.
+    library's transient limit, then the library's own command; 0.3 s of silence after each. One scale for the whole
+    file, its peak at -1 dBFS, so that loudness compares.
     """
     grid, meta = library.time_grid(), library.meta
     limit, taper = library.input_limit, meta["hand_over_samples"]
     stages = [library.stage(ig) for ig in range(library.grips_N.size)]
     silence = np.zeros(round(SILENCE_S / grid.dt_s))
     pieces: list[FloatArray] = []
-    for reference, optima in zip(library.reference_m_s2, library.acceleration_m_s2, strict=True):
-        for stage, optimum in zip(stages, optima, strict=True):
-            inversion, _ = stage.rollout(seed_inversion(stage, grid, reference, limit, taper))
-            for sound in (reference, inversion, optimum):
+    for iv, reference in enumerate(library.reference_m_s2):
+        for ig, stage in enumerate(stages):
+            command = seed_inversion(stage, grid, reference, limit, taper)
+            inversion = _made(library, iv, ig, stage, command)
+            for sound in (reference, inversion, library.acceleration_m_s2[iv, ig]):
                 pieces += [sound, silence]
     # Resampled as one stretch, so that the filter rings out into the silences instead of being cut off.
     ratio = Fraction(SOUND_RATE_HZ * grid.dt_s).limit_denominator(1000)
@@ -133,6 +136,18 @@ def wav_file(library: Library) -> bytes:
     file = io.BytesIO()
     wavfile.write(file, SOUND_RATE_HZ, np.rint(sound).astype(np.int16))
     return file.getvalue()
+
+
+def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatArray) -> FloatArray:
+    """(N,) y'' of a command on an entry's device; silence from where a nonlinear one's motion has no value."""
+    if not library.nonlinear:
+        return stage.rollout(command)[0]
+    # Of such a library alone.
+    from transopt.library.nonlinear import nonlinear_problem
+
+    with np.errstate(all="ignore"):
+        found = nonlinear_problem(library, iv, ig).effect(command).motion.acceleration_m_s2
+    return np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def header_file(library: Library) -> bytes:

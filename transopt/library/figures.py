@@ -128,6 +128,7 @@ class Transients:
     acceleration_m_s2, plant_input : (nv, ng, N + M) there.
     limit : of the input.
     input_multiplier : (nv, ng, N) the larger one of the limit's two sides.
+    nonlinear : whether they are stationary points on a nonlinear plant.
     """
 
     grid: TimeGrid
@@ -139,6 +140,7 @@ class Transients:
     limit: float
     input_multiplier: FloatArray
     hand_over_samples: int
+    nonlinear: bool = False
 
     @property
     def limit_binds(self) -> NDArray[np.bool_]:
@@ -179,6 +181,7 @@ def library_figure(library: Library) -> Figure:
             limit=library.input_limit,
             input_multiplier=np.maximum(*(library.array(f"mu_{library.driven_by.name}_{side}") for side in SIDES)),
             hand_over_samples=library.meta["hand_over_samples"],
+            nonlinear=library.nonlinear,
         )
     )
 
@@ -246,6 +249,7 @@ def transients_figure(drawn: Transients) -> Figure:
     whole = len(shown_speeds) == len(speeds) and len(shown_grips) == len(grips)
     rows_of = f"{len(shown_speeds)} of {len(speeds)} {'targets' if named else 'speeds'}"
     some = "" if whole else f"; {rows_of}, {len(shown_grips)} of {len(grips)} grips"
+    some += "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
     label = f"time {'' if named else 'after contact '}[ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
 
@@ -257,5 +261,7 @@ def transients_figure(drawn: Transients) -> Figure:
         *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
     above_in = legend_above(figure, handles, entry_in=1.15) + (0.0 if named else TITLE_IN)
-    leave_room(figure, left_in=0.72, right_in=0.08, below_in=0.66, above_in=above_in)
+    leave_room(
+        figure, left_in=0.72, right_in=0.08, below_in=0.66 + LEGEND_ROW_IN * drawn.nonlinear, above_in=above_in
+    )
     return figure

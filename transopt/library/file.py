@@ -253,6 +253,10 @@ def _check_problem(path: Path, library: Library) -> None:
         thermal, rail = problem.thermal, problem.limits.get(SupplyLimit.name)
         if (ends := limits.get(COPPER)) is not None and not (isinstance(rail, SupplyLimit) and rail.copper_C == ends):
             raise InputError(f"limits.{COPPER} = {cut(repr(ends))}: the coil and its budget say otherwise")
+        if library.nonlinear:
+            from transopt.library.nonlinear import nonlinear_problem
+
+            nonlinear_problem(library, 0, 0)
         stated = limits["temperature_C"]
         if stated is not None and (thermal is None or stated != thermal.limit_C):
             raise InputError(f"limits.temperature_C = {stated}: the coil and its budget say otherwise")

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from transopt.base.axes import Axes
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
-from transopt.base.shown import brief, cut, html_figure, html_table, wrapped
+from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared, stored_names
+from transopt.library.place import Place, Waveform, finite, interpolation_weights
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
@@ -38,70 +39,12 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
 
 SCHEMAS = (1, 2, 3)  # what is read; 1 knows of nothing before the first command nor after the last one
 PLANT = ("A", "B", "C", "D", "Ce")
+# What is proven of the commands of a nonlinear plant, in the words of whatever shows such a library.
+NONLINEAR_CLAIM = (
+    "nonlinear plant: each command is a certified stationary point, replayed on that plant; no bound says that there "
+    "is no better one, and floor is of the plant as it is at rest"
+)
 INPUT = "A or V"  # unit of commands and of what drives the plant; `meta` says which of the two
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a measured tap lies on the grid of speeds and grips.
-
-    Attributes
-    ----------
-    speed_m_s, grip_N : after clamping to the grid.
-    speed_clamped, grip_clamped : whether the wanted point lay outside the grid.
-    silent : no transient is played, for want of speed or grip.
-    """
-
-    speed_m_s: float
-    grip_N: float
-    speed_clamped: bool
-    grip_clamped: bool
-    silent: bool
-
-
-@dataclass(frozen=True)
-class Waveform(Place):
-    """A command for a place: zero where it is silent, else a blend of the nodes' or what was solved for it.
-
-    Attributes
-    ----------
-    command : (N,) total command c_k, issued at -lead + k dt and held [A].
-    transient_command : (N,) what a device with the library's wall plays on top of its feedback [A].
-    """
-
-    command: FloatArray
-    transient_command: FloatArray
-
-    __repr__ = brief
-
-
-def finite(what: str, value: Any, unit: str) -> float:
-    """A number from a caller who may be wrong about it.
-
-    Raises
-    ------
-    InputError : not one finite number.
-    """
-    number = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
-    if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < float("inf"):
-        raise InputError(f"{what} {cut(repr(value))} {unit}: must be a finite number")
-    return float(number)
-
-
-def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
-    """(n,) weights of linear interpolation at `value`, which lies inside the nodes."""
-    weights, after = np.zeros(nodes.size), int(np.searchsorted(nodes, value))
-    share = 1.0 if after == 0 else (value - nodes[after - 1]) / (nodes[after] - nodes[after - 1])
-    weights[after - 1], weights[after] = 1 - share, share
-    return weights
-
-
-def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
-    """(nv,) weights by which references of the nodes make that of a speed on the grid (`reference.between`).
-
-    r = v ((1 - w) r_1 / v_1 + w r_2 / v_2): the shape r / v is linear in speed.
-    """
-    return np.asarray(speed_m_s * interpolation_weights(nodes_m_s, speed_m_s) / nodes_m_s)
 
 
 @dataclass(frozen=True)
@@ -119,6 +62,11 @@ class Library:
     In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`,
     so that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
     `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
+
+    Where the scene's plant is nonlinear (`meta["nonlinear"]`), `plant_A` to `plant_Ce` are the plant as it is at
+    rest, and commands, predictions, errors and multipliers are of the nonlinear plant (`transopt.library.nonlinear`),
+    the errors of the other methods too. Such an entry is a stationary point and no proven optimum: its `lower_bound`
+    is 0, below which no J is. `floor` is that of the plant at rest.
     """
 
     speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising", needs="speeds")]
@@ -171,9 +119,25 @@ class Library:
     ]
     floor: Annotated[FloatArray, Array("vg", "", "the same of the optimum without limits")]
     nrmse_seed: Annotated[
-        FloatArray, Array("vg2", "", "of the seed's clipped inversion, at transient and steady limit")
+        FloatArray,
+        Array("vg2", "", "of the seed's clipped inversion, at transient and steady limit", may_be_nan=True),
     ]
-    nrmse_clipped: Annotated[FloatArray, Array("vg2", "", "of the optimum without limits, clipped at both likewise")]
+    nrmse_clipped: Annotated[
+        FloatArray, Array("vg2", "", "of the optimum without limits, clipped at both likewise", may_be_nan=True)
+    ]
+    linear_command: Annotated[
+        FloatArray, Array("vgN", INPUT, "command of the design for the plant as it is at rest", needs="nonlinear")
+    ]
+    nrmse_promised: Annotated[
+        FloatArray, Array("vg", "", "of that command on the plant as it is at rest", needs="nonlinear")
+    ]
+    nrmse_linear: Annotated[
+        FloatArray,
+        Array("vg", "", "of that command on the nonlinear plant after replay", may_be_nan=True, needs="nonlinear"),
+    ]
+    substeps: Annotated[
+        FloatArray, Array("vg", "", "steps of the nonlinear stage in a servo period, 1 to 32", needs="nonlinear")
+    ]
     peak_input: Annotated[FloatArray, Array("vg", INPUT, "largest size of it in the replay", before="peak_current_A")]
     peak_temperature_C: Annotated[
         FloatArray, Array("vg", "C", "hottest winding of the replay, NaN without a motor's data", may_be_nan=True)
@@ -227,8 +191,31 @@ class Library:
         return wrapped(
             f"Library({cut(self.meta['scene']['name'])}: {self.axes.said}, {stages} commands of {1e3 * dt_s:g} ms, "
             f"limit {self.input_limit:g} {self.driven_by.unit}, NRMSE {percent(self.nrmse.min())} to "
-            f"{percent(self.nrmse.max())} %)"
+            f"{percent(self.nrmse.max())} %{'; nonlinear plant, stationary points' if self.nonlinear else ''})"
         )
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether its commands are for a nonlinear plant."""
+        return self.meta.get("nonlinear") is not None
+
+    @property
+    def claim(self) -> str:
+        """What is proven of its commands where that is not that each is an optimum, in a sentence; empty else."""
+        return NONLINEAR_CLAIM if self.nonlinear else ""
+
+    def check_linear(self, what: str) -> None:
+        """Refuse what only a linear plant allows.
+
+        Raises
+        ------
+        InputError : a nonlinear plant.
+        """
+        if self.nonlinear:
+            raise InputError(
+                f"{what}: this library's plant is nonlinear, and this is done with linear plants alone: verify, "
+                "show, compare and export take it; for all else solve the scene without model.nonlinear"
+            )
 
     @property
     def axes(self) -> Axes:
@@ -325,7 +312,11 @@ class Library:
         return tuple(found)
 
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
-        """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""
+        """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it.
+
+        Of a nonlinear plant it is the problem of the plant as it is at rest, whose limits and objective
+        `transopt.library.nonlinear.nonlinear_problem` puts on the nonlinear one.
+        """
         wanted = self.wanted(float(self.speeds_m_s[iv]), np.eye(self.speeds_m_s.size)[iv])
         wanted = replace(wanted, target=wanted.target.moved(self.correction_m_s2[iv, ig]))
         stage = self.stage(ig) if stage is None else stage
@@ -344,6 +335,12 @@ class Library:
 
     def lasting(self, iv: int, ig: int) -> tuple[FloatArray, FloatArray]:
         """(N + M,) y'' and i of an entry at the switching instants, as predicted through its window and after it."""
+        if self.nonlinear:
+            # Of such a library alone, since it takes the scene with all that reads one.
+            from transopt.library.nonlinear import nonlinear_problem
+
+            lasting = nonlinear_problem(self, iv, ig).effect(self.command[iv, ig]).lasting
+            return lasting.acceleration_m_s2, lasting.plant_input
         problem = self.problem(iv, ig)
         return problem.stage.rollout(problem.continued(self.command[iv, ig]))
 

@@ -104,6 +104,7 @@ META = {
     "weights.error_filter_a": _needed("denominator of the filter in 1/z, 1 without", since=2),
     "left_out": _needed("part of the problem -> why it cannot matter, or a table of reasons by entry", whole=True),
     "repeatability": _needed("by speed: NRMSE of single recordings about their mean; null where there is one"),
+    "nonlinear": Stated("formulas that the plant has in place of constants", "a linear plant", whole=True),
     "scene": _needed("the scene as it was read, every key; `transopt scene keys` says what they are", whole=True),
     "sources": _needed("recordings and model files by name and SHA-256, and how they were prepared", whole=True),
     "versions": _needed("of this project and of what it computed with", whole=True),

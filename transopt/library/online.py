@@ -17,8 +17,9 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief, cut
 from transopt.base.signals import FloatArray
-from transopt.library.library import Library, Waveform, finite, interpolation_weights, speed_weights
+from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
+from transopt.library.place import Waveform, finite, interpolation_weights, speed_weights
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
@@ -117,6 +118,7 @@ class Online:
         for kind, made in (("plant", plant), ("spread", spread)):
             if made is not None and not callable(made):
                 raise InputError(f"online: {kind} = {cut(repr(made))}: must be a function of the grip in N")
+        library.check_linear("online")
         if library.posing().worst:
             raise InputError(
                 'online: robust.minimise = "worst" is a search through many optima for one tap: solve the scene '

@@ -5,7 +5,8 @@ stands in a library is therefore not believed before it plays, is shown or leave
 
 - the limits, weights, time axis and plants are those of the scene that the library carries;
 - every command keeps all limits and is optimal by its own multipliers (`transopt.proof.certify`); where the copper's
-  warming makes that a stationary point, a convex problem bounds J from below;
+  warming makes that a stationary point, a convex problem bounds J from below; on a nonlinear plant a stationary point
+  is all that is claimed (`transopt.library.nonlinear_proven`);
 - current, acceleration, errors, peaks and what binds are recomputed from the command.
 
 `transopt verify` does the same and replays every entry with another integrator.
@@ -95,6 +96,9 @@ def misstatements(library: Library) -> Iterator[str]:
 
 
 def _of_grip(library: Library, ig: int) -> Iterator[str]:
+    if library.nonlinear:
+        yield from _of_nonlinear_plant(library, ig)
+        return
     stage = library.stage(ig)
     yield from _rivals(library, ig, stage)
     floors = Floors()
@@ -109,9 +113,20 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         elif not (proof.accepted or (proof.is_stationary and not _boundable(problem))):
             yield where + _shortfall(proof)
         else:
-            yield from (where + off for off in _predictions(library, iv, ig, effect))
+            yield from (where + off for off in predictions(library, iv, ig, effect))
             floor = floors.of(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
             yield from (where + off for off in contradictions(library, iv, ig, effect, proof, floor))
+
+
+def _of_nonlinear_plant(library: Library, ig: int) -> Iterator[str]:
+    # Of such a library alone.
+    from transopt.library.nonlinear import nonlinear_problem
+    from transopt.library.nonlinear_proven import nonlinear_doubts
+
+    plant, floors = library.scene().nonlinear_plant(), Floors()
+    for iv in range(library.speeds_m_s.size):
+        found = nonlinear_doubts(library, iv, ig, nonlinear_problem(library, iv, ig, plant), floors)
+        yield from (f"entry {library.axes.place(iv, ig)}: {said}" for said in found)
 
 
 def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
@@ -127,13 +142,20 @@ def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
             yield f"{where}: nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {np.array(value)}"
 
 
-def _shortfall(proof: Certificate) -> str:
-    """What a certificate that is not accepted lacks."""
+def not_feasible(proof: Certificate) -> str:
+    """Why a certificate is of no admissible command; empty if it is of one."""
     if not proof.finite:
         return "not certified: its numbers do not stay finite"
     if proof.excess > 1:
         over = ", ".join(f"{by:.3g} {unit}" for unit, by in proof.stated_violations.items() if by > 0)
         return f"not certified: a limit is exceeded by {over}"
+    return ""
+
+
+def _shortfall(proof: Certificate) -> str:
+    """What a certificate that is not accepted lacks."""
+    if said := not_feasible(proof):
+        return said
     if proof.relative_gap > proof.GAP_TOLERANCE:
         return f"not certified: may lie {proof.relative_gap:.1e} above the optimum, limit {proof.GAP_TOLERANCE:.0e}"
     return f"not certified: lies {proof.relative_bound:.1e} above the bound, limit {proof.BOUND_TOLERANCE:.0e}"
@@ -250,7 +272,7 @@ def contradictions(
         yield f"{library.in_file('transient_command')} is not {library.in_file('command')} less the wall's feedback"
 
 
-def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator[str]:
+def predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator[str]:
     """What the file predicts of an entry and its command does not do."""
     problem, motion, reference = effect.problem, effect.motion, library.reference_m_s2[iv]
     target = library.target(np.eye(library.speeds_m_s.size)[iv])
@@ -309,7 +331,10 @@ def _afterwards(library: Library, iv: int, ig: int, effect: Effect, target: Targ
 def _against_scene(library: Library) -> Iterator[str]:
     """Where the file states another problem than the scene that it carries: limits, weights, time axis, plants."""
     scene = library.scene()
-    stated, own = Posing.of(library.meta, library.command.shape[2]), scene.posing()
+    # Of a nonlinear plant the file states the plant as it is at rest, and the formulas.
+    at_rest = scene.at_rest()
+    stated, own = Posing.of(library.meta, library.command.shape[2]), at_rest.posing()
+    yield from _different("nonlinear", library.meta.get("nonlinear"), scene.formulas)
     for field in fields(Posing):
         if field.name == "law_of":
             continue
@@ -328,7 +353,7 @@ def _against_scene(library: Library) -> Iterator[str]:
         if stray:
             yield f"{name}: {stray[0]:g} is no node of its scene"
     for ig, grip in enumerate(library.grips_N):
-        plant = scene.plant(float(grip))
+        plant = at_rest.plant(float(grip))
         for name in PLANT:
             stored, value = getattr(library, f"plant_{name}")[ig], getattr(plant, name)
             if stored.shape != value.shape or not np.abs(stored - value).max() <= SAME * np.abs(value).max():

@@ -52,6 +52,12 @@ class NonlinearProblem:
         """What a command (N,) does."""
         return NonlinearEffect(self, command)
 
+    def nrmse(self, command: FloatArray) -> float:
+        """Error of a command (N,) on the nonlinear plant, by its stage; NaN where its motion has no value."""
+        with np.errstate(all="ignore"):
+            error = self.linear.target.nrmse(self.stage.motion(command).acceleration_m_s2)
+        return error if np.isfinite(error) else float("nan")
+
 
 class NonlinearEffect:
     """What a command (N,) does in a problem, each part computed when it is first asked for and then kept."""

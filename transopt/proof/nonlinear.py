@@ -39,7 +39,13 @@ def with_hand_over(effect: NonlinearEffect, multipliers: Multipliers) -> Multipl
     return replace(silent, hand_over=-reduced_gradient(effect, silent)[effect.problem.linear.free_stages :])
 
 
-def certify_nonlinear(problem: NonlinearProblem, command: FloatArray, multipliers: Multipliers) -> Certificate:
+def certify_nonlinear(
+    problem: NonlinearProblem,
+    command: FloatArray,
+    multipliers: Multipliers,
+    *,
+    effect: NonlinearEffect | None = None,
+) -> Certificate:
     """How far a command is from a stationary point; no bound on the optimum follows, whose problem is not convex.
 
     As for the convex problem (`certify.certify`), sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|) with the slacks s and
@@ -49,13 +55,14 @@ def certify_nonlinear(problem: NonlinearProblem, command: FloatArray, multiplier
     Parameters
     ----------
     command : (N,).
+    effect : of the command, where it is known already.
     """
     linear = problem.linear
     N, arrays = linear.grid.stages, [command, *multipliers.arrays()]
     shapes = [(N,)] * (len(arrays) - 2) + [(linear.hand_over_samples,), (N,)]
     if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
         return Certificate.nothing()
-    effect, clipped = problem.effect(command), multipliers.clipped()
+    effect, clipped = effect or problem.effect(command), multipliers.clipped()
     if not effect.finite or not np.isfinite(effect.objective):
         return Certificate.nothing()
     limits, tail = boxes(linear, command, effect.motion, clipped), command[linear.free_stages :]

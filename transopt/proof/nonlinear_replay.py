@@ -16,10 +16,12 @@ from scipy.integrate import solve_ivp
 from transopt.base.arithmetic import NUMPY
 from transopt.base.signals import FloatArray
 from transopt.plant.continuous import Trajectory, after_s, peak_scale
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.plant.state_space import VELOCITY
+from transopt.problem.limits.limit import Limits
 from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.objective.target import Target
 from transopt.proof.replay import Replay, largest_reached
 
 SAMPLES = 4  # in every period
@@ -106,25 +108,49 @@ def _trajectory(stage: NonlinearStage, grid: TimeGrid, course: _Course) -> Traje
 
 
 def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) -> list[Replay]:
-    """Play commands (N,) on the nonlinear plant, from rest, against what the problem asks for.
+    """Play commands (N,) on the nonlinear plant, from rest, against what the problem asks for."""
+    linear = problem.linear
+    return played_nonlinear(problem.stage, linear.stage, linear.grid, linear.target, linear.limits, commands)
+
+
+def played_nonlinear(
+    stage: NonlinearStage,
+    at_rest: StageModel,
+    grid: TimeGrid,
+    target: Target,
+    watched: Limits,
+    commands: Sequence[FloatArray],
+) -> list[Replay]:
+    """Play commands (N,) on a nonlinear plant, from rest.
 
     The temperatures are NaN: no winding is looked at. `step_error` is the difference of y'' to a replay with a
     hundredfold tolerance, relative to its peak.
+
+    Parameters
+    ----------
+    stage : whose plant and amplifier are played; its steps are not.
+    at_rest : the linear device over one period, by whose outputs the limits are stated.
+    target : what shall be done. watched : limits that are looked at.
     """
-    linear, stage = problem.linear, problem.stage
-    grid, target, N = linear.grid, linear.target, linear.grid.stages
-    played = np.stack(commands)
+    N, played = grid.stages, np.stack(commands)
+    after = np.zeros(grid.after_stages)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # Where a motion has no value the states up to there tell their sizes; at tau_0 they are zero.
-        peaks = np.max([np.nanmax(np.abs(stage.states(linear.continued(c))), axis=0) for c in played], axis=0)
+        states = [stage.states(np.append(each, after)) for each in played]
+        if len(played) > 1 and not np.isfinite(states).all():
+            # All commands share their steps, and one whose motion has no value would take the others with it.
+            return [
+                found for each in played for found in played_nonlinear(stage, at_rest, grid, target, watched, [each])
+            ]
+        peaks = np.max([np.nanmax(np.abs(each), axis=0) for each in states], axis=0)
         sizes = np.where(peaks > 0, peaks, 1.0)
         course = _integrated(stage, grid, played, sizes, RELATIVE)
         coarse = _integrated(stage, grid, played, sizes, COARSER * RELATIVE)
         run, other = (_trajectory(stage, grid, each) for each in (course, coarse))
         found, before = (each.acceleration_m_s2[:, course.instants] for each in (run, other))
         error = np.abs(found - before).max(axis=1) / peak_scale(np.abs(found).max(axis=1), 0.0)
-        limits = largest_reached([run], [linear.limits] * len(played), linear.devices, grid)
-    after = run.times_s > grid.end_s
+        limits = largest_reached([run], [watched] * len(played), (at_rest,), grid)
+    later = run.times_s > grid.end_s
     return [
         Replay(
             acceleration_m_s2=found[m, :N],
@@ -135,7 +161,7 @@ def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) 
             after_m_s2=found[m, N:],
             peak_input=float(np.abs(run.plant_input[m]).max()),
             peak_command=float(np.abs(played[m]).max()),
-            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, later]).max()),
             reached=limits[m][0],
             reached_while_stated=limits[m][1],
             winding_C=float("nan"),

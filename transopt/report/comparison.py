@@ -12,9 +12,7 @@ from transopt.base import writing
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
-from transopt.problem.answer import verdict
-from transopt.problem.objective.bands import levels
-from transopt.report.tables import percent
+from transopt.report.tables import library_verdict, percent
 
 LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
 CHANGE_COLUMNS = ("stated", "A", "B")
@@ -68,6 +66,7 @@ class Comparison:
     same_content : whether both files hold the same, to the last bit.
     columns : heads of what a node is.
     unit : of the commands.
+    claims : what is proven of A and of B where that is not that each command is an optimum; empty else.
     """
 
     both: dict[Node, tuple[Figures, Figures]]
@@ -78,6 +77,7 @@ class Comparison:
     same_content: bool
     columns: list[str]
     unit: str
+    claims: tuple[str, str] = ("", "")
 
     @classmethod
     def of(cls, first: Library, second: Library) -> "Comparison":
@@ -103,6 +103,7 @@ class Comparison:
             same_content=first.content_sha256 == second.content_sha256,
             columns=first.axes.columns,
             unit=first.driven_by.unit,
+            claims=(first.claim, second.claim),
         )
 
     @property
@@ -127,7 +128,6 @@ def _entries(library: Library) -> dict[Node, Figures]:
     looked = library.reference_after_m_s2.shape[1] > 0
     names = library.axes.targets
     for iv, speed in enumerate(library.speeds_m_s):
-        spread = library.meta["repeatability"][iv]
         for ig, grip in enumerate(library.grips_N):
             nrmse, floor = float(library.nrmse[iv, ig]), float(library.floor[iv, ig])
             node = (names[iv],) if names else (f"{speed:.9g}", f"{grip:.9g}")
@@ -137,12 +137,7 @@ def _entries(library: Library) -> dict[Node, Figures]:
                 peak_after_m_s2=float(library.peak_after_m_s2[iv, ig]) if looked else float("nan"),
                 peak_input=float(library.peak_input[iv, ig]),
                 peak_temperature_C=float(library.peak_temperature_C[iv, ig]),
-                verdict=verdict(
-                    nrmse,
-                    floor,
-                    float("nan") if spread is None else spread,
-                    levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
-                ),
+                verdict=library_verdict(library, iv, ig),
                 command=library.command[iv, ig],
             )
     return found
@@ -223,8 +218,9 @@ def change_table(found: Comparison) -> Table:
 
 def comparison_summary(found: Comparison) -> str:
     """One line: how many entries, where the error changes most, how much is stated differently."""
+    claims = [f"{name}: {claim}" for name, claim in zip("AB", found.claims, strict=True) if claim]
     if found.same_content:
-        return f"{len(found.both)} entries; A and B hold the same content"
+        return "; ".join([f"{len(found.both)} entries; A and B hold the same content", *claims[:1]])
     said = [f"{len(found.both)} entries in both"]
     said += [
         f"{len(nodes)} only in {name}" for name, nodes in (("A", found.only_first), ("B", found.only_second)) if nodes
@@ -236,7 +232,7 @@ def comparison_summary(found: Comparison) -> str:
         points = f"{100 * change[worst]:+.2g} points" if change[worst] else "nothing"
         said.append(f"NRMSE changes most by {points}, at {place}")
     said.append(f"{len(found.changes)} values stated differently")
-    return "; ".join(said)
+    return "; ".join([*said, *claims])
 
 
 def comparison_markdown(found: Comparison, names: str) -> str:

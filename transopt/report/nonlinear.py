@@ -9,16 +9,19 @@ from transopt.base.files import without_nan
 from transopt.base.terminal import make_folder
 from transopt.base.writing import csv_text, table, write_text
 from transopt.design.nonlinear import COLUMNS, NonlinearDesign, NonlinearEntry
+from transopt.library.library import NONLINEAR_CLAIM
 from transopt.problem.answer import Status
 from transopt.report.publish import publish
 
 REPORT, FIGURES, COMMANDS, DRAWN = "nonlinear.md", "nonlinear.json", "nonlinear.csv", "nonlinear.png"
+LIBRARY = "library.npz"
 
 
 def write_nonlinear(design: NonlinearDesign, folder: str | Path, *, figures: bool = True) -> list[Path]:
-    """Write `nonlinear.md`, `.json`, `.png` and the proven commands as `nonlinear.csv`, all or none.
+    """Write `library.npz`, `nonlinear.md`, `.json`, `.png` and the proven commands as `nonlinear.csv`, all or none.
 
-    Where no entry is proven there is no `nonlinear.csv`. What is not written goes if an earlier design left it.
+    Where no entry is proven there is no `nonlinear.csv`; what is not written goes if an earlier design left it. A
+    library is written where every entry is proven, and an earlier one stays else.
 
     Parameters
     ----------
@@ -38,6 +41,8 @@ def write_nonlinear(design: NonlinearDesign, folder: str | Path, *, figures: boo
         REPORT: lambda path: write_text(nonlinear_markdown(design), path),
         FIGURES: lambda path: write_text(nonlinear_json(design), path),
     }
+    if design.library is not None:
+        files[LIBRARY] = design.library.save
     if design.proven:
         files[COMMANDS] = lambda path: write_text(commands_csv(design), path)
     if figures:
@@ -60,6 +65,7 @@ def nonlinear_markdown(design: NonlinearDesign) -> str:
         "`linear, promised` is what the linear plant would have; all other errors are of the command played on the "
         "nonlinear plant in continuous time. The status is `stationary`: the gradient of the Lagrangian vanishes "
         "within the tolerance (`gap`); no lower bound follows, since the problem is not convex.",
+        *(["", f"`{LIBRARY}`: {NONLINEAR_CLAIM}."] if design.library is not None else []),
         "",
         *table(COLUMNS, design.rows()),
     ]

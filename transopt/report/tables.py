@@ -212,41 +212,53 @@ def refinement_summary(refinement: Refinement) -> str:
     )
 
 
+def library_verdict(library: Library, iv: int, ig: int) -> str:
+    """How good an entry of a file is, see `transopt.problem.answer.verdict`.
+
+    The floor of a library whose plant is nonlinear is that of another plant, the one at rest, and is no measure here.
+    """
+    spread = library.meta["repeatability"][iv]
+    return verdict(
+        float(library.nrmse[iv, ig]),
+        float("nan") if library.nonlinear else float(library.floor[iv, ig]),
+        float("nan") if spread is None else spread,
+        levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
+    )
+
+
 def library_table(library: Library, name: str) -> Table:
-    """The table that `transopt show` prints, from the file alone."""
+    """The table that `transopt show` prints, from the file alone.
+
+    Of a nonlinear plant it has the linear design's error beside, and says below what is proven.
+    """
     axes, unit = library.axes, library.driven_by.unit
     at = f"at {library.input_limit:g} / {library.steady_input:g} {unit}"
     columns = [*axes.columns, "NRMSE %", "floor %", "after %", "after g", f"seed % {at}", f"clipped % {at}"]
-    columns += [f"peak {unit}", "winding C"]
+    columns += ["linear % promised / played"] * library.nonlinear + [f"peak {unit}", "winding C"]
     samples = library.reference_after_m_s2.shape[1]
-    table = Table(title=name)
+    table = Table(title=name, caption=library.claim or None)
     for column in (*columns, "gap", "ms"):
         table.add_column(column, justify="right", overflow="fold")
     for column in ("what binds", "verdict"):
         table.add_column(column, overflow="fold")
     for iv in range(library.speeds_m_s.size):
-        spread = library.meta["repeatability"][iv]
         for ig in range(library.grips_N.size):
+            promised, linear = library.nrmse_promised[iv, ig], library.nrmse_linear[iv, ig]
             gap = library.duality_gap[iv, ig] / max(library.objective[iv, ig], OBJECTIVE_SCALE)
-            nrmse, floor = library.nrmse[iv, ig], library.floor[iv, ig]
             table.add_row(
                 *axes.cells(iv, ig),
-                percent(nrmse),
-                percent(floor),
+                percent(library.nrmse[iv, ig]),
+                percent(library.floor[iv, ig]),
                 *after_cells(library.nrmse_after[iv, ig], library.peak_after_m_s2[iv, ig], samples),
                 " / ".join(percent(error) for error in library.nrmse_seed[iv, ig]),
                 " / ".join(percent(error) for error in library.nrmse_clipped[iv, ig]),
+                *([f"{percent(promised)} / {percent(linear)}"] if library.nonlinear else []),
                 f"{library.peak_input[iv, ig]:.3f}",
                 "-" if np.isnan(library.peak_temperature_C[iv, ig]) else f"{library.peak_temperature_C[iv, ig]:.2f}",
                 f"{gap:.0e}",
                 f"{library.solve_time_s[iv, ig] * 1e3:.0f}",
                 str(library.binding[iv, ig]),
-                verdict(
-                    nrmse,
-                    floor,
-                    float("nan") if spread is None else spread,
-                    levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
-                ),
+                library_verdict(library, iv, ig),
             )
         table.add_section()
     return table

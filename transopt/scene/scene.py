@@ -24,6 +24,7 @@ from transopt.plant.kind import PlantKind
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Motor, Tip, Transmission, Winding, at_the_tip
 from transopt.plant.moving_coil import MovingCoil
+from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.state_space import Input, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
@@ -398,6 +399,24 @@ class Scene(Section):
         """Whether its plant has formulas in place of constants."""
         return isinstance(self.model, MovingCoil) and self.model.nonlinear is not None
 
+    @property
+    def formulas(self) -> dict[str, str | None] | None:
+        """What its plant has in place of constants, key -> formula; None for a linear plant."""
+        stated = self.model.nonlinear if isinstance(self.model, MovingCoil) else None
+        return None if stated is None else stated.model_dump()
+
+    def nonlinear_plant(self) -> NonlinearCoil:
+        """The plant with its formulas.
+
+        Raises
+        ------
+        InputError : a scene without `model.nonlinear`.
+        """
+        plant = self.model.nonlinear_plant() if isinstance(self.model, MovingCoil) else None
+        if plant is None:
+            raise InputError(f"{self.name}: model.nonlinear: missing; add it to the scene, or use transopt.build")
+        return plant
+
     def at_rest(self) -> Self:
         """The scene with the plant as it is at rest, a linear one."""
         if not self.nonlinear:
@@ -413,8 +432,8 @@ class Scene(Section):
         """
         if self.nonlinear:
             raise InputError(
-                f"{self.name}: model.nonlinear: no library holds a nonlinear plant; design it with "
-                "transopt.design_nonlinear or `transopt solve`, or leave the table out"
+                f"{self.name}: model.nonlinear: this is done with linear plants alone; `transopt solve` and "
+                "transopt.design_nonlinear design for a nonlinear one, for all else leave the table out"
             )
         grid = self.time_grid()
         return Posing(

@@ -376,6 +376,7 @@ def opened(source: Scene | Library | str | Path, recordings: Path | None = None)
     if isinstance(source, str | Path) and str(source).lower().endswith(".npz"):
         source = load_proven(Path(source))
     if isinstance(source, Library):
+        source.check_linear("page")
         return Service(source.scene(), library=source)
     scene = source if isinstance(source, Scene) else load_scene(source)
     if recordings is not None:

@@ -11,6 +11,7 @@ import pytest
 
 import transopt as to
 from tests.benches.commands import Terminal, assert_refused
+from tests.benches.nonlinear_scene import SCENE, stated
 from transopt.base.errors import InputError
 from transopt.design import nonlinear
 from transopt.design.nonlinear import NonlinearDesign, design_nonlinear
@@ -19,53 +20,6 @@ from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.nonlinear_replay import replay_nonlinear
 from transopt.scene.builtin import load_scene
 from transopt.solvers.options import SolverOptions
-
-SCENE = """
-amplifier = "ideal"
-hand_over_samples = 1
-
-[time]
-dt_s = 2e-4
-stages = 120
-lead_s = 0.0
-
-[[targets]]
-name = "click"
-shape = "burst"
-frequency_Hz = 150
-cycles = 2
-peak_m_s2 = 12.0
-
-[model]
-kind = "inertial"
-resonance_Hz = 150
-quality = 8
-moving_mass_kg = 0.003
-case_mass_kg = 0.1
-force_factor_N_A = 0.8
-R_ohm = 8.0
-L_H = 5e-4
-
-[model.nonlinear]
-force_factor = "BL*(1 - 0.3*(x/0.6e-3)**2)"
-
-[limits]
-voltage_V = 12.0
-stroke_m = 6e-4
-
-[weights]
-after_s = 10e-3
-"""
-
-
-def stated(tmp_path: Path, *swaps: tuple[str, str]) -> Path:
-    text = SCENE
-    for old, new in swaps:
-        assert old in text
-        text = text.replace(old, new)
-    path = tmp_path / "lra.toml"
-    path.write_text(text)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -143,9 +97,11 @@ class TestRefusedAnswer:
 
 
 class TestScene:
-    def test_a_library_of_it_is_refused_by_one_line(self, tmp_path: Path, terminal: Terminal) -> None:
+    def test_what_takes_linear_plants_alone_is_refused_by_one_line(self, tmp_path: Path, terminal: Terminal) -> None:
         path = stated(tmp_path)
-        with pytest.raises(InputError, match=r"no library holds a nonlinear plant; design it with transopt\.design_"):
+        with pytest.raises(
+            InputError, match=r"done with linear plants alone; `transopt solve` and transopt\.design_"
+        ):
             to.build(path)
         refused = terminal("transopt", "solve", path, "--out", tmp_path / "out", "--grid-tolerance", "0.02")
         assert_refused(refused, "--grid-tolerance", "model.nonlinear")
@@ -160,7 +116,9 @@ class TestScene:
         assert entry["status"] == "stationary"
         assert entry["nrmse"] < 0.5 * entry["linear_nrmse"]
         assert "stationary" in (out / "nonlinear.md").read_text()
-        assert not (out / "library.npz").exists()
+        stored = to.load_library(out / "library.npz")
+        assert stored.nrmse[0, 0] == pytest.approx(entry["nrmse"], rel=1e-9)
+        assert stored.nrmse_linear[0, 0] == pytest.approx(entry["linear_nrmse"], rel=1e-9)
         assert (out / "nonlinear.png").read_bytes().startswith(b"\x89PNG")
         # The command in the file, played by DOP853 on the equations of motion, has the error that the report states.
         command = np.loadtxt(out / "nonlinear.csv", delimiter=",", skiprows=1)[:, 1]
@@ -174,6 +132,7 @@ class TestScene:
         out = tmp_path / "out"
         out.mkdir()
         (out / "nonlinear.csv").write_text("of an earlier design")
+        (out / "library.npz").write_text("of an earlier design")
         solve = nonlinear.solve
         monkeypatch.setattr(
             nonlinear, "solve", lambda posed, start, options: solve(posed, start, replace(options, max_iterations=2))
@@ -184,6 +143,8 @@ class TestScene:
         assert "0 of 1 targets certified stationary" in solved.out
         assert json.loads((out / "nonlinear.json").read_text())["entries"][0]["status"] == "iteration_limit"
         assert not (out / "nonlinear.csv").exists()
+        assert "no library written, an earlier one is kept" in solved.out
+        assert (out / "library.npz").read_text() == "of an earlier design"
 
     def test_without_the_table_it_is_the_linear_scene(self, tmp_path: Path) -> None:
         path = stated(tmp_path)

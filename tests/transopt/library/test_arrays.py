@@ -43,6 +43,7 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
             "spread",
             "worst",
             "refinement",
+            "nonlinear",
             "after_s",
             "intensity",
             *(kind.stored_with(row) for kind in KINDS for row in kind.row_names),

@@ -19,8 +19,9 @@ from transopt.design.build import build_library
 from transopt.design.optimum import optimum
 from transopt.design.posed import entry_problem, scene_stage
 from transopt.library import online
-from transopt.library.library import Library, speed_weights
+from transopt.library.library import Library
 from transopt.library.online import Online
+from transopt.library.place import speed_weights
 from transopt.proof.certify import certify
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording

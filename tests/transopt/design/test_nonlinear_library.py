@@ -1,0 +1,196 @@
+"""Libraries of a nonlinear plant: from solve through verify to export, and nothing that is tampered with passes."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import integrate
+from scipy.io import wavfile
+
+import transopt as to
+from tests.benches.commands import Terminal, assert_refused
+from tests.benches.nonlinear_scene import stated
+from transopt.base.errors import InputError
+from transopt.design.resolve import resolve
+from transopt.library.library import NONLINEAR_CLAIM, Library
+from transopt.library.proven import doubts, load_proven
+from transopt.problem.answer import Status
+
+DT_S, STAGES, AFTER = 2e-4, 120, 50
+Tampered = Callable[[Library], Library]
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return to.solve(stated(tmp_path_factory.mktemp("nonlinear")))
+
+
+def by_newton(command: np.ndarray) -> np.ndarray:
+    """(K,) acceleration of the case at the switching instants, from the scene's own numbers.
+
+    With x of the mass against the case, BL(x) = 0.8 (1 - 0.3 (x / 0.6 mm)^2) N/A, mu = m M / (m + M), k = mu w^2 and
+    c = mu w / Q: mu x'' = BL(x) i - k x - c x', L di/dt = u - R i - BL(x) x', and the case has that force over M.
+    """
+    m, case, w, quality, R_ohm, L_H = 0.003, 0.1, 2 * np.pi * 150, 8.0, 8.0, 5e-4
+    mu = m * case / (m + case)
+
+    def force(x: float, v: float, i: float) -> tuple[float, float]:
+        BL = 0.8 * (1 - 0.3 * (x / 0.6e-3) ** 2)
+        return BL, BL * i - mu * w**2 * x - mu * w / quality * v
+
+    def rate(_: float, z: np.ndarray, u: float) -> list[float]:
+        x, v, i = z
+        BL, pull = force(x, v, i)
+        return [v, pull / mu, (u - R_ohm * i - BL * v) / L_H]
+
+    z, found = np.zeros(3), []
+    for u in command:
+        found.append(force(*z)[1] / case)
+        z = integrate.solve_ivp(rate, (0, DT_S), z, "DOP853", rtol=1e-11, atol=1e-15, args=(u,)).y[:, -1]
+    return np.array(found)
+
+
+class TestRoundTrip:
+    def test_solve_verify_show_export(self, tmp_path: Path, terminal: Terminal) -> None:
+        out = tmp_path / "out"
+        assert terminal("transopt", "solve", stated(tmp_path), "--out", out, "--no-figures").code == 0
+        path = out / "library.npz"
+        verified = terminal("transopt", "verify", path)
+        assert verified.code == 0, verified.out
+        assert "1 of 1 entries certified and replayed clean" in verified.out
+        assert NONLINEAR_CLAIM in verified.out
+        shown = terminal("transopt", "show", path, "--figure", out / "transients.png")
+        assert shown.code == 0, shown.err
+        assert "stationary" in shown.out
+        assert (out / "transients.png").read_bytes().startswith(b"\x89PNG")
+        compared = terminal("transopt", "compare", path, path)
+        assert NONLINEAR_CLAIM in " ".join(compared.out.split())
+        for name in ("taps.wav", "taps.mat", "taps.csv"):
+            assert terminal("transopt", "export", path, out / name).code == 0
+        assert f"# {NONLINEAR_CLAIM}\n" in (out / "taps.csv").read_text()
+        exported = terminal("transopt", "export", path, out / "click.h", "--drive")
+        assert exported.code == 0, exported.err
+        assert "transopt_drive_click" in (out / "click.h").read_text()
+        assert terminal("transopt", "export", path, out / "click.wav", "--drive", "--bits", "float").code == 0
+        _, samples = wavfile.read(out / "click.wav")
+        command = to.load_library(path).command[0, 0]
+        assert samples * 12.0 == pytest.approx(command, abs=1e-6 * 12.0)
+
+    def test_a_drive_at_another_rate_is_played_on_the_nonlinear_plant(self, solved: Library, tmp_path: Path) -> None:
+        own, twice = (
+            to.export_drive(solved, tmp_path / "click.bin", rate_Hz=rate_Hz, bits="float")[1][0]
+            for rate_Hz in (1 / DT_S, 2 / DT_S)
+        )
+        lasting = solved.lasting(0, 0)[0]
+        size = np.abs(lasting).max()
+        for played in (own, twice):
+            assert played.acceleration_m_s2 == pytest.approx(lasting, abs=1e-5 * size)
+            assert played.nrmse == pytest.approx(solved.nrmse[0, 0], rel=1e-4)
+            assert not played.limits_left
+        _, [halved] = to.export_drive(solved, tmp_path / "click.bin", rate_Hz=1e3, bits="float")
+        expected = by_newton(np.repeat(halved.drive.values, 5))
+        found = halved.acceleration_m_s2[: expected.size]
+        assert found == pytest.approx(expected[: found.size], abs=1e-5 * np.abs(expected).max())
+
+
+class TestLibrary:
+    def test_is_a_stationary_point_with_the_linear_design_beside_it(self, solved: Library, tmp_path: Path) -> None:
+        assert solved.nonlinear
+        assert solved.status[0, 0] == Status.STATIONARY.value
+        assert solved.nrmse[0, 0] <= 0.5 * solved.nrmse_linear[0, 0]
+        assert solved.nrmse_promised[0, 0] < solved.nrmse_linear[0, 0]
+        assert not solved.lower_bound.any()
+        assert "nonlinear plant, stationary points" in " ".join(repr(solved).split())
+        solved.save(tmp_path / "library.npz")
+        read = load_proven(tmp_path / "library.npz")
+        assert read.content_sha256 == solved.content_sha256
+        assert read.scene().nonlinear
+
+    def test_acceleration_is_that_of_the_equations_of_motion(self, solved: Library) -> None:
+        lasting = by_newton(np.append(solved.command[0, 0], np.zeros(AFTER)))
+        size = np.abs(lasting).max()
+        assert solved.acceleration_m_s2[0, 0] == pytest.approx(lasting[:STAGES], abs=1e-6 * size)
+        assert solved.lasting(0, 0)[0] == pytest.approx(lasting, abs=1e-6 * size)
+        error = lasting[:STAGES] - solved.reference_m_s2[0]
+        assert solved.nrmse[0, 0] == pytest.approx(
+            np.linalg.norm(error) / np.linalg.norm(solved.reference_m_s2[0]), rel=1e-5
+        )
+        linear = by_newton(solved.linear_command[0, 0]) - solved.reference_m_s2[0]
+        assert solved.nrmse_linear[0, 0] == pytest.approx(
+            np.linalg.norm(linear) / np.linalg.norm(solved.reference_m_s2[0]), rel=1e-5
+        )
+
+    def test_verify_finds_nothing(self, solved: Library) -> None:
+        [check] = to.verify(solved)
+        assert not check.shortfalls
+        assert check.certificate.is_stationary
+
+    @pytest.mark.parametrize(
+        ("what", "said"),
+        [
+            (lambda library: replace(library, command=0.9999 * library.command), "no stationary point"),
+            (lambda library: replace(library, command=-library.command), "no stationary point"),
+            (lambda library: replace(library, nrmse=0.5 * library.nrmse), "nrmse says"),
+            (lambda library: replace(library, nrmse_linear=2 * library.nrmse_linear), "nrmse_linear says"),
+            (lambda library: replace(library, linear_command=0.9 * library.linear_command), "nrmse_promised says"),
+        ],
+        ids=["perturbed command", "flipped sign", "nrmse", "nrmse of the linear design", "linear command"],
+    )
+    def test_what_was_tampered_with_is_refused(
+        self, solved: Library, tmp_path: Path, terminal: Terminal, what: Tampered, said: str
+    ) -> None:
+        what(solved).save(tmp_path / "library.npz")
+        verified = terminal("transopt", "verify", tmp_path / "library.npz")
+        assert verified.code == 1
+        [check] = to.verify(to.load_library(tmp_path / "library.npz"))
+        assert any(said in each for each in check.shortfalls)
+        assert_refused(terminal("transopt", "export", tmp_path / "library.npz", tmp_path / "taps.wav"), said)
+        assert not (tmp_path / "taps.wav").exists()
+
+    @pytest.mark.parametrize(
+        ("what", "said"),
+        [
+            (lambda library: replace(library, status=np.array([["optimal"]])), "its status is: optimal"),
+            (lambda library: replace(library, lower_bound=library.lower_bound + 0.9), "lower_bound says"),
+            (lambda library: replace(library, nrmse_seed=0.5 * library.nrmse_seed), "nrmse_seed says"),
+            (lambda library: replace(library, acceleration_m_s2=1.001 * library.acceleration_m_s2), "is off by"),
+            (lambda library: replace(library, mu_end=library.mu_end + 1e-3), "no stationary point"),
+            (lambda library: replace(library, meta={**library.meta, "nonlinear": None}), "nonlinear is None"),
+            (
+                lambda library: replace(
+                    library, meta={**library.meta, "nonlinear": {**library.meta["nonlinear"], "stiffness": "K"}}
+                ),
+                "nonlinear.stiffness is 'K'",
+            ),
+            (lambda library: replace(library, substeps=library.substeps + 0.5), "must be a whole number"),
+            (lambda library: replace(library, substeps=0 * library.substeps), "must be a whole number from 1 to 32"),
+        ],
+        ids=["status", "bound", "seed", "prediction", "multiplier", "linear", "formula", "half a step", "no step"],
+    )
+    def test_what_does_not_follow_is_doubted(self, solved: Library, what: Tampered, said: str) -> None:
+        assert said in next(doubts(what(solved)))
+
+    def test_steps_that_no_design_takes_are_refused_when_it_is_read(self, solved: Library, tmp_path: Path) -> None:
+        replace(solved, substeps=solved.substeps + 100).save(tmp_path / "library.npz")
+        with pytest.raises(InputError, match=r"substeps = .*: must be a whole number from 1 to 32"):
+            to.load_library(tmp_path / "library.npz")
+
+    def test_what_takes_linear_plants_alone_refuses_it(
+        self, solved: Library, tmp_path: Path, terminal: Terminal
+    ) -> None:
+        solved.save(tmp_path / "library.npz")
+        with pytest.raises(InputError, match="online: this library's plant is nonlinear"):
+            to.Online(solved)
+        with pytest.raises(InputError, match="refine: this library's plant is nonlinear"):
+            resolve(solved, {}, {})
+        assert_refused(terminal("transopt", "page", tmp_path / "library.npz"), "page", "plant is nonlinear")
+        with pytest.raises(InputError, match="grid_tolerance are for speeds"):
+            to.solve(stated(tmp_path), grid_tolerance=0.02)
+
+    def test_solve_says_what_is_not_proven(self, tmp_path: Path) -> None:
+        with pytest.raises(
+            InputError, match=r"1 of 1 targets refused, the first is click: IPOPT: .*design_nonlinear"
+        ):
+            to.solve(stated(tmp_path), options=to.SolverOptions(max_iterations=2))

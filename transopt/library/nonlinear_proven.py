@@ -1,0 +1,84 @@
+"""Whether an entry on a nonlinear plant is what its file claims: a stationary point, with the errors that it states.
+
+The stored command is rolled out on the nonlinear plant of the library's own scene, and the gradient of the Lagrangian
+is formed with the stored multipliers (`transopt.proof.nonlinear`). Nothing is solved.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from transopt.library.library import Library
+from transopt.library.nonlinear import as_on_linear
+from transopt.library.proven import FIGURE, RIVAL, ROUNDING, SAME, Floors, contradictions, not_feasible, predictions
+from transopt.problem.answer import Certificate, Status
+from transopt.problem.baselines import seed_inversion
+from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
+from transopt.proof.nonlinear import certify_nonlinear
+
+
+def certificate_of(library: Library, iv: int, ig: int, effect: NonlinearEffect) -> Certificate:
+    """Of a stored command and its stored multipliers; its lower bound is 0, below which no sum of squares is.
+
+    Parameters
+    ----------
+    effect : of that command.
+    """
+    proof = certify_nonlinear(effect.problem, effect.command, library.multipliers(iv, ig), effect=effect)
+    return replace(proof, lower_bound=0.0) if proof.finite else proof
+
+
+def shortfall(library: Library, iv: int, ig: int, proof: Certificate) -> str:
+    """Why an entry may not stand in a library; empty if it may."""
+    said = str(library.status[iv, ig])
+    if said != Status.STATIONARY.value:
+        return f"its status is: {said}"
+    if proof.is_stationary:
+        return ""
+    return not_feasible(proof) or (
+        f"not certified: no stationary point: its gap is {proof.relative_gap:.1e}, limit {proof.GAP_TOLERANCE:.0e}"
+    )
+
+
+def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProblem, floors: Floors) -> Iterator[str]:
+    """What is not proven of an entry, one phrase each; none if all is."""
+    own = problem.effect(library.command[iv, ig])
+    proof = certificate_of(library, iv, ig, own)
+    if said := shortfall(library, iv, ig, proof):
+        yield said
+        return
+    effect = as_on_linear(own)
+    yield from predictions(library, iv, ig, effect)
+    floor = floors.of(problem.linear, library.target(np.eye(library.speeds_m_s.size)[iv]))
+    yield from contradictions(library, iv, ig, effect, proof, floor)
+    played = problem.nrmse(library.linear_command[iv, ig])
+    # Where a motion has no value one method may come further than another.
+    if math.isnan(played) or math.isnan(library.nrmse_linear[iv, ig]):
+        played = float(library.nrmse_linear[iv, ig])
+    yield from of_the_others(library, iv, ig, problem, played, FIGURE)
+
+
+def of_the_others(
+    library: Library, iv: int, ig: int, problem: NonlinearProblem, linear_nrmse: float, tolerance: float
+) -> Iterator[str]:
+    """Errors of the linear design and of the seed's method that the file states and that are other ones.
+
+    Parameters
+    ----------
+    linear_nrmse : of the linear design on the nonlinear plant, as found now; NaN where its motion has no value.
+    tolerance : relative, of the linear design's errors.
+    """
+    linear, command = problem.linear, library.linear_command[iv, ig]
+    promised = linear.target.nrmse(linear.stage.rollout(command)[0])
+    for name, value in {"nrmse_promised": promised, "nrmse_linear": linear_nrmse}.items():
+        stored = float(getattr(library, name)[iv, ig])
+        if not np.isclose(stored, value, rtol=tolerance, atol=ROUNDING, equal_nan=True):
+            yield f"{name} says {stored:.6g}, recomputed {value:.6g}"
+    bounds = np.array([library.input_limit, library.steady_input])[:, None]
+    taper = library.meta["hand_over_samples"]
+    commands = seed_inversion(linear.stage, linear.grid, library.reference_m_s2[iv], bounds, taper)
+    seeds = np.array([problem.nrmse(each) for each in commands])
+    if not np.allclose(library.nrmse_seed[iv, ig], seeds, rtol=RIVAL, atol=SAME, equal_nan=True):
+        yield f"nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {seeds}"

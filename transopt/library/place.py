@@ -1,0 +1,73 @@
+"""Where a measured tap lies on the grid of a library, and the waveform for it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.shown import brief, cut
+from transopt.base.signals import FloatArray
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a measured tap lies on the grid of speeds and grips.
+
+    Attributes
+    ----------
+    speed_m_s, grip_N : after clamping to the grid.
+    speed_clamped, grip_clamped : whether the wanted point lay outside the grid.
+    silent : no transient is played, for want of speed or grip.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    speed_clamped: bool
+    grip_clamped: bool
+    silent: bool
+
+
+@dataclass(frozen=True)
+class Waveform(Place):
+    """A command for a place: zero where it is silent, else a blend of the nodes' or what was solved for it.
+
+    Attributes
+    ----------
+    command : (N,) total command c_k, issued at -lead + k dt and held [A].
+    transient_command : (N,) what a device with the library's wall plays on top of its feedback [A].
+    """
+
+    command: FloatArray
+    transient_command: FloatArray
+
+    __repr__ = brief
+
+
+def finite(what: str, value: Any, unit: str) -> float:
+    """A number from a caller who may be wrong about it.
+
+    Raises
+    ------
+    InputError : not one finite number.
+    """
+    number = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
+    if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < float("inf"):
+        raise InputError(f"{what} {cut(repr(value))} {unit}: must be a finite number")
+    return float(number)
+
+
+def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
+    """(n,) weights of linear interpolation at `value`, which lies inside the nodes."""
+    weights, after = np.zeros(nodes.size), int(np.searchsorted(nodes, value))
+    share = 1.0 if after == 0 else (value - nodes[after - 1]) / (nodes[after] - nodes[after - 1])
+    weights[after - 1], weights[after] = 1 - share, share
+    return weights
+
+
+def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
+    """(nv,) weights by which references of the nodes make that of a speed on the grid (`reference.between`).
+
+    r = v ((1 - w) r_1 / v_1 + w r_2 / v_2): the shape r / v is linear in speed.
+    """
+    return np.asarray(speed_m_s * interpolation_weights(nodes_m_s, speed_m_s) / nodes_m_s)
