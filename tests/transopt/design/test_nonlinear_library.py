@@ -194,3 +194,14 @@ class TestLibrary:
             InputError, match=r"1 of 1 targets refused, the first is click: IPOPT: .*design_nonlinear"
         ):
             to.solve(stated(tmp_path), options=to.SolverOptions(max_iterations=2))
+
+
+def test_what_has_no_motion_has_no_error_in_the_file(tmp_path: Path) -> None:
+    """BL(x) is not defined beyond 0.605 mm, where the seed's clipped inversion takes the mass."""
+    swap = ("BL*(1 - 0.3*(x/0.6e-3)**2)", "BL*sqrt(1 - (x/0.605e-3)**2)")
+    library = to.solve(stated(tmp_path, swap))
+    assert np.isnan(library.nrmse_seed).all()
+    library.save(tmp_path / "library.npz")
+    read = load_proven(tmp_path / "library.npz")
+    [check] = to.verify(read)
+    assert not check.shortfalls
