@@ -149,9 +149,9 @@ def _running() -> Process:
 @atexit.register
 def end() -> None:
     """End all processes of this one; the next call starts another."""
-    _kept.clear()
-    for process in list(_started):
+    for process in list(_started):  # before the last reference to one is gone, with which nobody could end it
         process.end()
+    _kept.clear()
 
 
 def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:

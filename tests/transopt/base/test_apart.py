@@ -120,3 +120,16 @@ def _lives(process: int) -> bool:
         return False
     listed = Path(f"/proc/{process}/stat")
     return not (listed.exists() and listed.read_text().rpartition(")")[2].split()[0] == "Z")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="asks the system by a signal")
+def test_at_the_end_no_process_is_left() -> None:
+    of_calls, own = apart.call(os.getpid, within_s=PATIENCE_S), apart.Process()
+    own.ask(time.sleep, 600.0, within_s=600.0)
+    apart.end()
+    for number in (of_calls, own.number):
+        with pytest.raises(ProcessLookupError):
+            os.kill(number, 0)
+    with pytest.raises(apart.UnansweredError):
+        own.answer()
+    assert apart.call(math.sqrt, 4.0, within_s=PATIENCE_S) == 2.0

@@ -57,7 +57,7 @@ class Window:
 
     def rests(self) -> None:
         """Wait until everything is certified or refused, replayed and priced."""
-        self.says("#state", re.compile("certified and replayed|0 of"))
+        self.says("#state", re.compile(r"certified and replayed|\b0 of \d+ certified"))
 
     def says(self, place: str, text: Any) -> None:
         playwright.expect(self.tab.locator(place)).to_contain_text(text, timeout=REST_MS)
