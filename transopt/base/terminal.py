@@ -11,6 +11,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -24,8 +25,10 @@ from transopt.base.nearest import did_you_mean
 from transopt.base.threads import one_thread
 
 AGAIN_S = 0.01  # between a signal that Python ignored and the next try
+SIGNALLED = 128  # an exit code beyond it is this and the signal's number
 LAST_S = 0.6  # between a signal and the end of the process, whatever it is doing
 WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
+_IF_STOPPED: ContextVar[str] = ContextVar("what is said of a command's results when a signal ends it", default="")
 
 
 def harmless(text: str, keep: str = "") -> str:
@@ -91,10 +94,18 @@ def run(app: Callable[..., object], name: str | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     with _signals_end_it() as came:
+        if_stopped("")
         code = _code(app, name, came)
         if came:
+            if code > SIGNALLED and _IF_STOPPED.get():
+                typer.echo(_IF_STOPPED.get(), err=True)
             _leave(code)
     sys.exit(code)
+
+
+def if_stopped(text: str) -> None:
+    """State what is said, in one line, when a signal ends the command from here on, whatever it cuts short."""
+    _IF_STOPPED.set(text)
 
 
 def takes_its_time() -> None:
@@ -113,7 +124,7 @@ def _code(app: Callable[..., object], name: str | None, came: list[int]) -> int:
         _refuse(error)
         return 2
     except (KeyboardInterrupt, typer.Abort):
-        return 130
+        return SIGNALLED + signal.SIGINT
     except SystemExit as stop:
         if not isinstance(stop.code, int | None):
             raise
@@ -122,7 +133,7 @@ def _code(app: Callable[..., object], name: str | None, came: list[int]) -> int:
         # What a signal cuts short may call it by another name: an import that fails, a file that ends.
         if not came:
             raise
-        return 128 + came[0]
+        return SIGNALLED + came[0]
     return code if isinstance(code, int) else 0
 
 
@@ -160,7 +171,7 @@ def _signals_end_it() -> Iterator[list[int]]:
             faulthandler.dump_traceback_later(LAST_S, exit=True, file=nothing)
         if number == signal.SIGINT:
             raise KeyboardInterrupt
-        sys.exit(128 + number)
+        sys.exit(SIGNALLED + number)
 
     if threading.current_thread() is not threading.main_thread():
         yield came

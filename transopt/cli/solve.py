@@ -70,33 +70,31 @@ def solve(
     Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met. Of a scene with
     [model.nonlinear] the library holds stationary points, replayed, and the report has the linear design beside them.
     """
-    try:
-        from transopt.design.refine_grid import check_tolerance
-        from transopt.solvers.choose import check_name
-        from transopt.solvers.options import SolverOptions, default_solver
+    terminal.if_stopped("stopped; earlier results are untouched")
+    from transopt.design.refine_grid import check_tolerance
+    from transopt.solvers.choose import check_name
+    from transopt.solvers.options import SolverOptions, default_solver
 
-        name = default_solver() if solver is None else solver
-        check_name(name)
-        options = SolverOptions(name, solver_tolerance)
-        loaded = _load(scene, recordings, model)
-        unfit = _unfit(loaded, accept_unfit_model)
-        folder = Path("out") / loaded.name if out is None else out
-        wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures)
-        if loaded.nonlinear:
-            _solve_nonlinear(wanted)
-            return
-        if grid_tolerance is not None:
-            check_tolerance(loaded, grid_tolerance, grid_cap)
-        terminal.make_folder(folder)
-        try:
-            build, names = _build(wanted)
-        except InputError:
-            with suppress(OSError):  # holds earlier results: it stays
-                folder.rmdir()
-            raise
-    except KeyboardInterrupt:
-        typer.echo("stopped; earlier results are untouched", err=True)
-        raise typer.Exit(130) from None
+    name = default_solver() if solver is None else solver
+    check_name(name)
+    options = SolverOptions(name, solver_tolerance)
+    loaded = _load(scene, recordings, model)
+    unfit = _unfit(loaded, accept_unfit_model)
+    folder = Path("out") / loaded.name if out is None else out
+    wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures)
+    if loaded.nonlinear:
+        _solve_nonlinear(wanted)
+        return
+    if grid_tolerance is not None:
+        check_tolerance(loaded, grid_tolerance, grid_cap)
+    terminal.make_folder(folder)
+    try:
+        build, names = _build(wanted)
+    except InputError:
+        with suppress(OSError):  # holds earlier results: it stays
+            folder.rmdir()
+        raise
+    terminal.if_stopped(f"stopped; {folder} is written")
     _print(terminal.console(), build, f"{folder}: {', '.join(names)}", unfit)
     if build.refused or (build.refinement is not None and build.refinement.shortfall):
         raise typer.Exit(1)
@@ -121,6 +119,7 @@ def _solve_nonlinear(wanted: Wanted) -> None:
     terminal.make_folder(folder)
     design = design_nonlinear(wanted.scene, options=wanted.options)
     written = write_nonlinear(design, folder, figures=wanted.figures)
+    terminal.if_stopped(f"stopped; {folder} is written")
     console = terminal.console()
     shown = Table(*COLUMNS)
     for row in design.rows():

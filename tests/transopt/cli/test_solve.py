@@ -16,6 +16,7 @@ from tests.benches.commands import Run, assert_refused
 from tests.benches.places import IMPACTS, ROOT
 from transopt.problem.answer import Status
 
+UNTOUCHED = "stopped; earlier results are untouched\n"
 WOOD = problems.scene_path("wood_on_foam").read_text()
 
 
@@ -253,13 +254,37 @@ class TestAfterTheWaveform:
         assert f"| {peaks[0.03][1]:.3f} |" in markdown
 
 
-def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
-    """The signal itself, sent while entries are solved: one line, exit code 130, no file, no child left."""
-    program = (
-        # A background job of a shell starts with SIGINT ignored; a user's terminal does not.
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        "sys.argv = ['transopt', 'solve']; from transopt.cli.main import main; main()"
-    )
+STANDS = {
+    "solving": "",
+    "importing": """
+def fails(*_, **__):
+    try:
+        Path('there').touch()
+        time.sleep(60)
+    except KeyboardInterrupt:
+        raise ImportError('initialization failed')
+build.build_library = fails
+""",
+    "telling": """
+def told(*_):
+    Path('there').touch()
+    time.sleep(60)
+command._print = told
+""",
+}
+
+
+@pytest.mark.parametrize("where", STANDS)
+def test_ctrl_c_in_a_real_process(tmp_path: Path, where: str) -> None:
+    """The signal itself, in the solve or in the table: one line, code 130, all files or none, no child left."""
+    program = f"""
+import time, transopt.cli.solve as command, transopt.design.build as build
+from pathlib import Path
+{STANDS[where]}
+# A background job of a shell starts with SIGINT ignored; a user's terminal does not.
+import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.argv = ['transopt', 'solve', '--no-figures']
+from transopt.cli.main import main; main()"""
     process = subprocess.Popen(
         [sys.executable, "-c", program],
         cwd=tmp_path,
@@ -269,13 +294,12 @@ def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
         start_new_session=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-    folder = tmp_path / "out" / "wood_on_foam"
-    while not folder.exists():
+    folder, written = tmp_path / "out" / "wood_on_foam", where == "telling"
+    while not (folder if where == "solving" else tmp_path / "there").exists():
         assert process.poll() is None, process.communicate()
-        time.sleep(0.01)  # polls for the process to have begun; nothing is measured
+        time.sleep(0.01)  # polls for the process to have come there; nothing is measured
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert "stopped; earlier results are untouched" in err
-    assert "Traceback" not in err
-    assert list(folder.iterdir()) == []
+    assert err == (f"stopped; {Path('out', 'wood_on_foam')} is written\n" if written else UNTOUCHED)
+    assert [*folder.glob("*.npz")] == ([folder / "library.npz"] if written else [])

@@ -177,15 +177,11 @@ class TestLibrary:
         with pytest.raises(InputError, match=r"substeps = .*: must be a whole number from 1 to 32"):
             to.load_library(tmp_path / "library.npz")
 
-    def test_what_takes_linear_plants_alone_refuses_it(
-        self, solved: Library, tmp_path: Path, terminal: Terminal
-    ) -> None:
-        solved.save(tmp_path / "library.npz")
+    def test_what_takes_linear_plants_alone_refuses_it(self, solved: Library, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="online: this library's plant is nonlinear"):
             to.Online(solved)
         with pytest.raises(InputError, match="refine: this library's plant is nonlinear"):
             resolve(solved, {}, {})
-        assert_refused(terminal("transopt", "page", tmp_path / "library.npz"), "page", "plant is nonlinear")
         with pytest.raises(InputError, match="grid_tolerance are for speeds"):
             to.solve(stated(tmp_path), grid_tolerance=0.02)
 

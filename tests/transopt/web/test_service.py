@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import transopt as to
+from tests.benches.nonlinear_scene import stated
+from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.problem.answer import Status
 from transopt.scene.recordings import recordings_of
@@ -33,6 +35,14 @@ def test_the_table_is_the_librarys(name: str) -> None:
         assert settled.replayed
         assert settled.verdict == entry.verdict
         assert settled.price == (entry.prices[0].sentence if entry.prices else "")
+
+
+def test_a_nonlinear_plant_is_refused(tmp_path: Path) -> None:
+    scene = stated(tmp_path)
+    with pytest.raises(InputError, match="this is done with linear plants alone"):
+        opened(scene)
+    with pytest.raises(InputError, match="page: this library's plant is nonlinear"):
+        opened(to.solve(scene))
 
 
 def test_a_change_is_what_the_changed_scene_is_solved_to(service: Service) -> None:
