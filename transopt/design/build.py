@@ -216,6 +216,7 @@ def assemble(
         return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
 
     at_ticks = np.stack([r.nominal_position_at_ticks_m for r in references])
+    meta = {**_meta(scene, references, entries, options), "grid_refinement": _refined(refinement)}
     return Library(
         speeds_m_s=np.asarray(scene.axes.speeds_m_s),
         targets=np.array(scene.axes.targets or [""] * len(references), dtype=np.str_),
@@ -253,7 +254,7 @@ def assemble(
         binding=over_grid(lambda e: e.binding),
         multipliers_of=multiplier_arrays(
             [[entry.solution.multipliers for entry in row] for row in entries],
-            further_arrays(scene.limits.asked(), len(spreads[0])),
+            further_arrays(meta, len(spreads[0])),
         ),
         current_sign=over_grid(lambda e: e.solution.multipliers.slope),
         mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
@@ -264,7 +265,7 @@ def assemble(
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
         spread_share=over_grid(lambda e: e.problem.shared[1:]),
-        meta={**_meta(scene, references, entries, options), "grid_refinement": _refined(refinement)},
+        meta=meta,
     )
 
 

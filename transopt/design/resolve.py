@@ -48,7 +48,7 @@ def resolve(
     options = SolverOptions() if options is None else options
     scene = library.scene()
     has_energy = scene.weights.objective == "intensity"
-    further = further_arrays(library.meta["limits"], library.spread_A.shape[1])
+    further = further_arrays(library.meta, library.spread_A.shape[1])
     arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *further)}
     nv, ng, _ = library.command.shape
     left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]

@@ -164,7 +164,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     optional, names = absent(ARRAYS, meta), stored_names(ARRAYS, meta["schema"])
     missing = [names[name] for name in ARRAYS if names[name] not in arrays and name not in optional]
     spread = arrays[names["spread_A"]].shape[1] if names["spread_A"] in arrays else 0
-    further = further_arrays(meta["limits"], spread)
+    further = further_arrays(meta, spread)
     missing += [name for name in further if name not in arrays]
     if missing:
         raise InputError(f"{path}: array {missing[0]} is missing; solve the scene again")

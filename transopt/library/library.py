@@ -25,7 +25,7 @@ from transopt.plant.state_space import CURRENT_INPUT, INPUTS, Input, Output, Sta
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers
 from transopt.problem.leave_out import pressing_under
-from transopt.problem.limits import KINDS
+from transopt.problem.limits import KINDS, kinds_of
 from transopt.problem.limits.limit import SIDES, device_row
 from transopt.problem.limits.own import OwnLimit, follows_motion
 from transopt.problem.objective.target import Target
@@ -182,7 +182,7 @@ class Library:
     def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
         """From all arrays of `ARRAYS`, and of the user's own limits in `meta`, by their names in the file."""
         own = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
-        further = further_arrays(meta["limits"], arrays["spread_A"].shape[1])
+        further = further_arrays(meta, arrays["spread_A"].shape[1])
         multipliers = {name: arrays[name] for name in (*MULTIPLIERS, *further)}
         return cls(**own, multipliers_of=multipliers, meta=meta)
 
@@ -279,7 +279,7 @@ class Library:
     @property
     def driven_by(self) -> Input:
         """What drives the plant: a current, or a voltage."""
-        return INPUTS[self.meta.get("command_unit", CURRENT_INPUT.unit)]
+        return driven_by(self.meta)
 
     def coil(self) -> CoilModel | None:
         return None if self.meta["thermal"] is None else CoilModel(**self.meta["thermal"]["coil"])
@@ -434,7 +434,7 @@ class Library:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
         missing = absent(ARRAYS, self.meta)
         arrays = {self.in_file(name): self.array(name) for name in ARRAYS if name not in missing}
-        further = further_arrays(self.meta["limits"], self.spread_A.shape[1])
+        further = further_arrays(self.meta, self.spread_A.shape[1])
         arrays |= {name: self.multipliers_of[name] for name in further}
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
@@ -505,8 +505,13 @@ def _row_of(array: str) -> str:
     return array.removeprefix("mu_").rsplit("_", 1)[0]
 
 
-def further_arrays(limits: Mapping[str, Any], spread: int) -> list[str]:
-    """Names of the multipliers that not every library has, from what a scene or a library says of its limits.
+def driven_by(meta: Mapping[str, Any]) -> Input:
+    """What drives the plant of a library, by its `meta`; files before schema 3 know currents alone."""
+    return INPUTS[meta.get("command_unit", CURRENT_INPUT.unit)]
+
+
+def further_arrays(meta: Mapping[str, Any], spread: int) -> list[str]:
+    """Names of the multipliers that not every library has, from what `meta` says of its limits and of its input.
 
     They are those of a user's own limits and, for each further device of a spread, those of the limits on the motion.
 
@@ -514,10 +519,11 @@ def further_arrays(limits: Mapping[str, Any], spread: int) -> list[str]:
     ----------
     spread : number of further devices.
     """
+    limits, drive = meta["limits"], driven_by(meta)
     own = limits.get(OwnLimit.key) or []
-    of_each = [kind for kind in KINDS if kind.of_each_device and limits.get(kind.key) is not None]
+    of_each = [kind for kind in kinds_of(drive) if kind.of_each_device and limits.get(kind.key) is not None]
     rows = [row for kind in of_each for row in kind.row_names]
-    rows += [table["name"] for table in own if follows_motion(table["outputs"])]
+    rows += [table["name"] for table in own if follows_motion(table["outputs"], drive)]
     found = [table["name"] for table in own]
     found += [device_row(row, device) for device in range(1, spread + 1) for row in dict.fromkeys(rows)]
     return [f"mu_{row}_{side}" for row in found for side in SIDES]

@@ -14,7 +14,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, Motion
-from transopt.plant.state_space import INPUTS, Input
+from transopt.plant.state_space import Input
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Posed, Row, Setting, output_values
 
 OF_EVERY_STAGE = (COMMAND, HELD)
@@ -114,7 +114,7 @@ class OwnLimit(Limit):
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         own = replace(self.row, lower=self.lower, upper=self.upper)
-        count = len(problem.devices) if follows_motion(own.outputs) else 1
+        count = len(problem.devices) if follows_motion(own.outputs, problem.stage.plant.driven_by) else 1
         return tuple(own.of_device(device) for device in range(count))
 
     def watched(self, problem: Posed) -> tuple[Row, ...]:
@@ -129,9 +129,12 @@ class OwnLimit(Limit):
         return f"{self.lower if side == 'lower' else self.upper:.8g}"
 
 
-def follows_motion(outputs: Iterable[str]) -> bool:
-    """Whether outputs depend on the motion, which every device of a spread has for itself."""
-    return not {*outputs} <= {*OF_EVERY_STAGE, *(each.name for each in INPUTS.values()), INPUT}
+def follows_motion(outputs: Iterable[str], driven_by: Input) -> bool:
+    """Whether outputs depend on the motion, which every device of a spread has for itself.
+
+    The current of a coil that a voltage drives does, by the voltage that the motion induces.
+    """
+    return not {*outputs} <= {*OF_EVERY_STAGE, INPUT, driven_by.name}
 
 
 def outputs_needed(tables: Sequence[Mapping[str, Any]], driven_by: Input) -> list[str]:

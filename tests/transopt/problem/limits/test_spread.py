@@ -191,3 +191,35 @@ class TestLibrary:
         tap = Online(library).solve(0.38, 3.0, limits={"stroke_m": 1.5e-3})
         assert tap.certificate is not None, tap.remark
         assert tap.certificate.accepted
+
+
+def test_what_all_devices_share_has_one_row(scene: Scene, taps: list[Recording]) -> None:
+    made = build_library(with_values(scene, SHORT), taps)
+    assert {row.device for _, row in made.entries[0][0].problem.rows()} == {0}
+    assert made.library is not None
+    assert not [name for name in made.library.arrays() if "_device_" in name]
+    assert made.library.meta["schema"] == 2
+
+
+COIL = "to.own_limit('coil_current', 'A', lambda s: s.current, lower=-0.25, upper=0.25)"
+
+
+def test_the_current_of_a_coil_that_a_voltage_drives_is_each_devices_own(tmp_path: Path) -> None:
+    (tmp_path / "my_limits.py").write_text(f"import transopt as to\nLIMITS = [{COIL}]\n")
+    text = problems.scene_path("lra_click").read_text(encoding="utf-8")
+    text = text.replace("[limits]", '[limits]\nown = ["my_limits.py"]\ncurrent_A = 0.3')
+    text = text.replace("stages = 2880", "stages = 400").replace("2.0833333333333333e-05", "1e-4")
+    text = text.replace("dt_s = 2.0833333333333333e-5 ", "dt_s = 1e-4 ")
+    text += "\n[robust]\nresonance_spread = 0.04\nsamples = 2\n"
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    scene = problems.load(tmp_path / "mine.toml")
+    made = build_library(scene, [])
+    entry = made.entries[0][0]
+    assert entry.status is Status.OPTIMAL, entry.shortfalls
+    devices = len(entry.problem.devices)
+    for name in ("coil_current", "current", "stroke"):
+        found = [row.device for limit, row in entry.problem.rows() if limit.name == name]
+        assert found == list(range(devices)), name
+    assert made.library is not None
+    made.library.save(tmp_path / "library.npz")
+    assert all(not each.shortfalls for each in verify_library(load_library(tmp_path / "library.npz")))
