@@ -9,12 +9,14 @@ is compiled for. Every run has to be clean and to give what the installed extens
 sums written out in `recursions_memory.c`. Exit code 3: a tool is missing, and which is said.
 """
 
+import os
 import shutil
 import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,49 +129,66 @@ def expected(stages: Stages) -> list[list[float]]:
     ]
 
 
+def sanitized_or_traced(name: str, source: Path, flags: Sequence[str], given: Sequence[Path], folder: Path) -> str:
+    """What a driver prints, compiled with these flags; empty where it ran unclean, which is printed.
+
+    Parameters
+    ----------
+    name : of the run; `valgrind` is run under it.
+    """
+    driver = str(folder / f"{source.stem}, {name}")
+    compiler = shutil.which("gcc") or shutil.which("cc") or ""
+    subprocess.run([compiler, *FLAGS, *flags, str(source), "-o", driver, "-lm"], check=True)
+    command = [*(VALGRIND if name == "valgrind" else ()), driver, *map(str, given)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
+    if done.returncode:
+        print(f"{source.stem}, {name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+        return ""
+    return done.stdout
+
+
+def agrees(said: str, wanted: Sequence[Sequence[float]]) -> bool:
+    """Whether a driver has found what the installed extension finds."""
+    found = [[float(word) for word in line.split()[1:]] for line in said.splitlines()]
+    if [row[0] for row in found] != [row[0] for row in wanted]:
+        return False
+    answered = [row[0] <= extension.ACCURACY for row in wanted]
+    return np.allclose(np.array(found)[answered], np.array(wanted)[answered], rtol=TOLERANCE, atol=TOLERANCE)
+
+
 def main() -> int:
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None or not extension.available:
+    if not (shutil.which("gcc") or shutil.which("cc")) or not extension.available:
         print("no C compiler, or the extension is not built: nothing to check")
         return MISSING
     given = list(cases())
     wanted = [row for stages in given for row in expected(stages)]
-    runs = {"sanitizers": SANITIZED} | {
-        f"sanitizers, {width} wide": (*SANITIZED, f"-DONLY_WIDTH={width}") for width in (1, 2, 4, 8)
-    }
+    whole = {"sanitizers": SANITIZED}
     if shutil.which("valgrind") is not None:
-        runs["valgrind"] = ("-O2",)
-    with tempfile.TemporaryDirectory() as folder:
-        data = Path(folder) / "problems"
+        whole["valgrind"] = ("-O2",)
+    runs = whole | {f"sanitizers, {width} wide": (*SANITIZED, f"-DONLY_WIDTH={width}") for width in (1, 2, 4, 8)}
+    with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(os.cpu_count()) as pool:
+        folder = Path(made)
+        data = folder / "problems"
         data.write_bytes(struct.pack("i", len(given)) + b"".join(written(stages) for stages in given))
-        for name, flags in runs.items():
-            driver = str(Path(folder) / "driver")
-            subprocess.run([compiler, *FLAGS, *flags, str(SOURCE), "-o", driver, "-lm"], check=True)
-            command = [*(VALGRIND if name == "valgrind" else ()), driver, str(data)]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-            if done.returncode:
-                print(f"{name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+        solved = {
+            name: pool.submit(sanitized_or_traced, name, SOURCE, flags, [data], folder)
+            for name, flags in runs.items()
+        }
+        summed = {
+            name: pool.submit(sanitized_or_traced, name, RECURSIONS, flags, [], folder)
+            for name, flags in whole.items()
+        }
+        for name, run in solved.items():
+            if not run.result():
                 return 1
-            found = [[float(word) for word in line.split()[1:]] for line in done.stdout.splitlines()]
-            codes = [[row[0] for row in rows] for rows in (found, wanted)]
-            answered = np.array([row[0] <= extension.ACCURACY for row in wanted])
-            if codes[0] != codes[1] or not np.allclose(
-                np.array(found)[answered], np.array(wanted)[answered], rtol=TOLERANCE, atol=TOLERANCE
-            ):
-                print(f"{name}: other answers than the installed extension\n{found}\n{wanted}")
+            if not agrees(run.result(), wanted):
+                print(f"{name}: other answers than the installed extension\n{run.result()}\n{wanted}")
                 return 1
-            print(f"{name}: {len(given)} problems, {len(found)} answers, clean")
-        for name, flags in {"sanitizers": SANITIZED, "valgrind": ("-O2",)}.items():
-            if name not in runs:
-                continue
-            driver = str(Path(folder) / "recursions")
-            subprocess.run([compiler, *FLAGS, *flags, str(RECURSIONS), "-o", driver, "-lm"], check=True)
-            command = [*(VALGRIND if name == "valgrind" else ()), driver]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-            if done.returncode:
-                print(f"recursions, {name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+            print(f"{name}: {len(given)} problems, {len(wanted)} answers, clean")
+        for name, run in summed.items():
+            if not run.result():
                 return 1
-            print(f"recursions, {name}: {done.stdout.strip()} cases, clean")
+            print(f"recursions, {name}: {run.result().strip()} cases, clean")
     if "valgrind" not in runs:
         print("valgrind is not installed: not run")
         return MISSING
