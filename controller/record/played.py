@@ -16,7 +16,8 @@ from controller.record.metrics import MOST_SHIFT_S, align, rate_hardness_N_m, sp
 from controller.record.recorder import Contact
 from controller.servo.settings import Settings
 from controller.waveforms.prediction import REACTION_S, Prediction, predict
-from transopt.base.signals import FloatArray, Signal, lowpass, nrmse
+from transopt.base.filters import lowpass
+from transopt.base.signals import FloatArray, Signal, nrmse
 from transopt.library.library import Library
 from transopt.problem.answer import verdict
 from transopt.problem.objective.bands import Levels, levels

@@ -14,7 +14,8 @@ from controller.record.played import CUTOFF_HZ, before_pole, since_contact
 from controller.record.recorder import Contact
 from controller.servo.settings import Settings
 from controller.waveforms.prediction import REACTION_S, Prediction, predict
-from transopt.base.signals import FloatArray, Signal, lowpass
+from transopt.base.filters import lowpass
+from transopt.base.signals import FloatArray, Signal
 from transopt.library.library import Library
 
 FADE_S = 5e-3  # in which what is measured fades out after `REACTION_S`

@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from transopt.base.signals import FloatArray, Signal, lowpass
+from transopt.base.filters import lowpass
+from transopt.base.signals import FloatArray, Signal
 
 POINTS = 4096  # of the spectra
 SMOOTHING_HZ = 40.0  # half-width of the frequency average: what 30 ms can resolve

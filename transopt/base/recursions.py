@@ -112,11 +112,14 @@ def _substituted(lower: FloatArray, forcing: FloatArray, *, transposed: bool) ->
 
 
 def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
-    """(K,) output of the digital filter b / a from rest, with a_0 = 1: what `scipy.signal.lfilter` gives.
+    """(..., K) output of the digital filter b / a from rest, with a_0 = 1: what `scipy.signal.lfilter` gives.
 
     `lfilter` itself is not used because a tap may have to be solved between approach and contact, and loading
     scipy.signal takes longer than solving a hundred taps.
     """
-    moved = np.convolve(values, b)[: values.size]
-    lower = np.repeat(a[:, None], values.size, axis=1)
-    return np.asarray(blas.dtbsv(a.size - 1, lower, moved, lower=1, diag=1))
+    K = values.shape[-1]
+    lower = np.repeat(a[:, None], K, axis=1)
+    found = np.empty(values.shape)
+    for course, its in zip(values.reshape(-1, K), found.reshape(-1, K), strict=True):
+        its[:] = blas.dtbsv(a.size - 1, lower, np.convolve(course, b)[:K], lower=1, diag=1)
+    return found

@@ -1,12 +1,11 @@
-"""Uniformly sampled signals, and the few filters and measures that the design uses."""
+"""Uniformly sampled signals, the spline through them, and the measure of their error."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
@@ -58,64 +57,43 @@ class Signal:
         """Samples per second."""
         return 1.0 / self.dt_s
 
-    @property
-    def spline(self) -> "scipy.interpolate.CubicSpline":
-        """The cubic spline through all samples; NaN outside them."""
-        return scipy.interpolate.CubicSpline(self.times_s, self.values, extrapolate=False)
-
     def at(self, times_s: FloatArray) -> FloatArray:
         """Cubic-spline samples at `times_s` (m,); zero before the first and after the last sample."""
-        return sampled(self.spline, times_s)
+        return splined(self.times_s, self.values, times_s)
 
     def scaled(self, factor: float) -> "Signal":
         """The signal with all its values multiplied by `factor`."""
         return replace(self, values=factor * self.values)
 
 
-def sampled(spline: "scipy.interpolate.CubicSpline", times_s: FloatArray) -> FloatArray:
-    """Values of a spline at `times_s` (m,); zero before its first and after its last knot."""
-    values = np.asarray(spline(times_s, extrapolate=False), dtype=float)
-    return np.asarray(np.nan_to_num(values, copy=False, nan=0.0))
+def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyond: bool = False) -> FloatArray:
+    """(..., m) of the cubic not-a-knot spline through courses (..., K) at evenly spaced times (K,), at instants (m,).
 
-
-@lru_cache(maxsize=16)  # all taps of a scene pass the same few
-def _butterworth(
-    kind: Literal["lowpass", "highpass"], cutoff_Hz: float, rate_Hz: float
-) -> tuple[FloatArray, FloatArray]:
-    """A second-order Butterworth filter as one section (1, 6), and its state (1, 2) after ones for ever."""
-    sos = np.asarray(scipy.signal.butter(2, cutoff_Hz, btype=kind, fs=rate_Hz, output="sos"))
-    return sos, np.asarray(scipy.signal.sosfilt_zi(sos))
-
-
-def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
-    """Zero-phase low-pass: a second-order Butterworth run forwards and backwards.
-
-    The gain at `cutoff_Hz` is therefore -6 dB. Zero phase because a causal filter would delay the tap by
-    0.2 ms, two servo ticks. A cut-off at or above 0.45 of the sampling rate leaves the signal as it is:
-    there is nothing left to remove.
+    Before the first and after the last of the times it is zero, or the outermost pieces go on `beyond` them. Its
+    slopes d at the knots, in units of the spacing, obey d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)). It is
+    `scipy.interpolate.CubicSpline` without the coefficients of all the intervals that nobody asks for, and without
+    loading scipy.interpolate, which loads scipy.optimize.
     """
-    if cutoff_Hz >= 0.45 * x.rate_Hz:
-        return x
-    sos, settled = _butterworth("lowpass", cutoff_Hz, x.rate_Hz)
-    # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
-    # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
-    pad = min(x.values.size - 1, int(np.ceil(10 * x.rate_Hz / (2 * np.pi * cutoff_Hz))))
-    course = np.pad(x.values, pad, mode="edge")
-    for _ in range(2):
-        # Forwards, then backwards, each time from the steady state of its first value.
-        course = scipy.signal.sosfilt(sos, course, zi=settled * course[0])[0][::-1]
-    return replace(x, values=np.ascontiguousarray(course[pad : pad + x.values.size]))
-
-
-def highpass(x: Signal, cutoff_Hz: float) -> Signal:
-    """Causal second-order Butterworth high-pass, from rest.
-
-    Applied to a recorded acceleration it gives the share of a tap that the motor has to make: r = H r_raw. What it
-    takes away, r_raw - r, is slow and is the user's own motion. It is causal because a zero-phase filter would make
-    the motor move before the contact.
-    """
-    sos, _ = _butterworth("highpass", cutoff_Hz, x.rate_Hz)
-    return replace(x, values=np.asarray(scipy.signal.sosfilt(sos, x.values)))
+    K, y = times_s.size, courses
+    if K < 4:  # through two points a line, through three a parabola
+        found = np.asarray(scipy.interpolate.CubicSpline(times_s, y, axis=-1)(at_s))
+    else:
+        below, diagonal, above = np.ones(K - 1), np.full(K, 4.0), np.ones(K - 1)
+        diagonal[[0, -1]], above[0], below[-1] = 1.0, 2.0, 2.0
+        right = np.empty(y.shape)
+        right[..., 1:-1] = 3 * (y[..., 2:] - y[..., :-2])
+        right[..., 0] = 0.5 * (4 * y[..., 1] + y[..., 2] - 5 * y[..., 0])
+        right[..., -1] = 0.5 * (5 * y[..., -1] - 4 * y[..., -2] - y[..., -3])
+        slopes = lapack.dgtsv(below, diagonal, above, right.reshape(-1, K).T)[3].T.reshape(y.shape)
+        place = (at_s - times_s[0]) / (times_s[-1] - times_s[0]) * (K - 1)
+        left = np.clip(place.astype(int), 0, K - 2)
+        t, start = place - left, np.take(y, left, axis=-1)
+        rise, before, after = (
+            np.take(each, left, axis=-1) for each in (np.diff(y, axis=-1), slopes[..., :-1], slopes[..., 1:])
+        )
+        curved = 3 * rise - 2 * before - after + t * (before + after - 2 * rise)
+        found = start + t * (before + t * curved)
+    return found if beyond else np.where((at_s >= times_s[0]) & (at_s <= times_s[-1]), found, 0.0)
 
 
 def nrmse(value: FloatArray, reference: FloatArray) -> float:

@@ -14,7 +14,7 @@ search (`proof.certify`).
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from transopt.base.signals import FloatArray
 from transopt.design.optimum import Designed, optimum
@@ -92,13 +92,13 @@ def least_worst(problem: TransientProblem, options: SolverOptions) -> Designed:
             value, gradient = search.at(shares)
             return -value / scale, -gradient / scale
 
-        optimize.minimize(
+        scipy.optimize.minimize(
             below,
             start,
             jac=True,
             method="SLSQP",
-            bounds=optimize.Bounds(0.0, 1.0),
-            constraints=optimize.LinearConstraint(np.ones((1, start.size)), 1.0, 1.0),
+            bounds=scipy.optimize.Bounds(0.0, 1.0),
+            constraints=scipy.optimize.LinearConstraint(np.ones((1, start.size)), 1.0, 1.0),
             options={"ftol": 1e-14, "maxiter": MOST_STEPS},
         )
     except _UnprovenError as found:

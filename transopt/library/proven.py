@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import integrate
+import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
@@ -387,8 +387,8 @@ def _nominal(library: Library) -> Iterator[str]:
 
 def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:
     """(M,) position at the ticks after the window, from that at tau_(N-1) on and its second derivative (M + 1,)."""
-    velocity = velocity_m_s + integrate.cumulative_trapezoid(rate_m_s2, dx=grid.dt_s, initial=0)
-    course = position_m + integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    velocity = velocity_m_s + scipy.integrate.cumulative_trapezoid(rate_m_s2, dx=grid.dt_s, initial=0)
+    course = position_m + scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
     return np.asarray((course - grid.delay_s * velocity)[1:])
 
 

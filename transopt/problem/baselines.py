@@ -3,7 +3,7 @@
 import numpy as np
 import scipy
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, splined
 from transopt.plant.amplifier import prefilter
 from transopt.plant.discretise import StageModel, TimeGrid
 
@@ -33,8 +33,7 @@ def seed_inversion(
     (..., N) commands [A], of their common shape, faded out over the last `taper_samples`.
     """
     N = grid.stages
-    spline = scipy.interpolate.CubicSpline(grid.switching_times_s, reference_m_s2, axis=-1, extrapolate=False)
-    at_ticks = np.nan_to_num(spline(grid.issue_times_s), nan=0.0)
+    at_ticks = splined(grid.switching_times_s, reference_m_s2, grid.issue_times_s)
     length = scipy.fft.next_fast_len(PADDING * N, real=True)
     frequencies = scipy.fft.rfftfreq(length, grid.dt_s)
     spectrum = scipy.fft.rfft(at_ticks, length)

@@ -13,8 +13,9 @@ import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
+from transopt.base.filters import highpass
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, Signal, highpass, nrmse, sampled
+from transopt.base.signals import FloatArray, Signal, nrmse, splined
 from transopt.plant.discretise import TimeGrid
 from transopt.problem.objective.target import Target
 from transopt.recordings.recording import Recording
@@ -106,38 +107,16 @@ def _fine_times(grid: TimeGrid, end_s: float) -> FloatArray:
     return np.asarray(np.arange(-before, after + 1) * step)
 
 
-def _spline(times_s: FloatArray, courses: FloatArray, at_s: FloatArray) -> FloatArray:
-    """(m, c) of the cubic not-a-knot spline through courses (K, c) at evenly spaced times (K,), at instants (m,).
-
-    Its slopes d at the knots, in units of the spacing, obey d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)). It is
-    `scipy.interpolate.CubicSpline` without the coefficients of all the intervals that nobody asks for.
-    """
-    K = times_s.size
-    bands = np.repeat([[1.0], [4.0], [1.0]], K, axis=1)
-    bands[1, [0, -1]], bands[0, 1], bands[2, -2] = 1.0, 2.0, 2.0
-    right = np.empty_like(courses)
-    right[1:-1] = 3 * (courses[2:] - courses[:-2])
-    right[0] = 0.5 * (4 * courses[1] + courses[2] - 5 * courses[0])
-    right[-1] = 0.5 * (5 * courses[-1] - 4 * courses[-2] - courses[-3])
-    slopes = scipy.linalg.solve_banded((1, 1), bands, right, overwrite_ab=True, overwrite_b=True)
-    place = (at_s - times_s[0]) / (times_s[-1] - times_s[0]) * (K - 1)
-    left = np.clip(np.floor(place), 0, K - 2).astype(int)
-    t, rise = (place - left)[:, None], courses[left + 1] - courses[left]
-    before, after = slopes[left], slopes[left + 1]
-    curved = 3 * rise - 2 * before - after + t * (before + after - 2 * rise)
-    return np.asarray(courses[left] + t * (before + t * curved))
-
-
 def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArray) -> FloatArray:
-    """(m, c) of courses (K, c) at instants (m,), by a spline up to sample `ended` and another one from there on.
+    """(c, m) of courses (c, K) at instants (m,), by a spline up to sample `ended` and another one from there on.
 
     Where a recording ends r_raw jumps to zero, and one spline through it all would ring around the jump.
     """
     if times_s.size - ended < 4:  # all instants lie before
-        return np.where((at_s >= times_s[0]) & (at_s <= times_s[-1]), _spline(times_s, courses, at_s).T, 0.0).T
+        return splined(times_s, courses, at_s)
     early, late = slice(0, ended), slice(ended, None)
-    parts = [_spline(times_s[part], courses[part], at_s) for part in (early, late)]
-    return np.asarray(np.where((at_s < times_s[ended])[:, None], *parts))
+    parts = [splined(times_s[part], courses[:, part], at_s, beyond=True) for part in (early, late)]
+    return np.asarray(np.where(at_s < times_s[ended], *parts))
 
 
 def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
@@ -203,10 +182,11 @@ def build_reference(
     times = _fine_times(grid, grid.end_s + grid.after_stages * grid.dt_s)
     # How alike the taps are, and how late, is a matter of the window, whatever comes after it.
     compared = slice(_fine_times(grid, grid.end_s).size)
-    splines = [tap.acceleration.spline for tap in taps]
 
     def scaled(shifts_s: FloatArray) -> FloatArray:
-        return np.stack([f * sampled(x, times + by) for f, x, by in zip(factors, splines, shifts_s, strict=True)])
+        return np.stack(
+            [f * tap.acceleration.at(times + by) for f, tap, by in zip(factors, taps, shifts_s, strict=True)]
+        )
 
     shifts = np.zeros(len(taps))
     repeats = scaled(shifts)
@@ -228,11 +208,11 @@ def build_reference(
     velocity += -speed_m_s - velocity[contact]
     position = _integral(velocity, raw.dt_s)
     position -= position[contact]
-    courses = np.stack([raw.values, motor.values, position, velocity], axis=1)
+    courses = np.stack([raw.values, motor.values, position, velocity])
 
     # One spline through it all for all instants, which are told apart again afterwards.
     instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)
-    sampled_at = _pieces(raw.times_s, courses, ended, np.concatenate(instants)).T
+    sampled_at = _pieces(raw.times_s, courses, ended, np.concatenate(instants))
     window, after, before, ticks = np.split(sampled_at, np.cumsum([each.size for each in instants])[:-1], axis=1)
     return Reference(
         speed_m_s=speed_m_s,

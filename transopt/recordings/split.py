@@ -13,7 +13,8 @@ import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, Signal, highpass
+from transopt.base.filters import highpass
+from transopt.base.signals import FloatArray, Signal
 from transopt.recordings.recording import Recording
 
 PAUSE_S = 0.1  # between two taps: a rebound comes sooner and belongs to its tap, no hand taps as fast

@@ -14,8 +14,9 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.files import is_file
+from transopt.base.filters import highpass, lowpass
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, Signal, highpass, lowpass
+from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_FILES
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording

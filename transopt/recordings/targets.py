@@ -18,8 +18,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
+from transopt.base.filters import lowpass
 from transopt.base.section import Finite, Name, NonNegative, Positive, Section, Words
-from transopt.base.signals import FloatArray, Signal, lowpass, sampled
+from transopt.base.signals import FloatArray, Signal
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import load_recording
 from transopt.recordings.reference import Reference
@@ -132,7 +133,7 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
             return target.course(instants_s)
         inside = (instants_s >= 0) & (instants_s <= ends_s)
         values = np.zeros(instants_s.shape)
-        values[inside] = target.scale * sampled(signal.spline, instants_s[inside] + target.start_s)
+        values[inside] = target.scale * signal.at(instants_s[inside] + target.start_s)
         return values
 
     now, after = at(grid.switching_times_s), at(grid.after_times_s)

@@ -74,3 +74,20 @@ def test_the_end_of_a_command_searches_nothing_for_garbage(tmp_path: Path) -> No
     )
     left_out, searched = map(int, ended.stdout.splitlines()[-1].split())
     assert left_out > 20 * searched
+
+
+def test_a_solve_loads_nothing_that_only_others_need(tmp_path: Path) -> None:
+    """What is loaded is a good part of the time of `transopt solve`; scipy.signal alone is a seventh of it."""
+    counted = (
+        "import atexit, sys; needless = ('scipy.signal', 'scipy.optimize', 'scipy.interpolate', 'scipy.stats');"
+        "atexit.register(lambda: print([name for name in needless if name in sys.modules]))"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", f"{counted}; from transopt.cli.start import transopt; transopt()", "solve"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=110,
+        check=True,
+    )
+    assert ended.stdout.splitlines()[-1] == "[]"

@@ -10,7 +10,8 @@ import problems
 from scripts.grid_refinement import excess, random_points, soft_hand
 from tests.benches.commands import Outcome, Terminal
 from transopt.base.errors import InputError
-from transopt.base.signals import Signal, highpass
+from transopt.base.filters import highpass
+from transopt.base.signals import Signal
 from transopt.design.build import Build, build_library
 from transopt.design.refine_grid import OffNode, Refinement, lacking, refine_grid
 from transopt.design.verify import verify_library

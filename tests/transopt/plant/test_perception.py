@@ -28,6 +28,8 @@ def test_gain_is_one_where_vibration_is_felt_best_and_never_below_the_floor(dt_s
     _, response = signal.freqz(f.b, f.a, worN=np.linspace(0, 0.5 / dt_s, 20001), fs=1 / dt_s)
     assert np.abs(response).min() >= 0.1 - 1e-12
     assert np.abs(response).max() <= 1 + 1e-12
+    b, a = signal.iirpeak(275.0, 0.5, fs=1 / dt_s)
+    np.testing.assert_allclose([f.b, f.a], [0.1 * a + 0.9 * b, a], atol=1e-12)
 
 
 def test_state_space_is_the_same_filter() -> None:

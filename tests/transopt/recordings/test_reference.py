@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal, highpass, lowpass, nrmse
+from transopt.base.filters import highpass, lowpass
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal, nrmse
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, assign, between, build_reference, build_references

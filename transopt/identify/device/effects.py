@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from transopt.base.signals import ComplexArray, FloatArray, Signal, highpass
+from transopt.base.filters import highpass
+from transopt.base.signals import ComplexArray, FloatArray, Signal
 from transopt.identify.checks import JITTER_NOTED, within
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import ChainFit, response_slopes

@@ -12,7 +12,8 @@ from typing import Protocol
 import numpy as np
 from scipy import fft
 
-from transopt.base.signals import ComplexArray, FloatArray, Signal, highpass, nrmse
+from transopt.base.filters import highpass
+from transopt.base.signals import ComplexArray, FloatArray, Signal, nrmse
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import felt_current
 from transopt.identify.measurement import Measurement

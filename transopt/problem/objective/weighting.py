@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy
 
 from transopt.base.errors import InputError
+from transopt.base.recursions import filtered
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
@@ -26,16 +26,17 @@ class ErrorFilter:
 
     def apply(self, error: FloatArray) -> FloatArray:
         """(..., N) filtered along the last axis."""
-        return np.asarray(scipy.signal.lfilter(self.b, self.a, error, axis=-1))
+        return filtered(self.b, self.a, error)
 
     def transpose(self, by_filtered: FloatArray) -> FloatArray:
         """(..., N) gradient by the error for a gradient by the filtered error."""
-        return np.asarray(scipy.signal.lfilter(self.b, self.a, by_filtered[..., ::-1], axis=-1)[..., ::-1])
+        return filtered(self.b, self.a, by_filtered[..., ::-1])[..., ::-1]
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """A (2, 2), B (2, 1), C (1, 2), D (1, 1) of the same filter."""
-        A, B, C, D = scipy.signal.tf2ss(self.b, self.a)
-        return A, B, C, D
+        """A (2, 2), B (2, 1), C (1, 2), D (1, 1) of the same filter, in the controllable canonical form."""
+        (_, a1, a2), (b0, b1, b2) = self.a, self.b
+        A, B = np.array([[-a1, -a2], [1.0, 0.0]]), np.array([[1.0], [0.0]])
+        return A, B, np.array([[b1 - b0 * a1, b2 - b0 * a2]]), np.array([[b0]])
 
 
 def error_filter(name: str, dt_s: float) -> ErrorFilter | None:
@@ -65,5 +66,9 @@ def pacinian(dt_s: float) -> ErrorFilter:
         raise InputError(
             f"weights.error_filter: pacinian lies at {PACINIAN_Hz:g} Hz, above half the servo rate {0.5 / dt_s:g} Hz"
         )
-    b, a = scipy.signal.iirpeak(PACINIAN_Hz, PACINIAN_Q, fs=1 / dt_s)
+    # The bilinear transform of (s / Q) / (s^2 + s / Q + 1) with the band edges where Q puts them.
+    w0 = 2 * np.pi * PACINIAN_Hz * dt_s
+    share = 1 / (1 + np.tan(0.5 * w0 / PACINIAN_Q))
+    a = np.array([1.0, -2 * share * np.cos(w0), 2 * share - 1])
+    b = (1 - share) * np.array([1.0, 0.0, -1.0])
     return ErrorFilter(FLOOR * a + (1 - FLOOR) * b, a)

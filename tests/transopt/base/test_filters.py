@@ -1,0 +1,52 @@
+"""The Butterworth filters against those of scipy.signal, and against their gains."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from transopt.base.filters import highpass, lowpass
+from transopt.base.signals import FloatArray, Signal
+
+RATES = [(20.0, 1e5), (20.0, 2e3), (1000.0, 1e5), (700.0, 2e3), (0.5, 1e4)]
+
+
+def pulse(rate_Hz: float) -> Signal:
+    """A tap on an offset, with noise: what is recorded."""
+    times = np.arange(3000) / rate_Hz
+    tap = np.exp(-(((times - 0.4 * times[-1]) * 40 / times[-1]) ** 2))
+    return Signal(0.0, 1 / rate_Hz, 3.0 + 80 * tap + np.random.default_rng(3).normal(0, 0.2, times.size))
+
+
+def off(found: FloatArray, wanted: FloatArray) -> float:
+    return float(np.abs(found - wanted).max() / np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(("cutoff_Hz", "rate_Hz"), RATES)
+def test_highpass_is_scipys(cutoff_Hz: float, rate_Hz: float) -> None:
+    x = pulse(rate_Hz)
+    sections = signal.butter(2, cutoff_Hz, btype="highpass", fs=rate_Hz, output="sos")
+    assert off(highpass(x, cutoff_Hz).values, signal.sosfilt(sections, x.values)) < 1e-9
+
+
+@pytest.mark.parametrize(("cutoff_Hz", "rate_Hz"), RATES)
+def test_lowpass_is_scipys_forwards_and_backwards(cutoff_Hz: float, rate_Hz: float) -> None:
+    x = pulse(rate_Hz)
+    b, a = signal.butter(2, cutoff_Hz, fs=rate_Hz)
+    pad = min(x.values.size - 1, int(np.ceil(10 * rate_Hz / (2 * np.pi * cutoff_Hz))))
+    # The edge's value goes on for ever on both sides there as here.
+    wanted = signal.filtfilt(b, a, x.values, padtype="constant", padlen=pad)
+    assert off(lowpass(x, cutoff_Hz).values, wanted) < 1e-9
+
+
+def test_gain_at_the_cutoff() -> None:
+    rate_Hz, cutoff_Hz = 1e4, 500.0
+    wave = Signal(0.0, 1 / rate_Hz, np.sin(2 * np.pi * cutoff_Hz * np.arange(4000) / rate_Hz))
+    middle = slice(1000, 3000)
+    assert np.abs(lowpass(wave, cutoff_Hz).values[middle]).max() == pytest.approx(0.5, rel=1e-3)
+    assert np.abs(highpass(wave, cutoff_Hz).values[middle]).max() == pytest.approx(np.sqrt(0.5), rel=1e-3)
+
+
+def test_what_does_not_change_passes_as_it_is() -> None:
+    level = Signal(0.0, 1e-4, np.full(500, 7.25))
+    assert lowpass(level, 400.0).values == pytest.approx(7.25, rel=1e-12)
+    assert lowpass(level, 4500.0) is level
