@@ -19,8 +19,6 @@ from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking
 from transopt.problem.objective.weighting import ErrorFilter
 
-LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
-
 
 @dataclass(frozen=True)
 class TransientProblem:
@@ -78,14 +76,10 @@ class TransientProblem:
         ):
             if array.shape != (size,):
                 raise InputError(f"{name} has shape {array.shape}, expected ({size},)")
-            if not np.isfinite(array).all():
-                raise InputError(f"{name} holds a number that is not finite")
-            largest = float(np.abs(array).max(initial=0.0))
-            if name.startswith("reference") and largest > LARGEST_M_S2:
-                raise InputError(
-                    f"{name} reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares "
-                    "overflow; check its unit"
-                )
+        if self.target.flaw:
+            raise InputError(self.target.flaw)
+        if not np.isfinite(self.tracking_weights).all():
+            raise InputError("tracking_weights holds a number that is not finite")
         if self.tracking_weights.min() < 0 or not 0 <= self.rho < np.inf:
             raise InputError("weights: tracking weights and rho must be >= 0 and finite")
         if not (self.intensity == 0 or 0 < self.intensity < min(1.0, self.tracking_weights.min())):
@@ -114,7 +108,7 @@ class TransientProblem:
         """The same problem without the limits of these names."""
         if not any(name in self.limits for name in names):
             return self
-        return replace(self, limits=self.limits.without(*names))
+        return self._under(self.limits.without(*names))
 
     def alone(self) -> "TransientProblem":
         """The same problem for its own device, with no price on intensity."""
@@ -122,7 +116,15 @@ class TransientProblem:
 
     def replaced(self, limit: Limit) -> "TransientProblem":
         """The same problem with this limit in the place of the one of its name."""
-        return replace(self, limits=self.limits.replaced(limit))
+        return self._under(self.limits.replaced(limit))
+
+    def _under(self, limits: Limits) -> "TransientProblem":
+        """The same problem under other limits; what they have no say in is not computed again."""
+        found = replace(self, limits=limits)
+        for name in ("tracking", "shared", "feedback", "reference_is_zero"):
+            if name in vars(self):
+                vars(found)[name] = vars(self)[name]
+        return found
 
     def without_intensity(self) -> "TransientProblem":
         """The same problem with no price on intensity: J is minimised."""
@@ -212,10 +214,6 @@ class TransientProblem:
     def objective(self, command: FloatArray, accelerations_m_s2: FloatArray) -> float:
         """J of a command (N,) and the accelerations (S, N + M) it was rolled out to; dimensionless."""
         return self.tracking.value(accelerations_m_s2) + self.movement.value(command)
-
-    def merit(self, command: FloatArray, accelerations_m_s2: FloatArray) -> float:
-        """L of the same: what is minimised, and J without a price on intensity."""
-        return self.objective(command, accelerations_m_s2) - self.tracking.reward(accelerations_m_s2)
 
     @cached_property
     def feedback(self) -> Feedback:

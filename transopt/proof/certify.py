@@ -319,7 +319,7 @@ def certify(
             over="ignore", invalid="ignore"
         ):  # over a wall that grows by itself what comes after does too
             objective = problem.objective(command, effect.accelerations_m_s2)
-            merit = problem.merit(command, effect.accelerations_m_s2)
+            merit = objective - problem.tracking.reward(effect.accelerations_m_s2)  # L, which is minimised
         if not np.isfinite(merit):
             # Beside an objective without bound any gap would be none.
             return Certificate.nothing()

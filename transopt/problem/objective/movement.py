@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from transopt.base.signals import FloatArray
 
 SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
@@ -34,14 +32,23 @@ class Movement:
 
     def value(self, command: FloatArray) -> float:
         """The term at a command (N,)."""
-        movement = np.diff(command, prepend=0.0)
+        movement = _moves(command)
         return self.weight * float(movement @ movement)
 
     def gradient(self, command: FloatArray) -> FloatArray:
         """(N,) of the term by the commands [1/A]."""
-        by_movement = 2 * self.weight * np.diff(command, prepend=0.0)
-        return np.asarray(by_movement - np.append(by_movement[1:], 0.0))
+        by_movement = 2 * self.weight * _moves(command)
+        by_command = by_movement.copy()
+        by_command[:-1] -= by_movement[1:]
+        return by_command
 
     def relief(self, command: FloatArray) -> float:
         """By how much the term falls for each ampere that I is raised, the command as it is [1/A]."""
         return 2 * self.value(command) / self.input_limit
+
+
+def _moves(command: FloatArray) -> FloatArray:
+    """(N,) of a command (N,), the first from zero."""
+    moves = command.copy()
+    moves[1:] -= command[:-1]
+    return moves

@@ -9,6 +9,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
 ZERO_M_S2 = 1e-3  # a tap with a smaller rms is zero
+LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
 
 
 def _none() -> FloatArray:
@@ -35,7 +36,7 @@ class Target:
 
     __repr__ = brief
 
-    @property
+    @cached_property
     def lost_m2_s4(self) -> float:
         """sum r^2 over what no command can reach; it belongs to J and to every error."""
         return float(self.before_m_s2 @ self.before_m_s2)
@@ -45,17 +46,33 @@ class Target:
         """E."""
         return self.lost_m2_s4 + float(self.window_m_s2 @ self.window_m_s2)
 
+    @cached_property
+    def flaw(self) -> str:
+        """What makes it no target, in words: a number that is not finite, or one whose square overflows; or empty."""
+        named = {"window": self.window_m_s2, "after": self.after_m_s2, "before": self.before_m_s2}
+        for name, array in named.items():
+            said = "reference_m_s2" if name == "window" else f"reference_{name}_m_s2"
+            if not np.isfinite(array).all():
+                return f"{said} holds a number that is not finite"
+            largest = float(np.abs(array).max(initial=0.0))
+            if largest > LARGEST_M_S2:
+                return (
+                    f"{said} reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares overflow; "
+                    "check its unit"
+                )
+        return ""
+
     @property
     def lost_share(self) -> float:
         """Of the energy; 0 of a tap that is zero."""
         return 0.0 if self.is_zero else self.lost_m2_s4 / self.energy_m2_s4
 
-    @property
+    @cached_property
     def is_zero(self) -> bool:
         """Whether there is no tap at all."""
         return self.energy_m2_s4 < ZERO_M_S2**2 * (self.window_m_s2.size + self.before_m_s2.size)
 
-    @property
+    @cached_property
     def asks_for_nothing(self) -> bool:
         """Whether there is nothing left of the tap in the window: the answer is the zero waveform."""
         r = self.window_m_s2
@@ -73,7 +90,7 @@ class Target:
 
         return Target(wide(self.window_m_s2), wide(self.after_m_s2), wide(self.before_m_s2))
 
-    @property
+    @cached_property
     def continued_m_s2(self) -> FloatArray:
         """(N + M,) window and what comes after it."""
         return np.append(self.window_m_s2, self.after_m_s2)
