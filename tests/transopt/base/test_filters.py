@@ -1,5 +1,6 @@
 """The Butterworth filters against those of scipy.signal, and against their gains."""
 
+import mpmath
 import numpy as np
 import pytest
 from scipy import signal
@@ -36,6 +37,20 @@ def test_lowpass_is_scipys_forwards_and_backwards(cutoff_Hz: float, rate_Hz: flo
     # The edge's value goes on for ever on both sides there as here.
     wanted = signal.filtfilt(b, a, x.values, padtype="constant", padlen=pad)
     assert off(lowpass(x, cutoff_Hz).values, wanted) < 1e-9
+
+
+def test_a_low_cutoff_keeps_its_digits() -> None:
+    """Against the difference equation with thirty digits."""
+    x = pulse(1e5)
+    with mpmath.workdps(30):
+        ratio = mpmath.tan(mpmath.pi * 8 / 100000)
+        whole = 1 + mpmath.sqrt(2) * ratio + ratio**2
+        a1, a2 = 2 * (ratio**2 - 1) / whole, (1 - mpmath.sqrt(2) * ratio + ratio**2) / whole
+        values, wanted = [mpmath.mpf(0)] * 2 + [mpmath.mpf(float(v)) for v in x.values], [mpmath.mpf(0)] * 2
+        for k in range(2, len(values)):
+            risen = (values[k] - 2 * values[k - 1] + values[k - 2]) / whole
+            wanted.append(risen - a1 * wanted[k - 1] - a2 * wanted[k - 2])
+    assert off(highpass(x, 8.0).values, np.array(wanted[2:], dtype=float)) < 1e-12
 
 
 def test_gain_at_the_cutoff() -> None:
