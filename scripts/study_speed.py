@@ -70,7 +70,7 @@ def plan(entries: int) -> Plan:
     """A study of a number of entries."""
     scene = problems.load("wood_on_foam")
     low, high = CURRENTS_A
-    axis = parse_axis(scene, "--vary", f"limits.current_A={low}:{high}:{max(entries // (SPEEDS * GRIPS), 1)}")
+    axis = parse_axis(scene, "--vary", f"limits.current_A={low}:{high}:{entries // (SPEEDS * GRIPS)}")
     speeds, grips = np.linspace(0.2, 0.4, SPEEDS), np.linspace(1.0, 10.0, GRIPS)
     return Plan(scene, (axis,), tuple(speeds.tolist()), tuple(grips.tolist()))
 
@@ -142,8 +142,8 @@ def row(name: str, found: Run) -> tuple[str, ...]:
 
 
 def main(
-    entries: Annotated[int, at_least(100, "of the long study")] = 5000,
-    short: Annotated[int, at_least(100, "of the others")] = 600,
+    entries: Annotated[int, at_least(2 * SPEEDS * GRIPS, "of the long study")] = 5000,
+    short: Annotated[int, at_least(2 * SPEEDS * GRIPS, "of the others")] = 600,
     page: PageFile = None,
 ) -> int:
     rows = [row("processes, 2", solved(entries, "processes"))]
