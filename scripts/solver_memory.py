@@ -9,7 +9,6 @@ is compiled for. Every run has to be clean and to give what the installed extens
 sums written out in `recursions_memory.c`. Exit code 3: a tool is missing, and which is said.
 """
 
-import os
 import shutil
 import struct
 import subprocess
@@ -166,7 +165,7 @@ def main() -> int:
     if shutil.which("valgrind") is not None:
         whole["valgrind"] = ("-O2",)
     runs = whole | {f"sanitizers, {width} wide": (*SANITIZED, f"-DONLY_WIDTH={width}") for width in (1, 2, 4, 8)}
-    with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(os.cpu_count()) as pool:
+    with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(2) as pool:
         folder = Path(made)
         data = folder / "problems"
         data.write_bytes(struct.pack("i", len(given)) + b"".join(written(stages) for stages in given))
