@@ -17,7 +17,7 @@ CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 # By name: Windows exports nothing else, and elsewhere everything is exported.
 SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear"]
-RECURSION_CALLS = ["tr_most_states", "tr_run", "tr_forwards", "tr_backwards"]
+RECURSION_CALLS = ["tr_most_states", "tr_run", "tr_forwards", "tr_backwards", "tr_strike"]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),
     *("td_probe_look", "td_probe_image", "td_probe_heat", "td_device_state", "td_device_receive", "td_device_send"),
@@ -73,6 +73,7 @@ if __name__ == "__main__":
                 "transopt.base.native._recursions",
                 ["transopt/base/native/recursions.c"],
                 export_symbols=RECURSION_CALLS,
+                libraries=["m"] if os.name == "posix" else [],
                 optional=True,
             ),
             Extension(

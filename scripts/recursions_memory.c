@@ -1,4 +1,5 @@
 /* Runs the compiled recursions on arrays of their exact sizes, against sums written out: for sanitizers and valgrind.
+ * A strike without a force is a recursion too, and one with a force is run twice, alone and beside another.
  *
  * Prints the number of cases; exit code 1 where a state differs.
  */
@@ -48,6 +49,29 @@ int main(void)
                 free(P), free(x), free(y);
                 cases++;
             }
+    for (int m = 1; m <= 15; m += 7)
+        for (size_t steps = 0; steps < 40; steps += 13) {
+            const size_t n = (size_t)m;
+            double *A = doubles(n * n), *B = doubles(n * 4), *seen = doubles(8 * n), *earlier = doubles(8 * 4);
+            double *two = doubles((steps + 1) * n * 2), *one = doubles((steps + 1) * n);
+            double *free_of = doubles((steps + 1) * n), *sums = doubles((steps + 1) * n), *forces = doubles((steps + 1) * 2);
+            const double contact[3] = {0.3, 1.5, 0.1}, none[3] = {0.0, 1.5, 0.1};
+            for (size_t i = 0; i < n; i++) {
+                one[i] = two[2 * i];
+                free_of[i] = sums[i] = one[i];
+            }
+            memset(sums + n, 0, steps * n * sizeof(double));
+            tr_strike(steps, m, 2, A, B, seen, earlier, contact, two, forces);
+            tr_strike(steps, m, 1, A, B, seen, earlier, contact, one, forces);
+            tr_strike(steps, m, 1, A, B, seen, earlier, none, free_of, forces);
+            tr_run(steps + 1, m, A, sums);
+            for (size_t i = 0; i < (steps + 1) * n; i++) {
+                if (one[i] != two[2 * i] && !(isnan(one[i]) && isnan(two[2 * i]))) return 1;
+                if (!(fabs(free_of[i] - sums[i]) <= 1e-9 * (1.0 + fabs(sums[i])))) return 1;
+            }
+            free(A), free(B), free(seen), free(earlier), free(two), free(one), free(free_of), free(sums), free(forces);
+            cases++;
+        }
     printf("%d\n", cases);
     return 0;
 }

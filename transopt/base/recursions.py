@@ -1,8 +1,8 @@
-"""Linear recursions over the stages, compiled where there is a compiler, else as banded triangular systems.
+"""Recursions over the stages, compiled where there is a compiler, else as banded triangular systems.
 
 The recursion x_(k+1) = P_k x_k + f_k with m states, written for all k at once, is a unit lower triangular system with
 2 m - 1 diagonals below the main one. BLAS solves it with the recursion's own products and sums, in a fiftieth of the
-time that a loop in Python takes; `native/recursions.c`, which does nothing else, in a fifth of that. The extension is
+time that a loop in Python takes; `native/recursions.c`, which does little else, in a fifth of that. The extension is
 optional, and both round differently in the last bits.
 """
 
@@ -26,8 +26,10 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_most_states") or library.tr_most_states() != MOST_STATES:
+    if not hasattr(library, "tr_strike") or library.tr_most_states() != MOST_STATES:
         return None  # left behind by another version: as good as none
+    library.tr_strike.restype = None
+    library.tr_strike.argtypes = (ct.c_size_t, ct.c_int, ct.c_size_t, *(ct.c_void_p,) * 7)
     for call in (library.tr_run, library.tr_forwards, library.tr_backwards):
         call.restype, call.argtypes = None, (ct.c_size_t, ct.c_int, ct.c_void_p, ct.c_void_p)
     return library
@@ -123,3 +125,33 @@ def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
     for course, its in zip(values.reshape(-1, K), found.reshape(-1, K), strict=True):
         its[:] = blas.dtbsv(a.size - 1, lower, np.convolve(course, b)[:K], lower=1, diag=1)
     return found
+
+
+def strike(
+    by_state: FloatArray,
+    by_force: FloatArray,
+    seen: FloatArray,
+    earlier: FloatArray,
+    contact: tuple[float, float, float],
+    start: FloatArray,
+    steps: int,
+) -> tuple[FloatArray, FloatArray] | None:
+    """States (steps + 1, n, V) and forces (steps + 1, V) of V courses that strike something; None if not compiled.
+
+    A step of Runge-Kutta's method is x_(k+1) = by_state x_k + by_force F with the forces F of its four stages j, each
+    k delta^e (1 + c d delta/dt) >= 0 at (delta, d delta/dt) = seen_j x_k + sum_(i < j) earlier_ji F_i.
+
+    Parameters
+    ----------
+    by_state : (n, n). by_force : (n, 4). seen : (4, 2, n). earlier : (4, 2, 4).
+    contact : k, e and c.
+    start : (n, V) states at first.
+    """
+    n, courses = start.shape
+    if COMPILED is None or n > MOST_STATES:
+        return None
+    states, forces = np.empty((steps + 1, n, courses)), np.empty((steps + 1, courses))
+    states[0] = start
+    given = [np.ascontiguousarray(each, dtype=float) for each in (by_state, by_force, seen, earlier, contact)]
+    COMPILED.tr_strike(steps, n, courses, *(each.ctypes.data for each in (*given, states, forces)))
+    return states, forces

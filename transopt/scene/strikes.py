@@ -1,10 +1,10 @@
 """Recordings of a scene whose taps are simulated: its device, not driven, strikes an object that the scene states."""
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
+from transopt.base import recursions
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.base.sizes import MOST_SAMPLES
@@ -40,15 +40,16 @@ def _driven(
     flow: FloatArray,
     push: FloatArray,
     outputs: FloatArray,
-    force: Callable[[FloatArray, FloatArray], FloatArray],
+    target: SimulatedTaps,
     start: FloatArray,
     steps: int,
     step_s: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """RK4 of dx/dt = flow x + push F(outputs x), for V courses at once: states (K, n, V) and forces (K, V).
+    """RK4 of dx/dt = flow x + push F(outputs x) for V courses at once: states (K, n, V) and contact forces F (K, V).
 
     The steps of `rk4_step` written out: state, slopes and outputs of all four stages are linear in the state at the
-    start of the step and in the forces of the stages before, so that only the forces are computed one by one.
+    start of the step and in the forces of the stages before, so that only the forces are computed one by one:
+    compiled, or all courses at once in numpy.
     """
     size = push.size
     # Each a map from the state (size) and the four forces.
@@ -64,6 +65,13 @@ def _driven(
     seen = np.concatenate([outputs @ stage for stage in stages])  # (4 x 2, size + 4), stage after stage
     by_state = np.concatenate([after[:, :size], seen[:, :size]])
     by_force = np.ascontiguousarray(after[:, size:])
+    contact = (target.contact_stiffness_N_m, target.contact_exponent, target.contact_damping_s_m)
+    stagewise = seen.reshape(4, 2, size + 4)
+    compiled = recursions.strike(
+        by_state[:size], by_force, stagewise[..., :size], stagewise[..., size:], contact, start, steps
+    )
+    if compiled is not None:
+        return compiled
     states, forces = np.empty((steps + 1, *start.shape)), np.empty((steps + 1, start.shape[1]))
     states[0] = start
     # Written into the same few arrays at every step: to make new ones takes as long as what is computed here.
@@ -76,11 +84,11 @@ def _driven(
         later.append((j, earlier, stage_forces[:j], np.empty_like(first), free[size + 2 * j : size + 2 * j + 2]))
     for k in range(steps + 1):
         np.dot(by_state, states[k], free)
-        stage_forces[0] = force(*first)
+        stage_forces[0] = contact_force(target, *first)
         for j, earlier, before, further, reached in later:
             np.dot(earlier, before, further)
             np.add(reached, further, reached)
-            stage_forces[j] = force(*reached)
+            stage_forces[j] = contact_force(target, *reached)
         forces[k] = stage_forces[0]
         if k < steps:
             np.dot(by_force, stage_forces, pushed)
@@ -129,7 +137,7 @@ def strike(
     start = np.zeros((n + 4, speeds_m_s.size))
     start[-1] = speeds_m_s
     steps = int(np.ceil(duration_s / step_s))
-    states, forces = _driven(flow, push, contact, partial(contact_force, target), start, steps, step_s)
+    states, forces = _driven(flow, push, contact, target, start, steps, step_s)
     times = step_s * np.arange(steps + 1)
     acceleration = np.einsum("n,knv->kv", plant.C[0], states[:, :n]) + plant.D[0, 0] * forces
     encoder = np.einsum("n,knv->kv", plant.Ce[0], states[:, :n]) - states[:, n + 2]

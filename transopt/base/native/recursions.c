@@ -1,6 +1,8 @@
 /* Linear recursions over the stages of a transient, in place: x holds what is added at every stage, and in the end
- * the states. All arrays are row by row. C99 without dependencies, no global state, no allocation.
+ * the states; and a linear system that strikes something. All arrays are row by row. C99 without dependencies, no
+ * global state, no allocation.
  */
+#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -74,4 +76,47 @@ void tr_backwards(size_t count, int m, const double *P, double *x)
     for (size_t k = count; k-- > 1;)
         for (size_t i = 0; i < n; i++)
             for (size_t j = 0; j < n; j++) x[(k - 1) * n + j] += P[((k - 1) * n + i) * n + j] * x[k * n + i];
+}
+
+/* The force of a contact, stiffness depth^exponent (1 + damping closing), which never pulls. */
+static double contact_force(const double contact[3], double depth, double closing)
+{
+    /* What is no number stays none. */
+    const double elastic = depth > 0 ? contact[0] * pow(depth, contact[1]) : depth <= 0 ? 0 : depth;
+    const double force = elastic * (1 + contact[2] * closing);
+    return force < 0 ? 0 : force;
+}
+
+/* A linear system of n states and a contact's force on it by the Runge-Kutta method of fourth order, whose steps are
+ *     x_(k+1) = by_state x_k + by_force F,  F_j = force(seen_j x_k + sum over i < j of earlier_ji F_i),  j = 0..3
+ * with by_state (n, n), by_force (n, 4), seen (4, 2, n) and earlier (4, 2, 4): depth and closing speed at the four stages.
+ * For `columns` courses: states (steps + 1, n, columns) from states_0 on, forces (steps + 1, columns) of stage 0. */
+void tr_strike(size_t steps, int n, size_t columns, const double *by_state, const double *by_force, const double *seen,
+               const double *earlier, const double *contact, double *states, double *forces)
+{
+    const size_t m = (size_t)n;
+    for (size_t c = 0; c < columns; c++) {
+        double now[MOST_STATES], next[MOST_STATES];
+        for (size_t i = 0; i < m; i++) now[i] = states[i * columns + c];
+        for (size_t k = 0; k <= steps; k++) {
+            double F[4];
+            for (size_t j = 0; j < 4; j++) {
+                double at[2] = {0, 0};
+                for (size_t o = 0; o < 2; o++) {
+                    for (size_t i = 0; i < m; i++) at[o] += seen[(2 * j + o) * m + i] * now[i];
+                    for (size_t i = 0; i < j; i++) at[o] += earlier[(2 * j + o) * 4 + i] * F[i];
+                }
+                F[j] = contact_force(contact, at[0], at[1]);
+            }
+            forces[k * columns + c] = F[0];
+            if (k == steps) break;
+            for (size_t i = 0; i < m; i++) {
+                double sum = 0;
+                for (size_t j = 0; j < m; j++) sum += by_state[i * m + j] * now[j];
+                for (size_t j = 0; j < 4; j++) sum += by_force[i * 4 + j] * F[j];
+                next[i] = sum;
+            }
+            for (size_t i = 0; i < m; i++) states[((k + 1) * m + i) * columns + c] = now[i] = next[i];
+        }
+    }
 }
