@@ -17,7 +17,10 @@ CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 # By name: Windows exports nothing else, and elsewhere everything is exported.
 SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear"]
-RECURSION_CALLS = ["tr_most_states", "tr_run", "tr_forwards", "tr_backwards", "tr_strike"]
+RECURSION_CALLS = [
+    *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
+    *("tr_outputs", "tr_bilinear", "tr_cubic", "tr_strike"),
+]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),
     *("td_probe_look", "td_probe_image", "td_probe_heat", "td_device_state", "td_device_receive", "td_device_send"),

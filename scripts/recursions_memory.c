@@ -1,5 +1,6 @@
 /* Runs the compiled recursions on arrays of their exact sizes, against sums written out: for sanitizers and valgrind.
- * A strike without a force is a recursion too, and one with a force is run twice, alone and beside another.
+ * A strike without a force is a recursion too, and one with a force is run twice, alone and beside another; a spline
+ * through a straight line is that line.
  *
  * Prints the number of cases; exit code 1 where a state differs.
  */
@@ -72,6 +73,56 @@ int main(void)
             free(A), free(B), free(seen), free(earlier), free(two), free(one), free(free_of), free(sums), free(forces);
             cases++;
         }
+    for (int m = 1; m <= 12; m += 3)
+        for (int p = 1; p <= 3; p++)
+            for (int q = 1; q <= 7; q += 2)
+                for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
+                    for (int back = 0; back < 2; back++) {
+                        const size_t n = (size_t)m, K = counts[c], width = (size_t)(m + q + 3) / 4 * 4;
+                        double *S = doubles((n + (size_t)p) * width), *u = doubles((size_t)p * K);
+                        double *y = doubles((size_t)q * K), *x = doubles(n), *next = doubles(n);
+                        tr_outputs(K, m, p, q, (int)width, S, u, y, back);
+                        memset(x, 0, n * sizeof(double));
+                        for (size_t s = 0; s < K; s++) {
+                            const size_t k = back ? K - 1 - s : s;
+                            for (size_t i = 0; i < n + (size_t)q; i++) {
+                                double sum = 0;
+                                for (size_t j = 0; j < n; j++) sum += S[j * width + i] * x[j];
+                                for (size_t j = 0; j < (size_t)p; j++) sum += S[(n + j) * width + i] * u[j * K + k];
+                                if (i < n) next[i] = sum;
+                                else if (!(fabs(y[(i - n) * K + k] - sum) <= 1e-9 * (1.0 + fabs(sum)))) return 1;
+                            }
+                            memcpy(x, next, n * sizeof(double));
+                        }
+                        free(S), free(u), free(y), free(x), free(next);
+                        cases++;
+                    }
+    for (int m = 1; m <= 2; m++)
+        for (size_t c = 0; c < sizeof counts / sizeof *counts; c++) {
+            const size_t n = (size_t)m, K = counts[c];
+            double *M = doubles(n * n), *b = doubles(n), *gain = doubles(K), *h = doubles(K), *x = doubles((K + 1) * n);
+            tr_bilinear(K, m, M, b, gain, 0.3, h, x);
+            for (size_t k = 0; k < K; k++)
+                for (size_t i = 0; i < n; i++) {
+                    double sum = b[i] * (gain[k] + 0.3 * x[k * n]) * h[k];
+                    for (size_t j = 0; j < n; j++) sum += M[i * n + j] * x[k * n + j];
+                    if (!(fabs(x[(k + 1) * n + i] - sum) <= 1e-9 * (1.0 + fabs(sum)))) return 1;
+                }
+            free(M), free(b), free(gain), free(h), free(x);
+            cases++;
+        }
+    for (size_t knots = 2; knots < 6; knots++) {
+        /* A straight line is its own spline; the last place is no number. */
+        double places[] = {-0.5, 0.0, 0.25, 1.0, (double)knots - 1.0, (double)knots + 3.0, NAN};
+        const size_t count = sizeof places / sizeof *places;
+        double *y = doubles(2 * knots), *slopes = doubles(2 * knots), *found = doubles(2 * count);
+        for (size_t i = 0; i < 2 * knots; i++) y[i] = 3.0 * (double)(i % knots), slopes[i] = 3.0;
+        tr_cubic(knots, 2, y, slopes, count, places, found);
+        for (size_t i = 0; i < 2 * count; i++)
+            if (i % count + 1 < count && !(fabs(found[i] - 3.0 * places[i % count]) <= 1e-9)) return 1;
+        free(y), free(slopes), free(found);
+        cases++;
+    }
     printf("%d\n", cases);
     return 0;
 }

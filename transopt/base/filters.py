@@ -10,31 +10,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from transopt.base.recursions import Recursion
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.recursions import LinearSystem
+from transopt.base.signals import Signal
 
 
 @dataclass(frozen=True)
 class _Butterworth:
-    """s_(k+1) = A s_k + B u_k from rest, and an output of the states and u_k.
+    """The low-passed and the high-passed signal of a signal, from rest."""
 
-    Attributes
-    ----------
-    A : (2, 2). B : (2,).
-    low, high : (3,) coefficients of s_k and u_k in the low-passed and in the high-passed signal.
-    """
-
-    A: FloatArray
-    B: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-    def run(self, values: FloatArray, output: FloatArray) -> FloatArray:
-        """(K,) an output of the filter along values (K,)."""
-        forcing = np.zeros((values.size, 2))
-        np.multiply.outer(values[:-1], self.B, out=forcing[1:])
-        states = Recursion(self.A).run(forcing)
-        return np.asarray(states @ output[:2] + output[2] * values)
+    low: LinearSystem
+    high: LinearSystem
 
 
 @lru_cache(maxsize=16)  # all taps of a scene pass the same few
@@ -46,7 +31,8 @@ def _butterworth(cutoff_Hz: float, rate_Hz: float) -> _Butterworth:
     first = share * np.array([1.0, -g, g])
     second = np.array([0.0, 1.0, 0.0]) + g * first
     A, B = np.array([2 * first[:2], 2 * second[:2]]) - np.eye(2), 2 * np.array([first[2], second[2]])
-    return _Butterworth(A, B, second, np.array([0.0, 0.0, 1.0]) - k * first - second)
+    outputs = second, np.array([0.0, 0.0, 1.0]) - k * first - second
+    return _Butterworth(*(LinearSystem(A, B[:, None], row[None, :2], row[None, 2:]) for row in outputs))
 
 
 def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
@@ -65,7 +51,7 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
     course = np.pad(x.values, pad, mode="edge")
     for _ in range(2):
         # Forwards, then backwards, each time from the steady state of its first value, which the filter leaves alone.
-        course = (course[0] + filtering.run(course - course[0], filtering.low))[::-1]
+        course = (course[0] + filtering.low.outputs((course - course[0])[None])[0])[::-1]
     return replace(x, values=np.ascontiguousarray(course[pad : pad + x.values.size]))
 
 
@@ -77,4 +63,4 @@ def highpass(x: Signal, cutoff_Hz: float) -> Signal:
     the motor move before the contact.
     """
     filtering = _butterworth(cutoff_Hz, x.rate_Hz)
-    return replace(x, values=filtering.run(x.values, filtering.high))
+    return replace(x, values=filtering.high.outputs(x.values[None])[0])

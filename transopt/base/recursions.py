@@ -1,4 +1,4 @@
-"""Recursions over the stages, compiled where there is a compiler, else as banded triangular systems.
+"""Recursions over the stages, compiled where there is a compiler, else as banded triangular systems; and a spline.
 
 The recursion x_(k+1) = P_k x_k + f_k with m states, written for all k at once, is a unit lower triangular system with
 2 m - 1 diagonals below the main one. BLAS solves it with the recursion's own products and sums, in a fiftieth of the
@@ -6,19 +6,23 @@ time that a loop in Python takes; `native/recursions.c`, which does little else,
 optional, and both round differently in the last bits.
 """
 
+from __future__ import annotations
+
 import ctypes as ct
 import os
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import blas
 
-from transopt.base.signals import FloatArray
+if TYPE_CHECKING:
+    from transopt.base.signals import FloatArray  # which takes its spline from here
 
 CHUNK = 128  # stages that one constant band spans
 EXTENSION = "_recursions.pyd" if os.name == "nt" else "_recursions.so"
-MOST_STATES = 64  # of recursions.c
+MOST_STATES, MOST_WIDTH = 64, 96  # of recursions.c
 
 
 def _library() -> ct.CDLL | None:
@@ -26,13 +30,28 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_strike") or library.tr_most_states() != MOST_STATES:
+    if not hasattr(library, "tr_cubic") or library.tr_most_states() != MOST_STATES:
         return None  # left behind by another version: as good as none
-    library.tr_strike.restype = None
-    library.tr_strike.argtypes = (ct.c_size_t, ct.c_int, ct.c_size_t, *(ct.c_void_p,) * 7)
-    for call in (library.tr_run, library.tr_forwards, library.tr_backwards):
-        call.restype, call.argtypes = None, (ct.c_size_t, ct.c_int, ct.c_void_p, ct.c_void_p)
+    size, count, array = ct.c_size_t, ct.c_int, ct.c_void_p
+    takes: dict[str, tuple[type, ...]] = {
+        "tr_run": (size, count, array, array),
+        "tr_forwards": (size, count, array, array),
+        "tr_backwards": (size, count, array, array),
+        "tr_outputs": (size, *(count,) * 4, *(array,) * 3, count),
+        "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
+        "tr_cubic": (size, size, array, array, size, array, array),
+        "tr_strike": (size, count, size, *(array,) * 7),
+    }
+    for name, given in takes.items():
+        call = getattr(library, name)
+        call.restype, call.argtypes = None, given
     return library
+
+
+def address(array: FloatArray) -> int:
+    """Where a contiguous array begins, for a call in C."""
+    found: int = array.__array_interface__["data"][0]  # in half the time that `array.ctypes.data` takes
+    return found
 
 
 COMPILED = _library()
@@ -49,7 +68,7 @@ class Recursion:
         N, m = forcing.shape
         if COMPILED is not None and m <= MOST_STATES:
             found = np.array(forcing, dtype=float, order="C")
-            COMPILED.tr_run(N, m, self._A.ctypes.data, found.ctypes.data)
+            COMPILED.tr_run(N, m, address(self._A), address(found))
             return found
         found = np.empty(forcing.shape)
         for start in range(0, N, CHUNK):
@@ -68,6 +87,114 @@ class Recursion:
         return columns.reshape(-1, block.shape[1]).T
 
 
+class LinearSystem:
+    """Outputs y_k = C x_k + D u_k along x_(k+1) = A x_k + B u_k from rest, and their transpose.
+
+    Parameters
+    ----------
+    A : (m, m).
+    B : (m, p).
+    C : (q, m).
+    D : (q, p).
+    """
+
+    def __init__(self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> None:
+        self._A, self._B, self._C, self._D = A, B, C, D
+        self._dtype = np.result_type(A, B, C, D)
+
+    def outputs(self, inputs: FloatArray) -> FloatArray:
+        """(q, N) for the inputs (p, N)."""
+        return self._along(inputs, back=False)
+
+    def transposed(self, by_outputs: FloatArray) -> FloatArray:
+        """(p, N) gradient by the inputs of a function whose gradients by the outputs are given, (q, N)."""
+        return self._mirror._along(by_outputs, back=True)
+
+    @cached_property
+    def _mirror(self) -> LinearSystem:
+        """The system whose outputs against time are the gradients: lambda_k = A' lambda_(k+1) + C' g_k."""
+        return LinearSystem(self._A.T, self._C.T, self._B.T, self._D.T)
+
+    def _along(self, inputs: FloatArray, *, back: bool) -> FloatArray:
+        (p, N), (q, m), dtype = inputs.shape, self._C.shape, np.result_type(self._dtype, inputs)
+        if dtype == np.float64 and COMPILED is not None and max(self._matrix.shape[1], p) <= MOST_WIDTH:
+            inputs, found, matrix = np.ascontiguousarray(inputs, dtype=float), np.empty((q, N)), self._matrix
+            width = matrix.shape[1]
+            COMPILED.tr_outputs(N, m, p, q, width, address(matrix), address(inputs), address(found), back)
+            return found
+        along = inputs[:, ::-1] if back else inputs
+        states = np.zeros((N, m), dtype=dtype)
+        states[1:] = along.T[:-1] @ self._B.T
+        if dtype == np.float64:
+            states = self._recursion.run(states)
+        else:
+            for k in range(1, N):  # no library has extended precision
+                states[k] += self._A @ states[k - 1]
+        found = self._C @ states.T + self._D @ along
+        return found[:, ::-1] if back else found
+
+    @cached_property
+    def _recursion(self) -> Recursion:
+        return Recursion(self._A)
+
+    @cached_property
+    def _matrix(self) -> FloatArray:
+        """(m + p, width) as `tr_outputs` takes it, the width a multiple of four."""
+        whole = np.block([[self._A.T, self._C.T], [self._B.T, self._D.T]])
+        return np.ascontiguousarray(np.pad(whole, ((0, 0), (0, -whole.shape[1] % 4))))
+
+
+def bilinear(
+    M: FloatArray, b: FloatArray, gain: FloatArray, by_first: float, h: FloatArray, start: FloatArray
+) -> FloatArray:
+    """(N + 1, m) states x_(k+1) = M x_k + b (gain_k + by_first x_k[0]) h_k from x_0 = start on.
+
+    Parameters
+    ----------
+    M : (m, m).
+    b, start : (m,).
+    gain, h : (N,).
+    """
+    found = np.empty((h.size + 1, b.size))
+    found[0] = start
+    if COMPILED is not None:
+        given = [np.ascontiguousarray(each, dtype=float) for each in (M, b, gain, h)]
+        M, b, gain, h = given
+        COMPILED.tr_bilinear(
+            h.size, b.size, address(M), address(b), address(gain), by_first, address(h), address(found)
+        )
+        return found
+    P = np.repeat(M[None], h.size, axis=0)
+    P[:, :, 0] += b * (by_first * h)[:, None]
+    forcing = b * (gain * h)[:, None]
+    forcing[0] += P[0] @ start
+    found[1:] = forwards(P[1:], forcing)
+    return found
+
+
+def cubic(y: FloatArray, slopes: FloatArray, places: FloatArray) -> FloatArray:
+    """(..., n) cubic pieces between evenly spaced knots, the outermost going on beyond them.
+
+    Parameters
+    ----------
+    y, slopes : (..., K) values at the knots and slopes per spacing, K >= 2.
+    places : (n,) in spacings from the first knot.
+    """
+    K, n = y.shape[-1], places.size
+    if COMPILED is not None:
+        y, slopes, places = (np.ascontiguousarray(each, dtype=float) for each in (y, slopes, places))
+        found = np.empty((*y.shape[:-1], n))
+        COMPILED.tr_cubic(K, y.size // K, address(y), address(slopes), n, address(places), address(found))
+        return found
+    left = np.clip(places.astype(int), 0, K - 2)
+    t, start = places - left, np.take(y, left, axis=-1)
+    rise, before, after = (
+        np.take(each, left, axis=-1) for each in (np.diff(y, axis=-1), slopes[..., :-1], slopes[..., 1:])
+    )
+    curved = 3 * rise - 2 * before - after + t * (before + after - 2 * rise)
+    return np.asarray(start + t * (before + t * curved))
+
+
 def forwards(P: FloatArray, forcing: FloatArray) -> FloatArray:
     """(K, m) states x_k = P_(k-1) x_(k-1) + forcing_k from x_0 = forcing_0, with P (K - 1, m, m)."""
     return _changing(P, forcing, transposed=False)
@@ -84,7 +211,7 @@ def _changing(P: FloatArray, forcing: FloatArray, *, transposed: bool) -> FloatA
         return _substituted(_band(np.concatenate([P, last])), forcing, transposed=transposed)
     P, found = np.ascontiguousarray(P), np.array(forcing, order="C")
     call = COMPILED.tr_backwards if transposed else COMPILED.tr_forwards
-    call(*found.shape, P.ctypes.data, found.ctypes.data)
+    call(*found.shape, address(P), address(found))
     return found
 
 
@@ -153,5 +280,5 @@ def strike(
     states, forces = np.empty((steps + 1, n, courses)), np.empty((steps + 1, courses))
     states[0] = start
     given = [np.ascontiguousarray(each, dtype=float) for each in (by_state, by_force, seen, earlier, contact)]
-    COMPILED.tr_strike(steps, n, courses, *(each.ctypes.data for each in (*given, states, forces)))
+    COMPILED.tr_strike(steps, n, courses, *(address(each) for each in (*given, states, forces)))
     return states, forces

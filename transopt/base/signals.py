@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from transopt.base.errors import InputError
+from transopt.base.recursions import cubic
 from transopt.base.shown import brief
 
 FloatArray = NDArray[np.float64]
@@ -86,13 +87,7 @@ def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyon
         right[..., -1] = 0.5 * (5 * y[..., -1] - 4 * y[..., -2] - y[..., -3])
         slopes = lapack.dgtsv(below, diagonal, above, right.reshape(-1, K).T)[3].T.reshape(y.shape)
         place = (at_s - times_s[0]) / (times_s[-1] - times_s[0]) * (K - 1)
-        left = np.clip(place.astype(int), 0, K - 2)
-        t, start = place - left, np.take(y, left, axis=-1)
-        rise, before, after = (
-            np.take(each, left, axis=-1) for each in (np.diff(y, axis=-1), slopes[..., :-1], slopes[..., 1:])
-        )
-        curved = 3 * rise - 2 * before - after + t * (before + after - 2 * rise)
-        found = start + t * (before + t * curved)
+        found = cubic(y, slopes, place)
     return found if beyond else np.where((at_s >= times_s[0]) & (at_s <= times_s[-1]), found, 0.0)
 
 

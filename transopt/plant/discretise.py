@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import Recursion
+from transopt.base.recursions import LinearSystem, Recursion
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
@@ -206,12 +206,8 @@ class StageModel:
         return Recursion(self.A)
 
     @cached_property
-    def _backwards(self) -> Recursion:
-        return Recursion(self.A.T)
-
-    @cached_property
-    def _outputs(self) -> tuple[FloatArray, FloatArray]:
-        """(rows, n), (rows,) what makes a motion of a state and of the command felt with it."""
+    def _system(self) -> LinearSystem:
+        """From the command to everything that a motion is made of."""
         nothing = np.zeros((1, 1), dtype=self.A.dtype)
         rows, direct = [self.C, self.Ci, self.Cv], [self.D, self.Di, nothing]
         if self.Cp is not None and self.Dp is not None:
@@ -220,7 +216,7 @@ class StageModel:
             row, by_command = self.output(name)
             rows.append(row[None])
             direct.append(np.full((1, 1), by_command, dtype=self.A.dtype))
-        return np.concatenate(rows), np.concatenate(direct)[:, 0]
+        return LinearSystem(self.A, self.B, np.concatenate(rows), np.concatenate(direct))
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -251,11 +247,9 @@ class StageModel:
         ----------
         command : (..., N).
         """
-        rows, direct = self._outputs
-        c = command.reshape(-1, command.shape[-1])
-        found = np.empty((rows.shape[0], *c.shape), dtype=np.result_type(rows, c))
-        for j, each in enumerate(c):
-            found[:, j] = rows @ self.states(each).T + direct[:, None] * each
+        found = np.stack(
+            [self._system.outputs(each[None]) for each in command.reshape(-1, command.shape[-1])], axis=1
+        )
         values = found.reshape(-1, *command.shape)
         acceleration, current, velocity = values[:3]
         encoder = np.zeros(command.shape) if self.Cp is None else values[3]
@@ -321,23 +315,12 @@ class StageModel:
 
         The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
         """
-        rows, direct = self._outputs
         by_output = [gradient.acceleration_m_s2, gradient.plant_input, gradient.velocity_m_s]
         if self.Cp is not None:
             by_output.append(gradient.encoder_m)
         nothing = np.zeros_like(gradient.plant_input)
         by_output += [gradient.outputs.get(name, nothing) for name in self.output_names]
-        stacked = np.stack(by_output, axis=1)
-        forcing = stacked @ rows
-        if forcing.dtype == np.float64:
-            costate = self._backwards.run(forcing[::-1])[::-1]
-        else:
-            costate = forcing
-            for k in range(costate.shape[0] - 2, -1, -1):
-                costate[k] += self.A.T @ costate[k + 1]
-        by_command = stacked @ direct
-        by_command[:-1] += costate[1:] @ self.B[:, 0]
-        return np.asarray(by_command)
+        return np.asarray(self._system.transposed(np.stack(by_output))[0])
 
 
 def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:

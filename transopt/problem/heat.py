@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import Recursion, backwards, filtered, forwards
+from transopt.base.recursions import Recursion, backwards, bilinear, filtered
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
@@ -122,26 +122,17 @@ class HeatModel:
     def nodes(self) -> int:
         return int(self.b.size)
 
-    def _maps(self, h: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Each step as th+ = P th + s: (N, m, m), (N, m)."""
-        P = np.empty((h.size, *self.M.shape))
-        P[:] = self.M
-        P[:, :, 0] += self.b * (self.copper * h)[:, None]
-        return P, self.b * (self.gain * h)[:, None]
+    def _course(self, h: FloatArray, gain: FloatArray, start: FloatArray) -> FloatArray:
+        """(N + 1, m) rises at tau_0 to tau_N from `start` on."""
+        return bilinear(self.M, self.b, gain, self.copper, h, start)
 
-    def _course(self, P: FloatArray, s: FloatArray, start: FloatArray) -> FloatArray:
-        """(N, m) rises at tau_1 to tau_N of th+ = P th + s."""
-        forcing = s.copy()
-        forcing[0] += P[0] @ start
-        return forwards(P[1:], forcing)
-
-    def _start(self, P: FloatArray, s: FloatArray) -> FloatArray:
+    def _start(self, h: FloatArray) -> FloatArray:
         """(m,) rise at the first switching instant."""
         if self.closure is None:
             return np.zeros(self.nodes)
         F, f = self.closure
-        units = [self._course(P, np.zeros_like(s), unit)[-1] for unit in np.eye(self.nodes)]
-        offset = self._course(P, s, np.zeros(self.nodes))[-1]
+        units = [self._course(h, np.zeros(h.size), unit)[-1] for unit in np.eye(self.nodes)]
+        offset = self._course(h, self.gain, np.zeros(self.nodes))[-1]
         with np.errstate(over="ignore", invalid="ignore"):  # a runaway, which the next test sees
             period = F @ np.stack(units, axis=1)
         if not (np.all(np.isfinite(period)) and np.abs(np.linalg.eigvals(period)).max() < 1):
@@ -151,16 +142,16 @@ class HeatModel:
 
     def rise(self, h: FloatArray) -> FloatArray:
         """(N + 1, m) rises at tau_0 to tau_N for heatings h (N,) [A^2]; infinite without a steady state."""
-        P, s = self._maps(h)
-        start = self._start(P, s)
+        start = self._start(h)
         if not np.all(np.isfinite(start)):
             return np.full((h.size + 1, self.nodes), np.inf)
-        return np.concatenate([start[None], self._course(P, s, start)])
+        return self._course(h, self.gain, start)
 
     def adjoint(self, h: FloatArray, by_winding: FloatArray, rise: FloatArray | None = None) -> FloatArray:
         """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,); `rise` of h if known."""
         course = self.rise(h) if rise is None else rise
-        P, _ = self._maps(h)
+        P = np.repeat(self.M[None], h.size, axis=0)
+        P[:, :, 0] += self.b * (self.copper * h)[:, None]
         m = self.nodes
 
         def by_rises(at_end: FloatArray, forcing: FloatArray) -> FloatArray:

@@ -2,9 +2,20 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from transopt.base import recursions
-from transopt.base.recursions import CHUNK, MOST_STATES, Recursion, backwards, forwards
+from transopt.base.recursions import (
+    CHUNK,
+    MOST_STATES,
+    MOST_WIDTH,
+    LinearSystem,
+    Recursion,
+    backwards,
+    bilinear,
+    cubic,
+    forwards,
+)
 
 
 @pytest.fixture(params=["compiled", "banded"], autouse=True)
@@ -58,3 +69,61 @@ def test_matrices_that_change_and_the_transpose(m: int, K: int) -> None:
 
 def test_what_overflows_is_not_hidden() -> None:
     assert not np.isfinite(Recursion(np.array([[1e10]])).run(np.ones((200, 1)))[-1, 0])
+
+
+@pytest.mark.parametrize(
+    ("m", "p", "q"), [(1, 1, 1), (2, 1, 1), (4, 1, 3), (5, 1, 4), (7, 2, 6), (3, 5, 2), (13, 1, 9)]
+)
+@pytest.mark.parametrize("N", [1, 2, 90])
+def test_outputs_of_a_linear_system_and_their_transpose(m: int, p: int, q: int, N: int) -> None:
+    random = np.random.default_rng(m + p + q + N)
+    A, B, C, D = (random.standard_normal(shape) for shape in ((m, m), (m, p), (q, m), (q, p)))
+    A /= 1.1 * np.abs(np.linalg.eigvals(A)).max()
+    inputs, by_outputs = random.standard_normal((p, N)), random.standard_normal((q, N))
+    x, expected = np.zeros(m), np.empty((q, N))
+    for k in range(N):
+        expected[:, k] = C @ x + D @ inputs[:, k]
+        x = A @ x + B @ inputs[:, k]
+    system = LinearSystem(A, B, C, D)
+    found, by_inputs = system.outputs(inputs), system.transposed(by_outputs)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    assert by_inputs.shape == (p, N)
+    np.testing.assert_allclose(np.sum(by_inputs * inputs), np.sum(by_outputs * expected), rtol=0, atol=1e-11)
+
+
+def test_a_linear_system_too_wide_to_be_compiled() -> None:
+    random = np.random.default_rng(0)
+    inputs = random.standard_normal((1, 20))
+    system = LinearSystem(np.zeros((1, 1)), np.ones((1, 1)), np.ones((MOST_WIDTH, 1)), np.zeros((MOST_WIDTH, 1)))
+    np.testing.assert_allclose(system.outputs(inputs)[:, 1:], np.tile(inputs[:, :-1], (MOST_WIDTH, 1)))
+    np.testing.assert_allclose(system.transposed(np.ones((MOST_WIDTH, 20)))[0, :-1], MOST_WIDTH)
+
+
+def test_a_linear_system_in_extended_precision() -> None:
+    third = np.longdouble(1) / 3
+    system = LinearSystem(np.full((1, 1), third), *(np.ones((1, 1), dtype=np.longdouble),) * 2, np.zeros((1, 1)))
+    found = system.outputs(np.eye(1, 5))
+    assert found.dtype == np.longdouble
+    np.testing.assert_allclose(found[0], [0, *third ** np.arange(4)], rtol=4 * np.finfo(np.longdouble).eps)
+
+
+@pytest.mark.parametrize("N", [1, 50])
+def test_a_recursion_that_is_bilinear(N: int) -> None:
+    random = np.random.default_rng(N)
+    M, b, start = random.uniform(-0.5, 0.5, (2, 2)), random.standard_normal(2), random.standard_normal(2)
+    gain, h = random.standard_normal(N), random.uniform(0, 1, N)
+    x = np.empty((N + 1, 2))
+    x[0] = start
+    for k in range(N):
+        x[k + 1] = M @ x[k] + b * (gain[k] + 0.2 * x[k, 0]) * h[k]
+    np.testing.assert_allclose(bilinear(M, b, gain, 0.2, h, start), x, atol=1e-12)
+
+
+@pytest.mark.parametrize("K", [2, 3, 40])
+def test_cubic_pieces_between_knots_and_beyond_them(K: int) -> None:
+    random = np.random.default_rng(K)
+    y, slopes = random.standard_normal((2, 3, K))
+    places = np.concatenate([[-0.7, 0.0, K - 1.0, K - 0.4], random.uniform(0, K - 1, 30)])
+    expected = CubicHermiteSpline(np.arange(K), y, slopes, axis=-1)(places)
+    np.testing.assert_allclose(cubic(y, slopes, places), expected, atol=1e-12)
+    np.testing.assert_allclose(cubic(y[1], slopes[1], places), expected[1], atol=1e-12)

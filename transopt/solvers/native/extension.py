@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.stage_data import Stages
@@ -83,11 +84,6 @@ _HOST = ct.pointer(_host())
 SOLVED, ACCURACY, NO_BOUNDS = 0, 1, 6  # codes of an answer; the others are failures
 
 
-def _pointer(array: FloatArray) -> int:
-    address: int = array.__array_interface__["data"][0]  # in half the time that `array.ctypes.data` takes
-    return address
-
-
 class Buffers:
     """Result arrays and workspace of one size, to be used again and again, by one thread at a time.
 
@@ -108,7 +104,7 @@ class Buffers:
         self.gains_of: object = None
         self.workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(_Problem(**sizes))))
         self.result = _Result(
-            *(_pointer(a) for a in (self.command, self.size, self._lower, self._upper, self.gradient, self._start))
+            *(address(a) for a in (self.command, self.size, self._lower, self._upper, self.gradient, self._start))
         )
 
 
@@ -134,7 +130,7 @@ class Answer(NamedTuple):
 
 
 def _stated(stages: Stages) -> _Problem:
-    arrays = {name: _pointer(array) for name, array in stages.arrays.items()}
+    arrays = {name: address(array) for name, array in stages.arrays.items()}
     return _Problem(**stages.sizes, **stages.numbers, **arrays)
 
 
@@ -155,7 +151,7 @@ def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_it
     """
     assert _LIBRARY is not None
     stated, asked, buffers.gains_of = _stated(stages), _Options(max_iterations, tolerance, _HOST), None
-    code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), _pointer(buffers.workspace), ct.byref(buffers.result))
+    code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), address(buffers.workspace), ct.byref(buffers.result))
     if code == NO_BOUNDS:
         rows = stages.limits
         for name, lower, upper in zip(rows.kinds, rows.lower.T, rows.upper.T, strict=True):
@@ -183,8 +179,8 @@ class LinearPass:
         self.buffers = Buffers(stages.sizes) if buffers is None else buffers
         self.reference = stages.arrays["reference"].copy()
         self._stated = _stated(stages)
-        self._stated.reference = _pointer(self.reference)
-        self._arguments = (_pointer(self.buffers.workspace), ct.byref(self.buffers.result))
+        self._stated.reference = address(self.reference)
+        self._arguments = (address(self.buffers.workspace), ct.byref(self.buffers.result))
         self._problem, self._token = ct.byref(self._stated), object()
         self._asked = _Options(0, 0.0, _HOST)
         self._pass = _LIBRARY.tr_linear
