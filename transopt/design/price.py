@@ -126,8 +126,8 @@ def binding(
     found: dict[str, float] = {}
     for box in boxes_of(effect or Effect(problem, command), multipliers):
         near = NEAR * box.limit.room
-        gain = float(box.by_upper[box.upper - box.value <= near].sum())
-        gain += float(box.by_lower[box.value - box.lower <= near].sum())
+        gain = float(box.by_upper[box.upper - box.value <= near].sum()) if box.by_upper.any() else 0.0
+        gain += float(box.by_lower[box.value - box.lower <= near].sum()) if box.by_lower.any() else 0.0
         found[box.limit.name] = found.get(box.limit.name, 0.0) + gain
     return {name: gain for name, gain in found.items() if gain * problem.limits[name].room > BINDS}
 

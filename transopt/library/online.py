@@ -30,7 +30,6 @@ from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, linear_stage
 from transopt.problem.stage_data import Stages, stages, without_limits
 from transopt.proof.certify import BINDING_MULTIPLIER, TEMPERATURE, Effect, certify, inside, relaxed_bound
 from transopt.solvers.native.extension import (
@@ -248,8 +247,7 @@ class Online:
         if problem.reference_is_zero:
             return self._proven(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
-        stage, hot = linear_stage(small), False
-        bare = without_limits(small, stage)
+        bare, hot = without_limits(small), False
         linear = LinearPass(bare, self._buffers_for(bare))
         if linear.solve(TOLERANCE).code in (SOLVED, ACCURACY):
             free = linear.command()
@@ -260,16 +258,14 @@ class Online:
                 if found.proof.accepted:
                     return found
             hot = small.thermal is not None and _overheats(effect)
-        return self._limited(problem, small, stage, hot=hot)
+        return self._limited(problem, small, hot=hot)
 
-    def _limited(
-        self, problem: TransientProblem, small: TransientProblem, stage: LinearStage, *, hot: bool
-    ) -> _Found | None:
+    def _limited(self, problem: TransientProblem, small: TransientProblem, *, hot: bool) -> _Found | None:
         """The answer within the limits; `hot`, a guess whether the winding's binds, only says what comes first."""
         cold, found = small.without(TemperatureLimit.name), None
         attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
         for attempt in attempts:
-            answer = self._by_interior_point(attempt, stage)
+            answer = self._by_interior_point(attempt)
             if answer is None:
                 continue
             command, multipliers = answer.command, answer.multipliers
@@ -297,8 +293,8 @@ class Online:
             self._buffers[key] = Buffers(given.sizes)
         return self._buffers[key]
 
-    def _by_interior_point(self, problem: TransientProblem, stage: LinearStage | None = None) -> _Answer | None:
-        given = stages(problem, stage)
+    def _by_interior_point(self, problem: TransientProblem) -> _Answer | None:
+        given = stages(problem)
         buffers = self._buffers_for(given)
         answer = interior_point(given, buffers, tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
         if answer.code not in (SOLVED, ACCURACY):

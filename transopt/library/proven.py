@@ -33,7 +33,6 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, linear_stage
 from transopt.problem.stage_data import stages, without_limits
 from transopt.proof.certify import BINDING_MULTIPLIER, Effect, binding_limits, certify, relaxed_bound
 from transopt.solvers.native.extension import (
@@ -204,10 +203,9 @@ def _accelerations(stage: StageModel, commands: FloatArray) -> FloatArray:
 
 
 class Floors:
-    """Floors of the problems of one grip, by the compiled pass: they share the linear stage and the memory."""
+    """Floors of the problems of one grip, by the compiled pass: they share the memory."""
 
     def __init__(self) -> None:
-        self._stage: LinearStage | None = None
         self._buffers: Buffers | None = None
 
     def of(self, problem: TransientProblem, target: Target) -> float:
@@ -215,8 +213,7 @@ class Floors:
         free = np.zeros(problem.grid.stages)
         if not problem.reference_is_zero:
             plain = problem.without_intensity()
-            self._stage = linear_stage(plain) if self._stage is None else self._stage.rescaled(plain)
-            given = without_limits(plain, self._stage)
+            given = without_limits(plain)
             if not available or given.sizes["states"] > MOST_STATES:
                 return np.nan
             self._buffers = Buffers(given.sizes) if self._buffers is None else self._buffers

@@ -272,6 +272,11 @@ class StageModel:
     def _peaks(self) -> dict[int, FloatArray]:
         return {}
 
+    @cached_property
+    def derived(self) -> dict[object, object]:
+        """What others have computed of this model and want to find again, each under a key of its own."""
+        return {}
+
     def free_response(self, instants: int) -> tuple[FloatArray, FloatArray]:
         """Q (M, m), R (m, n) with Q R x = y'' at so many instants of the free motion from the state x; m = min(M, n).
 

@@ -5,8 +5,9 @@ velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k: the held 
 the input.
 """
 
+import operator
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,9 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, state_scale
+from transopt.plant.wall import Wall
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Row
+from transopt.problem.objective.weighting import ErrorFilter
 from transopt.problem.problem import TransientProblem
 
 WALL_POSITION, WALL_VELOCITY = 0, 1  # among the wall's states
@@ -129,7 +132,8 @@ class LinearStage:
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / sqrt(E) from x_k and dc_k.
     unit_m_s2 : sqrt(E), what outputs are in units of; 1 for a tap of zero.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
-    devices : the entry's own and those of the spread, whose outputs have names. where : their states among x.
+    outputs : (S) of every device: named output -> (n,), scalar: its value in SI by x_k and by dc_k, for an input
+        scale of 1; all of them grow with it.
     """
 
     A: FloatArray
@@ -139,29 +143,61 @@ class LinearStage:
     E: FloatArray
     unit_m_s2: float
     feedback: FloatArray
-    devices: tuple[StageModel, ...]
-    where: Layout
-
-    @cached_property
-    def outputs(self) -> tuple[Mapping[str, tuple[FloatArray, float]], ...]:
-        """(S) of every device: named output -> (n,), scalar: its value in SI by x_k and by dc_k."""
-        return tuple(_named(stage, device, self.where, self.units) for device, stage in enumerate(self.devices))
-
-    def rescaled(self, problem: TransientProblem) -> "LinearStage":
-        """The same for another problem of the same device, in which at most reference and limits are other ones."""
-        if problem.input_scale != self.input_scale:
-            return linear_stage(problem)
-        unit = _unit_m_s2(problem)
-        by = self.unit_m_s2 / unit
-        return replace(self, C=self.C * by, E=self.E * by, unit_m_s2=unit)
+    outputs: tuple[Mapping[str, tuple[FloatArray, float]], ...]
 
     def row(self, row: Row) -> tuple[FloatArray, float]:
         """(n,) and scalar: the value of a limit's row by x_k and by dc_k, in SI."""
         G, d = np.zeros(self.units.size), 0.0
         for name, coefficient in row.outputs.items():
-            by_state, by_movement = self.outputs[row.device][name]
+            by_state, by_movement = self.output(name, row.device)
             G, d = G + coefficient * by_state, d + coefficient * by_movement
         return G, d
+
+    def output(self, name: str, device: int = 0) -> tuple[FloatArray, float]:
+        """(n,) and scalar: a named output of a device by x_k and by dc_k, in SI."""
+        by_state, by_movement = self.outputs[device][name]
+        return self.input_scale * by_state, self.input_scale * by_movement
+
+    def scaled(self, input_scale: float, unit_m_s2: float) -> "LinearStage":
+        """That of an input scale and a unit of the tracked outputs, from the one for which both are 1.
+
+        All states grow with the input, so their matrix A is the same in units of it.
+        """
+        return LinearStage(
+            A=self.A,
+            units=self.units * input_scale,
+            input_scale=input_scale,
+            C=self.C * (input_scale / unit_m_s2),
+            E=self.E * (input_scale / unit_m_s2),
+            unit_m_s2=unit_m_s2,
+            feedback=self.feedback * input_scale,
+            outputs=self.outputs,
+        )
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """The linear stage of all problems whose devices, filter, wall and horizon are the same ones, both scales 1."""
+
+    devices: tuple[StageModel, ...]
+    error_filter: ErrorFilter | None
+    wall: Wall | None
+    stages: int
+    linear: LinearStage
+
+    def serves(self, problem: TransientProblem) -> bool:
+        devices = problem.devices
+        return (
+            len(devices) == len(self.devices)
+            and all(map(operator.is_, devices, self.devices))
+            and problem.error_filter is self.error_filter
+            and _law(problem) == self.wall
+            and problem.grid.stages == self.stages
+        )
+
+
+def _law(problem: TransientProblem) -> Wall | None:
+    return None if problem.wall is None else problem.wall.wall
 
 
 def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
@@ -222,8 +258,25 @@ def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, Floa
 
 
 def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> LinearStage:
-    """Stage matrices of a problem, with every state of order one or, without `physical_scale`, in SI."""
-    where, current = layout(problem), problem.input_scale
+    """Stage matrices of a problem, with every state of order one or, without `physical_scale`, in SI.
+
+    What depends on nothing but device, filter, wall and horizon is kept with the device for the next problem.
+    """
+    if not physical_scale:
+        return _linear(problem, problem.input_scale, physical_scale=False)
+    derived = problem.stage.derived
+    shared = derived.get(_Shared)
+    if not (isinstance(shared, _Shared) and shared.serves(problem)):
+        found = _linear(problem, 1.0, physical_scale=True)
+        found.A.flags.writeable = False  # it stands for all of them
+        shared = _Shared(problem.devices, problem.error_filter, _law(problem), problem.grid.stages, found)
+        derived[_Shared] = shared
+    return shared.linear.scaled(problem.input_scale, _unit_m_s2(problem))
+
+
+def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) -> LinearStage:
+    """For an input scale, the tracked outputs in SI; or all states in SI, the tracked outputs in units of sqrt(E)."""
+    where = layout(problem)
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
     if problem.error_filter is not None:
@@ -231,11 +284,11 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         C, E = C * Df[0, 0], E * Df[0, 0]
         for device in range(where.devices):
             C[device, where.filter(device)] = Cf[0]
-    units = np.ones(where.states)
+    units, unit = np.ones(where.states), _unit_m_s2(problem)
     if physical_scale:
-        N = problem.grid.stages
+        N, unit = problem.grid.stages, 1.0
         if problem.stage.A.shape[0] == where.states - 1:
-            # Without filter, wall and further devices the states are the device's, whose problems share their scale.
+            # Without filter, wall and further devices the states are the device's.
             units[:-1] = problem.stage.state_scale(current, N)
         else:
             units[:-1] = state_scale(A[:-1, :-1], A[:-1, -1], current, N)
@@ -250,7 +303,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
                 feedback[row, first : first + 2] = _demand(problem)
             else:
                 feedback[row, first + 1 + late] = 1.0
-    unit = _unit_m_s2(problem)
+    per_input = units / current
     return LinearStage(
         A=A * units / units[:, None],
         units=units,
@@ -259,8 +312,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         E=E * current / unit,
         unit_m_s2=unit,
         feedback=feedback * units,
-        devices=problem.devices,
-        where=where,
+        outputs=tuple(_named(stage, device, where, per_input) for device, stage in enumerate(problem.devices)),
     )
 
 
@@ -270,26 +322,26 @@ def _unit_m_s2(problem: TransientProblem) -> float:
 
 
 def _named(stage: StageModel, device: int, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:
-    """The named outputs of a device by the scaled states and by the scaled movement."""
-    size, current, own = where.plants[device], float(units[-1]), where.plant(device)
+    """The named outputs of a device by the states in these units and by the movement, the command's unit being 1."""
+    size, own = where.plants[device], where.plant(device)
     command = np.zeros(where.states)
-    command[-1] = current
+    command[-1] = 1.0
 
     def of_device(row: FloatArray) -> FloatArray:
         found = np.zeros(where.states)
         found[own] = row[:size] * units[own]
         if where.amplifier:
-            found[where.current] = row[size] * current
+            found[where.current] = row[size]
         return found
 
     def of_output(name: str) -> tuple[FloatArray, float]:
         row, direct = stage.output(name)
-        return of_device(row) + direct * command, direct * current
+        return of_device(row) + direct * command, direct
 
-    flows = (of_device(stage.Ci[0]), 0.0) if where.amplifier else (command, current)
+    flows = (of_device(stage.Ci[0]), 0.0) if where.amplifier else (command, 1.0)
     return {
         INPUT: flows,
-        COMMAND: (command, current),
+        COMMAND: (command, 1.0),
         HELD: (command, 0.0),
         VELOCITY: (of_device(stage.Cv[0]), 0.0),
         **{name: of_output(name) for name in stage.output_names},

@@ -171,11 +171,9 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
         row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every)
     if thermal is not None:
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
+        # In units of the input scale, as the named outputs are.
         heating, flows, asked = thermal.model.heating, stage.outputs[0][INPUT], stage.outputs[0][COMMAND]
-        G, d = (
-            mean_current(heating.share, heating.decay, i, c) / stage.input_scale
-            for i, c in zip(flows, asked, strict=True)
-        )
+        G, d = (mean_current(heating.share, heating.decay, i, c) for i, c in zip(flows, asked, strict=True))
         for kind, sign in {"size_above": -1.0, "size_below": 1.0}.items():
             row(kind, sign * G, float(sign * d), 1.0, 0.0, np.inf, every)
         size = SIZE_BOUND * problem.limits.input_limit / stage.input_scale
@@ -244,15 +242,10 @@ def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
     return np.asarray((above - below) / np.maximum(above + below, np.finfo(float).tiny))
 
 
-def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limited: bool = True) -> Stages:
-    """Stage data of a problem; not `limited`, without any row.
-
-    Parameters
-    ----------
-    stage : its linear part, where it is known already.
-    """
-    stage = linear_stage(problem) if stage is None else stage
-    where, m = layout(problem), 0 if problem.thermal is None else problem.thermal.model.nodes
+def stages(problem: TransientProblem, *, limited: bool = True) -> Stages:
+    """Stage data of a problem; not `limited`, without any row."""
+    stage, where = linear_stage(problem), layout(problem)
+    m = 0 if problem.thermal is None else problem.thermal.model.nodes
     values = tracking_values(problem, stage)
     limits = _rows(problem, stage) if limited else _no_rows(where.states)
     gains, offsets = hand_over.rows(problem, stage)
@@ -302,6 +295,6 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
     )
 
 
-def without_limits(problem: TransientProblem, stage: LinearStage | None = None) -> Stages:
+def without_limits(problem: TransientProblem) -> Stages:
     """Stage data of the same problem without rows and temperature: what a linear pass takes."""
-    return stages(problem.without(TemperatureLimit.name), stage, limited=False)
+    return stages(problem.without(TemperatureLimit.name), limited=False)

@@ -58,6 +58,11 @@ class Box:
         return np.asarray(np.maximum(self.value - self.upper, self.lower - self.value))
 
     @property
+    def kept(self) -> bool:
+        """Whether the value is nowhere outside, without any tolerance."""
+        return bool((self.value <= self.upper).all()) and bool((self.value >= self.lower).all())
+
+    @property
     def peak(self) -> float:
         """Largest size that the value reaches where it is bounded."""
         return float(np.abs(self.value[np.isfinite(self.upper) | np.isfinite(self.lower)]).max())
@@ -185,7 +190,7 @@ def inside(
     effect : of this command in this problem, where further questions about it follow.
     """
     limits = boxes_of(effect or Effect(problem, command), Multipliers.zero(problem), only=only)
-    return all(bool((box.excess <= 0).all()) for box in limits)
+    return all(box.kept for box in limits)
 
 
 def reduced_gradient(effect: Effect, multipliers: Multipliers, *, of_limits_alone: bool = False) -> FloatArray:
@@ -466,12 +471,14 @@ def binding_limits(
     rows: dict[str, NDArray[np.bool_]] = {}
     for box in boxes_of(effect or Effect(problem, command), multipliers):
         near = BINDING_SLACK * abs(box.limit.stated)
-        two_sided = bool(np.isfinite(box.lower).any())
-        sides = [("upper", box.by_upper, box.upper - box.value), ("lower", box.by_lower, box.value - box.lower)]
-        for side, mu, slack in sides:
-            active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < near)
+        for side, mu, bound in (("upper", box.by_upper, box.upper), ("lower", box.by_lower, box.lower)):
+            active = mu > BINDING_MULTIPLIER
+            if not active.any():
+                continue
+            active &= np.abs(bound - box.value) < near
+            two_sided = bool(np.isfinite(box.lower).any())
             label = f"{box.name} {box.limit.said(side, two_sided=two_sided)} {box.unit}".rstrip()
             label = f"{label} {box.condition}".rstrip()
-            rows[label] = rows.get(label, np.zeros(active.size, dtype=bool)) | active
+            rows[label] = rows[label] | active if label in rows else active
     found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
     return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

@@ -19,7 +19,7 @@ from transopt.problem.heat import mean_current, mean_square, next_rise
 from transopt.problem.limits.own import LawRow
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
+from transopt.problem.stage import Layout, layout, linear_stage
 from transopt.problem.stage_data import stated_rows
 
 REPEATED_WEIGHT = 1e3
@@ -321,13 +321,8 @@ def state_program(shape: Shape) -> Program:
     return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data is None, qp_data)
 
 
-def program_shape(problem: TransientProblem, stage: LinearStage | None = None) -> Shape:
-    """
-    Parameters
-    ----------
-    stage : of the problem, where it is known already.
-    """
-    thermal, stage = problem.thermal, linear_stage(problem) if stage is None else stage
+def program_shape(problem: TransientProblem) -> Shape:
+    thermal, stage = problem.thermal, linear_stage(problem)
     rows = [row for row in stated_rows(problem, stage) if not row.single]
     return Shape(
         stages=problem.grid.stages,

@@ -125,7 +125,7 @@ def _parameters(
         values[f"d_{row.name}"] = [given[row.name].d]
     for limit, law in problem.rows():
         if isinstance(law, LawRow):
-            seen = [stage.outputs[law.device][name] for name in law.outputs]
+            seen = [stage.output(name, law.device) for name in law.outputs]
             # CasADi reads matrices column by column.
             values[f"G_{law.name}"] = np.array([G for G, _ in seen]).T.ravel()
             values[f"d_{law.name}"] = [d for _, d in seen]
@@ -194,7 +194,7 @@ def state(problem: TransientProblem) -> Statement:
     InputError : a limit's bounds are none.
     """
     stage, unit = linear_stage(problem), kelvin(problem)
-    shape, rows = program_shape(problem, stage), stated_rows(problem, stage)
+    shape, rows = program_shape(problem), stated_rows(problem, stage)
     for row in rows:
         check_bounds(row.name, row.lower, row.upper)
     lower_x, upper_x = _variable_bounds(problem, shape, stage, rows, unit)

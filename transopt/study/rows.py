@@ -1,7 +1,6 @@
 """One row of a study: what its cells hold, and what the rows of a study amount to."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ def _cell(value: Any) -> str:
 
 def row_of(outcome: Outcome, point: int, labels: Mapping[str, str]) -> Row:
     """The row of an outcome: its number, the number of its point, the varied values, and what came out."""
-    values = {**asdict(outcome), **dict.fromkeys(MULTIPLIERS.values(), np.nan), **outcome.multipliers}
+    values = {**vars(outcome), **dict.fromkeys(MULTIPLIERS.values(), np.nan), **outcome.multipliers}
     cells = {name: _cell(values[name]) for name in OUTCOME}
     varied = {key: " ".join(text.split()) for key, text in labels.items()}
     return {"index": str(outcome.index), "point": str(point), **varied, **cells}

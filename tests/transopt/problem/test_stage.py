@@ -1,10 +1,13 @@
 """The linear stage, which problems of one device share."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
+import pytest
 
-from tests.conftest import ProblemMaker
+from tests.conftest import ProblemMaker, WalledMaker
+from transopt.problem.objective.weighting import pacinian
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
 
 
@@ -12,15 +15,54 @@ def assert_same(one: LinearStage, other: LinearStage) -> None:
     for field in fields(LinearStage):
         value = getattr(one, field.name)
         if isinstance(value, float | np.ndarray):
-            np.testing.assert_allclose(value, getattr(other, field.name), rtol=1e-14, atol=0)
+            np.testing.assert_allclose(value, getattr(other, field.name), rtol=1e-13, atol=0)
+    for own, its in zip(one.outputs, other.outputs, strict=True):
+        assert own.keys() == its.keys()
+        for name, (by_state, by_movement) in own.items():
+            np.testing.assert_allclose(by_state, its[name][0], rtol=1e-13, atol=0)
+            assert by_movement == pytest.approx(its[name][1], rel=1e-13)
 
 
-def test_that_of_another_reference_follows_from_it(make_problem: ProblemMaker) -> None:
-    slow, fast = make_problem(0.1, 3.0), make_problem(0.4, 3.0)
-    assert_same(linear_stage(slow).rescaled(fast), linear_stage(fast))
+def alone(problem: TransientProblem) -> TransientProblem:
+    """The same with a device that nothing was computed of before."""
+    return replace(problem, stage=replace(problem.stage), spread=tuple(replace(device) for device in problem.spread))
 
 
-def test_other_limits_have_units_of_their_own(make_problem: ProblemMaker) -> None:
+def test_what_problems_share_is_that_of_each_alone(make_problem: ProblemMaker, walled: WalledMaker) -> None:
+    problem, over_wall = make_problem(0.4, 3.0), walled(800.0, 0.4)
+    stage, wall = problem.stage, over_wall.wall
+    assert wall is not None
+    stiffer = replace(wall, wall=replace(wall.wall, stiffness_N_m=900.0))
+    other = replace(make_problem(0.4, 5.0).stage)
+    variants = [
+        problem,
+        replace(make_problem(0.1, 3.0), stage=stage),
+        replace(make_problem(0.2, 3.0, current_A=1.25), stage=stage),
+        replace(make_problem(0.4, 3.0, stages=90), stage=stage),
+        replace(problem, error_filter=pacinian(problem.grid.dt_s)),
+        replace(problem, spread=(other,)),
+        replace(problem, spread=(other, stage)),
+        over_wall,
+        replace(over_wall, wall=stiffer),
+        problem,
+    ]
+    for variant in variants:
+        assert_same(linear_stage(variant), linear_stage(alone(variant)))
+
+
+def test_units_are_those_of_the_limit(make_problem: ProblemMaker) -> None:
     strong, weak = make_problem(0.4, 3.0), make_problem(0.2, 3.0, current_A=1.25)
     assert weak.input_scale < strong.input_scale
-    assert_same(linear_stage(strong).rescaled(weak), linear_stage(weak))
+    one, other = linear_stage(strong), linear_stage(replace(weak, stage=strong.stage))
+    assert other.A is one.A
+    np.testing.assert_allclose(other.units / one.units, weak.input_scale / strong.input_scale)
+
+
+def test_scaled_and_physical_matrices_are_one_system(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 3.0)
+    scaled, physical = linear_stage(problem), linear_stage(problem, physical_scale=False)
+    # Apart from the current and the command, which have the limit as their unit in both.
+    by = scaled.units / physical.units
+    np.testing.assert_allclose(scaled.A, physical.A * by / by[:, None], rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(scaled.C, physical.C * by, rtol=1e-12)
+    np.testing.assert_allclose(scaled.E, physical.E, rtol=1e-12)
