@@ -217,7 +217,7 @@ def baselines() -> list[Method]:
 
 def fixed_solver(case: Case) -> SolverOptions:
     """The solver of everything that is no comparison of solvers: the project's first choice for the problem."""
-    return SolverOptions(capable(case.small)[0])
+    return SolverOptions(next(capable(case.small)))
 
 
 def discretisations() -> list[Method]:

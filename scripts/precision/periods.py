@@ -52,7 +52,7 @@ def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATE
     `nrmse_excess` is over the optimum of a servo of `BASE_Hz` on that grid; `gap` and `error` have no meaning here.
     """
     problems = {rate: leave_out(_problem(case, rate)).problem for rate in (*rates_Hz, BASE_Hz)}
-    options = SolverOptions(capable(case.small)[0])
+    options = SolverOptions(next(capable(case.small)))
     answers, setup_ms, one_ms = {}, {}, {}
     for rate, problem in problems.items():
         setup_ms[rate], one_ms[rate] = set_up_and_run_ms(lambda problem=problem: solve(problem, options))

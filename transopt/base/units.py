@@ -82,6 +82,13 @@ def largest(unit: str) -> float:
     return LARGEST.get(unit, LARGEST.get(unit.removesuffix("/N"), LARGEST_PLAIN))
 
 
+@lru_cache(maxsize=2048)
+def _bound_of(name: str) -> tuple[str, float]:
+    """Unit of a number by its name, and its largest size."""
+    unit = unit_of(name)
+    return unit, largest(unit)
+
+
 def beyond(name: str, value: Any) -> str:
     """What is wrong with the first number in `value` that no device comes near; empty where none is.
 
@@ -90,9 +97,10 @@ def beyond(name: str, value: Any) -> str:
     name : of the value, which tells the unit of all numbers in it.
     value : a number, or lists and tables of them; what is no number is passed over.
     """
-    unit = unit_of(name)
-    most = largest(unit)
-    for number in _numbers(value):
+    if value is None or isinstance(value, str):
+        return ""
+    unit, most = _bound_of(name)
+    for number in (value,) if isinstance(value, float) else _numbers(value):
         if not abs(number) <= most:
             return f"must be finite and at most {most:g} {unit}".rstrip() + " in size; check its unit"
     return ""

@@ -7,6 +7,7 @@ the entry again (`transopt.design.remedy`), and its type stands here.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -109,7 +110,7 @@ def unavoidable(problem: TransientProblem) -> list[str]:
 def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:
     """A command inside all limits, optimal or not, from the first solver that finds one or says there is none."""
     briefly = replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS))
-    for name in capable(problem)[:MOST_SOLVERS]:
+    for name in islice(capable(problem), MOST_SOLVERS):
         answer = solve(problem, replace(briefly, solver=name))
         if certify(problem, answer.command, answer.multipliers).excess <= 1:
             return answer.command

@@ -41,7 +41,7 @@ from transopt.solvers.options import SolverOptions
 
 REFUSED = "REFUSED"  # beside the names of Status: the scene itself cannot be
 DEFECT = "DEFECT"  # a solve that ended in an exception that no input should cause
-KEPT_REFERENCES, KEPT_STAGES = 8, 64
+KEPT_REFERENCES, KEPT_BETWEEN, KEPT_STAGES = 8, 32, 64
 NAN = float("nan")
 T = TypeVar("T")
 
@@ -148,6 +148,7 @@ class _Kept(Generic[T]):
 
 
 _references: _Kept[list[Reference]] = _Kept(KEPT_REFERENCES)
+_between: _Kept[Reference] = _Kept(KEPT_BETWEEN)
 _stages: _Kept[StageModel] = _Kept(KEPT_STAGES)
 # CasADi's solver objects are shared by all problems of a shape, and reading how one ended after another thread has
 # called it again would tell of the wrong problem.
@@ -177,15 +178,22 @@ class _Point:
     @cached_property
     def references(self) -> list[Reference]:
         """Of all recorded speeds, or of all targets."""
-        task, scene, grid = self.task, self.scene, self.task.scene.grid
-        key = f"{task.source} {scene.time_grid()} {_text(scene, 'recordings', 'targets')} {grid.speeds_m_s}"
-        recorded = scene.model_copy(update={"grid": grid})
-        return _references.get(key, lambda: references_of(recorded, task.recordings))
+        task = self.task
+        recorded = self.scene.model_copy(update={"grid": task.scene.grid})
+        return _references.get(self._of_references, lambda: references_of(recorded, task.recordings))
+
+    @cached_property
+    def _of_references(self) -> str:
+        """Everything that the references depend on."""
+        task, scene = self.task, self.scene
+        recorded = _text(scene, "recordings", "targets")
+        return f"{task.source} {scene.time_grid()} {recorded} {task.scene.grid.speeds_m_s}"
 
     def reference(self, item: Item) -> Reference:
         if item.target:
             return next(reference for reference in self.references if reference.name == item.target)
-        return between(self.references, item.speed_m_s)
+        references = self.references
+        return _between.get(f"{self._of_references} {item.speed_m_s!r}", lambda: between(references, item.speed_m_s))
 
     @cached_property
     def stage(self) -> StageModel:

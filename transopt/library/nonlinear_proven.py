@@ -12,7 +12,7 @@ import numpy as np
 
 from transopt.library.library import Library
 from transopt.library.nonlinear import as_on_linear
-from transopt.library.proven import FIGURE, RIVAL, ROUNDING, SAME, Floors, contradictions, not_feasible, predictions
+from transopt.library.proven import FIGURE, RIVAL, ROUNDING, SAME, contradictions, floor_of, not_feasible, predictions
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.baselines import seed_inversion
 from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
@@ -42,7 +42,7 @@ def shortfall(library: Library, iv: int, ig: int, proof: Certificate) -> str:
     )
 
 
-def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProblem, floors: Floors) -> Iterator[str]:
+def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProblem) -> Iterator[str]:
     """What is not proven of an entry, one phrase each; none if all is."""
     own = problem.effect(library.command[iv, ig])
     proof = certificate_of(library, iv, ig, own)
@@ -51,7 +51,7 @@ def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProbl
         return
     effect = as_on_linear(own)
     yield from predictions(library, iv, ig, effect)
-    floor = floors.of(problem.linear, library.target(np.eye(library.speeds_m_s.size)[iv]))
+    floor = floor_of(problem.linear, library.target(np.eye(library.speeds_m_s.size)[iv]))
     yield from contradictions(library, iv, ig, effect, proof, floor)
     played = problem.nrmse(library.linear_command[iv, ig])
     # Where a motion has no value one method may come further than another.

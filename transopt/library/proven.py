@@ -39,9 +39,9 @@ from transopt.solvers.native.extension import (
     ACCURACY,
     MOST_STATES,
     SOLVED,
-    Buffers,
     LinearPass,
     available,
+    buffers_of,
     interior_point,
 )
 
@@ -100,7 +100,6 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         return
     stage = library.stage(ig)
     yield from _rivals(library, ig, stage)
-    floors = Floors()
     for iv in range(library.speeds_m_s.size):
         where = f"entry {library.axes.place(iv, ig)}: "
         problem, command = library.problem(iv, ig, stage), library.command[iv, ig]
@@ -113,7 +112,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
             yield where + _shortfall(proof)
         else:
             yield from (where + off for off in predictions(library, iv, ig, effect))
-            floor = floors.of(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
+            floor = floor_of(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
             yield from (where + off for off in contradictions(library, iv, ig, effect, proof, floor))
 
 
@@ -122,9 +121,9 @@ def _of_nonlinear_plant(library: Library, ig: int) -> Iterator[str]:
     from transopt.library.nonlinear import nonlinear_problem
     from transopt.library.nonlinear_proven import nonlinear_doubts
 
-    plant, floors = library.scene().nonlinear_plant(), Floors()
+    plant = library.scene().nonlinear_plant()
     for iv in range(library.speeds_m_s.size):
-        found = nonlinear_doubts(library, iv, ig, nonlinear_problem(library, iv, ig, plant), floors)
+        found = nonlinear_doubts(library, iv, ig, nonlinear_problem(library, iv, ig, plant))
         yield from (f"entry {library.axes.place(iv, ig)}: {said}" for said in found)
 
 
@@ -181,7 +180,7 @@ def _bound_by_interior_point(relaxed: TransientProblem) -> float:
     if not available:
         return -np.inf
     given = stages(relaxed)
-    buffers = Buffers(given.sizes)
+    buffers = buffers_of(given.sizes)
     answer = interior_point(given, buffers, tolerance=1e-9, max_iterations=MOST_ITERATIONS)
     if answer.code not in (SOLVED, ACCURACY):
         return -np.inf
@@ -202,27 +201,19 @@ def _accelerations(stage: StageModel, commands: FloatArray) -> FloatArray:
     return np.fft.irfft(np.fft.rfft(commands, length) * np.fft.rfft(response, length), length)[..., :N]
 
 
-class Floors:
-    """Floors of the problems of one grip, by the compiled pass: they share the memory."""
-
-    def __init__(self) -> None:
-        self._buffers: Buffers | None = None
-
-    def of(self, problem: TransientProblem, target: Target) -> float:
-        """NRMSE against a target of the optimum of J without limits; NaN where there is none, or it loses digits."""
-        free = np.zeros(problem.grid.stages)
-        if not problem.reference_is_zero:
-            plain = problem.without_intensity()
-            given = without_limits(plain)
-            if not available or given.sizes["states"] > MOST_STATES:
-                return np.nan
-            self._buffers = Buffers(given.sizes) if self._buffers is None else self._buffers
-            run = LinearPass(given, self._buffers)
-            answer = run.solve(PASS_GAP)
-            if answer.code not in (SOLVED, ACCURACY) or not answer.relative_gap <= PASS_GAP:
-                return np.nan
-            free = run.command()
-        return target.nrmse(problem.stage.rollout(free)[0])
+def floor_of(problem: TransientProblem, target: Target) -> float:
+    """NRMSE against a target of the optimum of J without limits; NaN where there is none, or it loses digits."""
+    free = np.zeros(problem.grid.stages)
+    if not problem.reference_is_zero:
+        given = without_limits(problem.without_intensity())
+        if not available or given.sizes["states"] > MOST_STATES:
+            return np.nan
+        run = LinearPass(given, buffers_of(given.sizes))
+        answer = run.solve(PASS_GAP)
+        if answer.code not in (SOLVED, ACCURACY) or not answer.relative_gap <= PASS_GAP:
+            return np.nan
+        free = run.command()
+    return target.nrmse(problem.stage.rollout(free)[0])
 
 
 def contradictions(

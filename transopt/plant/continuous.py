@@ -465,6 +465,23 @@ class Accurate:
         )
 
 
+def _flow(stage: StageModel) -> Flow:
+    """That of a device, kept with it for the next replay."""
+    if Flow not in stage.derived:
+        stage.derived[Flow] = Flow.of(stage)
+    found: Flow = stage.derived[Flow]
+    return found
+
+
+def _period(stage: StageModel, grid: TimeGrid, halvings: int) -> Period:
+    """That of a device, kept with it for the next replay."""
+    key = Period, grid, halvings
+    if key not in stage.derived:
+        stage.derived[key] = Period.of(_flow(stage), grid, halvings)
+    found: Period = stage.derived[key]
+    return found
+
+
 def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
     """Play commands (M, N) [A], halving the step until halving changes y'' by no more than `STEP_ERROR`.
 
@@ -475,7 +492,7 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
     ----------
     loop : the walls whose feedback is added to the commands; None for none.
     """
-    flow = Flow.of(stage)
+    flow = _flow(stage)
 
     def played(period: Period) -> tuple[FloatArray, Course | None]:
         if loop is None:
@@ -483,9 +500,9 @@ def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop
         course = _play(stage, flow, grid, commands, period, loop)
         return course.accelerations(flow), course
 
-    coarse, _ = played(Period.of(flow, grid, 0))
+    coarse, _ = played(_period(stage, grid, 0))
     for halvings in range(1, MOST_HALVINGS + 1):
-        period = Period.of(flow, grid, halvings)
+        period = _period(stage, grid, halvings)
         found, course = played(period)
         difference, peak = np.abs(found - coarse).max(axis=1), np.abs(found).max(axis=1)
         step_error = difference / peak_scale(peak, 0.0)

@@ -9,6 +9,7 @@ switching instants, a bound on i(tau_k) bounds |i(t)| for all t; a bound at the 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,7 +274,7 @@ class StageModel:
         return {}
 
     @cached_property
-    def derived(self) -> dict[object, object]:
+    def derived(self) -> dict[Any, Any]:
         """What others have computed of this model and want to find again, each under a key of its own."""
         return {}
 

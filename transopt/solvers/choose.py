@@ -89,9 +89,9 @@ def check_name(solver: str) -> None:
         )
 
 
-def capable(problem: TransientProblem) -> list[str]:
-    """Names of the solvers that can take this problem, the first choice first."""
-    return [name for name, solver in SOLVERS.items() if solver.takes(problem)]
+def capable(problem: TransientProblem, wanted: str = "riccati") -> Iterator[str]:
+    """Names of the solvers that can take this problem, one by one: the wanted one, then the first choices."""
+    return (name for name in dict.fromkeys((wanted, *SOLVERS)) if SOLVERS[name].takes(problem))
 
 
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
@@ -111,8 +111,7 @@ def solve(problem: TransientProblem, options: SolverOptions | None = None) -> So
         return Solution(
             Status.OPTIMAL, command, Multipliers.zero(problem), "none", "zero reference: zero waveform", 0, 0.0
         )
-    able = capable(problem)
-    return SOLVERS[options.solver if options.solver in able else able[0]](problem, options)
+    return SOLVERS[next(capable(problem, options.solver))](problem, options)
 
 
 def prove(
@@ -168,10 +167,8 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Cert
 
     On stiff and extreme problems the methods fail on different cases; the certificate tells.
     """
-    able = capable(problem)
-    first = options.solver if options.solver in able else able[0]
     asked = False
-    for name in [first, *(other for other in able if other != first)]:
+    for name in capable(problem, options.solver):
         found = _certified(problem, solve(problem, replace(options, solver=name)))
         if not found.proof.is_stationary and _nearly_proven(problem, found.proof):
             found = _pulled_inside(problem, found.proof, replace(options, solver=name))

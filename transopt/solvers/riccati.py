@@ -11,7 +11,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.problem.stage_data import stages
 from transopt.proof.farkas import is_infeasible
-from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Buffers, available, interior_point
+from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, available, buffers_of, interior_point
 from transopt.solvers.options import SolverOptions
 
 __all__ = ["available", "can_solve", "solve", "stages"]
@@ -47,7 +47,7 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     """Solve the QP or the NLP stage by stage; infeasibility is claimed only with its proof (`farkas`)."""
     start = time.perf_counter()
     given = stages(problem)
-    found = Buffers(given.sizes)
+    found = buffers_of(given.sizes)
     answer = interior_point(given, found, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations)
     status, message = STATUS[answer.code]
     command = given.command(found.command)

@@ -149,7 +149,8 @@ def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | N
     """The pass of the extension, if it is there and its gap is small by either bound."""
     if not extension.available or layout(problem).states > extension.MOST_STATES:
         return None
-    run = extension.LinearPass(stage_data.without_limits(problem))
+    given = stage_data.without_limits(problem)
+    run = extension.LinearPass(given, extension.buffers_of(given.sizes))
     answer = run.solve(GAP)
     if answer.code not in (extension.SOLVED, extension.ACCURACY):
         return None

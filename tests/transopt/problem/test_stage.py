@@ -1,11 +1,13 @@
 """The linear stage, which problems of one device share."""
 
+import pickle
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from tests.conftest import ProblemMaker, WalledMaker
+from transopt.plant.continuous import accurate
 from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
@@ -66,3 +68,14 @@ def test_scaled_and_physical_matrices_are_one_system(make_problem: ProblemMaker)
     np.testing.assert_allclose(scaled.A, physical.A * by / by[:, None], rtol=1e-12, atol=1e-300)
     np.testing.assert_allclose(scaled.C, physical.C * by, rtol=1e-12)
     np.testing.assert_allclose(scaled.E, physical.E, rtol=1e-12)
+
+
+def test_a_device_of_which_things_are_kept_goes_to_another_process(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 3.0)
+    command = np.eye(1, problem.grid.stages)[0]
+    linear_stage(problem)
+    accurate(problem.stage, problem.grid, command[None], None)
+    assert problem.stage.derived
+    there = pickle.loads(pickle.dumps(problem))
+    assert_same(linear_stage(there), linear_stage(problem))
+    np.testing.assert_array_equal(there.stage.rollout(command)[0], problem.stage.rollout(command)[0])

@@ -221,6 +221,37 @@ class TestTheLastInstant:
         assert found.upper[N, -1] == pytest.approx(again.upper[N, -1], rel=1e-4)
 
 
+class TestMemory:
+    """Results and workspace are used again by the problems of one thread."""
+
+    def test_an_answer_knows_nothing_of_the_problem_before(self, make_problem: ProblemMaker) -> None:
+        problem, other = make_problem(0.4, 3.0), make_problem(0.1, 3.0, current_A=0.3)
+        first = riccati.solve(problem, SolverOptions())
+        riccati.solve(other, SolverOptions())
+        again = riccati.solve(problem, SolverOptions())
+        assert again.iterations == first.iterations
+        np.testing.assert_allclose(again.command, first.command, rtol=1e-12, atol=1e-14)
+        for one, its in zip(first.multipliers.arrays(), again.multipliers.arrays(), strict=True):
+            np.testing.assert_allclose(its, one, rtol=1e-9, atol=1e-14)
+
+    def test_belongs_to_one_thread(self, make_problem: ProblemMaker) -> None:
+        given = stages(make_problem(0.4, 3.0, stages=40))
+        own = extension.buffers_of(given.sizes)
+        assert extension.buffers_of(dict(given.sizes)) is own
+        with ThreadPoolExecutor(1) as pool:
+            assert pool.submit(extension.buffers_of, given.sizes).result() is not own
+
+    def test_of_few_and_small_problems_is_kept(self, make_problem: ProblemMaker) -> None:
+        given = stages(make_problem(0.4, 3.0, stages=40))
+        first = extension.buffers_of(given.sizes)
+        for more in range(extension.MOST_KEPT):
+            extension.buffers_of({**given.sizes, "stages": 41 + more})
+        assert extension.buffers_of(given.sizes) is not first
+        huge = {**given.sizes, "stages": 200_000}
+        assert extension.buffers_of(huge).workspace.nbytes > extension.MOST_KEPT_BYTES
+        assert extension.buffers_of(huge) is not extension.buffers_of(huge)
+
+
 class TestBounds:
     """What no value can lie between is refused, by the extension and by the statement of the other methods."""
 
@@ -303,7 +334,7 @@ class TestAbsence:
     def test_the_casadi_methods_take_over(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
         problem = make_problem(0.4, 5.0)
         monkeypatch.setattr(riccati, "available", False)
-        assert choose.capable(problem)[0] == "casadi-piqp"
+        assert next(choose.capable(problem)) == "casadi-piqp"
         with pytest.raises(InputError, match="--solver riccati: its extension is not built"):
             solve(problem, OWN)
 

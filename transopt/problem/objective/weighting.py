@@ -1,12 +1,13 @@
 """Weighting of the tracking error by what the hand feels."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import filtered
+from transopt.base.recursions import LinearSystem
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
@@ -26,11 +27,21 @@ class ErrorFilter:
 
     def apply(self, error: FloatArray) -> FloatArray:
         """(..., N) filtered along the last axis."""
-        return filtered(self.b, self.a, error)
+        return self._each(self._system.outputs, error)
 
     def transpose(self, by_filtered: FloatArray) -> FloatArray:
         """(..., N) gradient by the error for a gradient by the filtered error."""
-        return filtered(self.b, self.a, by_filtered[..., ::-1])[..., ::-1]
+        return self._each(self._system.transposed, by_filtered)
+
+    @staticmethod
+    def _each(along: Callable[[FloatArray], FloatArray], courses: FloatArray) -> FloatArray:
+        """(..., N) of one course after the other."""
+        found = [along(course[None])[0] for course in courses.reshape(-1, courses.shape[-1])]
+        return np.stack(found).reshape(courses.shape)
+
+    @cached_property
+    def _system(self) -> LinearSystem:
+        return LinearSystem(*self.state_space())
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """A (2, 2), B (2, 1), C (1, 2), D (1, 1) of the same filter, in the controllable canonical form."""

@@ -8,6 +8,7 @@ The extension is optional. Where it could not be built, `available` is False.
 
 import ctypes as ct
 import os
+import threading
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -106,6 +107,25 @@ class Buffers:
         self.result = _Result(
             *(address(a) for a in (self.command, self.size, self._lower, self._upper, self.gradient, self._start))
         )
+
+
+MOST_KEPT, MOST_KEPT_BYTES = 4, 2**24  # a library's problem without limits, with them, with the temperature
+_memory = threading.local()
+
+
+def buffers_of(sizes: dict[str, int]) -> Buffers:
+    """Those of this thread for a problem of these sizes: fresh memory takes as long as solving a short problem.
+
+    What an answer consists of has to be taken out of them before the thread solves another problem.
+    """
+    kept: dict[tuple[int, ...], Buffers] = vars(_memory).setdefault("kept", {})
+    key = tuple(sizes.values())
+    found = kept.get(key) or Buffers(sizes)
+    if key not in kept and found.workspace.nbytes <= MOST_KEPT_BYTES:
+        if len(kept) == MOST_KEPT:
+            del kept[next(iter(kept))]
+        kept[key] = found
+    return found
 
 
 class Answer(NamedTuple):
