@@ -124,6 +124,8 @@ def binding(
     effect : of this command in this problem, where it is known already.
     """
     found: dict[str, float] = {}
+    if multipliers.largest == 0:
+        return found
     for box in boxes_of(effect or Effect(problem, command), multipliers):
         near = NEAR * box.limit.room
         gain = float(box.by_upper[box.upper - box.value <= near].sum()) if box.by_upper.any() else 0.0

@@ -399,18 +399,27 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
     """All kept samples of a course: `SAMPLES_PER_PERIOD` a period, and the start of each segment besides."""
     M, periods, _ = course.states[0].shape
     period, samples = course.period, course.period.segments[0].offsets_s.size
-    # Segment after segment within each period, all of it along one axis in the end.
-    values, felt = np.empty((flow.direct.size, M, periods, 2, samples)), np.empty((M, periods, 2, samples))
-    times = np.empty((periods, 2, samples))
+    n, outputs = flow.encoder.size, flow.direct.size
+    # Segment after segment within each period, all of it along one axis in the end: one product an output, of what
+    # stands at the starts of both segments and what is felt in them.
+    begun = np.concatenate(
+        [
+            np.append(states, command[..., None], axis=-1)
+            for states, command in zip(course.states, course.felt, strict=True)
+        ],
+        axis=-1,
+    )
+    maps = np.zeros((outputs, 2, n + 1, 2, samples))
+    felt, times = np.empty((M, periods, 2, samples)), np.empty((periods, 2, samples))
     ticks = grid.dt_s * np.arange(periods) - grid.lead_s
-    for j, (segment, states, command) in enumerate(zip(period.segments, course.states, course.felt, strict=True)):
-        for row, direct, found in zip(flow.rows, flow.direct, values, strict=True):
-            by_state, by_command = row @ segment.P, row @ segment.Q[..., 0].T + direct
-            found[:, :, j] = states @ by_state.T
-            found[:, :, j] += command[..., None] * by_command
+    for j, (segment, command) in enumerate(zip(period.segments, course.felt, strict=True)):
+        maps[:, j, :n, j] = np.moveaxis(flow.rows @ segment.P, 0, -1)
+        maps[:, j, n, j] = (flow.rows @ segment.Q[..., 0].T) + flow.direct[:, None]
         felt[:, :, j] = command[..., None]
         times[:, j] = ticks[:, None] + segment.offsets_s
-    acceleration, current, velocity, *further = values.reshape(flow.direct.size, M, -1)
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+        values = begun.reshape(M * periods, -1) @ maps.reshape(outputs, 2 * (n + 1), -1)
+    acceleration, current, velocity, *further = values.reshape(outputs, M, -1)
     starts = samples * np.arange(2 * periods)
     at = period.at_switching
     return Trajectory(
