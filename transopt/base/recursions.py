@@ -30,8 +30,10 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_cubic") or library.tr_most_states() != MOST_STATES:
+    if not hasattr(library, "tr_cubic"):
         return None  # left behind by another version: as good as none
+    if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
+        return None
     size, count, array = ct.c_size_t, ct.c_int, ct.c_void_p
     takes: dict[str, tuple[type, ...]] = {
         "tr_run": (size, count, array, array),
