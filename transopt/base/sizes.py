@@ -25,6 +25,7 @@ MOST_FILES = 1000  # that a scene names, or a pattern in it
 MOST_SAMPLES = 4_000_000  # of all taps that a scene simulates
 MOST_ROWS = 11_000_000  # of one recorded file: 10 s at 1 MHz, and some more
 MOST_COLUMNS = 1000
+MOST_IN_A_ROW = 1 << 16  # characters of a line of text
 
 # Files, in bytes.
 MOST_TEXT_BYTES = 1 << 20  # of a scene, a motor or a device

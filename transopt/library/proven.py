@@ -248,10 +248,13 @@ def contradictions(
         stored = float(getattr(library, name)[iv, ig])
         if not abs(stored - value) <= tolerance and np.isfinite(value):
             yield f"{name} says {stored:.4g}, recomputed {value:.4g}"
-    # A bound is a claim from below: one that says less than what can be proven is true as well.
+    # A bound is a claim from below: one that says less than what can be proven is true as well. It still has to be
+    # one by which the entry was accepted, or the file calls optimal what its own figures do not prove.
     claimed, least = float(library.lower_bound[iv, ig]), proof.lower_bound
     if not claimed <= least + of_bound * scale and np.isfinite(least):
         yield f"lower_bound says {claimed:.8g}, no more than {least:.8g} can be proven"
+    elif proof.accepted and not proof.merit - claimed <= (proof.BOUND_TOLERANCE + proof.GAP_TOLERANCE) * scale:
+        yield f"lower_bound says {claimed:.8g}, which proves nothing; {least:.8g} can be proven"
     binds = binding_limits(problem, effect.command, library.multipliers(iv, ig), effect=effect)
     if str(library.binding[iv, ig]) != binds:
         yield f"binding says {str(library.binding[iv, ig])!r}, recomputed {binds!r}"

@@ -10,7 +10,7 @@ import re
 import warnings
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from transopt.base import mat5
 from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.signals import FloatArray
-from transopt.base.sizes import MOST_COLUMNS, MOST_ROWS
+from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW, MOST_ROWS
 from transopt.recordings.names import (
     SKIPPED,
     Layout,
@@ -95,6 +95,9 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     _check_size(max(data.count(b"\n"), data.count(b"\r")))
     _check_text(data)
     for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=None), 1):
+        if len(line) > MOST_IN_A_ROW:
+            remedy = "export it with one row a sample, and only the columns that are needed"
+            raise InputError(f"row {number}: {len(line)} characters, at most {MOST_IN_A_ROW}; {remedy}")
         content = line.replace('"', "").strip()  # spreadsheets quote cells; no name or number needs the quotes
         if number == 1 and content.lower().startswith("sep="):
             continue  # a spreadsheet's own note about its delimiter
@@ -175,6 +178,12 @@ def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) ->
     """
     used = {name: at for at, name in enumerate(names) if name != SKIPPED}
     delimiter = _delimiter(rows[0]) if rows else None
+    if rows and len(used) == len(names) and delimiter != ";":
+        # Rows of nothing but numbers, as nearly all are; what is not so is read below, which says where and why.
+        with suppress(ValueError):
+            table = np.loadtxt(rows, delimiter=delimiter, comments=None, ndmin=2)
+            if table.shape[1] == len(names):
+                return {name: table[:, at].copy() for name, at in used.items()}
     columns = {name: array("d") for name in used}
     for number, line in zip(numbers, rows, strict=True):
         # Between semicolons a comma can only be a decimal comma.

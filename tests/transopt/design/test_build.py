@@ -18,7 +18,7 @@ from transopt.design.posed import optimal_commands
 from transopt.design.verify import admit, verify_library
 from transopt.library.library import Library
 from transopt.library.proven import doubts
-from transopt.problem.answer import Status, verdict
+from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.bands import Levels, levels
 from transopt.proof.certify import certify
@@ -318,6 +318,18 @@ class TestVerify:
         (failed,) = [check for check in checks if check.shortfalls]
         assert failed.cells == ["0.2", "5"]
         assert field in failed.shortfalls[0]
+
+    @pytest.mark.parametrize("below", [0.02, 1e3, np.inf])
+    def test_a_bound_that_proves_nothing(self, library: Library, below: float) -> None:
+        """A bound may say less than can be proven, but not less than what the entry was accepted by."""
+        bound = library.lower_bound.copy()
+        bound[1, 2] = library.objective[1, 2] - below * max(library.objective[1, 2], OBJECTIVE_SCALE)
+        checks = verify_library(replace(library, lower_bound=bound))
+        (failed,) = [check for check in checks if check.shortfalls]
+        assert failed.cells == ["0.2", "5"]
+        assert "which proves nothing" in failed.shortfalls[0]
+        bound[1, 2] = library.objective[1, 2] - 0.009 * max(library.objective[1, 2], OBJECTIVE_SCALE)
+        assert not any(check.shortfalls for check in verify_library(replace(library, lower_bound=bound)))
 
     def test_a_limit_that_is_said_to_bind(self, library: Library) -> None:
         binding = library.binding.astype("U200")

@@ -105,6 +105,9 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         ("time_s,force_N\n0,0\n", "0 acceleration columns in 'time_s, force_N': must be 1; name one acceleration"),
         ("acceleration_g,force_N\n0,0\n", "0 time columns in 'acceleration_g, force_N': must be 1; name one time_s"),
         (csv(values=np.full(200, G)), "recording is constant at 9.80665 m/s^2 throughout: is the sensor connected?"),
+        (HEADER + "," * 70_000, "row 2: 70000 characters, at most 65536; export it with one row a sample"),
+        ("# " + "x" * 70_000, "row 1: 70002 characters, at most 65536"),
+        (csv() + "1_0,2e\n", "row 202, column acceleration_m_s2: '2e' is no number"),
         ("time_s\tacceleration_g\n0,1\t1,5\n", "row 2: 3 cells, 2 columns ('time_s, acceleration_g'); correct"),
     ],
 )
@@ -121,6 +124,18 @@ def test_a_european_spreadsheet_is_read(tmp_path: Path) -> None:
     assert recording.speed_m_s == pytest.approx(0.21, rel=1e-15)
     assert recording.grip_N == pytest.approx(3.5, rel=1e-15)
     np.testing.assert_allclose(recording.acceleration.values / G, np.sin(np.arange(20)), atol=5e-4)
+
+
+def test_rows_of_numbers_only_are_read_as_rows_with_a_remark_in_each(tmp_path: Path) -> None:
+    """Nearly all files have rows of nothing but numbers, which numpy reads; others are read cell by cell."""
+    chance = np.random.default_rng(81)
+    values = chance.standard_normal(200) * 10.0 ** chance.integers(-12, 3, 200)
+    rows = [f"{t!r} ,\t{value!r}" for t, value in zip(TIMES_S.tolist(), values.tolist(), strict=True)]
+    plain, remarked = tmp_path / "plain.csv", tmp_path / "remarked.csv"
+    plain.write_text(HEADER + "\n".join(rows))
+    remarked.write_text(HEADER.strip() + ",-\n" + "\n".join(row + ",a remark" for row in rows))
+    for path in (plain, remarked):
+        np.testing.assert_allclose(load_recording(path).acceleration.values, values, rtol=1e-15, atol=0)
 
 
 def test_decimal_commas_are_suspected(tmp_path: Path) -> None:
