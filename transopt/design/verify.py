@@ -8,7 +8,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.design.explain import stated_wall, unstable_wall
 from transopt.library.library import Library
-from transopt.library.proven import contradictions
+from transopt.library.proven import contradictions, rivals_misstated
 from transopt.plant.continuous import after_s
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.leave_out import encoder_course, pressing
@@ -201,6 +201,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
             budgets=[p.thermal.budget for p in problems if p.thermal is not None] or None,
             spread=problems[0].spread,
         )
+        rivals = rivals_misstated(library, ig, stage)
         for iv, (problem, played) in enumerate(zip(problems, replays, strict=True)):
             command = library.command[iv, ig]
             certificate = prove(problem, command, library.multipliers(iv, ig), options)
@@ -217,6 +218,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
                 certificate=certificate,
                 played=played,
                 shortfalls=shortfalls
-                + stored_contradictions(library, iv, ig, Effect(problem, command), certificate, played),
+                + stored_contradictions(library, iv, ig, Effect(problem, command), certificate, played)
+                + [said for at, said in rivals.items() if at == iv],
             )
     return [checks[iv, ig] for iv in range(nv) for ig in range(ng)]

@@ -99,7 +99,8 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         yield from _of_nonlinear_plant(library, ig)
         return
     stage = library.stage(ig)
-    yield from _rivals(library, ig, stage)
+    for iv, said in rivals_misstated(library, ig, stage).items():
+        yield f"entry {library.axes.place(iv, ig)}: {said}"
     for iv in range(library.speeds_m_s.size):
         where = f"entry {library.axes.place(iv, ig)}: "
         problem, command = library.problem(iv, ig, stage), library.command[iv, ig]
@@ -127,17 +128,23 @@ def _of_nonlinear_plant(library: Library, ig: int) -> Iterator[str]:
         yield from (f"entry {library.axes.place(iv, ig)}: {said}" for said in found)
 
 
-def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
-    """Errors of the seed's method that the file states for the entries of a grip, and that are other ones."""
+def rivals_misstated(library: Library, ig: int, stage: StageModel) -> dict[int, str]:
+    """Index of a speed -> errors of the seed's method that the file states for it at a grip, and that are other ones.
+
+    Parameters
+    ----------
+    stage : of the grip's device.
+    """
     bounds = np.array([library.input_limit, library.steady_input])[:, None, None]
     references, taper = library.reference_m_s2, library.meta["hand_over_samples"]
     played = _accelerations(stage, seed_inversion(stage, library.time_grid(), references, bounds, taper))
+    found = {}
     for iv, own in enumerate(np.eye(references.shape[0])):
         target = library.target(own)
         value = [target.nrmse(each) for each in played[:, iv]]
         if not np.allclose(library.nrmse_seed[iv, ig], value, rtol=RIVAL, atol=SAME):
-            where = f"entry {library.axes.place(iv, ig)}"
-            yield f"{where}: nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {np.array(value)}"
+            found[iv] = f"nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {np.array(value)}"
+    return found
 
 
 def not_feasible(proof: Certificate) -> str:

@@ -310,7 +310,7 @@ class TestVerify:
         failed = [check.cells for check in checks if check.shortfalls]
         assert failed == [["0.2", "5"]]
 
-    @pytest.mark.parametrize("field", ["transient_command", "floor", "duality_gap", "primal_violation"])
+    @pytest.mark.parametrize("field", ["transient_command", "floor", "duality_gap", "primal_violation", "nrmse_seed"])
     def test_what_is_exported_and_claimed_is_checked_too(self, library: Library, field: str) -> None:
         changed = getattr(library, field).copy()
         changed[1, 2] = 10 * changed[1, 2] + 1e-3
