@@ -219,6 +219,6 @@ def verify_library(library: Library) -> list[EntryCheck]:
                 played=played,
                 shortfalls=shortfalls
                 + stored_contradictions(library, iv, ig, Effect(problem, command), certificate, played)
-                + [said for at, said in rivals.items() if at == iv],
+                + ([rivals[iv]] if iv in rivals else []),
             )
     return [checks[iv, ig] for iv in range(nv) for ig in range(ng)]

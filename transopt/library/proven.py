@@ -261,7 +261,7 @@ def contradictions(
     if not claimed <= least + of_bound * scale and np.isfinite(least):
         yield f"lower_bound says {claimed:.8g}, no more than {least:.8g} can be proven"
     elif proof.accepted and not proof.merit - claimed <= (proof.BOUND_TOLERANCE + proof.GAP_TOLERANCE) * scale:
-        yield f"lower_bound says {claimed:.8g}, which proves nothing; {least:.8g} can be proven"
+        yield f"lower_bound says {claimed:.8g}, which does not prove {proof.merit:.8g}; {least:.8g} can be proven"
     binds = binding_limits(problem, effect.command, library.multipliers(iv, ig), effect=effect)
     if str(library.binding[iv, ig]) != binds:
         yield f"binding says {str(library.binding[iv, ig])!r}, recomputed {binds!r}"

@@ -96,7 +96,7 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     _check_text(data)
     for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=None), 1):
         if len(line) > MOST_IN_A_ROW:
-            remedy = "export it with one row a sample, and only the columns that are needed"
+            remedy = "put one sample in a row, and only the columns that are needed; shorten a remark"
             raise InputError(f"row {number}: {len(line)} characters, at most {MOST_IN_A_ROW}; {remedy}")
         content = line.replace('"', "").strip()  # spreadsheets quote cells; no name or number needs the quotes
         if number == 1 and content.lower().startswith("sep="):

@@ -105,7 +105,7 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         ("time_s,force_N\n0,0\n", "0 acceleration columns in 'time_s, force_N': must be 1; name one acceleration"),
         ("acceleration_g,force_N\n0,0\n", "0 time columns in 'acceleration_g, force_N': must be 1; name one time_s"),
         (csv(values=np.full(200, G)), "recording is constant at 9.80665 m/s^2 throughout: is the sensor connected?"),
-        (HEADER + "," * 70_000, "row 2: 70000 characters, at most 65536; export it with one row a sample"),
+        (HEADER + "," * 70_000, "row 2: 70000 characters, at most 65536; put one sample in a row"),
         ("# " + "x" * 70_000, "row 1: 70002 characters, at most 65536"),
         (csv() + "1_0,2e\n", "row 202, column acceleration_m_s2: '2e' is no number"),
         ("time_s\tacceleration_g\n0,1\t1,5\n", "row 2: 3 cells, 2 columns ('time_s, acceleration_g'); correct"),
