@@ -20,7 +20,8 @@ def resized(library: Library, speeds: int, grips: int) -> Library:
             array = np.take(array, nodes[letter], axis=axis) if letter in nodes else array
         arrays[name] = array
     arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, speeds), np.linspace(1.0, 5.0, grips)
-    return Library.of(arrays, library.meta)
+    repeatability = [library.meta["repeatability"][iv] for iv in nodes["v"]]
+    return Library.of(arrays, {**library.meta, "repeatability": repeatability})
 
 
 def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Library:

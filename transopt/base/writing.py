@@ -49,8 +49,8 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def percent(value: float) -> str:
-    """A share in percent, with two decimals below 10 % and one above; a dash for NaN."""
-    return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.1 else f"{100 * value:.1f}"
+    """A share in percent, with two decimals below 10 % and one above, of what is printed; a dash for NaN."""
+    return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
 def rounded_up(value: float) -> float:

@@ -110,10 +110,9 @@ def _solve_nonlinear(wanted: Wanted) -> None:
     if wanted.grid_tolerance is not None:
         raise InputError("--grid-tolerance: refines a grid of speeds, and model.nonlinear has targets: leave it out")
     # What only a nonlinear plant needs is loaded only for one.
-    from rich.table import Table
-
-    from transopt.design.nonlinear import COLUMNS, design_nonlinear
+    from transopt.design.nonlinear import design_nonlinear
     from transopt.report.nonlinear import refusals, write_nonlinear
+    from transopt.report.tables import printed
 
     folder = wanted.folder
     terminal.make_folder(folder)
@@ -121,10 +120,7 @@ def _solve_nonlinear(wanted: Wanted) -> None:
     written = write_nonlinear(design, folder, figures=wanted.figures)
     terminal.if_stopped(f"stopped; {folder} is written")
     console = terminal.console()
-    shown = Table(*COLUMNS)
-    for row in design.rows():
-        shown.add_row(*row)
-    console.print(shown)
+    console.print(printed(design.table, wanted.scene.name))
     for entry in design.entries:
         for said in refusals(entry):
             console.print(f"refused: {entry.target}: {said}", style="red", highlight=False, soft_wrap=True)

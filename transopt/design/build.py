@@ -11,12 +11,12 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.machine import versions
 from transopt.base.shown import cut, html_figure, html_table, wrapped
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
+from transopt.library.columns import EntryTable
 from transopt.library.library import PLANT, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import in_file_form, shared_left_out, temperature_is_in
 from transopt.plant.state_space import POSITION, VELOCITY
@@ -63,34 +63,14 @@ class Build:
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
-        axes = self.scene.axes
-        columns = [
-            *axes.columns,
-            "NRMSE %",
-            "floor %",
-            "after %",
-            "after g",
-            "seed %",
-            "clipped %",
-            "what binds",
-            "verdict",
-        ]
-        rows = [
-            [
-                *axes.cells(iv, ig),
-                percent(entry.nrmse),
-                percent(entry.floor),
-                percent(entry.played.nrmse_after),
-                f"{entry.played.error_peak_after_m_s2 / STANDARD_GRAVITY_M_S2:.3f}",
-                percent(entry.baselines.seed),
-                percent(entry.baselines.clipped),
-                entry.binding,
-                "; ".join([entry.verdict, *entry.shortfalls]),
-            ]
-            for iv, row in enumerate(self.entries)
-            for ig, entry in enumerate(row)
-        ]
-        return html_table(repr(self), columns, rows) + html_figure(self.plot())
+        shown = self.table(("nrmse", "floor", "after", "after_peak", "seed", "clipped", "binding", "verdict"))
+        return html_table(repr(self), shown.heads, shown.cells) + html_figure(self.plot())
+
+    def table(self, names: Sequence[str]) -> EntryTable:
+        """All entries, speeds outermost, in columns of `transopt.library.columns.COLUMNS`."""
+        scene, rows = self.scene, [entry.row for entry in self.all_entries()]
+        limits = (scene.limits.transient_input, scene.limits.steady_input)
+        return EntryTable(scene.axes.columns, names, rows, scene.driven_by.unit, limits)
 
     def plot(self) -> "Figure":
         """Every waveform over time; of a refused entry only its reference.

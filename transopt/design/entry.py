@@ -9,7 +9,7 @@ import numpy as np
 
 from transopt.base.axes import Axes
 from transopt.base.shown import cut, html_figure, html_table, wrapped
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.design.attained import Attained
 from transopt.design.explain import Remedy
@@ -18,6 +18,7 @@ from transopt.design.optimum import Designed
 from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.design.price import Price, binding, prices
 from transopt.design.verify import admit
+from transopt.library.columns import NAN, EntryTable, TableRow
 from transopt.plant.coil import CoilModel
 from transopt.plant.continuous import Accurate, accurate
 from transopt.plant.discretise import acting_states
@@ -137,35 +138,41 @@ class Entry:
         return Axes((self.speed_m_s,), (self.grip_N,), (self.target,) if self.target else ())
 
     @property
+    def row(self) -> TableRow:
+        """What tables show of it."""
+        b, looked = self.baselines, self.problem.grid.after_stages > 0
+        admitted = self.status is Status.OPTIMAL
+        return TableRow(
+            place=tuple(self.cells),
+            nrmse=self.nrmse,
+            floor=self.floor,
+            after=self.played.nrmse_after if looked else NAN,
+            after_peak_m_s2=self.played.error_peak_after_m_s2 if looked else NAN,
+            seed=(b.seed, b.seed_steady),
+            clipped=(b.clipped, b.clipped_steady),
+            repeatability=self.repeatability,
+            peak_input=self.played.peak_input,
+            winding_C=self.played.winding_C,
+            violation=self.certificate.primal_violation,
+            relative_gap=self.certificate.relative_gap,
+            solve_time_s=self.solution.solve_time_s,
+            binding=self.binding,
+            verdict=self.verdict,
+            refusal="" if admitted else self.status.value,
+        )
+
+    @property
     def unit(self) -> str:
         """Of its commands: "A" or "V"."""
         return self.problem.driven_by.unit
 
     def _repr_html_(self) -> str:
-        """Table and figure in a notebook."""
-        rows = [
-            ["entry", self.place],
-            ["NRMSE", f"{percent(self.nrmse)} %"],
-            ["floor, the same without limits", f"{percent(self.floor)} %"],
-            *self._after_rows(),
-            ["seed inversion", f"{percent(self.baselines.seed)} %"],
-            ["clipped optimum", f"{percent(self.baselines.clipped)} %"],
-            [f"peak {self.problem.driven_by.name}", f"{self.played.peak_input:.3f} {self.unit}"],
-            ["what binds", self.binding],
-            ["J", f"{self.certificate.objective:.6g}, gap {self.certificate.relative_gap:.0e}"],
-            ["verdict", "; ".join([self.verdict, *self.shortfalls])],
-        ]
+        """Table, a row for each column, and figure in a notebook."""
+        names = ("nrmse", "floor", "after", "after_peak", "seed", "clipped", "peak", "gap", "binding", "verdict")
+        shown = EntryTable((), names, (self.row,), self.unit)
+        rows = [["entry", self.place], *map(list, zip(shown.heads, shown.figures(self.row), strict=True))]
+        rows += [["why it is refused", said] for said in self.shortfalls]
         return html_table(repr(self), ["", ""], rows) + html_figure(self.plot())
-
-    def _after_rows(self) -> list[list[str]]:
-        """What is left when the waveform is over, where the scene looks at it."""
-        if self.problem.grid.after_stages == 0:
-            return []
-        peak_g = self.played.error_peak_after_m_s2 / STANDARD_GRAVITY_M_S2
-        return [
-            ["error after the waveform", f"{percent(self.played.nrmse_after)} %"],
-            ["largest error there", f"{peak_g:.3f} g"],
-        ]
 
     def plot(self) -> "Figure":
         """The waveform over time: acceleration beside its reference, current beside its limit.

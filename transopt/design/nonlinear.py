@@ -14,6 +14,7 @@ from transopt.base.writing import percent
 from transopt.design.nonlinear_library import nonlinear_library
 from transopt.design.optimum import Designed, optimum
 from transopt.design.posed import entry_problem, scene_stage
+from transopt.library.columns import EntryTable, TableRow
 from transopt.library.library import Library
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.nonlinear_stage import NonlinearStage
@@ -80,6 +81,24 @@ class NonlinearEntry:
         return wrapped(f"NonlinearEntry({cut(self.target)}: {found})")
 
     @property
+    def row(self) -> TableRow:
+        """What tables show of it; the figures of a refused design are shown too."""
+        return TableRow(
+            place=(self.target,),
+            nrmse=self.nrmse,
+            after=self.played.nrmse_after,
+            after_peak_m_s2=self.played.error_peak_after_m_s2,
+            linear=(self.linear_promised, self.linear_nrmse),
+            linear_after=self.linear_played.nrmse_after,
+            peak_input=self.played.peak_input,
+            violation=self.certificate.primal_violation,
+            relative_gap=self.certificate.relative_gap,
+            solve_time_s=self.solution.solve_time_s,
+            binding=self.binding,
+            result="; ".join([self.status.value, *self.shortfalls]),
+        )
+
+    @property
     def nrmse(self) -> float:
         """Of the nonlinear design, played on the nonlinear plant."""
         return self.played.nrmse
@@ -123,24 +142,13 @@ class NonlinearDesign:
 
     def _repr_html_(self) -> str:
         """Table in a notebook."""
-        return html_table(repr(self), list(COLUMNS), [list(row) for row in self.rows()])
+        return html_table(repr(self), self.table.heads, self.table.cells)
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """Cells of a table below `COLUMNS`, a row for each target."""
-        return [
-            (
-                entry.target,
-                percent(entry.linear_promised),
-                percent(entry.linear_nrmse),
-                percent(entry.nrmse),
-                percent(entry.linear_played.nrmse_after),
-                percent(entry.played.nrmse_after),
-                f"{entry.solution.solve_time_s:.1f}",
-                f"{entry.certificate.relative_gap:.0e}",
-                "; ".join([entry.status.value, *entry.shortfalls]),
-            )
-            for entry in self.entries
-        ]
+    @property
+    def table(self) -> EntryTable:
+        """All targets, in columns of `transopt.library.columns.COLUMNS`."""
+        rows = [entry.row for entry in self.entries]
+        return EntryTable(self.scene.axes.columns, COLUMNS, rows, self.scene.driven_by.unit)
 
     @property
     def proven(self) -> tuple[NonlinearEntry, ...]:
@@ -167,17 +175,7 @@ class NonlinearDesign:
         return entry.solution.command
 
 
-COLUMNS = (
-    "target",
-    "linear, promised %",
-    "linear, played %",
-    "nonlinear, played %",
-    "after, linear %",
-    "after, nonlinear %",
-    "solve s",
-    "gap",
-    "status",
-)
+COLUMNS = ("linear", "nrmse", "linear_after", "after", "ms", "gap", "result")
 
 
 def design_nonlinear(scene: Scene | str | Path, *, options: SolverOptions | None = None) -> NonlinearDesign:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.base.writing import rounded_up
+from transopt.base.writing import percent, rounded_up
 from transopt.design.optimum import optimum
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import leave_out
@@ -79,19 +79,15 @@ class Price:
 
     @property
     def sentence(self) -> str:
-        now, free = _percent(self.nrmse), self.free_from
+        now, free = f"{percent(self.nrmse)} %", self.free_from
         then = f"no certified answer with {self.more} more, so no price"
         if not np.isnan(self.then):
-            then = f"{self.more} more gives NRMSE {_percent(self.then)} in place of {now}"
+            then = f"{self.more} more gives NRMSE {percent(self.then)} % in place of {now}"
         if np.isfinite(self.enough):
-            free = f"would not bind from {free} on, with {_percent(self.there)}"
+            free = f"would not bind from {free} on, with {percent(self.there)} %"
         elif np.isnan(self.enough):
             free = "from where on it would not bind is not certified"
         return f"{self.stated}: {then}, {free}"
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.2f} %"
 
 
 def _with_unit(number: str, unit: str) -> str:

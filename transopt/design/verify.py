@@ -7,6 +7,7 @@ import numpy as np
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.design.explain import stated_wall, unstable_wall
+from transopt.library.columns import TableRow
 from transopt.library.library import Library
 from transopt.library.proven import contradictions, rivals_misstated
 from transopt.plant.continuous import after_s
@@ -127,6 +128,18 @@ class EntryCheck:
     shortfalls: list[str]
 
     __repr__ = brief
+
+    @property
+    def row(self) -> TableRow:
+        """What tables show of it; the figures of an entry that falls short are shown too."""
+        return TableRow(
+            place=tuple(self.cells),
+            nrmse=self.played.nrmse,
+            peak_input=self.played.peak_input,
+            violation=self.certificate.violation(self.unit),
+            relative_gap=self.certificate.relative_gap,
+            result="; ".join(self.shortfalls) or "certified, replayed clean",
+        )
 
 
 def unlimited_nrmse(problem: TransientProblem, target: Target) -> float:

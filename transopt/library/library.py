@@ -14,20 +14,22 @@ from transopt.base.axes import Axes
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.shown import cut, html_figure, html_table, wrapped
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared, stored_names
+from transopt.library.columns import NAN, EntryTable, TableRow
 from transopt.library.place import Place, Waveform, finite, interpolation_weights
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.state_space import CURRENT_INPUT, INPUTS, Input, Output, StateSpace
 from transopt.plant.wall import Wall
-from transopt.problem.answer import Multipliers
+from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, verdict
 from transopt.problem.leave_out import pressing_under
 from transopt.problem.limits import KINDS, kinds_of
 from transopt.problem.limits.limit import SIDES, device_row
 from transopt.problem.limits.own import OwnLimit, follows_motion
+from transopt.problem.objective.bands import levels
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
@@ -235,22 +237,56 @@ class Library:
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
-        axes, unit = self.axes, self.driven_by.unit
-        columns = [*axes.columns, "NRMSE %", "floor %", "after %", "after g", f"peak {unit}", "what binds"]
-        rows = [
-            [
-                *axes.cells(iv, ig),
-                percent(self.nrmse[iv, ig]),
-                percent(self.floor[iv, ig]),
-                percent(self.nrmse_after[iv, ig]),
-                f"{self.peak_after_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2:.3f}",
-                f"{self.peak_input[iv, ig]:.3f}",
-                str(self.binding[iv, ig]),
-            ]
-            for iv in range(self.speeds_m_s.size)
-            for ig in range(self.grips_N.size)
-        ]
-        return html_table(repr(self), columns, rows) + html_figure(self.plot())
+        shown = self.table(("nrmse", "floor", "after", "after_peak", "peak", "binding"))
+        return html_table(repr(self), shown.heads, shown.cells) + html_figure(self.plot())
+
+    def table(self, names: Sequence[str]) -> EntryTable:
+        """All entries, speeds outermost, in columns of `transopt.library.columns.COLUMNS`."""
+        nv, ng, _ = self.command.shape
+        rows = [self.row(iv, ig) for iv in range(nv) for ig in range(ng)]
+        limits = (self.input_limit, self.steady_input)
+        return EntryTable(self.axes.columns, names, rows, self.driven_by.unit, limits)
+
+    def row(self, iv: int, ig: int) -> TableRow:
+        """What tables show of an entry."""
+        looked = self.reference_after_m_s2.shape[1] > 0
+        gap = self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE)
+        seed, clipped = (tuple(each[iv, ig].tolist()) for each in (self.nrmse_seed, self.nrmse_clipped))
+        return TableRow(
+            place=tuple(self.axes.cells(iv, ig)),
+            nrmse=float(self.nrmse[iv, ig]),
+            floor=float(self.floor[iv, ig]),
+            after=float(self.nrmse_after[iv, ig]) if looked else NAN,
+            after_peak_m_s2=float(self.peak_after_m_s2[iv, ig]) if looked else NAN,
+            seed=seed,
+            clipped=clipped,
+            linear=(float(self.nrmse_promised[iv, ig]), float(self.nrmse_linear[iv, ig])),
+            repeatability=self._repeatability(iv),
+            peak_input=float(self.peak_input[iv, ig]),
+            winding_C=float(self.peak_temperature_C[iv, ig]),
+            violation=float(self.primal_violation[iv, ig]),
+            relative_gap=float(gap),
+            solve_time_s=float(self.solve_time_s[iv, ig]),
+            binding=str(self.binding[iv, ig]),
+            verdict=self.verdict(iv, ig),
+        )
+
+    def verdict(self, iv: int, ig: int) -> str:
+        """How good an entry is, see `transopt.problem.answer.verdict`.
+
+        The floor of a library whose plant is nonlinear is that of another plant, the one at rest, and is no measure.
+        """
+        return verdict(
+            float(self.nrmse[iv, ig]),
+            NAN if self.nonlinear else float(self.floor[iv, ig]),
+            self._repeatability(iv),
+            levels(self.acceleration_m_s2[iv, ig], self.reference_m_s2[iv], self.meta["dt_s"]),
+        )
+
+    def _repeatability(self, iv: int) -> float:
+        """Trial-to-mean NRMSE of the recordings of a speed; NaN where there is one."""
+        spread = self.meta["repeatability"][iv]
+        return NAN if spread is None else float(spread)
 
     def plot(self) -> "Figure":
         """Every waveform over time: acceleration beside its reference, current beside its limit.

@@ -10,9 +10,8 @@ from rich.table import Table
 
 from transopt.base import writing
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.library.columns import NAN, UNKNOWN, EntryTable, TableRow
 from transopt.library.library import Library
-from transopt.report.tables import library_verdict, percent
 
 LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
 CHANGE_COLUMNS = ("stated", "A", "B")
@@ -23,34 +22,7 @@ ABSENT = "not stated"
 Node = tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Figures:
-    """What one entry is worth.
-
-    Attributes
-    ----------
-    nrmse, floor : relative errors, with and without the limits.
-    peak_after_m_s2 : largest error after the waveform; NaN where the library does not look at it.
-    peak_input : of the replay.
-    peak_temperature_C : of the winding; NaN where it is unknown.
-    verdict : in words.
-    command : (N,) the waveform.
-    """
-
-    nrmse: float
-    floor: float
-    peak_after_m_s2: float
-    peak_input: float
-    peak_temperature_C: float
-    verdict: str
-    command: np.ndarray
-
-    def cells(self) -> list[str]:
-        """As they are printed, without the waveform and the verdict."""
-        winding = "-" if np.isnan(self.peak_temperature_C) else f"{self.peak_temperature_C:.2f}"
-        after_g = self.peak_after_m_s2 / STANDARD_GRAVITY_M_S2
-        after = "-" if np.isnan(after_g) else f"{after_g:.3f}"
-        return [percent(self.nrmse), percent(self.floor), after, f"{self.peak_input:.3f}", winding]
+FIGURES = ("nrmse", "floor", "after_peak", "peak", "winding", "verdict")
 
 
 @dataclass(frozen=True)
@@ -59,21 +31,21 @@ class Comparison:
 
     Attributes
     ----------
-    both : node -> figures in A and in B.
+    both : node -> its row in the tables of A and of B.
+    apart : node -> largest difference of the two commands; NaN where they are issued at different instants.
     only_first, only_second : nodes of one of them.
     changes : (dotted path in `meta`, value in A, value in B) of what differs.
-    same_instants : whether the commands of both are issued at the same instants.
     same_content : whether both files hold the same, to the last bit.
     columns : heads of what a node is.
     unit : of the commands.
     claims : what is proven of A and of B where that is not that each command is an optimum; empty else.
     """
 
-    both: dict[Node, tuple[Figures, Figures]]
+    both: dict[Node, tuple[TableRow, TableRow]]
+    apart: dict[Node, float]
     only_first: list[Node]
     only_second: list[Node]
     changes: list[tuple[str, str, str]]
-    same_instants: bool
     same_content: bool
     columns: list[str]
     unit: str
@@ -94,12 +66,17 @@ class Comparison:
             if one != other:
                 raise InputError(f"compare: the {what} of A are by {one}, those of B by {other}: nothing to compare")
         ours, theirs = _entries(first), _entries(second)
+        there = {node: (ours[node], theirs[node]) for node in ours if node in theirs}
+        comparable = _instants(first) == _instants(second)
         return cls(
-            both={node: (ours[node], theirs[node]) for node in ours if node in theirs},
+            both={node: (first.row(*a), second.row(*b)) for node, (a, b) in there.items()},
+            apart={
+                node: float(np.abs(first.command[a] - second.command[b]).max()) if comparable else NAN
+                for node, (a, b) in there.items()
+            },
             only_first=[node for node in ours if node not in theirs],
             only_second=[node for node in theirs if node not in ours],
             changes=_changes(first.meta, second.meta),
-            same_instants=_instants(first) == _instants(second),
             same_content=first.content_sha256 == second.content_sha256,
             columns=first.axes.columns,
             unit=first.driven_by.unit,
@@ -107,15 +84,15 @@ class Comparison:
         )
 
     @property
-    def heads(self) -> list[str]:
-        """Of the table of entries."""
-        before, after = ["NRMSE %", "floor %", "after g"], ["winding C", f"command apart {self.unit}", "verdict"]
-        return [*self.columns, *before, f"peak {self.unit}", *after]
+    def table(self) -> EntryTable:
+        """The columns that are compared, without rows."""
+        return EntryTable(self.columns, FIGURES, (), self.unit)
 
-    def apart(self, node: Node) -> float:
-        """Largest difference of the two commands; NaN where they are issued at different instants."""
-        ours, theirs = self.both[node]
-        return float(np.abs(ours.command - theirs.command).max()) if self.same_instants else float("nan")
+    @property
+    def heads(self) -> list[str]:
+        """Heads of the table of entries."""
+        *before, verdict = self.table.heads
+        return [*before, f"command apart {self.unit}", verdict]
 
 
 def _instants(library: Library) -> tuple[float, float, int]:
@@ -123,24 +100,14 @@ def _instants(library: Library) -> tuple[float, float, int]:
     return library.meta["dt_s"], library.meta["lead_s"], library.command.shape[2]
 
 
-def _entries(library: Library) -> dict[Node, Figures]:
-    found: dict[Node, Figures] = {}
-    looked = library.reference_after_m_s2.shape[1] > 0
-    names = library.axes.targets
-    for iv, speed in enumerate(library.speeds_m_s):
-        for ig, grip in enumerate(library.grips_N):
-            nrmse, floor = float(library.nrmse[iv, ig]), float(library.floor[iv, ig])
-            node = (names[iv],) if names else (f"{speed:.9g}", f"{grip:.9g}")
-            found[node] = Figures(
-                nrmse=nrmse,
-                floor=floor,
-                peak_after_m_s2=float(library.peak_after_m_s2[iv, ig]) if looked else float("nan"),
-                peak_input=float(library.peak_input[iv, ig]),
-                peak_temperature_C=float(library.peak_temperature_C[iv, ig]),
-                verdict=library_verdict(library, iv, ig),
-                command=library.command[iv, ig],
-            )
-    return found
+def _entries(library: Library) -> dict[Node, tuple[int, int]]:
+    """Node -> where its entry stands in the library."""
+    names, (nv, ng, _) = library.axes.targets, library.command.shape
+
+    def node(iv: int, ig: int) -> Node:
+        return (names[iv],) if names else (f"{library.speeds_m_s[iv]:.9g}", f"{library.grips_N[ig]:.9g}")
+
+    return {node(iv, ig): (iv, ig) for iv in range(nv) for ig in range(ng)}
 
 
 def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -186,14 +153,14 @@ def _from_to(first: str, second: str) -> str:
 
 def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
     """Cells of the entry table, and whether the verdict changed or only one library has the entry."""
-    for node, (ours, theirs) in found.both.items():
-        figures = [_from_to(a, b) for a, b in zip(ours.cells(), theirs.cells(), strict=True)]
-        apart = found.apart(node)
-        command = "-" if np.isnan(apart) else f"{apart:.2g}"
-        yield [*node, *figures, command, _from_to(ours.verdict, theirs.verdict)], ours.verdict != theirs.verdict
+    for node, rows in found.both.items():
+        pairs = zip(*(found.table.figures(row) for row in rows), strict=True)
+        *figures, verdict = [_from_to(ours, theirs) for ours, theirs in pairs]
+        command = UNKNOWN if np.isnan(found.apart[node]) else f"{found.apart[node]:.2g}"
+        yield [*node, *figures, command, verdict], rows[0].verdict != rows[1].verdict
     for name, nodes in (("A", found.only_first), ("B", found.only_second)):
         for node in nodes:
-            yield [*node, *["-"] * 6, f"only in {name}"], True
+            yield [*node, *[UNKNOWN] * len(FIGURES), f"only in {name}"], True
 
 
 def entry_table(found: Comparison, title: str) -> Table:

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.problem.answer import Status
-from transopt.report.tables import percent
 from transopt.scene.fitted import FittedPart
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS, DriveDevice

@@ -9,20 +9,18 @@ import numpy as np
 
 from transopt.base.files import without_nan
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
-from transopt.base.writing import table
+from transopt.base.writing import percent, table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
+from transopt.library.columns import FULL
 from transopt.library.trade import trade_figures
 from transopt.problem.answer import Certificate
 from transopt.problem.limits.limit import Limit
 from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
 from transopt.report.tables import (
-    columns_of,
-    entry_cells,
     legend,
-    percent,
     refinement_summary,
     refusal,
     summary,
@@ -175,7 +173,7 @@ def _price_lines(build: Build) -> list[str]:
         [
             *entry.cells,
             price.stated,
-            f"{100 * price.nrmse:.2f}",
+            percent(price.nrmse),
             price.more,
             _solved_percent(price.then, price.then),
             price.free_from,
@@ -196,7 +194,7 @@ def _price_lines(build: Build) -> list[str]:
 
 def _solved_percent(error: float, of: float) -> str:
     """An NRMSE that was solved for; where there is none, whether its answer was not certified or there is no such."""
-    return "not certified" if np.isnan(of) else "-" if np.isnan(error) else f"{100 * error:.2f}"
+    return "not certified" if np.isnan(of) else percent(error)
 
 
 def _weighted_lines(build: Build) -> list[str]:
@@ -262,7 +260,6 @@ def _spread_lines(build: Build) -> list[str]:
 def build_markdown(build: Build) -> str:
     """The text of report.md."""
     entries = list(build.all_entries())
-    columns = columns_of(build)
     lines = [f"# {build.scene.name}", ""]
     for paragraph in filter(None, (build.scene.description, _origin(build), summary(build))):
         lines += [paragraph, ""]
@@ -273,9 +270,8 @@ def build_markdown(build: Build) -> str:
             f"The project's own solver is not built here, or out of date (no C compiler?): {FALLBACK} takes over.",
             "",
         ]
-    lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
-    lines += ["", legend(build.scene), ""]
+    shown = build.table(FULL)
+    lines += [*table(shown.heads, shown.cells), legend(build.scene), ""]
     if build.refused:
         lines += ["## Refused", ""]
         lines += [f"- {each.place}: {refusal(each)}" for each in build.refused]

@@ -8,7 +8,7 @@ from typing import Any
 from transopt.base.files import without_nan
 from transopt.base.terminal import make_folder
 from transopt.base.writing import csv_text, table, write_text
-from transopt.design.nonlinear import COLUMNS, NonlinearDesign, NonlinearEntry
+from transopt.design.nonlinear import NonlinearDesign, NonlinearEntry
 from transopt.library.library import NONLINEAR_CLAIM
 from transopt.problem.answer import Status
 from transopt.report.publish import publish
@@ -67,7 +67,7 @@ def nonlinear_markdown(design: NonlinearDesign) -> str:
         "within the tolerance (`gap`); no lower bound follows, since the problem is not convex.",
         *(["", f"`{LIBRARY}`: {NONLINEAR_CLAIM}."] if design.library is not None else []),
         "",
-        *table(COLUMNS, design.rows()),
+        *table(design.table.heads, design.table.cells),
     ]
     for entry in design.entries:
         lines += [f"## {entry.target}", "", f"- binds: {entry.binding}"]

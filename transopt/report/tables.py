@@ -8,70 +8,54 @@ from rich.text import Text
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.sizes import LONGEST_LEAD_S
+from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
 from transopt.design.verify import EntryCheck
+from transopt.library.columns import COLUMNS, FULL, NARROW, EntryTable
 from transopt.library.library import Library
-from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
-from transopt.problem.objective.bands import JUST_NOTICED_dB, levels
+from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
 from transopt.scene.sections import covering_lead_s
-
-
-def percent(value: float) -> str:
-    """Percent with two decimals below ten, one above; a dash for what is not known."""
-    if np.isnan(value):
-        return "-"
-    return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
-
 
 FELT_g = 1.0  # peak error after the waveform, from which on a user is warned of it
 LOST = 1e-3  # share of a tap's energy before the first command can act, from which on a user is warned of it
 WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
-ESSENTIAL = (0, 1, 7, 9, 10)  # columns behind those of the place that a narrow terminal keeps of the entry table
-RIGHT = 9  # so many of them hold numbers
-_LEGEND = (
-    "NRMSE: |a - r| / |r| after replay, r {wanted}. floor: the same "
-    "problem without its limits. after %: |a - r| when the waveform is over, relative to the same |r|; after g: the "
-    "largest |a - r| there. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its {input} "
-    "clipped (both keep {input} and command limits only). repeats: NRMSE of the recordings to their mean. "
-    "verdict: weak, strong: energy as vibration is felt, around 275 Hz, beside that of r; "
-    f"{JUST_NOTICED_dB:g} dB are just noticed."
-)
 
 
 def legend(scene: Scene) -> str:
     """What the columns of the table of entries mean."""
-    wanted = "the target" if scene.targets else "the motor's share of the recorded tap from contact on"
-    return _LEGEND.format(wanted=wanted, input=scene.driven_by.name)
+    return EntryTable((), FULL, ()).legend(scene.driven_by.name, named=bool(scene.targets))
 
 
-def after_cells(nrmse_after: float, peak_after_m_s2: float, samples: int) -> list[str]:
-    """Error and largest error [g] after the waveform; dashes where a scene does not look at what comes after it."""
-    if samples == 0:
-        return ["-", "-"]
-    return [percent(nrmse_after), f"{peak_after_m_s2 / STANDARD_GRAVITY_M_S2:.3f}"]
+def printed(
+    shown: EntryTable,
+    title: str,
+    *,
+    caption: str | None = None,
+    striking: Sequence[str | None] = (),
+    columns: int = 0,
+) -> Table:
+    """A table of entries for the terminal.
 
-
-def entry_cells(entry: Entry) -> list[str]:
-    """The cells of an entry under `columns_of`; dashes and the kind of refusal for one that is refused."""
-    b = entry.baselines
-    if entry.status is not Status.OPTIMAL:
-        return [*entry.cells, *["-"] * 9, entry.status.value, entry.verdict]
-    return [
-        *entry.cells,
-        percent(entry.nrmse),
-        percent(entry.floor),
-        *after_cells(entry.played.nrmse_after, entry.played.error_peak_after_m_s2, entry.problem.grid.after_stages),
-        f"{percent(b.seed)} / {percent(b.seed_steady)}",
-        f"{percent(b.clipped)} / {percent(b.clipped_steady)}",
-        percent(entry.repeatability),
-        f"{entry.played.peak_input:.3f}",
-        f"{entry.solution.solve_time_s * 1e3:.1f}",
-        entry.binding,
-        entry.verdict,
-    ]
+    Parameters
+    ----------
+    striking : a style for each row, or None.
+    columns : after how many rows a line is drawn; 0 for nowhere.
+    """
+    table = Table(title=title, caption=caption)
+    for place in shown.places:
+        table.add_column(place, justify="right")
+    for name, head in zip(shown.names, shown.heads[len(shown.places) :], strict=True):
+        # Only what binds may be long; a verdict stays in one piece.
+        is_number = COLUMNS[name].is_number
+        table.add_column(head, justify="right" if is_number else "left", no_wrap=name == "verdict")
+    styles = striking or [None] * len(shown.rows)
+    for number, (cells, style) in enumerate(zip(shown.cells, styles, strict=True), start=1):
+        # `Text` is printed as it is; a string would be searched for markup, which takes longer.
+        table.add_row(*map(Text, cells), style=style, end_section=columns > 0 and number % columns == 0)
+    return table
 
 
 def refusal(entry: Entry) -> str:
@@ -79,46 +63,12 @@ def refusal(entry: Entry) -> str:
     return ": ".join(filter(None, dict.fromkeys([entry.status.value, "; ".join(entry.shortfalls)])))
 
 
-def columns_of(build: Build) -> list[str]:
-    """Heads of the table of entries."""
-    limit, steady = build.scene.limits.transient_input, build.scene.limits.steady_input
-    unit = build.scene.driven_by.unit
-    return [
-        *build.scene.axes.columns,
-        "NRMSE %",
-        "floor %",
-        "after %",
-        "after g",
-        f"seed % at {limit:g} / {steady:g} {unit}",
-        f"clipped % at {limit:g} / {steady:g} {unit}",
-        "repeats %",
-        f"peak {unit}",
-        "ms",
-        "what binds",
-        "verdict",
-    ]
-
-
 def build_table(build: Build, width: int) -> Table:
     """The table that `transopt solve` prints into `width` columns."""
-    columns = columns_of(build)
-    places = len(build.scene.axes.columns)
-    shown = range(len(columns)) if width >= WIDE_TERMINAL else [*range(places), *(places + j for j in ESSENTIAL)]
-    table = Table(title=": ".join(filter(None, (build.scene.name, build.scene.description))), show_lines=False)
-    for j in shown:
-        # Only what binds may be long; a verdict stays in one piece.
-        table.add_column(
-            columns[j], justify="right" if places <= j < places + RIGHT else "left", no_wrap=j == len(columns) - 1
-        )
-    for row in build.entries:
-        for entry in row:
-            cells = entry_cells(entry)
-            # `Text` is printed as it is; a string would be searched for markup, which takes longer.
-            table.add_row(
-                *(Text(cells[j]) for j in shown), style="red" if entry.status is not Status.OPTIMAL else None
-            )
-        table.add_section()
-    return table
+    shown = build.table(FULL if width >= WIDE_TERMINAL else NARROW)
+    title = ": ".join(filter(None, (build.scene.name, build.scene.description)))
+    striking = ["red" if row.refusal else None for row in shown.rows]
+    return printed(shown, title, striking=striking, columns=len(build.scene.grid.grips_N))
 
 
 def summary(build: Build) -> str:
@@ -135,7 +85,7 @@ def summary(build: Build) -> str:
         over = 100 * max(worst.nrmse - worst.floor, 0)
         said.append(
             f"{len(admitted)} of {len(entries)} entries certified and replayed: NRMSE "
-            f"{100 * min(entry.nrmse for entry in admitted):.2f} to {100 * worst.nrmse:.2f} % (worst at "
+            f"{percent(min(entry.nrmse for entry in admitted))} to {percent(worst.nrmse)} % (worst at "
             f"{worst.place}: {over:.2f} points over its "
             f"floor), gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
@@ -212,72 +162,18 @@ def refinement_summary(refinement: Refinement) -> str:
     )
 
 
-def library_verdict(library: Library, iv: int, ig: int) -> str:
-    """How good an entry of a file is, see `transopt.problem.answer.verdict`.
-
-    The floor of a library whose plant is nonlinear is that of another plant, the one at rest, and is no measure here.
-    """
-    spread = library.meta["repeatability"][iv]
-    return verdict(
-        float(library.nrmse[iv, ig]),
-        float("nan") if library.nonlinear else float(library.floor[iv, ig]),
-        float("nan") if spread is None else spread,
-        levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
-    )
-
-
 def library_table(library: Library, name: str) -> Table:
     """The table that `transopt show` prints, from the file alone.
 
-    Of a nonlinear plant it has the linear design's error beside, and says below what is proven.
+    A library of a nonlinear plant has the linear design's error beside its own, and says below what is proven.
     """
-    axes, unit = library.axes, library.driven_by.unit
-    at = f"at {library.input_limit:g} / {library.steady_input:g} {unit}"
-    columns = [*axes.columns, "NRMSE %", "floor %", "after %", "after g", f"seed % {at}", f"clipped % {at}"]
-    columns += ["linear % promised / played"] * library.nonlinear + [f"peak {unit}", "winding C"]
-    samples = library.reference_after_m_s2.shape[1]
-    table = Table(title=name, caption=library.claim or None)
-    for column in (*columns, "gap", "ms"):
-        table.add_column(column, justify="right", overflow="fold")
-    for column in ("what binds", "verdict"):
-        table.add_column(column, overflow="fold")
-    for iv in range(library.speeds_m_s.size):
-        for ig in range(library.grips_N.size):
-            promised, linear = library.nrmse_promised[iv, ig], library.nrmse_linear[iv, ig]
-            gap = library.duality_gap[iv, ig] / max(library.objective[iv, ig], OBJECTIVE_SCALE)
-            table.add_row(
-                *axes.cells(iv, ig),
-                percent(library.nrmse[iv, ig]),
-                percent(library.floor[iv, ig]),
-                *after_cells(library.nrmse_after[iv, ig], library.peak_after_m_s2[iv, ig], samples),
-                " / ".join(percent(error) for error in library.nrmse_seed[iv, ig]),
-                " / ".join(percent(error) for error in library.nrmse_clipped[iv, ig]),
-                *([f"{percent(promised)} / {percent(linear)}"] if library.nonlinear else []),
-                f"{library.peak_input[iv, ig]:.3f}",
-                "-" if np.isnan(library.peak_temperature_C[iv, ig]) else f"{library.peak_temperature_C[iv, ig]:.2f}",
-                f"{gap:.0e}",
-                f"{library.solve_time_s[iv, ig] * 1e3:.0f}",
-                str(library.binding[iv, ig]),
-                library_verdict(library, iv, ig),
-            )
-        table.add_section()
-    return table
+    before, after = ("nrmse", "floor", "after", "after_peak", "seed", "clipped"), ("peak", "winding", "gap", "ms")
+    names = (*before, *(("linear",) if library.nonlinear else ()), *after, "binding", "verdict")
+    return printed(library.table(names), name, caption=library.claim or None, columns=library.grips_N.size)
 
 
 def verify_table(checks: Sequence[EntryCheck], name: str) -> Table:
     """The table that `transopt verify` prints."""
-    table = Table(title=name)
-    unit = checks[0].unit
-    for column in (*checks[0].columns, "NRMSE %", f"peak {unit}", f"violation {unit}", "gap", "result"):
-        table.add_column(column, justify="left" if column == "result" else "right", overflow="fold")
-    for check in checks:
-        table.add_row(
-            *check.cells,
-            percent(check.played.nrmse),
-            f"{check.played.peak_input:.4f}",
-            f"{check.certificate.violation(unit):.0e}",
-            f"{check.certificate.relative_gap:.0e}",
-            "; ".join(check.shortfalls) or "certified, replayed clean",
-            style="red" if check.shortfalls else None,
-        )
-    return table
+    names = ("nrmse", "peak", "violation", "gap", "result")
+    shown = EntryTable(checks[0].columns, names, [check.row for check in checks], checks[0].unit)
+    return printed(shown, name, striking=["red" if check.shortfalls else None for check in checks])

@@ -17,7 +17,7 @@ from transopt.study.axes import Axis, parse_axis
 from transopt.study.executors import Pool
 from transopt.study.figures import entry_grid, entry_lines, heat_map, percent_axis, percent_norm
 from transopt.study.plan import Plan
-from transopt.study.report import LEGEND, binding_names, rows_table
+from transopt.study.report import binding_names, legend, rows_table
 from transopt.study.rows import Row, entry_name, number
 from transopt.study.session import run_plan
 
@@ -185,7 +185,8 @@ class Selection:
             assert plan.scene.motor is not None
             lines += [f"## {plan.scene.motor.name}", "", plan.scene.motor.datasheet, "", f"![{stem}]({stem}.png)", ""]
             lines += rows_table(rows, [plan.axes[0].key], plan.scene.driven_by.unit)
-        return [*lines, LEGEND, ""]
+        first, _ = next(iter(self.studies.values()))
+        return [*lines, legend(first.scene), ""]
 
 
 def _page(plan: Plan, rows: Sequence[Row]) -> Figure:

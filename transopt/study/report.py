@@ -9,6 +9,7 @@ from transopt.base.machine import machine, versions
 from transopt.base.units import unit_of
 from transopt.base.writing import percent, table
 from transopt.design.sweep import REFUSED
+from transopt.library.columns import EntryTable, TableRow
 from transopt.scene.scene import Scene
 from transopt.study.axes import label
 from transopt.study.columns import MULTIPLIERS, VIOLATIONS
@@ -19,10 +20,6 @@ from transopt.study.rows import entry_cells as place_cells
 from transopt.study.store import LIBRARIES
 
 MOST_ROWS = 120  # of the table; rows.csv has them all
-LEGEND = (
-    "NRMSE: |a - r| / |r| after replay. floor: that of the same point without its limits. gap: of the certificate, "
-    "relative to max(J, 1e-3). largest multiplier: per A, V or K of the limit that binds hardest. ms: of the solver."
-)
 
 
 def provenance(command: str, elapsed_s: float) -> list[str]:
@@ -50,42 +47,38 @@ def largest_multiplier(row: Row) -> str:
     return f"{name} {found[name]:.2g}"
 
 
-def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
-    """A row of the table."""
-    values = [row[key] for key in keys]
-    entry = place_cells(row)
-    if row["status"] == REFUSED:
-        return [*values, *entry, "refused", "-", "-", "-", "-", "-", "-", row["reason"]]
-    return [
-        *values,
-        *entry,
-        percent(number(row, "nrmse")),
-        percent(number(row, "floor")),
-        f"{number(row, 'peak_input'):.3f}",
-        "-" if np.isnan(number(row, "peak_temperature_C")) else f"{number(row, 'peak_temperature_C'):.2f}",
-        largest_multiplier(row),
-        f"{number(row, 'relative_gap'):.0e}",
-        f"{number(row, 'solve_ms'):.0f}",
-        binding_names(row) if row["status"] == OPTIMAL else f"{row['status']}: {row['reason']}",
-    ]
+def shown_row(row: Row) -> TableRow:
+    """What the table shows of a row."""
+    refused = row["status"] == REFUSED
+    return TableRow(
+        place=tuple(place_cells(row)),
+        nrmse=number(row, "nrmse"),
+        floor=number(row, "floor"),
+        peak_input=number(row, "peak_input"),
+        winding_C=number(row, "peak_temperature_C"),
+        largest_multiplier=largest_multiplier(row),
+        relative_gap=number(row, "relative_gap"),
+        solve_time_s=1e-3 * number(row, "solve_ms"),
+        binding=binding_names(row) if row["status"] == OPTIMAL else f"{row['status']}: {row['reason']}",
+        refusal=row["reason"] if refused else "",
+    )
+
+
+COLUMNS = ("nrmse", "floor", "peak", "winding", "largest_multiplier", "gap", "ms", "binding")
 
 
 def rows_table(rows: Sequence[Row], keys: Sequence[str], unit: str) -> list[str]:
     """The table of rows; `unit` is that of the commands."""
-    columns = [f"{key} {unit_of(key)}".strip() for key in keys]
-    head = [
-        *columns,
-        *(["target"] if rows and rows[0]["target"] else ["speed m/s", "grip N"]),
-        "NRMSE %",
-        "floor %",
-        f"peak {unit}",
-        "winding C",
-        "largest multiplier",
-        "gap",
-        "ms",
-        "what binds",
-    ]
-    return table(head, [entry_cells(row, keys) for row in rows])
+    varied = [f"{key} {unit_of(key)}".strip() for key in keys]
+    places = ["target"] if rows and rows[0]["target"] else ["speed m/s", "grip N"]
+    shown = EntryTable(places, COLUMNS, [shown_row(row) for row in rows], unit)
+    cells = [[*(row[key] for key in keys), *own] for row, own in zip(rows, shown.cells, strict=True)]
+    return table([*varied, *shown.heads], cells)
+
+
+def legend(scene: Scene) -> str:
+    """What the columns of the table of rows mean."""
+    return EntryTable((), COLUMNS, ()).legend(scene.driven_by.name, named=bool(scene.targets))
 
 
 def summary(rows: Sequence[Row]) -> str:
@@ -146,7 +139,7 @@ def study_markdown(plan: Plan, rows: Sequence[Row], figure: str, head: Sequence[
     lines += ["## Rows", ""]
     if len(rows) > MOST_ROWS:
         lines += [f"The first {MOST_ROWS} of {len(rows)}; all are in rows.csv.", ""]
-    lines += [*rows_table(rows[:MOST_ROWS], keys, plan.scene.driven_by.unit), LEGEND, ""]
+    lines += [*rows_table(rows[:MOST_ROWS], keys, plan.scene.driven_by.unit), legend(plan.scene), ""]
     prices = [f"- row {row['index']}: {row['price']}" for row in rows[:MOST_ROWS] if row["price"]]
     return "\n".join([*lines, *(["## Prices", "", *prices, ""] if prices else [])])
 
@@ -171,4 +164,4 @@ def answer_markdown(scene: Scene, found: Answer, head: Sequence[str]) -> str:
         if side is not None:
             rows = rows_table(side.rows, [key], scene.driven_by.unit)
             lines += [f"## Evidence {name}: {key} = {label(side.value)}", "", *rows]
-    return "\n".join([*lines, LEGEND, ""])
+    return "\n".join([*lines, legend(scene), ""])

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.writing import percent
 from transopt.web.service import Service
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def service_figure(service: Service) -> "plotly.graph_objects.Figure":
     taps = [service.quick(index) for index in range(len(service.places))]
     driven = service.scene.driven_by
     titles = [
-        f"{place.title}: " + (f"{100 * tap.nrmse:.3f} %" if tap.certified else tap.reason)
+        f"{place.title}: " + (f"{percent(tap.nrmse)} %" if tap.certified else tap.reason)
         for place, tap in zip(service.places, taps, strict=True)
     ]
     figure = make_subplots(

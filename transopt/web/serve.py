@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Self
 
 from transopt.base.errors import InputError
 from transopt.base.shown import html_figure, html_table
-from transopt.base.writing import percent
 from transopt.design.figures import entries_figure
+from transopt.library.columns import EntryTable
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
 from transopt.web.server import Server, check_extra
@@ -85,14 +85,11 @@ class Page:
         service = self.service
         axes, places = service.scene.axes, range(len(service.places))
         entries = [service.entry(index) for index in places]
-        rows = [
-            [*entry.cells, percent(entry.nrmse), percent(entry.floor), entry.binding, entry.verdict]
-            for entry in entries
-        ]
         width = len(axes.grips_N)
         figure = entries_figure([entries[at : at + width] for at in range(0, len(entries), width)])
-        columns = [*axes.columns, "NRMSE %", "floor %", "what binds", "verdict"]
-        return html_table(repr(self), columns, rows) + html_figure(figure)
+        names = ("nrmse", "floor", "binding", "verdict")
+        shown = EntryTable(axes.columns, names, [entry.row for entry in entries], service.scene.driven_by.unit)
+        return html_table(repr(self), shown.heads, shown.cells) + html_figure(figure)
 
 
 def page(source: Scene | Library | str | Path, *, port: int = 0) -> Page:

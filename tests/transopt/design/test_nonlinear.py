@@ -51,7 +51,7 @@ class TestDesign:
     def test_shows_both_designs(self, design: NonlinearDesign) -> None:
         assert "1 of 1 targets certified stationary" in repr(design)
         assert "of the linear design" in repr(design.entries[0])
-        assert "nonlinear, played %" in design._repr_html_()
+        assert "linear % promised / played" in design._repr_html_()
         assert not design.entries[0].linear_leaves
 
     def test_is_of_the_public_face(self) -> None:

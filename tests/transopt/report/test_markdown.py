@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import problems
+from transopt.base.writing import percent
 from transopt.design.build import Build, build_library
 from transopt.report.markdown import build_json, build_markdown
 from transopt.scene.scene import Scene
@@ -45,11 +46,11 @@ class TestPrices:
                 "0.4",
                 "5",
                 price.stated,
-                f"{100 * price.nrmse:.2f}",
+                percent(price.nrmse),
                 price.more,
-                f"{100 * price.then:.2f}",
+                percent(price.then),
                 price.free_from,
-                f"{100 * price.there:.2f}",
+                percent(price.there),
             ]
         coil = next(price for price in entry.prices if price.limit == "coil")
         assert (coil.stated, coil.more) == ("coil 100 C", "10 K")
