@@ -36,8 +36,8 @@ class Maximum:
     ----------
     unknowns : (p,).
     covariance : (p, p); zero for what was held fixed.
-    chi_square : (groups, o) sums of squares.
-    points : (groups, o) their real numbers.
+    chi_square : sums of squares, an array (o,) for each group, whose numbers of outputs may differ.
+    points : their real numbers, in the same arrays.
     free : (p,) what was sought.
     bounded : (p,) what ended at a bound; its deviation is half the range searched.
     between : (p,) observed variance between the trials over what the noise within them makes of it; 1 where unknown.
@@ -45,8 +45,8 @@ class Maximum:
 
     unknowns: FloatArray
     covariance: FloatArray
-    chi_square: FloatArray
-    points: NDArray[np.int_]
+    chi_square: tuple[FloatArray, ...]
+    points: tuple[NDArray[np.int_], ...]
     free: NDArray[np.bool_]
     bounded: NDArray[np.bool_]
     between: FloatArray
@@ -54,7 +54,17 @@ class Maximum:
     @property
     def scatter(self) -> float:
         """Mean square of the residuals: 1 where the model is right."""
-        return float(self.chi_square.sum() / max(int(self.points.sum()) - int(self.free.sum()), 1))
+        return self.total / max(self.count - int(self.free.sum()), 1)
+
+    @property
+    def count(self) -> int:
+        """Real numbers of all outputs of all groups."""
+        return sum(int(points.sum()) for points in self.points)
+
+    @property
+    def total(self) -> float:
+        """Sum of squares of all outputs of all groups."""
+        return float(sum(squares.sum() for squares in self.chi_square))
 
 
 class Likelihood:
@@ -78,9 +88,9 @@ class Likelihood:
         self._at, self._last = np.zeros(0), (np.zeros(0), np.zeros((0, 0)))
 
     @property
-    def points(self) -> NDArray[np.int_]:
-        """(groups, o) real numbers that count."""
-        return np.array([2 * (group.known[:, :, None] & group.used).sum(axis=(1, 2)) for group in self.groups])
+    def points(self) -> tuple[NDArray[np.int_], ...]:
+        """Real numbers that count: an array (o,) for each group, whose numbers of outputs may differ."""
+        return tuple(2 * (group.known[:, :, None] & group.used).sum(axis=(1, 2)) for group in self.groups)
 
     def _responses(self, unknowns: FloatArray, j: int) -> tuple[ComplexArray, ComplexArray]:
         """(o, b, q) and (p, o, b, q) of a group."""
@@ -144,7 +154,7 @@ class Likelihood:
         residuals, jacobian = self.evaluate(unknowns)
         reach = 1e-6 * (high - low)
         bounded = free & ((unknowns <= low + reach) | (unknowns >= high - reach))
-        chi_square, first = [], 0
+        chi_square, first = list[FloatArray](), 0
         for wanted in self._wanted:
             size, shape = wanted.size, (2, wanted.shape[0], -1)
             chi_square.append((residuals[first : first + 2 * size].reshape(shape) ** 2).sum(axis=(0, 2)))
@@ -156,7 +166,7 @@ class Likelihood:
         found = Maximum(
             unknowns=unknowns,
             covariance=np.zeros((unknowns.size, unknowns.size)),
-            chi_square=np.array(chi_square),
+            chi_square=tuple(chi_square),
             points=self.points,
             free=free,
             bounded=bounded,

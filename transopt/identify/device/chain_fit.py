@@ -247,7 +247,7 @@ def fit_chain(
         tick()
         if reached[-1][1] <= min(cost for _, cost in reached):
             tried = exact.maximum(reached[-1][0])
-            best = tried if best is None or tried.chi_square.sum() < best.chi_square.sum() else best
+            best = tried if best is None or tried.total < best.total else best
             if best.scatter < EXPLAINED:
                 break
     assert best is not None
@@ -415,6 +415,5 @@ def fit_per_grip(fit: ChainFit, measured: Sequence[GripResponse], *, least_coher
         clear = one.estimate.coherence > least_coherence
         apart = 20 * np.abs(np.log10(np.abs(by_own) / np.abs(by_all)))[clear]
         before = float(np.sum(search.likelihood.evaluate(start)[0] ** 2))
-        points = int(own.points.sum())
-        found.append(GripFit(one.grip_N, before / points, own.scatter, float(apart.max(initial=0.0))))
+        found.append(GripFit(one.grip_N, before / own.count, own.scatter, float(apart.max(initial=0.0))))
     return found

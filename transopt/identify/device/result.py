@@ -98,7 +98,10 @@ class DeviceResult:
             return [float(value) for value in self.black_box.scatter]
         assert self.chain is not None
         maximum = self.chain.maximum
-        return [float(value) for value in maximum.chi_square.sum(axis=1) / maximum.points.sum(axis=1)]
+        return [
+            float(squares.sum() / points.sum())
+            for squares, points in zip(maximum.chi_square, maximum.points, strict=True)
+        ]
 
     @property
     def verdict(self) -> str:
