@@ -17,6 +17,7 @@ from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 
 FINER = 20  # steps of the rollout per servo period
+SINGLE_PRECISION = 1e-6  # relative, above the rounding of a float32
 PULSE_A = 0.1
 # With an accelerometer a pulse is as short as what is compared of its acceleration and its settled current need; the
 # encoder has been compared with the accelerometer by then. Without one the path has to be long, and its mean over
@@ -31,6 +32,13 @@ def pairs_of(device: DeviceFile) -> int:
     return PAIRS if device.accelerometer.sensor else BLIND_PAIRS
 
 
+def most_pulse_A(device: DeviceFile) -> float:
+    """Largest test pulse: within the hardware's limit as a current, and as the command that goes to the amplifier."""
+    scale = abs(device.amplifier.scale)
+    # The device keeps the scale in single precision, and its limit is exact.
+    return min(device.hardware.pulse_A or PULSE_A, PULSE_A) * (1.0 if scale >= 1 else scale * (1 - SINGLE_PRECISION))
+
+
 def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
     """Fields of `Settings`: the test pulse, and what the library's own model says of it at up to four of its grips.
 
@@ -40,10 +48,12 @@ def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
     ------
     InputError : a model of the wrong sign.
     """
-    dt_s, most_A = float(library.meta["dt_s"]), device.hardware.pulse_A or PULSE_A
+    dt_s = float(library.meta["dt_s"])
     sensed = device.accelerometer.sensor
     ticks = round((PULSE_S if sensed else BLIND_PULSE_S) / dt_s)
-    asked = Settings.of(library, pulse_A=min(most_A, PULSE_A, library.meta["limits"]["current_A"]), pulse_ticks=ticks)
+    asked = Settings.of(
+        library, pulse_A=min(most_pulse_A(device), library.meta["limits"]["current_A"]), pulse_ticks=ticks
+    )
     grips = library.grips_N
     nodes = grips if grips.size <= PULSE_NODES else np.linspace(grips[0], grips[-1], PULSE_NODES)
     found = [_pushed(library, asked, float(grip_N), device.accelerometer.bandwidth_Hz) for grip_N in nodes]
@@ -59,7 +69,7 @@ def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
 def measured_numbers(device: DeviceFile, dt_s: float, acceleration_m_s2: float) -> dict[str, Any]:
     """The same for a device without a model, with the acceleration per ampere that was measured, for any grip."""
     return {
-        "pulse_A": min(device.hardware.pulse_A or PULSE_A, PULSE_A),
+        "pulse_A": most_pulse_A(device),
         "pulse_ticks": round(PULSE_S / dt_s),
         "pulse_grip_N": (0.0,),
         "pulse_acceleration": (acceleration_m_s2,),

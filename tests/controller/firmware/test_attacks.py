@@ -247,6 +247,29 @@ def test_a_pulse_keeps_smaller_limits(start: Start) -> None:
     assert talker.refused(m.Pulse(0.05, 20, 0)) is Reason.BAD_VALUE
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_no_stated_scale_of_the_amplifier_lets_a_pulse_pass_the_hardwares_limit(start: Start, seed: int) -> None:
+    """The scale is the host's word: neither it nor the truth may let more flow than the port allows."""
+    random = np.random.default_rng(seed)
+    granted = 0
+    for _ in range(6):
+        scale = float(np.exp(random.uniform(np.log(0.2), np.log(5.0))) * random.choice([-1, 1]))
+        asked = float(random.uniform(0.0, 1.2 * HARDWARE.pulse_A))
+        allowed = max(asked, asked / abs(scale)) <= HARDWARE.pulse_A
+        for truth in (1.0, scale):
+            talker = Talker(start())
+            talker.configured(configuration_of(replace(WATCHED, amplifier_scale=scale)))
+            plant = Plant(talker, amplifier=truth).step(200)
+            if not allowed:
+                assert talker.refused(m.Pulse(asked, PULSE_TICKS, 0)) is Reason.BAD_VALUE
+                continue
+            talker.done(m.Pulse(asked, PULSE_TICKS, 0))
+            plant.step(PULSE_TICKS + 20)
+            assert 0 < plant.most_A <= HARDWARE.pulse_A * (1 + 1e-6)
+            granted += 1
+    assert granted
+
+
 def test_norms_of_zero_do_not_skip_the_prediction_of_heat(start: Start) -> None:
     """They do not travel: the device computes them of the counts, and scales the transient down or withholds it."""
     warm = replace(EXCITED, coil=replace(COIL, start_winding_C=94.99, start_housing_C=60.0))

@@ -190,12 +190,16 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uin
     const td_hardware *hardware = &device->port.hardware;
     const td_config *config = &device->store.config;
     td_refusal found = need_idle(device);
+    double commanded_A;
 
     if (found.reason != 0)
         return found;
     if (!device->store.configured)
         return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
-    if (!(fabs(current_A) <= hardware->pulse_A && fabs(current_A) <= (double)config->current_limit_A))
+    /* A host states the scale of the amplifier: whatever it says, neither the current nor what goes out is larger. */
+    commanded_A = current_A / (double)config->calibration.amplifier_scale;
+    if (!(fabs(current_A) <= hardware->pulse_A && fabs(commanded_A) <= hardware->pulse_A &&
+          fabs(current_A) <= (double)config->current_limit_A))
         return td_refuse(TD_REASON_BAD_VALUE, current_A);
     if (ticks == 0 || ticks > td_device_ticks(device, 1e3 * hardware->pulse_s))
         return td_refuse(TD_REASON_BAD_VALUE, ticks);
