@@ -16,9 +16,6 @@ extern "C" {
 
 #include "core/td_device.h"
 
-/* sizeof(td_device) as the library was compiled; a sketch for which it is another must not start. */
-size_t transopt_device_bytes(void);
-
 #ifdef __cplusplus
 }
 #endif

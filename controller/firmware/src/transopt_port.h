@@ -1,9 +1,8 @@
 /* What holds for the core wherever an Arduino tool compiles it: precision, capacities, and no liberties with numbers.
  *
  * Every source of the core includes it by way of td_port.h, and every sketch by way of transopt_device.h, so that all
- * agree on the layout of td_device. Change
- * capacities here, or with -D for the whole build (PlatformIO's build_flags), never in a sketch alone;
- * transopt_device_bytes() tells whether a sketch and the library agree.
+ * agree on the layout of td_device. Change capacities here, or with -D for the whole build (PlatformIO's build_flags),
+ * as plain whole numbers. A sketch and a library that were compiled with different ones do not link.
  */
 #ifndef TRANSOPT_PORT_H
 #define TRANSOPT_PORT_H

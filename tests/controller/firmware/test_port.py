@@ -4,7 +4,6 @@ import ctypes
 import json
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -319,8 +318,46 @@ def test_the_coil_is_as_hot_as_may_be_unless_its_heat_was_kept_over_the_restart(
     assert session.device_state is State.ARMED
 
 
-def test_a_sketch_of_other_capacities_than_its_library_does_not_start(tmp_path: Path) -> None:
-    other = ("-DTD_MAX_LIBRARY_SAMPLES=1000", "-DTD_MAX_SPEEDS=4", "-DTD_MAX_GRIPS=4", "-DTD_MAX_RECORDS=64")
-    made = build_sketch(tmp_path / "other", 1, other)
-    code = f"import ctypes; ctypes.CDLL({str(made)!r}).stub_setup()"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 7
+PORTS = {
+    "double": (),
+    "float": ("-DTD_REAL_FLOAT",),
+    "small": ("-DTD_MAX_LIBRARY_SAMPLES=1000", "-DTD_MAX_SPEEDS=4", "-DTD_MAX_GRIPS=4", "-DTD_MAX_RECORDS=64"),
+    "long": ("-DTD_MAX_SAMPLES=30000",),
+}
+START = """
+#include "core/td_device.h"
+static td_device device;
+int main(void) { const td_port port = {0}; td_device_start(&device, &port); return 0; }
+"""
+
+
+@pytest.fixture(scope="module")
+def cores(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """The core's objects by what they were compiled with."""
+    try:
+        cc = compiler().command
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+    found = {}
+    for name, flags in PORTS.items():
+        folder = tmp_path_factory.mktemp(name)
+        subprocess.run([*cc, "-O0", *flags, f"-I{SRC}", "-c", *map(str, sources(CORE))], cwd=folder, check=True)
+        found[name] = sorted(map(str, folder.glob("*.o")))
+    return found
+
+
+@pytest.mark.parametrize("port", PORTS)
+@pytest.mark.parametrize("core", PORTS)
+def test_a_port_links_only_with_a_core_of_its_own_precision_and_capacities(
+    cores: dict[str, list[str]], port: str, core: str, tmp_path: Path
+) -> None:
+    (tmp_path / "port.c").write_text(START)
+    made = tmp_path / "port"
+    command = [*compiler().command, "-O1", *PORTS[port], f"-I{SRC}", str(tmp_path / "port.c"), *cores[core], "-lm"]
+    linked = subprocess.run([*command, "-o", str(made)], check=False, capture_output=True, text=True)
+    if port == core:
+        assert linked.returncode == 0, linked.stderr
+        assert subprocess.run([made], check=False).returncode == 0
+    else:
+        assert linked.returncode != 0
+        assert f"td_device_of_{'float' if port == 'float' else 'double'}" in linked.stderr

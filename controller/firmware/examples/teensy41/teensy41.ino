@@ -253,8 +253,6 @@ void setup()
     put_nothing();
     pinMode(PIN_ALIVE, OUTPUT);
     pinMode(PIN_STOP, INPUT_PULLUP);
-    if (transopt_device_bytes() != sizeof(td_device))
-        give_up();
     analogReadResolution(12);
     analogReadAveraging(1);
     encoder.setInitConfig();

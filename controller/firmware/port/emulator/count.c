@@ -60,8 +60,8 @@ void __real_td_device_step(td_device *to, const td_readings *readings, td_output
 void __wrap_td_device_step(td_device *to, const td_readings *readings, td_output *output);
 void __real_td_device_receive(td_device *to, const uint8_t *bytes, size_t size);
 void __wrap_td_device_receive(td_device *to, const uint8_t *bytes, size_t size);
-void __real_td_device_start(td_device *to, const td_port *port);
-void __wrap_td_device_start(td_device *to, const td_port *port);
+void __real_td_device_begin(td_device *to, const td_port *port, const size_t *bytes);
+void __wrap_td_device_begin(td_device *to, const td_port *port, const size_t *bytes);
 int __real_main(int argc, char **argv);
 int __wrap_main(int argc, char **argv);
 
@@ -135,14 +135,14 @@ static void watch_put(void *context, td_real command_A, bool enabled)
         watched.put(context, command_A, enabled);
 }
 
-void __wrap_td_device_start(td_device *to, const td_port *port)
+void __wrap_td_device_begin(td_device *to, const td_port *port, const size_t *bytes)
 {
     td_port through = *port;
 
     watched = *port;
     through.hold = watch_hold;
     through.put = watch_put;
-    __real_td_device_start(to, &through);
+    __real_td_device_begin(to, &through, bytes);
 }
 
 /* The stack is painted before and looked at after. */

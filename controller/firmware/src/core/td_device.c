@@ -7,9 +7,11 @@
 
 #define GREETING_BYTES (TD_HELLO_PROTOCOL + 2) /* what HELLO and its reply begin with in every version */
 
-void td_device_start(td_device *device, const td_port *port)
+const size_t TD_DEVICE_BYTES = sizeof(td_device);
+
+void td_device_begin(td_device *device, const td_port *port, const size_t *bytes)
 {
-    memset(device, 0, sizeof *device);
+    memset(device, 0, *bytes);
     device->port = *port;
     td_decoder_start(&device->decoder);
     td_events_start(&device->events, td_device_ticks(device, TD_EVENT_REPEAT_MS));

@@ -64,7 +64,30 @@ typedef struct {
     uint8_t payload[TD_PAYLOAD_LIMIT], frame[TD_FRAME_LIMIT]; /* being written */
 } td_device;
 
-void td_device_start(td_device *device, const td_port *port);
+/* A constant that holds sizeof(td_device), whose name says what it follows from. A port that was compiled with another
+ * precision or other capacities than the core asks for a name that the core does not have, and does not link. */
+#ifdef TD_REAL_FLOAT
+#define TD_PRECISION float
+#else
+#define TD_PRECISION double
+#endif
+#define TD_NAMED(precision, samples, speeds, grips, longest, window, latency, records)                       \
+    td_device_of_##precision##_##samples##_samples_##speeds##_speeds_##grips##_grips_##longest##_longest_##window \
+        ##_window_##latency##_latency_##records##_records
+#define TD_EXPANDED(precision, samples, speeds, grips, longest, window, latency, records) \
+    TD_NAMED(precision, samples, speeds, grips, longest, window, latency, records)
+#define TD_DEVICE_BYTES                                                                                          \
+    TD_EXPANDED(TD_PRECISION, TD_MAX_LIBRARY_SAMPLES, TD_MAX_SPEEDS, TD_MAX_GRIPS, TD_MAX_SAMPLES, TD_MAX_WINDOW_TICKS, \
+                TD_MAX_LATENCY_TICKS, TD_MAX_RECORDS)
+
+extern const size_t TD_DEVICE_BYTES;
+
+void td_device_begin(td_device *device, const td_port *port, const size_t *bytes);
+
+static inline void td_device_start(td_device *device, const td_port *port)
+{
+    td_device_begin(device, port, &TD_DEVICE_BYTES);
+}
 
 void td_device_receive(td_device *device, const uint8_t *bytes, size_t size);
 
