@@ -20,8 +20,9 @@ def plant_fit(
     order: Annotated[int, typer.Option(help="Number of states: two for each resonance, one for a coil's L / R.")],
     out: Annotated[Path, typer.Option(help="Plant file, .npz. A PNG is written beside it.")],
     driven_by: Annotated[
-        str, typer.Option("--input", help="What the response is to: current or voltage.")
-    ] = "current",
+        str | None,
+        typer.Option("--input", help="What the response is to: current or voltage. Default: the file's, or current."),
+    ] = None,
     band_Hz: Annotated[
         tuple[float, float] | None,
         typer.Option("--band-Hz", help="Lowest and highest frequency that count. Default: all."),
@@ -50,7 +51,7 @@ def plant_fit(
 
     console = terminal.console()
     inputs = {each.name: each for each in (CURRENT_INPUT, VOLTAGE_INPUT)}
-    if driven_by not in inputs:
+    if driven_by is not None and driven_by not in inputs:
         raise InputError(f"--input {driven_by}: unknown; choose {', '.join(inputs)}")
     if out.suffix.lower() != ".npz":
         raise InputError(f"--out {out}: a plant file that is written ends in .npz")
@@ -58,6 +59,13 @@ def plant_fit(
         raise InputError(f"--delay-s {delay_s:g}: must be 0 to {LONGEST_DELAY_S:g} s")
     terminal.make_folder(out.parent)
     measured = read_response(response, layout(columns, units), scale=scale)
+    of_file = next((name for name, each in inputs.items() if each.unit == measured.input_unit), None)
+    if None not in (driven_by, of_file) and driven_by != of_file:
+        raise InputError(
+            f"--input {driven_by}: {response} says that its response is to a {of_file}; leave --input out, or state "
+            f"--units magnitude=m/s^2/{inputs[str(driven_by)].unit}"
+        )
+    driven_by = driven_by or of_file or CURRENT_INPUT.name
     f = measured.frequencies_Hz
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)
     fit = fit_response(f, undelayed, order, inputs[driven_by], band_Hz)
@@ -68,6 +76,8 @@ def plant_fit(
         console.print(text, style=style, highlight=False, soft_wrap=True)
 
     band = f"{fit.frequencies_Hz[0]:.4g} to {fit.frequencies_Hz[-1]:.4g} Hz"
+    for note in measured.notes:
+        line(note, "yellow")
     line(f"{order} states to {fit.frequencies_Hz.size} points, {band}")
     pairs = ", ".join(f"{at:.4g} Hz (Q {quality:.3g})" for at, quality in fit.resonances())
     line(f"resonances: {pairs or 'none'}")

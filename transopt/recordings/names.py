@@ -163,6 +163,12 @@ def _plain(unit: str) -> str:
     return plain.replace("⁻", "-").replace("·", " ").replace("*", " ")
 
 
+def factor_of(unit: str, quantity: str) -> float | None:
+    """What makes SI of a unit as instruments write it; None for a unit that this quantity does not have."""
+    table = UNITS[quantity]
+    return table.get(unit.strip(), table.get(_plain(unit)))
+
+
 def _quantity(base: str, words: Vocabulary) -> str | None:
     """The quantity that a name without unit means, None if none."""
     small = base.strip().lower()

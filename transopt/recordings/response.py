@@ -1,16 +1,13 @@
 """Measured frequency responses, acceleration over current or voltage: read from CSV, text, NPZ, MAT and UFF files.
 
 Tables have a column of frequencies and either magnitude and phase or real and imaginary part, named and with units as
-instruments write them (`transopt.recordings.names`). A Universal File holds them as its dataset 58 in ASCII (SDRC,
-"Universal File Format", dataset 58: Function at Nodal DOF). Of its many kinds of function a response is one, which is
-read here in a hundred lines with messages that name the field; the package pyuff reads and writes all datasets, and
-would bring its dependencies along for this one.
+instruments write them (`transopt.recordings.names`). A universal file holds them as its dataset 58
+(`transopt.recordings.universal_file`).
 """
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +16,10 @@ from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
-from transopt.base.sizes import MOST_RECORD_BYTES, MOST_ROWS
+from transopt.base.sizes import MOST_RECORD_BYTES
 from transopt.recordings.formats import MIN_SAMPLES, read_raw
 from transopt.recordings.names import LEVEL, Layout, Vocabulary, quote
+from transopt.recordings.universal_file import read_universal_file
 
 UFF_SUFFIXES = (".unv", ".uff", ".u58")
 LARGEST = 1e9  # m/s^2 per A or V: far above every actuator, and its square still fits
@@ -45,13 +43,6 @@ WORDS = Vocabulary(
     unit_suffix=re.compile(r"(_(k?Hz|dB|deg|rad|m_s2|g)|^(magnitude|real|imag|imaginary))$"),
 )
 PAIRS = (("real", "imaginary"), ("magnitude", "phase"))
-# Of dataset 58: what record 6 calls a frequency response, what record 8 calls a frequency, and record 9 an ordinate.
-FREQUENCY_RESPONSE, FREQUENCY, ACCELERATION = 4, 18, (0, 1, 12)
-MARK = "    -1"
-WIDTHS = {5: 13, 6: 20}  # ordinate type, complex of single or double precision -> characters of each number
-ABSCISSA_WIDTH = 13
-LINE_WIDTH = 80
-HEAD_LINES = 11  # of the dataset, before its numbers
 
 
 @dataclass(frozen=True)
@@ -62,10 +53,14 @@ class MeasuredResponse:
     ----------
     frequencies_Hz : (m,) increasing, above 0.
     response : (m,) complex acceleration over input [m/s^2 per A or V].
+    input_unit : "A" or "V" where the file states what the response is to; empty where it does not.
+    notes : what the file and the user state differently, one sentence each.
     """
 
     frequencies_Hz: FloatArray
     response: ComplexArray
+    input_unit: str = ""
+    notes: tuple[str, ...] = ()
 
     __repr__ = brief
 
@@ -89,9 +84,10 @@ def read_response(path: Path, layout: Layout | None = None, *, scale: float = 1.
             raise InputError(f"--scale {scale}: must be a number other than 0")
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the check
             if path.suffix.lower() in UFF_SUFFIXES:
-                frequencies_Hz, response = _of_uff(data)
-            else:
-                frequencies_Hz, response = _of_table(path.suffix, data, layout or Layout())
+                found = read_universal_file(data, layout or Layout())
+                checked = _checked(found.frequencies_Hz, scale * found.response)
+                return replace(checked, input_unit=found.input_unit, notes=found.notes)
+            frequencies_Hz, response = _of_table(path.suffix, data, layout or Layout())
             return _checked(frequencies_Hz, scale * response)
     except InputError as error:
         file = str(path) if str(path).isprintable() else repr(str(path))
@@ -139,88 +135,3 @@ def _of_table(suffix: str, data: bytes, layout: Layout) -> tuple[FloatArray, Com
     if magnitude.min() < 0:
         raise InputError("a magnitude is negative: is it in dB? name the column magnitude_dB")
     return values * factor, magnitude * np.exp(1j * other * other_by)
-
-
-def _of_uff(data: bytes) -> tuple[FloatArray, ComplexArray]:
-    """The one frequency response among the datasets of a universal file."""
-    try:
-        lines = data.decode("ascii").splitlines()
-    except UnicodeDecodeError:
-        raise InputError("holds binary datasets; export dataset 58 in ASCII") from None
-    found = [block for kind, block in _datasets(lines) if kind == "58"]
-    if any(kind.startswith("58b") for kind, _ in _datasets(lines)):
-        raise InputError("holds a binary dataset 58b; export dataset 58 in ASCII")
-    units = next((block for kind, block in _datasets(lines) if kind == "164"), None)
-    if units is not None and _whole(units, 0, 0, 10, "units code of dataset 164") != 1:
-        raise InputError("dataset 164: units other than SI; export in SI, units code 1")
-    responses = [block for block in found if _whole(block, 5, 0, 5, "function type") == FREQUENCY_RESPONSE]
-    if len(responses) != 1:
-        raise InputError(
-            f"{len(responses)} frequency responses in {len(found)} datasets 58, must be one; export the one that "
-            "leads from the input to the acceleration"
-        )
-    return _of_dataset(responses[0])
-
-
-def _datasets(lines: list[str]) -> list[tuple[str, list[str]]]:
-    """Number and lines of every dataset: they stand between two lines of -1."""
-    marks = [k for k, line in enumerate(lines) if line.rstrip() == MARK]
-    inside = [lines[a + 1 : b] for a, b in zip(marks[::2], marks[1::2], strict=False)]
-    if not inside:
-        raise InputError("no dataset between two lines of -1; export it as a universal file in ASCII")
-    return [(block[0].split()[0] if block and block[0].split() else "", block[1:]) for block in inside]
-
-
-def _whole(block: Sequence[str], line: int, start: int, end: int, what: str) -> int:
-    """A whole number in columns of a line of a dataset."""
-    cell = block[line][start:end].strip() if line < len(block) else ""
-    try:
-        return int(cell)
-    except ValueError:
-        raise InputError(
-            f"dataset, line {line + 1}: {what} is {quote(cell)}, no whole number; export it again"
-        ) from None
-
-
-def _of_dataset(block: Sequence[str]) -> tuple[FloatArray, ComplexArray]:
-    kind = _whole(block, 6, 0, 10, "ordinate type")
-    points = _whole(block, 6, 10, 20, "number of points")
-    even = _whole(block, 6, 20, 30, "spacing of the abscissa") == 1
-    if kind not in WIDTHS:
-        raise InputError(f"dataset 58: ordinate type {kind}, must be 5 or 6, complex: export real and imaginary part")
-    if not 0 < points <= MOST_ROWS:
-        raise InputError(f"dataset 58: {points} points, must be 1 to {MOST_ROWS}")
-    if _whole(block, 7, 0, 10, "kind of the abscissa") not in (0, FREQUENCY):
-        raise InputError("dataset 58: its abscissa is no frequency; export a frequency response")
-    if _whole(block, 8, 0, 10, "kind of the ordinate") not in ACCELERATION:
-        raise InputError("dataset 58: its ordinate is no acceleration (type 12); export the accelerance")
-    widths = [*([] if even else [ABSCISSA_WIDTH]), WIDTHS[kind], WIDTHS[kind]]
-    per_line = max(LINE_WIDTH // sum(widths), 1)
-    cells = _cells(block[HEAD_LINES:], widths * per_line, points * len(widths)).reshape(points, -1)
-    if even:
-        start, step = (_number(block[6][at : at + 13], 7) for at in (30, 43))
-        frequencies = start + step * np.arange(points)
-    else:
-        frequencies, cells = cells[:, 0], cells[:, 1:]
-    return np.asarray(frequencies), np.asarray(cells[:, 0] + 1j * cells[:, 1])
-
-
-def _cells(lines: Sequence[str], widths: Sequence[int], wanted: int) -> FloatArray:
-    """(wanted,) numbers of fixed width: neighbours may touch."""
-    ends = np.cumsum(widths)
-    numbers: list[float] = []
-    for k, line in enumerate(lines):
-        for end, width in zip(ends, widths, strict=True):
-            cell = line[end - width : end]
-            if len(numbers) < wanted and cell.strip():
-                numbers.append(_number(cell, HEAD_LINES + k + 1))
-    if len(numbers) < wanted:
-        raise InputError(f"dataset 58: {len(numbers)} numbers, its head promises {wanted}; it is cut short")
-    return np.array(numbers)
-
-
-def _number(cell: str, line: int) -> float:
-    try:
-        return float(cell.replace("D", "E").replace("d", "e"))
-    except ValueError:
-        raise InputError(f"dataset 58, line {line}: {quote(cell)} is no number; export it again") from None

@@ -60,25 +60,33 @@ def test_scale_and_columns_that_state_nothing(tmp_path: Path) -> None:
 
 
 def uff(
-    kind: int, *, even: bool, function: int = 4, abscissa: int = 18, ordinate: int = 12, response: ComplexArray
+    kind: int,
+    *,
+    even: bool,
+    function: int = 4,
+    abscissa: int = 18,
+    ordinate: int = 12,
+    response: ComplexArray,
+    units: tuple[str, str, str] = ("Hz", "m/s^2", "V"),
+    f_Hz: FloatArray = F_HZ,
 ) -> str:
     """Dataset 58 as its description has it, in columns (SDRC Universal File Format)."""
     width = {5: "13.5E", 6: "20.12E"}[kind]
     cells = [[f"{x:{width}}" for x in (v.real, v.imag)] for v in response]
     if not even:
-        cells = [[f"{f:13.5E}", *pair] for f, pair in zip(F_HZ, cells, strict=True)]
+        cells = [[f"{f:13.5E}", *pair] for f, pair in zip(f_Hz, cells, strict=True)]
     per_line = 80 // len("".join(cells[0]))
     lines = ["".join("".join(point) for point in cells[k : k + per_line]) for k in range(0, len(cells), per_line)]
-    step = float(F_HZ[1] - F_HZ[0]) if even else 0.0
+    step = float(f_Hz[1] - f_Hz[0]) if even else 0.0
     head = [
         "    58",
         "accelerance of a jig",
         *["NONE"] * 4,
         f"{function:5d}{1:10d}{1:5d}{0:10d} {'jig':10s}{1:10d}{3:4d} {'coil':10s}{1:10d}{3:4d}",
-        f"{kind:10d}{F_HZ.size:10d}{int(even):10d}{F_HZ[0]:13.5E}{step:13.5E}{0.0:13.5E}",
-        f"{abscissa:10d}{0:5d}{0:5d}{0:5d} {'Frequency':20s} {'Hz':20s}",
-        f"{ordinate:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {'m/s^2':20s}",
-        f"{0:10d}{0:5d}{0:5d}{0:5d} {'Voltage':20s} {'V':20s}",
+        f"{kind:10d}{f_Hz.size:10d}{int(even):10d}{f_Hz[0]:13.5E}{step:13.5E}{0.0:13.5E}",
+        f"{abscissa:10d}{0:5d}{0:5d}{0:5d} {'Frequency':20s} {units[0]:20s}",
+        f"{ordinate:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {units[1]:20s}",
+        f"{0:10d}{0:5d}{0:5d}{0:5d} {'Voltage':20s} {units[2]:20s}",
         f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}",
     ]
     return "\n".join(["    -1", *head, *lines, "    -1"]) + "\n"
@@ -99,6 +107,103 @@ def test_numbers_of_fixed_width_may_touch(tmp_path: Path) -> None:
     assert "E+000-" in text
     (tmp_path / "r.uff").write_text(text)
     np.testing.assert_allclose(read_response(tmp_path / "r.uff").response, -G, rtol=1e-5)
+
+
+ABSCISSAE = {"Hz": 1.0, "kHz": 1e-3, "rad/s": 2 * np.pi, "NONE": 1.0}
+ORDINATES = {
+    "m/s^2": 1.0,
+    "m/s2": 1.0,
+    "m/s²": 1.0,
+    "g": 1 / 9.80665,
+    "mg": 1e3 / 9.80665,
+    "mm/s^2": 1e3,
+    "NONE": 1.0,
+}
+INPUTS = {"A": (1.0, "A"), "mA": (1e3, "A"), "V": (1.0, "V"), "mV": (1e3, "V"), "NONE": (1.0, "")}
+
+
+@pytest.mark.parametrize("of_input", INPUTS)
+@pytest.mark.parametrize("ordinate", ORDINATES)
+@pytest.mark.parametrize("abscissa", ABSCISSAE)
+def test_a_response_is_the_same_in_whatever_units_its_labels_say(
+    abscissa: str, ordinate: str, of_input: str, tmp_path: Path
+) -> None:
+    per, unit = INPUTS[of_input]
+    text = uff(
+        6,
+        even=False,
+        response=np.asarray(G * ORDINATES[ordinate] / per),
+        units=(abscissa, ordinate, of_input),
+        f_Hz=F_HZ * ABSCISSAE[abscissa],
+    )
+    (tmp_path / "r.uff").write_text(text, encoding="utf-8")
+    found = read_response(tmp_path / "r.uff")
+    np.testing.assert_allclose(found.frequencies_Hz, F_HZ, rtol=1e-5)
+    np.testing.assert_allclose(found.response, G, rtol=1e-10)
+    assert (found.input_unit, found.notes) == (unit, ())
+
+
+def test_a_ratio_may_stand_in_the_ordinate_alone_and_a_label_in_another_encoding(tmp_path: Path) -> None:
+    text = uff(6, even=True, response=np.asarray(G / 9.80665), units=("Hz", "g/V", "NONE"))
+    (tmp_path / "r.uff").write_text(text)
+    np.testing.assert_allclose(read_response(tmp_path / "r.uff").response, G, rtol=1e-10)
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("Hz", "m/s²", "V")), encoding="latin-1")
+    np.testing.assert_allclose(read_response(tmp_path / "r.uff").response, G, rtol=1e-10)
+
+
+def test_the_users_units_go_before_the_labels_and_the_contradiction_is_named(tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=np.asarray(G / 9.80665)))
+    found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g/A"}))
+    np.testing.assert_allclose(found.response, G, rtol=1e-10)
+    assert found.input_unit == "A"
+    assert found.notes == ("the file's labels say m/s^2/V, --units says g/A, which is taken",)
+
+
+@pytest.mark.parametrize(
+    ("units", "layout", "said"),
+    [
+        (
+            ("Hz", "furlong", "V"),
+            Layout(),
+            "its ordinate is in 'furlong', which is not known; state it by --un",
+        ),
+        (
+            ("rpm", "g", "V"),
+            Layout(),
+            "its abscissa is in 'rpm', which is not known; state it by",
+        ),
+        (("Hz", "g", "N"), Layout(), "its denominator is in 'N', neither a current nor a voltage"),
+        (("Hz", "g", "V"), Layout(("a", "b")), "--columns: a universal file has no columns; leave it out"),
+        (("Hz", "g", "V"), Layout(units={"acc": "g"}), "--units acc=g: a universal file has a magnitude and a freq"),
+        (("Hz", "g", "V"), Layout(units={"magnitude": "dB"}), "its ordinate is in 'dB', which is not known"),
+    ],
+)
+def test_what_says_nothing_of_a_universal_file_is_refused(
+    units: tuple[str, str, str], layout: Layout, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=units))
+    with pytest.raises(InputError, match=said):
+        read_response(tmp_path / "r.uff", layout)
+
+
+def test_the_units_that_a_refusal_asks_for_lead_to_a_response(tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("rpm", "furlong", "N")))
+    found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g/V", "frequency": "Hz"}))
+    np.testing.assert_allclose(found.response, 9.80665 * G, rtol=1e-10)
+
+
+CASES = Path(__file__).parents[4] / "shared" / "data" / "cases"
+
+
+@pytest.mark.parametrize("name", ["uff_g", "uff_volt", "uff_sup"])
+def test_responses_as_people_bring_them(name: str) -> None:
+    """All three are of one exciter: 32.0 m/s^2 per volt at its resonance of 150 Hz."""
+    path = CASES / f"{name}.uff"
+    if not path.exists():
+        pytest.skip(f"{path.name}: the measured cases are not beside this checkout")
+    found = read_response(path)
+    assert abs(found.response[np.argmin(np.abs(found.frequencies_Hz - 150.0))]) == pytest.approx(32.0, rel=0.01)
+    assert found.input_unit == "V"
 
 
 WHOLE = uff(6, even=True, response=G)
