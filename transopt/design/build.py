@@ -11,6 +11,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.machine import versions
 from transopt.base.shown import cut, html_figure, html_table, wrapped
+from transopt.base.threads import one_blas_thread
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
@@ -86,11 +87,13 @@ class Build:
             yield from row
 
     @cached_property
+    @one_blas_thread()
     def trade_offs(self) -> list[TradeOff]:
         """Waveform against intensity of every entry that a limit cuts; solved when it is first asked for."""
         options = SolverOptions(self.solver)
         return [found for entry in self.all_entries() if (found := trade_off(entry, options)) is not None]
 
+    @one_blas_thread()
     def between_nodes(self, points: Iterable[Point]) -> list[OffNode]:
         """What blends of the nodes' commands are worth at any speeds and grips, beside the optima solved there.
 
@@ -129,6 +132,7 @@ class Build:
         return [entry for entry in self.all_entries() if entry.status is not Status.OPTIMAL]
 
 
+@one_blas_thread()
 def build_library(
     scene: Scene,
     recordings: Sequence[Recording],

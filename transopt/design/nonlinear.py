@@ -10,6 +10,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import cut, html_table, wrapped
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.base.writing import percent
 from transopt.design.nonlinear_library import nonlinear_library
 from transopt.design.optimum import Designed, optimum
@@ -178,6 +179,7 @@ class NonlinearDesign:
 COLUMNS = ("linear", "nrmse", "linear_after", "after", "ms", "gap", "result")
 
 
+@one_blas_thread()
 def design_nonlinear(scene: Scene | str | Path, *, options: SolverOptions | None = None) -> NonlinearDesign:
     """Design every target of a scene for its nonlinear plant, certify and replay it, beside the linear design.
 

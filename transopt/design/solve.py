@@ -6,6 +6,7 @@ from pathlib import Path
 from transopt.base.errors import InputError
 from transopt.base.shown import cut
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.design.build import Build, build_library
 from transopt.design.refine_grid import DEFAULT_CAP, check_tolerance, refine_grid
 from transopt.library.library import Library
@@ -19,6 +20,7 @@ from transopt.solvers.choose import check_name, prove
 from transopt.solvers.options import SolverOptions
 
 
+@one_blas_thread()
 def build(
     scene: Scene | str | Path,
     recordings: Sequence[Recording] | None = None,
@@ -120,6 +122,7 @@ def _on_nonlinear_plant(scene: Scene, options: SolverOptions | None, *, given: b
     )
 
 
+@one_blas_thread()
 def certify(
     problem: TransientProblem,
     command: FloatArray,

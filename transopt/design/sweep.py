@@ -17,6 +17,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.design.entry import Baselines, played_with_rivals, replayed
 from transopt.design.intensity import best
 from transopt.design.optimum import Designed
@@ -323,6 +324,7 @@ def _guarded(items: Sequence[Item], task: Task, work: Callable[[], T]) -> tuple[
         return None, ended(DEFECT, f"{type(error).__name__}: {error}"[:300])
 
 
+@one_blas_thread()
 def run_task(task: Task) -> list[Outcome]:
     """Every entry of a task, in the order of its items; never raises for what an entry does."""
     with _one_at_a_time:

@@ -6,6 +6,7 @@ import numpy as np
 
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.design.explain import stated_wall, unstable_wall
 from transopt.library.columns import TableRow
 from transopt.library.library import Library
@@ -181,6 +182,7 @@ def stored_contradictions(
     return found
 
 
+@one_blas_thread()
 def verify_library(library: Library) -> list[EntryCheck]:
     """Certify and replay every entry from the file alone.
 

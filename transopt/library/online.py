@@ -17,6 +17,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief, cut
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
 from transopt.library.place import Waveform, finite, interpolation_weights, speed_weights
@@ -102,6 +103,7 @@ class Online:
     InputError : the extension is not built, or the problem has too many states for it.
     """
 
+    @one_blas_thread()
     def __init__(
         self,
         library: Library,
@@ -181,6 +183,7 @@ class Online:
         by_grip = interpolation_weights(library.grips_N, grip_N)
         return float(by_speed @ library.intensity @ by_grip)
 
+    @one_blas_thread()
     def solve(
         self,
         speed_m_s: float,

@@ -15,6 +15,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.design.build import build_library
 from transopt.design.entry import Entry, design_grip, energy_dB
 from transopt.design.explain import what_would_do
@@ -281,6 +282,7 @@ class Service:
         rest = sorted(range(len(places)), key=lambda index: (places[index].grip_N, index))
         return [index for index in (selected,) if 0 <= index < len(places)] + [i for i in rest if i != selected]
 
+    @one_blas_thread()
     def quick(self, index: int, *, words: bool = True) -> Shown:
         """One tap under the present limits: its optimum and the certificate, no replay and no price.
 
@@ -293,12 +295,14 @@ class Service:
             designed = best(problem, self.trial, objective=self.scene.weights.objective)
             return _shown(index, designed, words=words)
 
+    @one_blas_thread()
     def entry(self, index: int) -> Entry:
         """One tap as an entry of a library: solved, certified, replayed, priced, or refused with its reason."""
         place = self.places[index]
         (found,) = design_grip(self.scene, place.grip_N, [self.reference(place)], self.options)
         return found
 
+    @one_blas_thread()
     def settled(self, index: int) -> Shown:
         """One tap as a library would hold it; of a refused one the reason, and what would do."""
         place, entry = self.places[index], self.entry(index)

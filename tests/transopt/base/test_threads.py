@@ -1,13 +1,18 @@
 """The threads of linear algebra: one, and as many as the user has asked for."""
 
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from transopt.base.threads import THREADS, one_thread
+import transopt as to
+from transopt.base.threads import THREADS, one_blas_thread, one_thread
 
 COUNTED = """\
 import os
@@ -52,3 +57,70 @@ def test_a_command_computes_in_one_thread() -> None:
 @pytest.mark.parametrize("name", ["OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"])
 def test_a_command_takes_the_threads_that_the_user_allows(name: str) -> None:
     assert threads(**{name: "2"}) == 2
+
+
+DOORS: dict[str, Callable[[to.Library], object]] = {
+    "solve": lambda library: to.solve(library.scene()),
+    "build": lambda library: to.build(library.scene()),
+    "verify": to.verify,
+    "online": lambda library: to.Online(library).solve(0.2, 3.0),
+}
+
+
+def counts() -> set[int]:
+    """Threads of every library of linear algebra in this process."""
+    return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
+
+
+@pytest.fixture(scope="module")
+def small() -> to.Library:
+    scene = to.load_scene("wood_on_foam")
+    grid = scene.grid.model_copy(update={"speeds_m_s": [0.2], "grips_N": [3.0]})
+    return to.solve(scene.model_copy(update={"grid": grid}))
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_every_way_in_from_python_has_one_thread_and_gives_back_what_was_there(
+    door: str, small: to.Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in THREADS:
+        monkeypatch.delenv(name, raising=False)
+    inside: list[set[int]] = []
+
+    def watch(frame: FrameType, event: str, argument: object) -> None:
+        """What is in force at the first step into physics or proof."""
+        if event == "call" and re.search(r"transopt/(proof|solvers)/", frame.f_code.co_filename):
+            sys.setprofile(None)
+            inside.append(counts())
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = counts()
+        sys.setprofile(watch)
+        try:
+            DOORS[door](small)
+        finally:
+            sys.setprofile(None)
+        assert inside == [{1}]
+        assert counts() == before
+
+
+def test_an_exception_gives_the_threads_back_and_nobody_takes_them_from_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in THREADS:
+        monkeypatch.delenv(name, raising=False)
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = counts()
+        with one_blas_thread():
+            with pytest.raises(ZeroDivisionError), one_blas_thread():
+                raise ZeroDivisionError
+            assert counts() == {1}
+        assert counts() == before
+
+
+def test_a_number_that_the_user_has_stated_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = counts()
+        with one_blas_thread():
+            assert counts() == before
