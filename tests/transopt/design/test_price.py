@@ -11,7 +11,7 @@ from tests.benches import dense
 from tests.benches.limits import numbers_of, supply_of, with_limit, with_numbers, with_rail
 from tests.benches.tails import without_tail
 from transopt.base.signals import nrmse
-from transopt.base.writing import rounded_up
+from transopt.base.writing import percent, rounded_up
 from transopt.design.build import Build, build_library
 from transopt.design.optimum import Designed, optimum
 from transopt.design.posed import entry_problem, scene_stage
@@ -301,8 +301,8 @@ class TestWords:
         case = cases["current 4 A"]
         _, error, (price,) = solved_at(case, 4.0)
         assert price.sentence == (
-            f"current 4 A: 1 A more gives NRMSE {100 * price.then:.2f} % in place of {100 * error:.2f} %, would not "
-            f"bind from {price.enough:.8g} A on, with {100 * price.there:.2f} %"
+            f"current 4 A: 1 A more gives NRMSE {percent(price.then)} % in place of {percent(error)} %, would not "
+            f"bind from {price.enough:.8g} A on, with {percent(price.there)} %"
         )
         assert price.enough == pytest.approx(rounded_up(price.enough), rel=1e-9)
 
