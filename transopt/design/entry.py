@@ -179,7 +179,7 @@ class Entry:
 
         The figure is matplotlib's; `savefig` writes it to a file.
         """
-        from transopt.design.figures import entries_figure
+        from transopt.report.transients import entries_figure
 
         return entries_figure([[self]])
 

@@ -109,7 +109,7 @@ class Refinement:
 
         The figure is matplotlib's; `savefig` writes it to a file.
         """
-        from transopt.design.grid_figure import grid_figure
+        from transopt.report.grid_figure import grid_figure
 
         return grid_figure(self)
 

@@ -293,7 +293,7 @@ class Library:
 
         The figure is matplotlib's; `savefig` writes it to a file.
         """
-        from transopt.library.figures import library_figure
+        from transopt.report.transients import library_figure
 
         return library_figure(self)
 

@@ -1,6 +1,6 @@
 """What a person reads of a build, a library, or recordings: tables, report.md and report.json, figures.
 
-`tables` is what commands print, `markdown` the two report files, `figures` the drawings, `taps` a
+`tables` is what commands print, `markdown` the two report files, `transients` and `figures` the drawings, `taps` a
 look at recordings before anything is solved, `identified` what to think of a model from a model file, and `publish`
 writes all of it into a folder.
 """

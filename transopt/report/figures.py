@@ -15,10 +15,10 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from transopt.base.plotting import CLIPPED, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, leave_room, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
-from transopt.library.figures import QUIET, grip_label, legend_above
 from transopt.library.library import Library
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import Status
+from transopt.report.transients import QUIET, grip_label, legend_above
 
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.design.build import Build

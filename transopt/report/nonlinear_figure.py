@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SMALL_PT, Drawing, leave_room, style
 from transopt.base.writing import percent
 from transopt.design.nonlinear import NonlinearEntry
-from transopt.library.figures import legend_above
+from transopt.report.transients import legend_above
 
 MOST_TARGETS = 6  # that one figure shows legibly
 WANTED: dict[str, Any] = {"color": DARK, "linewidth": 2.2, "alpha": 0.35}

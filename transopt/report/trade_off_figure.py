@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from transopt.base.plotting import LABEL_PT, SMALL_PT, colours, leave_room, style
 from transopt.design.trade_off import TradeOff
-from transopt.library.figures import legend_above
 from transopt.problem.objective.bands import JUST_NOTICED_dB
+from transopt.report.transients import legend_above
 
 if TYPE_CHECKING:
     from transopt.design.build import Build

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Self
 
 from transopt.base.errors import InputError
 from transopt.base.shown import html_figure, html_table
-from transopt.design.figures import entries_figure
 from transopt.library.columns import EntryTable
 from transopt.library.library import Library
+from transopt.report.transients import entries_figure
 from transopt.scene.scene import Scene
 from transopt.web.server import Server, check_extra
 from transopt.web.service import Service, opened

@@ -17,13 +17,13 @@ from tests.benches.libraries import resized
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.design.build import Build
 from transopt.design.entry import Baselines
-from transopt.library.figures import library_figure
 from transopt.library.library import Library
 from transopt.plant.chain import Link, chain
 from transopt.problem.answer import Status
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import PreparedTap, prepare
 from transopt.report.figures import bode_figure, method_figure, taps_figure
+from transopt.report.transients import library_figure
 from transopt.scene.scene import Scene
 
 LIMIT_A = 4.0
