@@ -67,7 +67,7 @@ class Process:
 
     @property
     def number(self) -> int:
-        """Of the process, as the system counts."""
+        """The number of the process, as the system counts."""
         return self._popen.pid
 
     def ask(self, function: Callable[..., Any], *arguments: Any, within_s: float) -> None:

@@ -39,7 +39,7 @@ class Axes:
         return ["target"] if self.targets else ["speed m/s", "grip N"]
 
     def cells(self, iv: int, ig: int) -> list[str]:
-        """The same columns of one entry."""
+        """Cells of one entry, one for each of these columns."""
         return [self.targets[iv]] if self.targets else [f"{self.speeds_m_s[iv]:g}", f"{self.grips_N[ig]:g}"]
 
     def place(self, iv: int, ig: int) -> str:

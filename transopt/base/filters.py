@@ -27,7 +27,7 @@ def _butterworth(cutoff_Hz: float, rate_Hz: float) -> _Butterworth:
     """1 / (s^2 + sqrt(2) s + 1) and s^2 over it, by the bilinear transform, with the cut-off where it is stated."""
     g, k = np.tan(np.pi * cutoff_Hz / rate_Hz), np.sqrt(2)
     share = 1 / (1 + g * (g + k))
-    # Of the states s and the input u: what the first integrator puts out, and what the second does.
+    # Outputs of the first and of the second integrator, as rows over the states s and the input u.
     first = share * np.array([1.0, -g, g])
     second = np.array([0.0, 1.0, 0.0]) + g * first
     A, B = np.array([2 * first[:2], 2 * second[:2]]) - np.eye(2), 2 * np.array([first[2], second[2]])

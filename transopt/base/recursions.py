@@ -51,7 +51,7 @@ def _library() -> ct.CDLL | None:
 
 
 def address(array: FloatArray) -> int:
-    """Where a contiguous array begins, for a call in C."""
+    """Address at which a contiguous array begins, for a call in C."""
     found: int = array.__array_interface__["data"][0]  # in half the time that `array.ctypes.data` takes
     return found
 

@@ -206,7 +206,7 @@ def _refuse(error: Any) -> None:
     """Say in one line which command, option or value does not exist, or print the help that it needs."""
     said: str = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
-        # Its message is the help, which Rich has printed already.
+        # The message of this error is the help, which Rich has printed already.
         typer.echo(said, err=True, nl=bool(said))
         return
     context = getattr(error, "ctx", None)
