@@ -38,7 +38,7 @@ def identify_coil(
     ] = None,
     ripple_A: Annotated[
         float,
-        typer.Option("--ripple-A", help="By which PWM heats beside the recorded current; 0: a linear amplifier."),
+        typer.Option("--ripple-A", help="PWM ripple that heats beside the recorded current; 0: a linear amplifier."),
     ] = RIPPLE_A,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
@@ -60,7 +60,7 @@ def identify_coil(
     run = load_measurement(file, layout(columns, units))
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
     fit = fit_coil(heat_record(run, R_ohm, ripple_A), limit_C=nominal.limit_C)
-    # Of the identified coil in the scene's surroundings, to be compared with the datasheet.
+    # The identified coil in the scene's surroundings, to be compared with the datasheet.
     continuous_A = replace(fit.coil, ambient_C=nominal.ambient_C).continuous_current_A()
     figure = out.with_name(f"{out.stem}_coil.png")
     part = coil_part(fit, run, nominal, continuous_A)

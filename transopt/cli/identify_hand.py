@@ -29,7 +29,7 @@ def identify_hand(
     out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
     window: Annotated[float, typer.Option(help="From contact on, in s; the hand answers after 0.03.")] = 0.03,
     tap: Annotated[
-        list[int] | None, typer.Option(help="Of files with several taps: which one, counted from 1; may be repeated.")
+        list[int] | None, typer.Option(help="Which tap of files with several, counted from 1; may be repeated.")
     ] = None,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",

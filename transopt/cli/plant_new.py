@@ -36,7 +36,7 @@ def plant_new(
         float | None, typer.Option("--force-factor-N-A", "--BL", help="Force factor BL in N/A, T m or V s/m.")
     ] = None,
     R_ohm: Annotated[float | None, typer.Option("--R-ohm", help="Resistance of the coil.")] = None,
-    L_H: Annotated[float | None, typer.Option("--L-H", help="Its inductance; without it 0.")] = None,
+    L_H: Annotated[float | None, typer.Option("--L-H", help="Inductance of the coil; without it 0.")] = None,
     rated: Annotated[
         float | None,
         typer.Option(help="What it stands for ever, in V or A, as the peak of a sine (1.414 times its rms)."),
@@ -49,7 +49,7 @@ def plant_new(
         float | None, typer.Option("--frequency-Hz", help="Of the first target; default the resonance, or 100 Hz.")
     ] = None,
     rate_Hz: Annotated[
-        float | None, typer.Option("--rate-Hz", help="Of the driver's samples; default 48000, else 10000 Hz.")
+        float | None, typer.Option("--rate-Hz", help="Rate of the driver's samples; default 48000, else 10000 Hz.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help=FORCE_HELP)] = False,
 ) -> None:

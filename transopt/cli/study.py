@@ -59,7 +59,7 @@ def study(
     speed: Annotated[str | None, typer.Option(help="Speeds of the entries, in m/s; default: of the scene.")] = None,
     grip: Annotated[str | None, typer.Option(help="Grips of the entries, in N; default: of the scene.")] = None,
     sample: Annotated[int | None, typer.Option(help="Points of a Latin hypercube, not all combinations.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the sample; default: 1.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Random seed of the sample; default: 1.")] = None,
     full: Annotated[
         bool, typer.Option("--full", help="Baselines and prices of the limits too (3 times as long).")
     ] = False,

@@ -26,7 +26,7 @@ def taps(
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
     tap: Annotated[
-        list[int] | None, typer.Option(help="Of files with several taps: which one, counted from 1; may be repeated.")
+        list[int] | None, typer.Option(help="Which tap of files with several, counted from 1; may be repeated.")
     ] = None,
     channel: Annotated[int | None, typer.Option(help="Channel of WAV files with several, counted from 1.")] = None,
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
@@ -37,7 +37,7 @@ def taps(
         Path | None,
         typer.Option(metavar="FILE.toml", help="Write a scene of these recordings and the built-in device."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="With --scene: write over a file of that name.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that --scene names.")] = False,
 ) -> None:
     """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping.
 
