@@ -243,7 +243,7 @@ def assemble(
         current_sign=over_grid(lambda e: e.solution.multipliers.slope),
         mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
         correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
-        # Of linear plants there is nothing beside them; `nonlinear_library` puts it in.
+        # A linear plant has no such figures; `nonlinear_library` puts in those of a nonlinear one.
         linear_command=np.zeros((len(references), len(plants), scene.time.stages)),
         **{name: np.zeros((len(references), len(plants))) for name in ("nrmse_promised", "nrmse_linear", "substeps")},
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},

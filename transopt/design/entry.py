@@ -163,7 +163,7 @@ class Entry:
 
     @property
     def unit(self) -> str:
-        """Of its commands: "A" or "V"."""
+        """Unit of the commands: "A" or "V"."""
         return self.problem.driven_by.unit
 
     def _repr_html_(self) -> str:
@@ -185,7 +185,7 @@ class Entry:
 
     @cached_property
     def size(self) -> Size | None:
-        """Of the program that was solved; None where one linear solve was enough."""
+        """Size of the program that was solved; None where one linear solve was enough."""
         return None if self.solved is None else size(self.solved)
 
     @property

@@ -166,7 +166,7 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
             break
         slow = not slow and missed_dB(here) > SLOW * missed_dB(nearest[-1])
         bracket.cut(lam, too_weak=here.energy_dB < asked_dB)
-    # Where even the highest lam is too weak it is kept, whatever rounding makes of energies that are alike.
+    # If even the highest lam is too weak it is kept, whatever rounding makes of energies that are alike.
     last = max(tried, key=lambda each: each.lam)
     unreached = last.lam == most_price(problem) and last.energy_dB < asked_dB - TOLERANCE_dB
     return last if unreached else min(tried, key=missed_dB), problems, spent_s

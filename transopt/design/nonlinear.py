@@ -101,12 +101,12 @@ class NonlinearEntry:
 
     @property
     def nrmse(self) -> float:
-        """Of the nonlinear design, played on the nonlinear plant."""
+        """NRMSE of the nonlinear design, played on the nonlinear plant."""
         return self.played.nrmse
 
     @property
     def linear_nrmse(self) -> float:
-        """Of the linear design, played on the nonlinear plant."""
+        """NRMSE of the linear design, played on the nonlinear plant."""
         return self.linear_played.nrmse
 
     @cached_property

@@ -57,7 +57,7 @@ class Designed:
 
     @property
     def size(self) -> program.Size | None:
-        """Of the program that was solved; None where one linear solve was enough."""
+        """Size of the program that was solved; None where one linear solve was enough."""
         return None if self.solved is None else program.size(self.solved)
 
     @property
@@ -90,7 +90,7 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
 
 
 def _courses(problem: TransientProblem) -> Iterator[FloatArray]:
-    """Where the encoder may go: after the reference, or as the wall alone lets it."""
+    """Courses that the encoder may take: after the reference, or as the wall alone lets it."""
     yield reference_course(problem.grid, problem.target.continued_m_s2)
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
         yield encoder_course(*silence(problem))
@@ -120,7 +120,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
 
 
 def _explained(designed: Designed, options: SolverOptions) -> Designed:
-    """With the reason, if there is no answer because no command meets all limits."""
+    """Add the reason, if there is no answer because no command meets all limits."""
     problem, answer = designed.problem, designed.solution
     if designed.remarks or designed.is_proven or options.brief:
         return designed
@@ -142,7 +142,7 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
 
 
 def _flat(designed: Designed, options: SolverOptions) -> Designed:
-    """With the reason, if J is too flat for any method that computes in double precision to find its optimum.
+    """Add the reason, if J is too flat for any method that computes in double precision to find its optimum.
 
     It hardly depends on some movements of the command where the same problem has a certified optimum under a larger
     weight of the movement. Nor has it one to be found where even the linear system of the problem without limits
@@ -225,7 +225,7 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
 
 
 def _mask(problem: TransientProblem) -> bytes:
-    """Where the wall pushes over the hand-over and the tick before it, which the prefilter remembers."""
+    """Ticks at which the wall pushes, over the hand-over and the tick before it, which the prefilter remembers."""
     assert problem.wall is not None
     return problem.wall.pressing[max(problem.free_stages - 1, 0) :].tobytes()
 

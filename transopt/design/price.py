@@ -96,7 +96,7 @@ def _with_unit(number: str, unit: str) -> str:
 
 
 def price_step(limit: Limit) -> float:
-    """By how much a limit is raised: the step of its kind or, if that is more than there is of it, a share.
+    """Step by which a limit is raised: that of its kind or, if that is more than there is of it, a share.
 
     The share is the largest of 1, 2, 5 times a power of ten that is at most a quarter.
     """
@@ -131,7 +131,7 @@ def binding(
 
 
 def _excess(effect: Effect, limit: Limit) -> float:
-    """By how much a limit has to be raised for a command to keep it; negative where it is kept."""
+    """How far a limit has to be raised for a command to keep it; negative where it is kept."""
     of = boxes_of(effect, Multipliers.zero(effect.problem), only=limit.name)
     return max(float(box.excess.max()) for box in of)
 
@@ -235,7 +235,7 @@ class _Pricing:
         )
 
     def _beyond(self, limit: Limit, answer: _Answer) -> float:
-        """By how much this problem's limit would have to be raised for another problem's answer to keep it."""
+        """How far this problem's limit would have to be raised for another problem's answer to keep it."""
         return _excess(answer.effect.of(self.problem), limit)
 
     def _raised(self, limit: Limit, by: float) -> _Answer | None:
@@ -302,7 +302,7 @@ class _Pricing:
 
 
 def _crossing(one: tuple[float, float], two: tuple[float, float]) -> float:
-    """Where p(I) = I for p a straight line over 1 / I^2 through two points (I, p)."""
+    """Solve p(I) = I for p a straight line over 1 / I^2 through two points (I, p)."""
     (limit, peak), (other, its_peak) = one, two
     slope, found = (peak - its_peak) / (limit**-2 - other**-2), its_peak
     for _ in range(20):

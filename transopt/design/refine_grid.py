@@ -259,7 +259,7 @@ class Errors:
             self.optimum(point)
 
     def _energy(self, acceleration_m_s2: FloatArray) -> float:
-        """Of (N,) through the scene's error filter."""
+        """Energy of an acceleration (N,) through the scene's error filter."""
         heard = self._filter.apply(acceleration_m_s2) if self._filter else acceleration_m_s2
         return float(heard @ heard)
 

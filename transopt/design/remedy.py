@@ -32,7 +32,7 @@ DIGITS = 3  # of what is proposed
 TENTHS = 10  # of a kelvin, in which temperatures are
 OVER = 1.03  # times what a refused answer reached of a limit: what is tried first
 NEAR = 1.1  # a strength that does, over one that does not: close enough
-# By how much numbers are changed; which is the least that does is found by bisection.
+# Factors by which numbers are changed; which is the least that does is found by bisection.
 STRENGTHS = (1.02, 1.1, 1.4, 2.5, 10.0, 100.0, 1e4, 1e6, 1e9)
 SHORTER = (2.0, 4.0, 8.0)  # times as many servo periods in the same window
 STEADIER = (1e-9, 1e-6, 1e-3)  # weights of the command's movement
@@ -129,7 +129,7 @@ class _Search:
 
     @property
     def spent_s(self) -> float:
-        """Of `most_s`; a machine that is busy with other things counts by the clock, too."""
+        """Time spent out of `most_s`; a machine that is busy with other things counts by the clock, too."""
         return max(time.process_time() - self.began_s[0], (time.monotonic() - self.began_s[1]) / LONGEST)
 
     def begin(self) -> None:
@@ -147,7 +147,7 @@ class _Search:
         return [self.best(way) for way in (*at_once, *others) if way in at_once or not self.late]
 
     def strengths(self, way: _Way) -> tuple[float, ...]:
-        """Of a way, that of the excess among them."""
+        """Strengths of a way, with that of the excess among them."""
         if way.guided and self.hint > 1:
             return tuple(sorted({*way.strengths, self.hint}))
         return way.strengths

@@ -194,7 +194,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
     One check per entry, speeds outermost; clean where `shortfalls` is empty.
     """
     if library.nonlinear:
-        # Of such a library alone.
+        # Only a library of a nonlinear plant needs this import.
         from transopt.design.verify_nonlinear import verify_nonlinear
 
         return verify_nonlinear(library)
