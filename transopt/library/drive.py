@@ -84,7 +84,7 @@ class Driver:
 
     @property
     def scale(self) -> float:
-        """Of one count, or of a float's 1 [A or V]."""
+        """Value of one count, or of a float's 1 [A or V]."""
         return self.full_scale / (self.depth.counts or 1)
 
     def samples(self, wanted: FloatArray) -> tuple[NDArray[Any], int]:

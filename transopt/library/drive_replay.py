@@ -122,7 +122,7 @@ def _lasting(values: FloatArray, sample: NDArray[np.intp]) -> FloatArray:
 
 def _nonlinear_accelerations(library: Library, drive: Drive) -> FloatArray:
     """(N + M,) y'' of a drive at the instants of the design, on the nonlinear plant; NaN where it has no value."""
-    # Of such a library alone, as below.
+    # Only a library of a nonlinear plant needs this import.
     from transopt.library.nonlinear import nonlinear_problem
 
     problem, driver = nonlinear_problem(library, drive.iv, drive.ig), drive.driver

@@ -142,7 +142,7 @@ def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatA
     """(N,) y'' of a command on an entry's device; silence from where a nonlinear one's motion has no value."""
     if not library.nonlinear:
         return stage.rollout(command)[0]
-    # Of such a library alone.
+    # Only a library of a nonlinear plant needs this import.
     from transopt.library.nonlinear import nonlinear_problem
 
     with np.errstate(all="ignore"):

@@ -129,7 +129,7 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], names: dict[str, 
 
 
 def _check_multipliers(path: Path, arrays: dict[str, NDArray[Any]], shape: tuple[int, int, int]) -> None:
-    """Those of limits that not every library has: one number for every command."""
+    """Check the multipliers of limits that not every library has: one number for every command."""
     for name, array in arrays.items():
         if array.shape != shape or array.dtype.kind != "f" or not np.all(np.isfinite(array)):
             raise InputError(f"{path}: {name} is no finite array of shape {shape}; solve the scene again")

@@ -372,7 +372,7 @@ class Library:
     def lasting(self, iv: int, ig: int) -> tuple[FloatArray, FloatArray]:
         """(N + M,) y'' and i of an entry at the switching instants, as predicted through its window and after it."""
         if self.nonlinear:
-            # Of such a library alone, since it takes the scene with all that reads one.
+            # Only a nonlinear plant needs this import, which takes the scene with all that reads one.
             from transopt.library.nonlinear import nonlinear_problem
 
             lasting = nonlinear_problem(self, iv, ig).effect(self.command[iv, ig]).lasting
@@ -442,7 +442,7 @@ class Library:
         return self.blend(self.located(speed_m_s, grip_N))
 
     def located(self, speed_m_s: float, grip_N: float) -> Place:
-        """Where a measured tap lies on the grid.
+        """Locate a measured tap on the grid.
 
         Raises
         ------

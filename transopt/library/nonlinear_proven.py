@@ -20,7 +20,7 @@ from transopt.proof.nonlinear import certify_nonlinear
 
 
 def certificate_of(library: Library, iv: int, ig: int, effect: NonlinearEffect) -> Certificate:
-    """Of a stored command and its stored multipliers; its lower bound is 0, below which no sum of squares is.
+    """Certificate of a stored command and its multipliers; its lower bound is 0, below which no sum of squares is.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProbl
     floor = floor_of(problem.linear, library.target(np.eye(library.speeds_m_s.size)[iv]))
     yield from contradictions(library, iv, ig, effect, proof, floor)
     played = problem.nrmse(library.linear_command[iv, ig])
-    # Where a motion has no value one method may come further than another.
+    # If a motion has no value one method may come further than another.
     if math.isnan(played) or math.isnan(library.nrmse_linear[iv, ig]):
         played = float(library.nrmse_linear[iv, ig])
     yield from of_the_others(library, iv, ig, problem, played, FIGURE)

@@ -1,4 +1,4 @@
-"""Where a measured tap lies on the grid of a library, and the waveform for it."""
+"""Locates a measured tap on the grid of a library, and gives the waveform for it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ from transopt.base.signals import FloatArray
 
 @dataclass(frozen=True)
 class Place:
-    """Where a measured tap lies on the grid of speeds and grips.
+    """Location of a measured tap on the grid of speeds and grips.
 
     Attributes
     ----------

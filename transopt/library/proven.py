@@ -86,7 +86,7 @@ def doubts(library: Library) -> Iterator[str]:
 
 
 def misstatements(library: Library) -> Iterator[str]:
-    """Where a library states something else than the scene and the recordings that it carries, all entries alike."""
+    """Statements of a library that differ from the scene and the recordings it carries, all entries alike."""
     yield from _against_scene(library)
     yield from _nominal(library)
     for name, array in library.multipliers_of.items():
@@ -118,7 +118,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
 
 
 def _of_nonlinear_plant(library: Library, ig: int) -> Iterator[str]:
-    # Of such a library alone.
+    # Only a library of a nonlinear plant needs this import.
     from transopt.library.nonlinear import nonlinear_problem
     from transopt.library.nonlinear_proven import nonlinear_doubts
 
@@ -299,7 +299,7 @@ def predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator[
         return
     model = problem.thermal.model
     hottest = max(float((effect.rise_K[1:, 0] + model.unpowered_C).max()), problem.thermal.coil.start_winding_C)
-    # Of taps for ever the two methods find the steady state, and the rise from ambient, by different sums.
+    # For taps without end the two methods find the steady state, and the rise from ambient, by different sums.
     rise_K = 0.0 if model.closure is None else abs(hottest - problem.thermal.coil.ambient_C)
     if not abs(stored - hottest) <= WARM_K + STEADY * rise_K:
         yield f"peak_temperature_C says {stored:.5g} C, recomputed {hottest:.5g} C"
@@ -327,9 +327,9 @@ def _afterwards(library: Library, iv: int, ig: int, effect: Effect, target: Targ
 
 
 def _against_scene(library: Library) -> Iterator[str]:
-    """Where the file states another problem than the scene that it carries: limits, weights, time axis, plants."""
+    """Differences between the file's problem and the scene that it carries: limits, weights, time axis, plants."""
     scene = library.scene()
-    # Of a nonlinear plant the file states the plant as it is at rest, and the formulas.
+    # For a nonlinear plant the file states the plant as it is at rest, and the formulas.
     at_rest = scene.at_rest()
     stated, own = Posing.of(library.meta, library.command.shape[2]), at_rest.posing()
     yield from _different("nonlinear", library.meta.get("nonlinear"), scene.formulas)

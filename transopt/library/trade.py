@@ -54,7 +54,7 @@ class TradeFigures:
 
 
 def _first(size: FloatArray, level: float) -> float:
-    """Where `size` first reaches a level that it does reach, in samples."""
+    """Sample, with its fraction, at which `size` first reaches a level that it does reach."""
     at = int(np.argmax(size >= level))
     if at == 0:
         return 0.0

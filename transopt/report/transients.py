@@ -83,7 +83,7 @@ class _TimeAxis:
 
     @property
     def limits_ms(self) -> tuple[float, float]:
-        """Where the axis begins and ends: a little outside the data, so that jumps at its ends are seen."""
+        """Ends of the axis: a little outside the data, so that jumps at its ends are seen."""
         margin_ms = 0.03 * self.knee_ms
         return self.start_ms - margin_ms, self.end_ms + margin_ms * self.factor
 
