@@ -38,11 +38,11 @@ class Amplifier:
 
     @classmethod
     def of(cls, table: Mapping[str, float], unit: str = "A") -> "Amplifier":
-        """As a library's `meta` states it, the command's limit under a name that ends in its unit."""
+        """Read an amplifier from a library's `meta`, the command's limit under a name that ends in its unit."""
         return cls(table["pole_Hz"], table["delay_s"], table[f"command_limit_{unit}"])
 
     def table(self, unit: str) -> dict[str, float]:
-        """The same, to be stated in `meta`."""
+        """State the amplifier as a library's `meta` has it."""
         return {"pole_Hz": self.pole_Hz, "delay_s": self.delay_s, f"command_limit_{unit}": self.command_limit}
 
     @property

@@ -28,6 +28,6 @@ class Circuit:
         return np.asarray(self.R_ohm * current_A + self.L_H * rate_A_s + self.emf_V_s_m * velocity_m_s)
 
     def at(self, winding_C: float) -> "Circuit":
-        """The same terminals, of a datasheet that states R at 25 C, with the copper at another temperature."""
+        """Terminals with the copper at another temperature, from a datasheet that states R at 25 C."""
         warmer = 1 + COPPER_PER_K * (winding_C - RESISTANCE_REFERENCE_C)
         return replace(self, R_ohm=self.R_ohm * warmer)

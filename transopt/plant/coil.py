@@ -238,7 +238,7 @@ class CoilModel:
         with np.errstate(invalid="ignore"):  # inf - inf where a coil runs away within one period
             transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
             own, from_housing = transition[:, :m, :m], transition[:, :m, m:]
-            # With one node the housing stays where it is, and the winding settles above it.
+            # If there is one node the housing stays where it is, and the winding settles above it.
             settled = origin[:, :m] + self.start_housing_C * from_housing.sum(axis=2)
         finite = np.all(np.isfinite(transition), axis=(1, 2))
         stable = finite.copy()

@@ -24,7 +24,7 @@ MOST_HALVINGS = 6
 BLOCK = 16  # periods that one matrix product takes
 AFTER_S = 20e-3  # of free motion after the waveform, at least
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
-# Where link and current forces cancel at the switching instants (a mass on a link that decays within one tick), what
+# If link and current forces cancel at the switching instants (a mass on a link that decays within one tick), what
 # is left of y'' is rounding of C x and D i. Differences up to this share of them say nothing.
 ROUNDING = 16 * float(np.finfo(float).eps)
 
@@ -238,7 +238,7 @@ class Period:
 
     @classmethod
     def of(cls, flow: Flow, grid: TimeGrid, halvings: int) -> "Period":
-        """With a Runge-Kutta step that is halved so often."""
+        """A period integrated by a Runge-Kutta step that is halved so often."""
         segments = _segments(flow.A, flow.B, grid, halvings)
         first, second = segments
         late = first.behind - second.behind
@@ -249,7 +249,7 @@ class Period:
             segments,
             second.P[-1] @ first.P[-1],
             by_command,
-            # With a whole delay the command arrives with the tick, else with the second segment.
+            # If the delay is whole the command arrives with the tick, else with the second segment.
             arriving=0 if late == 0 else 1,
             periods=grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s)),
             instants=grid.stages + grid.after_stages,
@@ -301,7 +301,7 @@ class Course:
     command: FloatArray
 
     def of(self, taps: slice) -> "Course":
-        """Of some of the taps."""
+        """The course of some of the taps."""
         return Course(
             self.period,
             [states[taps] for states in self.states],
@@ -463,7 +463,7 @@ class Accurate:
         return _play(self.stage, self.flow, self.grid, self.commands, self.period, self.loop)
 
     def of(self, taps: slice) -> "Accurate":
-        """Of some of the commands, which no wall's feedback was added to."""
+        """The replay of some of the commands, which no wall's feedback was added to."""
         assert self.loop is None
         return replace(
             self,
@@ -475,7 +475,7 @@ class Accurate:
 
 
 def _flow(stage: StageModel) -> Flow:
-    """That of a device, kept with it for the next replay."""
+    """The flow of a device, kept with it for the next replay."""
     if Flow not in stage.derived:
         stage.derived[Flow] = Flow.of(stage)
     found: Flow = stage.derived[Flow]
@@ -483,7 +483,7 @@ def _flow(stage: StageModel) -> Flow:
 
 
 def _period(stage: StageModel, grid: TimeGrid, halvings: int) -> Period:
-    """That of a device, kept with it for the next replay."""
+    """The period of a device, kept with it for the next replay."""
     key = Period, grid, halvings
     if key not in stage.derived:
         stage.derived[key] = Period.of(_flow(stage), grid, halvings)

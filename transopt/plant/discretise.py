@@ -133,7 +133,7 @@ class Motion:
         return cls(nothing, nothing, nothing, nothing)
 
     def padded(self, stages: int) -> "Motion":
-        """The same with so many zeros behind."""
+        """Append so many zeros to the motion."""
         if stages == 0:
             return self
 
@@ -221,7 +221,7 @@ class StageModel:
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Of the further outputs, each at the switching instant and one period later."""
+        """Names of the further outputs, each at the switching instant and one period later."""
         return tuple(name for own in self.outputs for name in (own, own + AFTER))
 
     def output(self, name: str) -> tuple[FloatArray, float]:
@@ -295,7 +295,7 @@ class StageModel:
         return {}
 
     def extended(self) -> "StageModel":
-        """The same matrices in extended precision (64 bits of mantissa where the machine has them, else the same)."""
+        """Stage model in extended precision (64 bits of mantissa where the machine has them, else unchanged)."""
 
         def wide(matrix: FloatArray) -> FloatArray:
             return matrix.astype(np.longdouble)

@@ -14,7 +14,7 @@ class LinearInGrip:
     per_newton: float
 
     def at(self, grip_N: float) -> float:
-        """Its value at a grip force."""
+        """Value of the parameter at a grip force."""
         return self.constant + self.per_newton * grip_N
 
 

@@ -34,7 +34,7 @@ class PlantKind(Section):
         return CURRENT_INPUT
 
     def circuit(self) -> Circuit | None:
-        """Its terminals, where a whole actuator states them."""
+        """Terminals of the actuator, where a whole actuator states them."""
         return None
 
     @property

@@ -118,7 +118,7 @@ class StateSpace:
         outputs: Mapping[str, Output] = MappingProxyType({}),
         driven_by: Input = CURRENT_INPUT,
     ) -> "StateSpace":
-        """As a library stores it: the position that the encoder sees is Ce x, and its velocity Ce A x.
+        """Read a device as a library stores it: the position that the encoder sees is Ce x, its velocity Ce A x.
 
         A row Ce of zeros stands for a device without a known position. `outputs` are its other named outputs.
         """
@@ -157,7 +157,7 @@ class StateSpace:
         return Output(np.eye(1, self.order, states[name]), "of the state")
 
     def stored(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
-        """Those of the named outputs that A and Ce do not tell, as the `meta` of a library has them.
+        """Named outputs that A and Ce do not tell, as the `meta` of a library has them.
 
         Position and velocity are always among them where A and Ce would tell others: those of a mass in a case, or a
         velocity that is another mass's.
