@@ -75,7 +75,7 @@ class Multipliers:
         return self.pairs[row][1] if row in self.pairs else _nothing(self.stages)
 
     def with_pair(self, row: str, lower: FloatArray, upper: FloatArray) -> "Multipliers":
-        """The same with these of one row."""
+        """Replace the multipliers of one row by these."""
         return replace(self, pairs={**self.pairs, row: (lower, upper)})
 
     def arrays(self) -> Iterator[FloatArray]:
@@ -91,7 +91,7 @@ class Multipliers:
         return max((float(side.max()) for pair in self.pairs.values() for side in pair), default=0.0)
 
     def clipped(self) -> "Multipliers":
-        """The same with every negative multiplier of a limit set to zero."""
+        """Set every negative multiplier of a limit to zero."""
         pairs = {row: (np.maximum(low, 0.0), np.maximum(high, 0.0)) for row, (low, high) in self.pairs.items()}
         return replace(self, pairs=pairs, slope=np.minimum(np.maximum(self.slope, -1.0), 1.0))
 
@@ -163,7 +163,7 @@ class Certificate:
 
     @classmethod
     def nothing(cls) -> "Certificate":
-        """Of numbers that are not finite."""
+        """The certificate of numbers that are not finite."""
         inf = float("inf")
         nan = float("nan")
         return cls(nan, nan, {"A": inf}, inf, inf, inf, -inf, finite=False)

@@ -65,7 +65,7 @@ def leave_out(problem: TransientProblem) -> Reduced:
 
 
 def without_position(stage: StageModel) -> StageModel:
-    """The same device without the encoder's position, and without the states that only it depends on."""
+    """Leave out the encoder's position, and the states of the device that only it depends on."""
     return discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=tuple(stage.outputs))
 
 
@@ -75,7 +75,7 @@ def encoder_course(problem: TransientProblem, command: FloatArray) -> FloatArray
 
 
 def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientProblem:
-    """The same problem, its wall pushing where an encoder course (N + M,) of deviations makes it push."""
+    """Let the problem's wall push where an encoder course (N + M,) of deviations makes it push."""
     wall = problem.wall
     assert wall is not None
     pushes = wall.feedback(deviation_m, problem.grid.dt_s) > 0
@@ -83,7 +83,7 @@ def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientPro
 
 
 def pressing_under(problem: TransientProblem, command: FloatArray) -> TransientProblem:
-    """The same problem with its wall pushing where a command (N,) and the wall after it make it push.
+    """Let the problem's wall push where a command (N,) and the wall after it make it push.
 
     What the wall does after the window depends on where it pushes there, so the ticks are taken anew until they stay.
     """

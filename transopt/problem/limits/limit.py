@@ -262,10 +262,10 @@ class Limit(ABC):
 
     @abstractmethod
     def wider(self, factor: float) -> Self:
-        """The same limit, `factor` times as wide."""
+        """Widen the limit `factor` times."""
 
     def raised(self, by: float) -> Self:
-        """The same limit, wider on every side by so much of its own unit."""
+        """Widen the limit on every side by so much of its own unit."""
         return self.wider(1 + by / self.stated)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
@@ -326,7 +326,7 @@ class Limit(ABC):
 
     @property
     def tolerance(self) -> float:
-        """By how much an answer may leave it and still be accepted."""
+        """How far an answer may leave the limit and still be accepted."""
         return tolerated(self.stated)
 
     @property
