@@ -1,4 +1,4 @@
-"""Where a command finds its device and who holds it: a port and a person, or the port `sim:` and a simulated hand.
+"""Finds a command's device and who holds it: a port and a person, or the port `sim:` and a simulated hand.
 
 What the commands do then is the same for both.
 """

@@ -73,7 +73,7 @@ def refine(
     context: typer.Context,
     library: LibraryFile,
     out: Annotated[Path, typer.Option(help="Folder for the refined library.npz and refinement.png.")],
-    files: Annotated[list[Path] | None, typer.Argument(help="With --from-files: recorded taps.")] = None,
+    files: Annotated[list[Path] | None, typer.Argument(help="Recorded taps; needs --from-files.")] = None,
     simulate: Simulate = False,
     port: AnyPort = None,
     from_files: Annotated[
