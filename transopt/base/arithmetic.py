@@ -80,7 +80,7 @@ class Formula:
         return frozenset(found & set(self.variables))
 
     def __call__(self, values: Mapping[str, Any], functions: Functions) -> Any:
-        """Its value where `values` has every variable, over `functions`, which fit to what the values are."""
+        """Evaluate the formula where `values` has every variable, over `functions` that fit to the values."""
         return self._compiled({**dict(self.constants), **values}, functions)
 
     @cached_property
