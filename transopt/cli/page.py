@@ -13,7 +13,7 @@ def page(
     source: Annotated[
         str, typer.Argument(metavar="[SCENE|LIBRARY]", help="Built-in name, .toml file or library.npz.")
     ] = DEFAULT_SCENE,
-    port: Annotated[int, typer.Option(help="Of the address; any that is free without it.", min=0, max=65535)] = 0,
+    port: Annotated[int, typer.Option(help="Port to serve at; any that is free without it.", min=0, max=65535)] = 0,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
     show: Annotated[bool, typer.Option("--open", help="Open the address in the browser.")] = False,
 ) -> None:
