@@ -277,7 +277,7 @@ class Errors:
         return blended
 
     def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
-        """By the stage model, which is exact at the switching instants; known where a cell has not changed."""
+        """Excess over the limits by the stage model, which is exact at the switching instants."""
         keys = {point: (point, nodes.cell(point)) for point in points}
         for grip, group in _by_grip(p for p, key in keys.items() if key not in self._excess):
             blended = np.stack([self.blend(nodes, point) for point in group])
