@@ -158,7 +158,7 @@ class CoilModel:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall lets the current grow without bound
             p, s = self._steps(effective_square_A2, steps_s)
             change, forced = np.stack(p, axis=-1).reshape(M, K, 2, 2), np.stack(s, axis=-1)
-            # Of the rise d above the start: d+ = (1 + p) d + (p T_0 + s), which keeps what is small from drowning.
+            # The rise d above the start, d+ = (1 + p) d + (p T_0 + s), keeps what is small from drowning.
             forcing = np.zeros((M, K + 1, 2))
             forcing[:, 1:] = (change @ start[:, None, :, None])[..., 0] + forced
             growth = np.eye(2) + change
