@@ -105,21 +105,21 @@ class TransientProblem:
         return tuple((limit, row) for limit in self.limits for row in limit.rows(self))
 
     def without(self, *names: str) -> "TransientProblem":
-        """The same problem without the limits of these names."""
+        """Leave out the limits of these names."""
         if not any(name in self.limits for name in names):
             return self
         return self._under(self.limits.without(*names))
 
     def alone(self) -> "TransientProblem":
-        """The same problem for its own device, with no price on intensity."""
+        """Pose the problem for its own device alone, with no price on intensity."""
         return replace(self.without_intensity(), spread=(), shares=None, worst=False)
 
     def replaced(self, limit: Limit) -> "TransientProblem":
-        """The same problem with this limit in the place of the one of its name."""
+        """Put this limit in the place of the one of its name."""
         return self._under(self.limits.replaced(limit))
 
     def _under(self, limits: Limits) -> "TransientProblem":
-        """The same problem under other limits; what they have no say in is not computed again."""
+        """Pose the problem under other limits; what they have no say in is not computed again."""
         found = replace(self, limits=limits)
         for name in ("tracking", "shared", "feedback", "reference_is_zero"):
             if name in vars(self):
@@ -127,7 +127,7 @@ class TransientProblem:
         return found
 
     def without_intensity(self) -> "TransientProblem":
-        """The same problem with no price on intensity: J is minimised."""
+        """Take the price on intensity away: J is minimised."""
         return self if self.intensity == 0 else replace(self, intensity=0.0)
 
     @property
@@ -153,7 +153,7 @@ class TransientProblem:
         return self.target.window_m_s2
 
     def towards(self, reference_m_s2: FloatArray) -> "TransientProblem":
-        """The same problem with another r (N,) within the window."""
+        """Pose the problem with another r (N,) within the window."""
         return replace(self, target=replace(self.target, window_m_s2=reference_m_s2))
 
     @cached_property

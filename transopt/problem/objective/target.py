@@ -79,11 +79,11 @@ class Target:
         return self.is_zero or float(r @ r) < ZERO_M_S2**2 * r.size
 
     def moved(self, by_m_s2: FloatArray) -> "Target":
-        """The same with (N,) added to the window: what a device has to be asked for so that it makes r."""
+        """Add (N,) to the window: what a device has to be asked for so that it makes r."""
         return replace(self, window_m_s2=self.window_m_s2 + by_m_s2)
 
     def extended(self) -> "Target":
-        """The same in extended precision, where the machine has one."""
+        """Target in extended precision, where the machine has one."""
 
         def wide(values: FloatArray) -> FloatArray:
             return values.astype(np.longdouble)
