@@ -95,7 +95,7 @@ class Effect:
             self.motion = motion
 
     def of(self, problem: TransientProblem) -> "Effect":
-        """The same command in another problem; the motion is kept where devices and wall are the same ones."""
+        """Put the command into another problem; the motion is kept where devices and wall are the same ones."""
         found, own = Effect(problem, self.command), self.problem
         alike = [*map(id, problem.devices)] == [*map(id, own.devices)] and problem.grid == own.grid
         if not alike or problem.wall is not own.wall:
@@ -346,7 +346,7 @@ def certify(
         finite=True,
     )
     if silent:
-        # Where nothing is asked for in the window the stated answer is the zero waveform, over a wall as without one.
+        # If nothing is asked for in the window the stated answer is the zero waveform, over a wall as without one.
         zero = float(np.abs(problem.transient_command(command)).max()) <= SILENT * problem.limits.input_limit
         return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
@@ -375,7 +375,7 @@ def certify(
 
 
 def _left(problem: TransientProblem, limits: Sequence[Box], tail: FloatArray) -> tuple[dict[str, float], float]:
-    """By how much limits and hand-over are left, by unit, and the most of it in units of what is tolerated."""
+    """Excess over limits and hand-over, by unit, and the most of it in units of what is tolerated."""
     off = float(np.abs(tail).max())
     violations, excess = {"A": max(off, 0.0)}, [off / tolerated(problem.limits.input_limit), 0.0]
     for box in limits:

@@ -135,7 +135,7 @@ def played_nonlinear(
     N, played = grid.stages, np.stack(commands)
     after = np.zeros(grid.after_stages)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        # Where a motion has no value the states up to there tell their sizes; at tau_0 they are zero.
+        # If a motion has no value the states up to there tell their sizes; at tau_0 they are zero.
         states = [stage.states(np.append(each, after)) for each in played]
         if len(played) > 1 and not np.isfinite(states).all():
             # All commands share their steps, and one whose motion has no value would take the others with it.
