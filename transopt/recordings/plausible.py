@@ -37,7 +37,7 @@ def pulse_length_s(x: Signal) -> float:
     median of the recording counts as rest, so that an offset that nobody knows does not lengthen it, and the larger
     deviation from it as up.
     """
-    # Of a long recording means of a few samples are enough, to a hundred thousandth of its length.
+    # For a long recording means of a few samples are enough, to a hundred thousandth of its length.
     few = max(x.values.size // FINE, 1)
     values = x.values[: x.values.size // few * few].reshape(-1, few).mean(axis=1)
     values -= np.median(values)

@@ -31,7 +31,7 @@ class SimulatedTaps(Section):
 
 
 class Recordings(Section):
-    """Where the taps come from and how they become references."""
+    """Settings that say where the taps come from and how they become references."""
 
     files: Annotated[list[str], Field(max_length=MOST_FILES)] = Field(default_factory=list)
     folder: str = "."

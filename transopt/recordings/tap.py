@@ -160,7 +160,7 @@ def find_onset(x: Signal) -> float:
 
 
 def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
-    """Where a pulse begins, at most at its onset [s], and the share of its energy between the two.
+    """Find where a pulse begins, at most at its onset [s], and the share of its energy between the two.
 
     A pulse between soft bodies rises from nothing, and the line by which the onset is found meets zero long after it
     has begun. What lies before contact is played only as far as the waveform's lead reaches; the rest would be
@@ -296,7 +296,7 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
         raise
     more += unsure
     if not (settings.simulated or doubtful):
-        # Where no baseline gave the offset, the signal holds gravity, which the median takes out.
+        # If no baseline gave the offset, the signal holds gravity, which the median takes out.
         rest = float(np.median(upright.values)) if notes else 0.0
         freed = replace(upright, values=upright.values - rest)
         doubtful = implausible_motion(freed, onset, speed, settings, fitted=source == FITTED)
