@@ -203,7 +203,7 @@ def comparison_summary(found: Comparison) -> str:
 
 
 def comparison_markdown(found: Comparison, names: str) -> str:
-    """The same as a Markdown document."""
+    """Render a comparison as a Markdown document."""
     lines = ["# Two libraries", "", names, "", comparison_summary(found), "", "## Entries", "", LEGEND, ""]
     lines += writing.table(found.heads, [cells for cells, _ in _rows(found)])
     if found.changes:

@@ -108,7 +108,7 @@ def _peak_g(reference: Reference) -> float:
 
 
 def _origin(build: Build) -> str:
-    """Where the recordings come from, in words."""
+    """Origin of the recordings, in words."""
     if build.scene.targets:
         return f"What it shall make is stated by name: {build.scene.axes.said}."
     simulated = build.scene.recordings.simulated

@@ -77,7 +77,7 @@ def nonlinear_markdown(design: NonlinearDesign) -> str:
 
 
 def nonlinear_json(design: NonlinearDesign) -> str:
-    """The same figures for programs; what has no value is null."""
+    """State a nonlinear design's figures as JSON; what has no value is null."""
     content = {
         "scene": design.scene.name,
         "elapsed_s": design.elapsed_s,

@@ -11,7 +11,7 @@ from transopt.report.markdown import build_json, build_markdown
 
 Files = Mapping[str, Callable[[Path], object]]  # file name -> what writes that file under a path
 
-# Of an earlier build in the same folder, which this one may not have.
+# Files of an earlier build in this folder, which this one may not have.
 LEFTOVERS = (
     "refused.md",
     "refused.json",

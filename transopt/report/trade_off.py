@@ -87,7 +87,7 @@ def _row(point: TradeOffPoint) -> dict[str, Any]:
 
 
 def trade_off_row(build: "Build", entry: Entry) -> dict[str, Any] | None:
-    """Of an entry's row in report.json; None where nothing binds."""
+    """Trade-off for an entry's row in report.json; None where nothing binds."""
     for each in build.trade_offs:
         if each.place == entry.place:
             return {
