@@ -104,7 +104,7 @@ class Datasheet(Section):
 
     @property
     def unit(self) -> str:
-        """Of the input."""
+        """Unit of the input."""
         return "V" if self.input == "voltage" else "A"
 
     @property
@@ -121,7 +121,7 @@ class Datasheet(Section):
 
     @property
     def stages(self) -> int:
-        """Of the waveform."""
+        """Stages of the waveform."""
         return math.ceil(WINDOW_CYCLES / self.target_Hz * self.samples_Hz)
 
 

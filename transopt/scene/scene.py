@@ -364,7 +364,7 @@ class Scene(Section):
         return self.model.plant(grip_N, tip, struck=struck)
 
     def amplifier_model(self) -> Amplifier | None:
-        """None for an ideal amplifier."""
+        """Model of the amplifier; None for an ideal one."""
         if self.amplifier == "ideal":
             return None
         assert isinstance(self.amplifier, AmplifierSection)
@@ -380,7 +380,7 @@ class Scene(Section):
 
     @property
     def delay_s(self) -> float:
-        """Of the amplifier; none of an ideal one."""
+        """Delay of the amplifier; zero for an ideal one."""
         amplifier = self.amplifier_model()
         return 0.0 if amplifier is None else amplifier.delay_s
 
@@ -461,7 +461,7 @@ class Scene(Section):
         return Budget(thermal.headroom_K, thermal.tap_rate_Hz, thermal.idle_A)
 
     def wall(self) -> Wall | None:
-        """None without feedback."""
+        """Rendered wall; None without feedback."""
         if self.feedback is None:
             return None
         return Wall(force_per_current_N_A=self.drive_at_tip().force_per_current_N_A, **self.feedback.model_dump())
