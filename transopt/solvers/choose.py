@@ -39,7 +39,7 @@ Method = Callable[[TransientProblem, SolverOptions], Solution]
 
 
 def _apart(name: str, method: Method) -> Method:
-    """The same method in a process of its own, since a library's native code answers no signal and may not return."""
+    """Run a method in a process of its own: a library's native code answers no signal and may not return."""
 
     def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
         within_s = most_time_s(problem.grid.stages) + LATE_S

@@ -253,7 +253,7 @@ class NonlinearProgram:
         return -states[0], states[1], -commands[0], commands[1]
 
     def _guess(self, start: FloatArray) -> dict[str, FloatArray]:
-        """Where IPOPT begins: the nearby answer, or a command (N,) rolled out."""
+        """Starting point of IPOPT: the nearby answer, or a command (N,) rolled out."""
         if self.near is not None:
             return {"x0": self.near.x, "lam_x0": self.near.lam_x, "lam_g0": self.near.lam_g}
         rolled = self.problem.effect(start).states[1:] / self.by_state

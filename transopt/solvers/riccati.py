@@ -35,7 +35,7 @@ STATUS = (
 def can_solve(problem: TransientProblem) -> bool:
     """Whether the extension is there and the problem small enough: many devices are too many states, or rows."""
     nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
-    # Of what is not linear the compiled recursion knows the temperature alone.
+    # The compiled recursion knows no limit that is not linear but the temperature.
     if set(problem.nonlinear) - {TemperatureLimit.name}:
         return False
     if len(problem.rows()) + ROWS_OF_HEAT > MOST_ROWS:

@@ -194,7 +194,7 @@ def solve_apart(problem: TransientProblem) -> Solution:
 
 
 def solve_in_casadi(problem: TransientProblem) -> Solution:
-    """The same without the extension."""
+    """Solve without the extension."""
     prepare(layout(problem).states, len(problem.devices), problem.free_stages)
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the gap
@@ -211,7 +211,7 @@ def solve_in_casadi(problem: TransientProblem) -> Solution:
 
 
 def solve_sparse_kkt(problem: TransientProblem) -> Solution:
-    """The same problem by the second method alone, for comparison."""
+    """Solve by the second method alone, for comparison."""
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):
         run = Pass(tracking(problem))
