@@ -1,4 +1,4 @@
-"""Where the tasks of a study run: in this process, in worker processes of this machine, on a dask cluster.
+"""Places to run a study's tasks: this process, worker processes of this machine, a dask cluster.
 
 All three are executors as `concurrent.futures` defines them, and so may be one of the caller's own.
 """

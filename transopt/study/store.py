@@ -1,4 +1,4 @@
-"""Where the rows of a study are kept: one SQLite file, from which a study that was stopped or killed goes on.
+"""Store of a study's rows: one SQLite file, from which a study that was stopped or killed goes on.
 
 SQLite gives what a long run needs on every system: a row is in the file whole or not at all, whenever the process is
 killed; a second process that opens the file finds it locked; and rows come out in the order of their numbers, in
