@@ -134,7 +134,7 @@ def parsed(control: Control, word: str) -> Value:
 
 
 def _share(control: Control, value: float) -> float:
-    """Where on the slider a value lies, 0 to 1."""
+    """Position of a value on the slider, 0 to 1."""
     if control.log:
         return math.log(value / control.low) / math.log(control.high / control.low)
     return (value - control.low) / (control.high - control.low)

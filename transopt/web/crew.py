@@ -61,7 +61,7 @@ class Crew:
 
     @property
     def numbers(self) -> list[int]:
-        """Of the processes that are ready, as the system counts them."""
+        """Numbers of the processes that are ready, as the system counts them."""
         return [member.process.number for member in self._members]
 
     def end(self) -> None:

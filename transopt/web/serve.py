@@ -45,7 +45,7 @@ class Page:
 
     @property
     def name(self) -> str:
-        """Of the scene."""
+        """Name of the scene."""
         return self.service.opened.name
 
     @property

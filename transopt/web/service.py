@@ -187,7 +187,7 @@ class Service:
 
     @property
     def controls(self) -> list[Control]:
-        """Of the scene as it is now."""
+        """Controls of the scene as it is now."""
         return controls(self.scene)
 
     @property
@@ -261,7 +261,7 @@ class Service:
         return self._recordings[1]
 
     def reference(self, place: Place) -> Reference:
-        """Of one tap, between the recorded speeds too."""
+        """Reference of one tap, between the recorded speeds too."""
         references = self.references(self.scene)
         if place.target:
             return next(reference for reference in references if reference.name == place.target)
