@@ -89,7 +89,7 @@ class AmplifierFit:
 
     @property
     def delay_with_hold_s(self) -> float:
-        """With the half sample by which a held command is late on average."""
+        """Delay with the half sample by which a held command is late on average."""
         return self.delay_s + 0.5 * self.dt_s
 
     def response(self, frequencies_Hz: FloatArray) -> ComplexArray:

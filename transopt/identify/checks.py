@@ -204,7 +204,7 @@ def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> Fl
 
 
 def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate, low_Hz: float) -> list[Finding]:
-    """Where in the band from `low_Hz` on the input has too few cycles for a response to be known from them."""
+    """Find where in the band from `low_Hz` on the input has too few cycles for a response to be known."""
     cycles = cycles_per_octave(trials, estimate.frequencies_Hz)
     inside = estimate.frequencies_Hz >= low_Hz
     few = inside & (cycles < LEAST_CYCLES)

@@ -78,7 +78,7 @@ class BlackBox:
         return [(self.plants[held[after - 1]], 1 - part), (self.plants[held[after]], part)]
 
     def without(self, grip_N: float) -> "BlackBox":
-        """The same without the model of one grip: what stands in for it is the blend of its neighbours."""
+        """Leave out the model of one grip: what stands in for it is the blend of its neighbours."""
         kept = [j for j, grip in enumerate(self.grips_N) if grip != grip_N]
         grips, plants = tuple(self.grips_N[j] for j in kept), tuple(self.plants[j] for j in kept)
         return BlackBox(grips, plants, self.scatter[kept], self.criterion)
@@ -132,7 +132,7 @@ class _Sections:
         return StateSpace(A, B, (output @ rows)[None, :], np.array([[output @ direct]]))
 
     def pole_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
-        """By log w and log a of the sections: central differences of these small matrices."""
+        """Slopes by log w and log a of the sections: central differences of these small matrices."""
         found, step = [], 1e-5
         for j in range(self.poles):
             move = np.zeros(unknowns.size)
@@ -142,7 +142,7 @@ class _Sections:
         return tuple(found)
 
     def output_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
-        """By the output's coefficients, which enter linearly."""
+        """Slopes by the output's coefficients, which enter linearly."""
         A, B = self.matrices(unknowns)
         none_A, none_B = np.zeros_like(A), np.zeros_like(B)
         rows, direct = self._outputs(A, B)

@@ -316,7 +316,7 @@ def _contradicted(found: Maximum, coordinates: Coordinates, stated: Instrument) 
 
 
 def refit(fit: ChainFit, measured: Sequence[GripResponse]) -> ChainFit:
-    """The same fit to other responses, for example to one grip less, begun where `fit` ended."""
+    """Fit again to other responses, for example to one grip less, begun where `fit` ended."""
     coordinates = Coordinates(tuple(sorted(one.grip_N for one in measured if one.grip_N > 0)))
     force = fit.device.force_per_current_N_A
     free = np.concatenate([np.ones(coordinates.size, dtype=bool), fit.maximum.free[fit.coordinates.size :]])

@@ -143,7 +143,7 @@ class ChainSearch:
         return low, high
 
     def coarse(self, start: FloatArray) -> tuple[FloatArray, float]:
-        """Where a start leads to, and its sum of squares."""
+        """Point that the search from a start leads to, and its sum of squares."""
         return self.likelihood.search(start, *self.bounds(start), self._free, 60)
 
     def maximum(self, start: FloatArray) -> Maximum:

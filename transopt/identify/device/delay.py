@@ -59,7 +59,7 @@ def delay_samples(
     nominal: Callable[[float], StateSpace],
     instrument: Instrument,
 ) -> int:
-    """By how many samples the acceleration of all runs comes later than that of a device; 0 if it is not clear."""
+    """Samples by which all runs' acceleration comes later than a device's; 0 if it is not clear."""
     courses = [np.abs(_likeness(run, amplifier, nominal(run.grip_N or 0.0), instrument)) for run in runs]
     together = np.mean([course[: min(map(len, courses))] for course in courses], axis=0)
     best = int(np.argmax(together))

@@ -176,7 +176,7 @@ class Distortion:
 
     @property
     def largest(self) -> float:
-        """Of the acceleration."""
+        """Larger of the acceleration's even and odd parts."""
         return max(self.even, self.odd)
 
     def words(self) -> str:
@@ -196,7 +196,7 @@ class Distortion:
 
 @dataclass(frozen=True)
 class _Lines:
-    """Where a periodic record was excited and where it was not; the first period, its transient, is left out.
+    """Lines at which a periodic record was excited or not; the first period, its transient, is left out.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ class _Lines:
 
     @classmethod
     def of(cls, run: Measurement) -> "_Lines | None":
-        """Those of a run; None of one that does not repeat, or not often enough."""
+        """Lines of a run; None for one that does not repeat, or not often enough."""
         given, period_s = run.command if run.command is not None else run.current, run.period_s
         if run.acceleration is None or given is None or period_s is None:
             return None

@@ -116,7 +116,7 @@ def _sampled(
     plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...], position: bool, moved: tuple[str, ...]
 ) -> _Sampled:
     A, B, C, D = (np.array([getattr(part, name) for part in (plant, *slopes)]) for name in "ABCD")
-    # Where plant or slopes have entries: a state whose output happens to be zero has a slope all the same.
+    # Entries of plant or slopes count here: a state whose output happens to be zero has a slope all the same.
     entries = StateSpace(np.abs(A).sum(axis=0), plant.B, np.abs(C).sum(axis=0), plant.D, plant.outputs)
     keep = acting_states(entries, position=position)
     A, B, C, n = A[:, keep][:, :, keep], B[:, keep], C[:, :, keep], int(keep.sum())

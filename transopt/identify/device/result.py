@@ -92,7 +92,7 @@ class DeviceResult:
 
     @property
     def residuals(self) -> list[float]:
-        """Of the chosen model by grip: mean square over the noise's."""
+        """Residuals of the chosen model by grip: mean square over the noise's."""
         if self.chosen.kind is Kind.STATE_SPACE:
             assert self.black_box is not None
             return [float(value) for value in self.black_box.scatter]

@@ -79,7 +79,7 @@ def _row(
     edges: FloatArray,
 ) -> FloatArray:
     """(bands,) of one grip."""
-    # Where an excitation ends a response is no polynomial over the lines of a bin.
+    # At the ends of an excitation a response is no polynomial over the lines of a bin.
     inner = slice(EDGE, -EDGE) if one.estimate.response.size > 4 * EDGE else slice(None)
     f, noise, variance = one.estimate.frequencies_Hz[inner], 2 * one.deviation[inner] ** 2, variance[inner]
     coming = coming[inner]

@@ -52,7 +52,7 @@ def device_figure(result: DeviceResult) -> Figure:
         for axes in (off, motion):
             axes.tick_params(labelbottom=j == len(grips) - 1)
     assert first is not None
-    # With the height stated, or Matplotlib would lay out the panel once more to find it.
+    # The height is stated, or Matplotlib would lay out the panel once more to find it.
     first[0].set_title("model off by [% of the response]", fontsize=LABEL_PT, y=1.0)
     first[1].set_title("kept out of the fit: acceleration [g]", fontsize=LABEL_PT, y=1.0)
     above.set_ylabel("acceleration / current [g/A]", fontsize=LABEL_PT)
