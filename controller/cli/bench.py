@@ -54,7 +54,7 @@ class Bench:
 
     @property
     def name(self) -> str:
-        """Of the port."""
+        """Name of the port."""
         return self.port if isinstance(self.port, str) else self.port.name
 
 

@@ -112,14 +112,14 @@ def device(
     hold: Annotated[float | None, typer.Option(help="The hand only holds, still, with this grip in N.")] = None,
     rest: Annotated[float, typer.Option(help="How long the hand is still after each round of taps, in s.")] = 2.0,
     mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part.")] = 0.0,
-    delay_ms: Annotated[float, typer.Option(help="Of the line, each way.")] = 0.0,
+    delay_ms: Annotated[float, typer.Option(help="Delay of the line, each way.")] = 0.0,
     loss: Annotated[float, typer.Option(help="Part of the frames that get lost.")] = 0.0,
     corruption: Annotated[float, typer.Option(help="Part of the frames that get damaged.")] = 0.0,
     reset_every: Annotated[float, typer.Option(help="Power off and on so often, in s; 0 never.")] = 0.0,
     vouches: Annotated[
         bool, typer.Option("--vouches", help="It arms without a check: nothing is wired that could be wired wrong.")
     ] = False,
-    seed: Annotated[int, typer.Option(help="Of noise, mismatch and the line's troubles.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of noise, mismatch and the line's troubles.")] = 0,
 ) -> None:
     """Serve a simulated device; the first line says where. While it runs: reset, quit."""
     from controller.firmware.build import CORE, FIRMWARE, build, sources

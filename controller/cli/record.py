@@ -59,16 +59,16 @@ def record_sweep(
         str | None,
         typer.Option(help="Grips in N, 0 to let go; default 1,3,5, for an amplifier 3, on a port as you hold it."),
     ] = None,
-    trials: Annotated[int, typer.Option(help="Of each grip and offset, of alternating polarity.")] = 4,
+    trials: Annotated[int, typer.Option(help="Trials of each grip and offset, of alternating polarity.")] = 4,
     low: Annotated[
         float | None, typer.Option(help="First frequency in Hz; default 1, free device 20, amplifier 10.")
     ] = None,
     high: Annotated[float | None, typer.Option(help="Last frequency in Hz; default 2000, amplifier 4000.")] = None,
     amplitude: Annotated[float | None, typer.Option(help="In A; default 0.75, amplifier 0.3.")] = None,
     offset: Annotated[
-        float | None, typer.Option(help="Of the sine's middle in A; default 0, amplifier both 0 and 0.5.")
+        float | None, typer.Option(help="Middle of the sine in A; default 0, amplifier both 0 and 0.5.")
     ] = None,
-    seconds: Annotated[float | None, typer.Option(help="Of each sweep; default 2.")] = None,
+    seconds: Annotated[float | None, typer.Option(help="Length of each sweep; default 2.")] = None,
     tap_current: Annotated[
         float | None,
         typer.Option(

@@ -177,7 +177,7 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
     bench, hand = striking_bench(dt_s, wanted.device)
 
     def force(tap: SimulatedTap, contact: Contact) -> dict[str, FloatArray]:
-        """Of a sensor under the object."""
+        """Force as a sensor under the object reads it."""
         noise = force_noise_N * np.random.default_rng([tap.seed, 6]).standard_normal(contact.ticks.size)
         return {"force_N": noise + [hand.forces_N.get(int(tick), 0.0) for tick in contact.ticks]}
 

@@ -50,7 +50,7 @@ class Hand(Protocol):
 
 
 class PersonsHand:
-    """Of a person who reads the console."""
+    """Hand of a person who reads the console."""
 
     amplifier_tolerance = 0.0
 

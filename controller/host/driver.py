@@ -98,7 +98,7 @@ class Device:
         self._wait(lambda news: isinstance(news, Connected), timeout_s + 1.0, "connect")
 
     def now_s(self) -> float:
-        """Of the clock by which all waits here are measured."""
+        """Time by the clock that all waits here are measured with."""
         return self._connection.now_s()
 
     @property
@@ -109,12 +109,12 @@ class Device:
 
     @property
     def state(self) -> State:
-        """As last reported."""
+        """State that the device reported last."""
         return self.session.device_state
 
     @property
     def fault(self) -> Fault | None:
-        """As last reported."""
+        """Fault that the device reported last."""
         return self.session.fault
 
     def need_no_fault(self) -> None:
@@ -196,7 +196,7 @@ class Device:
         return found.evidence
 
     def surface(self, counts: float) -> None:
-        """Where the surface is, in counts after the encoder's direction."""
+        """Tell the device where the surface is, in counts after the encoder's direction."""
         self.need_no_fault()
         self.session.surface(counts)
         self._done(Kind.SURFACE)

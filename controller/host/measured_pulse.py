@@ -40,7 +40,7 @@ def recall(boot: int) -> float | None:
 
 
 def remember(boot: int, acceleration_m_s2: float) -> None:
-    """Where nothing can be written, `record sweep` asks for the check again."""
+    """Keep a measured pulse; if nothing can be written, `record sweep` asks for the check again."""
     lines = [line for line in _lines() if not line.startswith(f"{boot:08x} ")][1 - KEPT :]
     with suppress(OSError, InputError):
         _path().parent.mkdir(parents=True, exist_ok=True)

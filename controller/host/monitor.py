@@ -67,7 +67,7 @@ class Monitor:
             self._live.update(self.table(), refresh=True)
 
     def table(self) -> Table:
-        """As it stands now."""
+        """Table of what is shown, as it stands now."""
         table = Table(title=self._title, show_header=False)
         table.add_column("what", no_wrap=True, min_width=len("emergency stop"))
         table.add_column("value", no_wrap=True, min_width=44, overflow="ellipsis")

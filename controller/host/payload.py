@@ -43,7 +43,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Payload(Load):
-    """With the library that it was made of, and the device that it was made for."""
+    """Load with the library that it was made of, and the device that it was made for."""
 
     library: Library
     device: DeviceFile = BUILT_IN
@@ -118,7 +118,7 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
 
 
 def excitation_settings_of(scene: Scene, amplifier_tolerance: float, device: DeviceFile = BUILT_IN) -> Settings:
-    """The same for a scene's own device, whose amplifier may be off by this part."""
+    """Settings for a scene's own device, whose amplifier may be off by this part."""
     return Settings(
         dt_s=scene.time.dt_s,
         lead_s=0.0,

@@ -19,7 +19,7 @@ from transopt.plant.discretise import discretise
 FINER = 20  # steps of the rollout per servo period
 SINGLE_PRECISION = 1e-6  # relative, above the rounding of a float32
 PULSE_A = 0.1
-# With an accelerometer a pulse is as short as what is compared of its acceleration and its settled current need; the
+# If there is an accelerometer a pulse is only as long as its acceleration and its settled current need; the
 # encoder has been compared with the accelerometer by then. Without one the path has to be long, and its mean over
 # more pulses, since a hand trembles by as much.
 PULSE_S, PAIRS = 10e-3, 8
@@ -28,7 +28,7 @@ NO_PATH_M = 1e-9  # per ampere: shorter than any encoder's five counts, so that 
 
 
 def pairs_of(device: DeviceFile) -> int:
-    """Of pulses, over which a hand's tremor averages out."""
+    """Number of pairs of pulses, over which a hand's tremor averages out."""
     return PAIRS if device.accelerometer.sensor else BLIND_PAIRS
 
 
@@ -67,7 +67,7 @@ def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
 
 
 def measured_numbers(device: DeviceFile, dt_s: float, acceleration_m_s2: float) -> dict[str, Any]:
-    """The same for a device without a model, with the acceleration per ampere that was measured, for any grip."""
+    """Numbers for a device without a model, with the measured acceleration per ampere, for any grip."""
     return {
         "pulse_A": most_pulse_A(device),
         "pulse_ticks": round(PULSE_S / dt_s),

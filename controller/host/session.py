@@ -166,7 +166,7 @@ class Session:
         self._ask(m.Evidence())
 
     def surface(self, counts: float) -> None:
-        """Where the surface is, in counts after the encoder's direction."""
+        """Tell the device where the surface is, in counts after the encoder's direction."""
         self._ask(m.Surface(counts))
 
     def emergency_stop(self, now_s: float) -> None:

@@ -44,7 +44,7 @@ class Rest:
 
     @property
     def counts(self) -> float | None:
-        """Where the stylus rests; None while it does not."""
+        """Counts at which the stylus rests; None while it does not."""
         full = len(self._counts) == self._counts.maxlen
         if not full or max(self._counts) - min(self._counts) > self.band:
             return None

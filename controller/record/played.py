@@ -82,7 +82,7 @@ class PlayedTap:
 
     @property
     def peak_current_A(self) -> float:
-        """As measured."""
+        """Largest current, as measured."""
         return float(np.abs(self.contact.current_A).max())
 
     @cached_property
@@ -101,7 +101,7 @@ class PlayedTap:
         )
 
     def rate_hardness_N_m(self, force_per_current_N_A: float) -> float:
-        """Of the rendered surface, from the measured current; NaN if nothing was compared."""
+        """Rate-hardness of the rendered surface, from the measured current; NaN if nothing was compared."""
         if self.why:
             return NOTHING
         return rate_hardness_N_m(self.times_s, force_per_current_N_A * self.contact.current_A, self.contact.speed_m_s)

@@ -93,7 +93,7 @@ class PlannedSweep:
         return self.polarity * sweep
 
     def period_s(self, dt_s: float) -> float | None:
-        """With which it repeats; None for what does not."""
+        """Period of the excitation; None for one that does not repeat."""
         return multisine_period_s(dt_s) if self.shape is Shape.MULTISINE else None
 
     @property

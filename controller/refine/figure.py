@@ -35,7 +35,7 @@ def refine_figure(refined: Refined) -> Figure:
 
 
 def _errors(axes: Axes, refined: Refined) -> None:
-    """By round at every node; what is kept as the confirming round measured it."""
+    """Draw errors by round at every node; what is kept as the confirming round measured it."""
     played, kept = refined.history.played, refined.better
     limited = {node: one.limited for results in played for node, one in results.items()}
     styles = {True: "--", False: "-"}

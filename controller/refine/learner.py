@@ -63,7 +63,7 @@ Round = Mapping[Node, NodeRound]
 
 @dataclass
 class Course:
-    """Of one node.
+    """Course of one node over the rounds.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class Learner:
 
     @property
     def number(self) -> int:
-        """Of the round that is asked for."""
+        """Number of the round that is asked for."""
         return len(self.history.played)
 
     @property
@@ -187,7 +187,7 @@ class Learner:
 
     @property
     def scatter(self) -> Scatter:
-        """Of all taps so far."""
+        """Scatter of all taps so far."""
         return self._scatter()
 
     def _scatter(self, more: Iterable[Tapped] = ()) -> Scatter:

@@ -93,7 +93,7 @@ def _where(x: Signal, prediction: Prediction) -> float | str:
     products = signal.correlate(measured, wanted, mode="valid")
     squares = np.maximum(signal.correlate(measured**2, np.ones(steps), mode="valid"), np.finfo(float).tiny)
     likeness: FloatArray = products / np.sqrt(squares * (wanted @ wanted))
-    # Where little is measured anything is alike: what stands out has to be there as well.
+    # If little is measured anything is alike: what stands out has to be there as well.
     likeness[squares < 0.25 * squares.max()] = 0.0
     at = int(np.argmax(np.abs(likeness)))
     if abs(likeness[at]) < LEAST_LIKENESS:

@@ -53,12 +53,12 @@ class Window:
 
     @classmethod
     def over(cls, times_s: FloatArray) -> "Window":
-        """Of the times (N,) from contact."""
+        """Window over the times (N,) from contact."""
         return cls(fade_of(times_s), float(times_s[1] - times_s[0]))
 
     @property
     def samples(self) -> int:
-        """That are measured at all."""
+        """Number of samples that are measured at all."""
         return int(np.count_nonzero(self.fade > 0))
 
     @cached_property
@@ -137,7 +137,7 @@ class Tapped:
 
     @property
     def predicted_nrmse(self) -> float:
-        """Of the prediction against r, over the same window."""
+        """NRMSE of the prediction against r, over the same window."""
         return float(np.sqrt(self.predicted @ self.predicted / self.reference))
 
 

@@ -59,7 +59,7 @@ class Approach:
     ) -> None:
         ahead = lead_s / dt_s
         self._window, self._half = window_ticks, window_ticks // 2
-        # Of the whole window, and of its newer half if that holds readings enough.
+        # Rows that fit the whole window, and its newer half if that holds readings enough.
         self._whole_rows = fit_rows(window_ticks, ahead)
         self._half_rows = fit_rows(self._half, ahead) if self._half >= LEAST_READINGS else self._whole_rows
         self._bend = bend_row(window_ticks) if self._half >= LEAST_READINGS else [0.0] * 4

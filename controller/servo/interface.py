@@ -6,7 +6,7 @@ from typing import Protocol
 
 
 class State(Enum):
-    """Of the servo; FAULT latches until an explicit reset."""
+    """State of the servo; FAULT latches until an explicit reset."""
 
     IDLE = "idle"
     ARMED = "armed"

@@ -64,10 +64,10 @@ class Servo:
         amplifier, wall = s.amplifier, s.wall
         rate = math.inf if amplifier is None else amplifier.rate_rad_s * s.dt_s
         self._decay = math.exp(-rate)
-        # Of the fastest and the slowest amplifier that may be there.
+        # Decay in a tick of the fastest and the slowest amplifier that may be there.
         self._fast, self._slow = (math.exp(-rate * (1.0 + sign * s.amplifier_tolerance)) for sign in (1.0, -1.0))
         self._least_A = self._most_A = 0.0  # between these the current is at the coming switching instant
-        # Of the feedback's prefilter (`plant.amplifier.prefilter_coefficients`).
+        # Coefficients of the feedback's prefilter (`plant.amplifier.prefilter_coefficients`).
         self._now, self._before = 1 / (1 - self._decay), -self._decay / (1 - self._decay)
         self._slew_A = None if s.slew_limit_A_per_s is None else s.slew_limit_A_per_s * s.dt_s
         self._gain_step = s.gain_rate_1_s * s.dt_s

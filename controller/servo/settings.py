@@ -33,7 +33,7 @@ MAY_BE_ZERO = (
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one servo; `of` takes what the library knows.
+    """Settings of one servo; `of` takes what the library knows.
 
     Attributes
     ----------
