@@ -24,7 +24,7 @@ LOG_EVERY = 50  # cases, where there is no terminal for the progress bar
 
 def stress(
     cases: Annotated[int, Option(min=1, help="Random cases.")] = 1000,
-    seed: Annotated[int | None, Option(min=0, help="Of the random cases; another one every time by default.")] = None,
+    seed: Annotated[int | None, Option(min=0, help="Seed of the cases; another one every time by default.")] = None,
     jobs: Annotated[int, Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
     case: Annotated[int | None, Option(min=0, help="Only the case of this index, in every detail.")] = None,
     families: Annotated[bool, Option("--directed", help="The directed families in place of random cases.")] = False,

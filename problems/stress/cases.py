@@ -332,11 +332,11 @@ class StressCase:
 
     @property
     def objective(self) -> str:
-        """As a scene would say it."""
+        """Objective as a scene would state it."""
         return "waveform" if self.demand.asked_dB is None else "intensity"
 
     def grid(self) -> TimeGrid:
-        """Its time grid; an InputError as `problem` raises it."""
+        """Time grid of the case; an InputError as `problem` raises it."""
         horizon = self.horizon
         delay = 0.0 if self.current.pole_Hz is None else self.current.delay_samples * horizon.dt_s
         return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay, horizon.after)

@@ -141,7 +141,7 @@ def directed() -> list[StressCase]:
 
 
 def rescaled(case: StressCase, units: float) -> StressCase:
-    """The same problem with its states in other units."""
+    """State the case with the states of its device in other units."""
     return replace(case, device=replace(case.device, units=units))
 
 

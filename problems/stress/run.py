@@ -54,7 +54,7 @@ def run_cases(
     outcomes of the case that it had.
     """
     waiting = iter(enumerate(cases))
-    # Of each case under way: its index, the worker that has it, and until when that one may be silent.
+    # Each case under way: its index, the worker that has it, and until when that one may be silent.
     busy: dict[Future[Outcome], tuple[int, Processes, float]] = {}
 
     def give(worker: Processes) -> None:
