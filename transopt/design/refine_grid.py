@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # nothing is drawn while a grid is refined
     from matplotlib.figure import Figure
 
 DEFAULT_CAP = 400  # entries
-# Where a limit begins to bind, the optimum has a kink, and the worst point of an interval lies there. Interpolation
+# If a limit begins to bind, the optimum has a kink, and the worst point of an interval lies there. Interpolation
 # across a kink at share k of an interval errs by k (1 - k) of its change of slope: at least half of that shows at the
 # midpoint, and at least 0.75 of it at the quarter points. So a point may use up 0.75 of the tolerance, and a cell
 # whose midpoints use up half of that is looked at in quarters.

@@ -178,7 +178,7 @@ class _Point:
 
     @cached_property
     def references(self) -> list[Reference]:
-        """Of all recorded speeds, or of all targets."""
+        """References of all recorded speeds, or of all targets."""
         task = self.task
         recorded = self.scene.model_copy(update={"grid": task.scene.grid})
         return _references.get(self._of_references, lambda: references_of(recorded, task.recordings))

@@ -44,7 +44,7 @@ def admit(
     """
     if status is not Status.OPTIMAL:
         return status, [status.value]
-    # Of a limit of a user's own that is not convex nobody can promise more than a stationary point.
+    # For a limit of a user's own that is not convex nobody can promise more than a stationary point.
     bent = certificate.is_stationary and any(name != TemperatureLimit.name for name in problem.nonlinear)
     if not (certificate.accepted or bent):
         c = certificate
