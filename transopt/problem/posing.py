@@ -86,7 +86,7 @@ class Posing:
 
     @classmethod
     def of(cls, meta: dict[str, Any], stages: int) -> "Posing":
-        """Of a library's `meta` and its number of stages."""
+        """Read how a problem is posed from a library's `meta` and its number of stages."""
         driven_by = INPUTS[meta.get("command_unit", CURRENT_INPUT.unit)]  # files before schema 3 know currents alone
         amplifier = None if meta["amplifier"] is None else Amplifier.of(meta["amplifier"], driven_by.unit)
         thermal, feedback, circuit = meta["thermal"], meta["feedback"], meta["circuit"]

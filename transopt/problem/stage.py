@@ -25,7 +25,7 @@ WALL_POSITION, WALL_VELOCITY = 0, 1  # among the wall's states
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the states of x stand; this alone fixes the sparsity.
+    """Positions of the states within x; this alone fixes the sparsity.
 
     Attributes
     ----------

@@ -61,7 +61,7 @@ class CommandLimit(Limit):
 
 @dataclass(frozen=True, repr=False)
 class VoltageCommandLimit(CommandLimit):
-    """The same of a voltage amplifier [V], a class-D stage's rail."""
+    """Limit on the command of a voltage amplifier [V], a class-D stage's rail."""
 
     unit: ClassVar[str] = "V"
     step_unit: ClassVar[str] = "V"

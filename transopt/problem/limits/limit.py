@@ -36,7 +36,7 @@ VIOLATION_TOLERANCE = 1e-6  # of a limit where that is below one of its units, a
 
 
 def tolerated(limit: float) -> float:
-    """By how much a limit may be left: a microampere is nothing at 1 A and everything at 1e-6 A."""
+    """Violation that a limit tolerates: a microampere is nothing at 1 A and everything at 1e-6 A."""
     return VIOLATION_TOLERANCE * min(limit, 1.0)
 
 
@@ -331,7 +331,7 @@ class Limit(ABC):
 
     @property
     def replay_tolerance(self) -> float:
-        """By how much the replay may leave it at any time, also between the instants at which it is stated."""
+        """How far the replay may leave the limit at any time, also between the instants at which it is stated."""
         return self.tolerance
 
     def command_bound(self, *, ideal: bool) -> float:
@@ -394,7 +394,7 @@ class Limits:
         return Limits(tuple(limit for limit in self.members if limit.name not in names))
 
     def replaced(self, limit: Limit) -> "Limits":
-        """With this limit in the place of the one of its name."""
+        """Put this limit in the place of the one of its name."""
         return Limits(tuple(limit if each.name == limit.name else each for each in self.members))
 
     @property

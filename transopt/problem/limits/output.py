@@ -146,7 +146,7 @@ def _excursion(stage: StageModel, output: str, stages: int) -> float:
     states, largest = stage.states(impulse), 0.0
     at = states @ row
     for j in range(1, SUBSTEPS):
-        # The same device over part of a period.
+        # Discretise the device over part of a period.
         part = discretise(stage.plant, stage.amplifier, stage.dt_s * j / SUBSTEPS, outputs=tuple(stage.outputs))
         inside = states[:-1] @ (row @ part.A) + impulse[:-1] * float(row @ part.B[:, 0])
         chord = (1 - j / SUBSTEPS) * at[:-1] + j / SUBSTEPS * at[1:]

@@ -105,7 +105,7 @@ class OwnLimit(Limit):
         raise NotImplementedError("made by own_limits")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Its class is made for its name, so another process makes it anew.
+        # The class is made for its name, so another process makes it anew.
         return _made, (self.name, self.unit, self.lower, self.upper, self.row)
 
     @property

@@ -59,7 +59,7 @@ class SlewLimit(Limit):
 
 @dataclass(frozen=True, repr=False)
 class VoltageSlewLimit(SlewLimit):
-    """The same of a voltage amplifier's command [V/s]."""
+    """Limit on the slew of a voltage amplifier's command [V/s]."""
 
     name: ClassVar[str] = "voltage_slew"
     unit: ClassVar[str] = "V/tick"

@@ -152,7 +152,7 @@ class SupplyLimit(Limit):
         return tuple(row.of_device(device) for device in range(len(problem.devices)) for row in found)
 
     def bounds_V(self, problem: Posed) -> list[float]:
-        """Of each end the largest terminal voltage of any command inside the current and command limits."""
+        """Largest terminal voltage, at each end, of any command inside the current and command limits."""
         current = problem.limits.input_limit
         command = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         impulse = np.zeros(problem.grid.stages)

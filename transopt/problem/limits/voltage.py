@@ -40,7 +40,7 @@ class VoltageLimit(InputLimit):
 
 @dataclass(frozen=True, repr=False)
 class SaggingVoltageLimit(VoltageLimit):
-    """The same of a supply that falls along the waveform.
+    """Limit on the voltage of a supply that falls along the waveform.
 
     Attributes
     ----------

@@ -101,7 +101,7 @@ def _energy_dB(made: FloatArray, wanted: FloatArray) -> float:
 
 
 def levels(made_m_s2: FloatArray, wanted_m_s2: FloatArray, dt_s: float) -> Levels:
-    """Of accelerations (N,), or the mean energy of those (S, N) of several devices, beside (N,) wanted."""
+    """Levels of accelerations (N,), or the mean energy of (S, N) of several devices, beside (N,) wanted."""
     made = np.atleast_2d(made_m_s2)
     felt = _felt(made, wanted_m_s2, dt_s)
     felt_made, felt_wanted = felt or (made, wanted_m_s2)

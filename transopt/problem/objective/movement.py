@@ -43,7 +43,7 @@ class Movement:
         return by_command
 
     def relief(self, command: FloatArray) -> float:
-        """By how much the term falls for each ampere that I is raised, the command as it is [1/A]."""
+        """Fall of the term for each ampere that I is raised, the command as it is [1/A]."""
         return 2 * self.value(command) / self.input_limit
 
 

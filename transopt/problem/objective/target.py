@@ -64,7 +64,7 @@ class Target:
 
     @property
     def lost_share(self) -> float:
-        """Of the energy; 0 of a tap that is zero."""
+        """Lost share of the energy; 0 for a tap that is zero."""
         return 0.0 if self.is_zero else self.lost_m2_s4 / self.energy_m2_s4
 
     @cached_property

@@ -75,7 +75,7 @@ class Tracking:
         return np.asarray((self.target.lost_m2_s4 + squares) / self.target.energy_m2_s4)
 
     def above_mean(self, accelerations_m_s2: FloatArray) -> float:
-        """By how much the worst device loses more than the mean by the shares; zero at the saddle point, >= 0."""
+        """Excess of the worst device's loss over the mean by the shares; zero at the saddle point, >= 0."""
         losses = self.losses(accelerations_m_s2)
         return max(float(losses.max()) - self.mean(losses), 0.0)
 
