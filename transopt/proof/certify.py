@@ -256,7 +256,7 @@ def gradient_rounding(problem: TransientProblem, command: FloatArray, multiplier
 
 
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
-    """The same >= 0, and zero where there is no limit to bear them: a headroom may be infinite at some instants."""
+    """Make multipliers >= 0, and zero where no limit bears them: a headroom may be infinite at some instants."""
     clipped = multipliers.clipped()
     if problem.thermal is None or not clipped.upper(TEMPERATURE).any():
         return clipped
