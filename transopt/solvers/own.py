@@ -85,7 +85,7 @@ class StageSymbols:
         return self._output(f"state {number}")
 
     def state_after(self, number: int) -> ca.SX:
-        """The same state one period later, which c_k has moved by then."""
+        """State one period later, which c_k has moved by then."""
         return self._output(f"state {number}{AFTER}")
 
 

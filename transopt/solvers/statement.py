@@ -96,7 +96,7 @@ class Statement:
 
 
 def variable(shape: Shape, single: str) -> int:
-    """Where among a stage's variables the one stands that a row bounds alone."""
+    """Index among a stage's variables of the one that a row bounds alone."""
     return {"movement": 0, COMMAND: shape.command, INPUT: shape.controls + shape.layout.current}[single]
 
 

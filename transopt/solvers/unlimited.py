@@ -199,7 +199,7 @@ def solve_in_casadi(problem: TransientProblem) -> Solution:
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the gap
         run = Pass(tracking(problem))
-        # Where nothing is asked of the command, none is as good as any, and no matrix of it can be factorised.
+        # If nothing is asked of the command, none is as good as any, and no matrix of it can be factorised.
         found = _judged(problem, run, run.at_rest(), "rest")
         if not found.gap <= GAP:
             found = _by_riccati_pass(problem, run)

@@ -62,7 +62,7 @@ def _library() -> ct.CDLL | None:
     file = Path(__file__).with_name(EXTENSION)
     if not file.exists():
         return None
-    # With the GIL held, so that an exception which a signal has raised inside is raised by the call.
+    # The GIL stays held, so that an exception which a signal has raised inside is raised by the call.
     library = ct.PyDLL(str(file))
     if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
         return None  # left behind by another version: as good as none
@@ -114,7 +114,7 @@ _memory = threading.local()
 
 
 def buffers_of(sizes: dict[str, int]) -> Buffers:
-    """Those of this thread for a problem of these sizes: fresh memory takes as long as solving a short problem.
+    """Buffers of this thread for these sizes: fresh memory takes as long as solving a short problem.
 
     What an answer consists of has to be taken out of them before the thread solves another problem.
     """
