@@ -64,7 +64,7 @@ def compiler() -> Compiler:
 
 
 def cache_folder() -> Path:
-    """Of this user: $XDG_CACHE_HOME or ~/.cache, and in it transopt/firmware."""
+    """Cache folder of this user: $XDG_CACHE_HOME or ~/.cache, and in it transopt/firmware."""
     stated = os.environ.get("XDG_CACHE_HOME")
     return (Path(stated) if stated else Path.home() / ".cache") / "transopt" / "firmware"
 

@@ -23,7 +23,7 @@ REPLAY = FIRMWARE / "replay"
 MOST_EVENTS = 12
 RESET, DISARM, GAIN, ARM, EXCITE = 1, 2, 4, 8, 16  # wishes, carried out before a tick in this order
 NEGATIVE = 32  # the excitation with the other sign
-# As td_replay.h has them.
+# Types as td_replay.h has them.
 INPUT = np.dtype(
     [
         ("wishes", "u1"),

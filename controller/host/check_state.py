@@ -122,7 +122,7 @@ class Check:
         return column((record for _, record in list(self.records)[-size:]), name)
 
     def mean(self, name: str) -> float:
-        """Of a whole window; NaN before one has come."""
+        """Mean of a whole window; NaN before one has come."""
         values = self.column(name)
         return float(values.mean()) if values.size >= self.ticks(WINDOW_S) else float("nan")
 

@@ -37,7 +37,7 @@ class Connection(Protocol):
     def harmless(self) -> bool: ...
 
     def now_s(self) -> float:
-        """Of a clock that only grows; in a simulation it grows while `read` waits."""
+        """Time of a clock that only grows; in a simulation it grows while `read` waits."""
         ...
 
     def read(self, timeout_s: float) -> bytes:

@@ -1,4 +1,4 @@
-"""Where the surface is, in counts: measured once by touching it, and followed when the counts drift.
+"""Finds the surface, in counts: measured once by touching it, and followed when the counts drift.
 
 An incremental encoder starts at any number, slips at its coupling and drifts with temperature; a surface that is off
 by a count of 24.5 um comes 0.1 ms too early or too late at 0.25 m/s.

@@ -25,7 +25,7 @@ CAPACITY = {
     "samples": "TD_MAX_LIBRARY_SAMPLES",
     "upload_frames": "TD_UPLOAD_FRAMES",
 }
-# Of `capacity`, under the same names; what a host takes by default is not the device's business.
+# Limits of `capacity`, under the same names; what a host takes by default is not the device's business.
 LIMITS = {name: value for name, value in vars(capacity).items() if name.isupper() and name != "LEASE_DEFAULT_MS"}
 LIMITS |= {name: getattr(settings, name) for name in ("PULSE_NODES", "PUSH_S", "SCALE_LEAST", "SCALE_MOST")}
 
@@ -39,7 +39,7 @@ def _type(form: str) -> str:
 
 
 def _offsets(title: str, prefix: str, layout: list[tuple[str, str]]) -> list[str]:
-    """Where each field begins, and how many bytes all of them take; their types stand in the comment."""
+    """Offset of each field, and how many bytes all of them take; their types stand in the comment."""
     places, offset = {}, 0
     for name, form in layout:
         places[name] = offset
@@ -50,7 +50,7 @@ def _offsets(title: str, prefix: str, layout: list[tuple[str, str]]) -> list[str
 
 
 def _members(prefix: str, members: dict[str, int]) -> list[str]:
-    """Of an enumeration, several to a line."""
+    """Members of an enumeration, several to a line."""
     words = " ".join(f"{prefix}_{name.upper()}@=@{value}," for name, value in members.items())
     return [line.replace("@", " ") for line in textwrap.wrap(words, 110)]
 

@@ -37,7 +37,7 @@ def checked(name: str, value: float, low: float, high: float, unit: str = "") ->
 
 @dataclass(frozen=True, slots=True)
 class Capacity:
-    """Of one device, all chosen at its build; the default is that of the host build.
+    """Capacity of one device, all chosen at its build; the default is that of the host build.
 
     Attributes
     ----------

@@ -54,7 +54,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Of an upload, in bytes that have arrived."""
+    """Progress of an upload, in bytes that have arrived."""
 
     done: int
     total: int

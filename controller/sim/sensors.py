@@ -78,7 +78,7 @@ class SensorBench:
         return math.floor(position_m / self.sensors.count_m + 0.5)
 
     def acceleration_m_s2(self, filtered_m_s2: float) -> float:
-        """Of the stylus's acceleration behind the accelerometer's pole; its noise runs through the same pole."""
+        """Reading of the acceleration behind the accelerometer's pole; its noise runs through the same pole."""
         self._wander_m_s2 = self.keep * self._wander_m_s2 + self.new_m_s2 * next(self._acceleration)
         limit = self.sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2
         return min(max(filtered_m_s2 + self._wander_m_s2, -limit), limit)

@@ -164,5 +164,5 @@ def straight_way(start: int, end: int, dt_s: float, count_m: float) -> list[int]
 
 
 def _counts(simulator: Simulator) -> int:
-    """Of the encoder, without reading it: a reading draws noise."""
+    """Counts of the encoder, without reading it: a reading draws noise."""
     return int(np.floor(simulator.state[0] / simulator.sensors.count_m + 0.5))

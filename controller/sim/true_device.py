@@ -185,7 +185,7 @@ INPUTS = 6
 
 
 class Layout:
-    """Where things stand in the state vector for n masses: positions, velocities, and these.
+    """Layout of the state vector for n masses: positions, velocities, and these.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ class User(Protocol):
     """Functions of the simulator's time; most users give the device no acceleration of their own accord."""
 
     def intention_m(self, time_s: float) -> float:
-        """Where the hand means to be along the surface normal."""
+        """Position that the hand means to have along the surface normal."""
         ...
 
     def carried_m_s2(self, time_s: float) -> float:

@@ -12,7 +12,7 @@ from controller.protocol.wire import DELIMITER, decode
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Of one direction.
+    """Trouble of one direction.
 
     Attributes
     ----------
