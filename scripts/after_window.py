@@ -138,7 +138,7 @@ def played(
 
 
 def figures_of(taps: list[Ended]) -> tuple[float, ...]:
-    """Of one way in one scene: mean errors in % by the model, played and after; worst peaks in g, worst kick in A."""
+    """Mean errors of one way in one scene in % by model, played and after; worst peaks in g, worst kick in A."""
     mean = [
         100 * float(np.mean([getattr(tap, key) for tap in taps])) for key in ("nrmse", "after", "predicted_nrmse")
     ]
@@ -150,7 +150,7 @@ def figures_of(taps: list[Ended]) -> tuple[float, ...]:
 
 
 def in_cells(figures: tuple[float, ...]) -> list[str]:
-    """As they are printed: percent and amperes with two decimals, g with three."""
+    """Printed cells: percent and amperes with two decimals, g with three."""
     return [f"{value:.{digits}f}" for value, digits in zip(figures, (2, 2, 2, 3, 3, 2), strict=True)]
 
 

@@ -146,7 +146,7 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
 
 
 def cells(rows: list[Row]) -> list[list[str]]:
-    """Of the table, a row each; a case is named once."""
+    """Cells of the table, a row each; a case is named once."""
     found, before = [], ""
     for r in rows:
         case = r.case if r.stages in (0, 600) or r.case == "online" else f"{r.case}, {r.stages} stages"

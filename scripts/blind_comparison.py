@@ -275,7 +275,7 @@ def compare(
 
 
 def simulated_taps(given: Payload, seed: int, trials: int, taps: int) -> Iterator[SimulatedTap]:
-    """As a hand would: at speeds and grips anywhere on the upper half of the grid, where limits bind."""
+    """Taps as of a hand: at speeds and grips anywhere on the upper half of the grid, where limits bind."""
     rng, library = np.random.default_rng([seed, 2]), given.library
     for _ in range(2 * trials * taps):
         v, F = (

@@ -118,7 +118,7 @@ def typed(*words: object) -> None:
 
 @dataclass(frozen=True)
 class Tap:
-    """As `transopt-play tap` printed it; latency [s], NRMSE and the library's floor as parts."""
+    """Tap as `transopt-play tap` printed it; latency [s], NRMSE and the library's floor as parts."""
 
     speed_m_s: float
     grip_N: float

@@ -118,7 +118,7 @@ class Condition:
 
     @property
     def nrmse(self) -> tuple[float, float]:
-        """Of the worst tap, and the mean."""
+        """NRMSE of the worst tap, and the mean."""
         errors = [tap.compared.nrmse for tap in self.taps]
         return max(errors), float(np.mean(errors))
 

@@ -41,7 +41,7 @@ def _listed(registers: str) -> int:
 
 
 def cycles(name: str, operands: str) -> int:
-    """Of one instruction, at most, without the refill of a branch that is taken."""
+    """Cycles of one instruction, at most, without the refill of a branch that is taken."""
     listed = re.search(r"\{(.*)\}", operands)
     if name.startswith(SEVERAL) and listed:
         return 1 + _listed(listed[1])

@@ -53,7 +53,7 @@ STIFFNESSES_N_M = (50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
 
 @dataclass(frozen=True)
 class Place:
-    """Where refusals are looked for: a stress case, or a built-in scene with other numbers."""
+    """Places to look for refusals: a stress case, or a built-in scene with other numbers."""
 
     name: str
     case: StressCase | None = None

@@ -199,7 +199,7 @@ def half(before: dict[str, tuple[int, str]], after: dict[str, tuple[int, str]]) 
 
 @dataclass
 class Place:
-    """Where one command runs: its folder with input and an earlier result, and the temporary files of its own."""
+    """Place of one command: its folder with input and an earlier result, and the temporary files of its own."""
 
     folder: Path
     temporary: Path

@@ -65,7 +65,7 @@ def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
 
 
 def moved(stages: Stages, lower: float, upper: float) -> Stages:
-    """The same problem with all its limits moved."""
+    """Move all limits of a problem."""
     by = {"lower": lower, "upper": upper}
     return replace(stages, arrays=stages.arrays | {name: stages.arrays[name] + value for name, value in by.items()})
 

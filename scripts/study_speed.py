@@ -132,7 +132,7 @@ def but_times(rows: list[Row]) -> list[Row]:
 
 
 def row(name: str, found: Run) -> tuple[str, ...]:
-    """Of the page's table."""
+    """Row of the page's table."""
     count = len(found.rows)
     grown = [found.growth(memory) for memory in (found.parent_MB, found.worker_MB)]
     memory = "" if np.isnan(grown).any() else " / ".join(f"{slope:+.2g}" for slope in grown)

@@ -78,7 +78,7 @@ def random_frame(chance: random.Random) -> bytes:
 
 
 def pieces(stream: bytes, chance: random.Random) -> Iterator[bytes]:
-    """As a port hands them out."""
+    """Pieces of a stream as a port hands them out."""
     place = 0
     while place < len(stream):
         size = chance.choice((1, chance.randint(1, 64), chance.randint(1, 4096)))

@@ -81,7 +81,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one case: what the check said, whether that is right, whether gain 1 was armed."""
+    """Outcome of one case: what the check said, whether that is right, whether gain 1 was armed."""
 
     case: str
     wanted: str

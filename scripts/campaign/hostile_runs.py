@@ -49,7 +49,7 @@ class Seen:
 
     @property
     def said(self) -> str:
-        """Its last line of errors."""
+        """Last line that the command wrote to its errors."""
         lines = self.err.strip().splitlines()
         return lines[-1] if lines else ""
 

@@ -39,7 +39,7 @@ TICK = np.dtype(
 
 @dataclass(frozen=True)
 class Conversation:
-    """Of one device from its start on.
+    """Conversation with one device from its start on.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Conversation:
         return ""
 
     def talk(self) -> bytes:
-        """As `controller/firmware/replay/talk_main.c` reads it."""
+        """Conversation as `controller/firmware/replay/talk_main.c` reads it."""
         record, heard = bytearray(ANOTHER_DEVICE), 0
         for tick in self.ticks:
             data = self.arrived[heard : heard + int(tick["arrived"])]

@@ -136,7 +136,7 @@ class Judged:
 
 @dataclass
 class Outcome:
-    """Of one case.
+    """Outcome of one case.
 
     Attributes
     ----------

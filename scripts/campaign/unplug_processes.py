@@ -159,7 +159,7 @@ class Line:
 
 @dataclass
 class Ended:
-    """Of one case with real processes; figures as in `unplug_cases.Outcome`."""
+    """Outcome of one case with real processes; figures as in `unplug_cases.Outcome`."""
 
     phase: str
     kind: str

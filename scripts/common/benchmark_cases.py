@@ -311,7 +311,7 @@ class Iterations:
 
     @property
     def ratio(self) -> float:
-        """Of an iteration to one factorisation and two vector solves; the bound is 2."""
+        """Ratio of an iteration to one factorisation and two vector solves; the bound is 2."""
         return self.each / (self.factorisation + 2 * self.vector_solve)
 
 

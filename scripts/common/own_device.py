@@ -182,7 +182,7 @@ class OwnWorld:
         return self.tick * self.dt_s
 
     def hand_m(self, time_s: float) -> float:
-        """Where the hand means to be."""
+        """Position that the hand means to have."""
         shaking = sum(size * math.sin(w * time_s + phase) for size, w, phase in self._tremor)
         return self.path_m(time_s) + (shaking if self.grip_N > 0 else 0.0)
 

@@ -1,4 +1,4 @@
-"""The same tap at other servo periods: another problem each, judged on one fine grid in continuous time."""
+"""Poses one tap at other servo periods: another problem each, judged on one fine grid in continuous time."""
 
 from collections.abc import Sequence
 from importlib import metadata

@@ -74,7 +74,7 @@ def set_up_and_run_ms(run: Callable[[], object]) -> tuple[float, float]:
 
 
 def time_columns(times_ms: FloatArray, setup_ms: float) -> dict[str, Any]:
-    """Those columns of a row that tell of time."""
+    """Columns of a row that tell of time."""
     q25, median, q75 = (float(value) for value in np.percentile(times_ms, [25, 50, 75]))
     spread = {"solve_ms": median, "q25_ms": q25, "q75_ms": q75}
     return {"setup_ms": setup_ms, **spread, "runs": int(times_ms.size), "threads": threads()}

@@ -211,7 +211,7 @@ FIGURES = ("nominal", "nominal_worst", "mean", "worst_device", "worst_tap", "nom
 
 
 def exceptions(summaries: Sequence[Summary]) -> list[tuple[str, str, float, float]]:
-    """Where a method is ahead of the optimum: method, figure, its value, the optimum's."""
+    """Cases in which a method is ahead of the optimum: method, figure, its value, the optimum's."""
     optimum = next(s for s in summaries if s.method == Method.BILINEAR.value)
     return [
         (s.method, figure, getattr(s, figure), getattr(optimum, figure))
