@@ -17,7 +17,7 @@ MAINS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one run of a command."""
+    """Outcome of one run of a command."""
 
     code: int
     out: str
@@ -28,7 +28,7 @@ Run = Callable[..., Outcome]  # a program's name, if it is not bound already, an
 
 
 class Terminal:
-    """Where commands are typed and what they print is read."""
+    """Terminal in which commands are typed and what they print is read."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
         self._monkeypatch, self._capsys = monkeypatch, capsys

@@ -17,7 +17,7 @@ MADE = {"current_A": CurrentLimit, "command_A": CommandLimit}
 
 
 def numbers_of(limits: Limits, dt_s: float, **numbers: float | None) -> Limits:
-    """With other numbers, by the keys current_A, command_A and slew_A_per_s; None takes a limit out."""
+    """Change numbers, by the keys current_A, command_A and slew_A_per_s; None takes a limit out."""
     found = {limit.name: limit for limit in limits}
     for key, value in numbers.items():
         kind = MADE.get(key, SlewLimit)

@@ -1,4 +1,4 @@
-"""Where things lie that tests read as files."""
+"""Paths of the things that tests read as files."""
 
 from pathlib import Path
 

@@ -66,7 +66,7 @@ def load(folder: Path, content: bytes | str, suffix: str = ".csv", **options: An
 
 
 def load_any(folder: Path, content: bytes, suffix: str) -> Recording:
-    """With the options the format needs."""
+    """Load a recording with the options that its format needs."""
     columns = ("time_s", "acceleration_m_s2") if suffix in (".txt", ".dat") else ()
     return load(folder, content, suffix, columns=columns, full_scale_m_s2=FULL_SCALE_M_S2)
 

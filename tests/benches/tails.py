@@ -7,7 +7,7 @@ from transopt.problem.problem import TransientProblem
 
 
 def without_tail(problem: TransientProblem) -> TransientProblem:
-    """The same problem, whose objective ends with its window."""
+    """End the objective of a problem with its window."""
     N, wall = problem.grid.stages, problem.wall
     if wall is not None:
         wall = replace(wall, nominal_m=wall.nominal_m[:N], pressing=wall.pressing[:N])

@@ -43,7 +43,7 @@ class Block:
 
 
 def text(page: str | Path) -> str:
-    """Of a page by its path in the checkout."""
+    """Text of a page by its path in the checkout."""
     return (ROOT / page).read_text(encoding="utf-8")
 
 

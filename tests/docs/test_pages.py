@@ -96,7 +96,7 @@ class TestPage:
 
 
 def sources(script: Path) -> str:
-    """Of a script and of its helpers, some of which read its command line."""
+    """Sources of a script and of its helpers, some of which read its command line."""
     helpers = [path for path in (ROOT / "scripts").glob("*/*.py") if path.parent.stem in script.read_text()]
     return "\n".join(path.read_text(encoding="utf-8") for path in (script, *helpers))
 

@@ -56,7 +56,7 @@ EXCITED = replace(BARE, host_starts=True)
 
 
 def reason(answer: Packed) -> Reason | None:
-    """Of a refusal; None where it was taken."""
+    """Reason of a refusal; None where the message was taken."""
     assert isinstance(answer, m.Done | m.Refused)
     return REASONS[answer.reason] if isinstance(answer, m.Refused) else None
 

@@ -9,7 +9,7 @@ from controller.host import library_names
 
 @pytest.fixture(autouse=True)
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Of the names, in a home of its own."""
+    """File of the names, in a home of its own."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     return tmp_path / "transopt" / "libraries"
 

@@ -20,7 +20,7 @@ def lra(run: Run) -> Path:
 
 
 def cells(text: str, name: str) -> list[str]:
-    """Of the row of an entry in a printed table."""
+    """Cells of the row of an entry in a printed table."""
     (row,) = [line for line in text.splitlines() if line.startswith(f"│ {name}")]
     return [cell.strip() for cell in row.strip("│").split("│")]
 
