@@ -59,27 +59,6 @@ def test_the_response_is_found_within_a_decibel_and_five_degrees(crossover_A: fl
     assert result.chosen.between[3.0] <= 0.08
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_grips_may_have_recorded_different_channels(seed: int) -> None:
-    """Position and current are drawn at random for each grip; the acceleration alone is always there."""
-    random = np.random.default_rng(seed)
-    rig = Rig(mismatched(0.05, seed), crossover_A=0.0)
-    keeps = {grip: random.random(2) < 0.5 for grip in GRIPS_N}
-    first, second = random.choice(GRIPS_N, 2, replace=False)
-    keeps[first], keeps[second] = np.array([True, True]), np.array([False, False])  # at least two differ
-    records = [
-        replace(
-            sweep,
-            position=sweep.position if keeps[sweep.grip_N][0] else None,
-            current=sweep.current if keeps[sweep.grip_N][1] else None,
-        )
-        for sweep in rig.sweeps(GRIPS_N, seed=seed)
-    ]
-    part = device_part(identify(records, [], SETTINGS))
-    for grip in GRIPS_N:
-        assert_near(part.plant(grip), rig.device.plant(grip))
-
-
 def test_transients_outside_the_fit_are_predicted_at_recorded_grips_and_between(found: DeviceResult) -> None:
     assert set(found.chosen.recorded) == set(GRIPS_N)
     assert all(error <= 0.05 for error in found.chosen.recorded.values())
