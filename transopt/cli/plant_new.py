@@ -46,7 +46,8 @@ def plant_new(
         float | None, typer.Option("--stroke-m", help="From rest to the stop, in either direction.")
     ] = None,
     frequency_Hz: Annotated[
-        float | None, typer.Option("--frequency-Hz", help="Target frequency; default the resonance, or 100 Hz.")
+        float | None,
+        typer.Option("--frequency-Hz", help="Frequency of the first target; default resonance or 100 Hz."),
     ] = None,
     rate_Hz: Annotated[
         float | None, typer.Option("--rate-Hz", help="Rate of the driver's samples; default 48000, else 10000 Hz.")

@@ -37,7 +37,7 @@ def taps(
         Path | None,
         typer.Option(metavar="FILE.toml", help="Write a scene of these recordings and the built-in device."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that --scene names.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over the file of --scene if it is there.")] = False,
 ) -> None:
     """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping.
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # nothing is drawn while a grid is refined
     from matplotlib.figure import Figure
 
 DEFAULT_CAP = 400  # entries
-# If a limit begins to bind, the optimum has a kink, and the worst point of an interval lies there. Interpolation
+# A limit that begins to bind kinks the optimum, and the worst point of an interval lies there. Interpolation
 # across a kink at share k of an interval errs by k (1 - k) of its change of slope: at least half of that shows at the
 # midpoint, and at least 0.75 of it at the quarter points. So a point may use up 0.75 of the tolerance, and a cell
 # whose midpoints use up half of that is looked at in quarters.
@@ -277,7 +277,7 @@ class Errors:
         return blended
 
     def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
-        """Excess over the limits by the stage model, which is exact at the switching instants."""
+        """Excess of the blends over the optima, by the stage model, which is exact at the instants; kept by cell."""
         keys = {point: (point, nodes.cell(point)) for point in points}
         for grip, group in _by_grip(p for p, key in keys.items() if key not in self._excess):
             blended = np.stack([self.blend(nodes, point) for point in group])

@@ -195,7 +195,7 @@ class Likelihood:
 
 
 def _inverse(jacobian: FloatArray) -> FloatArray:
-    """Inverse of J^T J. A pseudo-inverse would call a direction without information certain; a floor wide open."""
+    """Inverse of J^T J. A pseudo-inverse would call what has no information certain; a floor calls it wide open."""
     norm = np.linalg.norm(jacobian, axis=0)
     norm = np.where(norm > 0, norm, 1.0)
     scaled = jacobian / norm
