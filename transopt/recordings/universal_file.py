@@ -144,7 +144,8 @@ def _of_dataset(block: Sequence[str], units: Mapping[str, str]) -> UniversalResp
     abscissa, ordinate, denominator = (_unit_label(block, line) for line in (7, 8, 9))
     stated_Hz, stated = units.get("frequency"), units.get("magnitude")
     to_Hz = _factor(stated_Hz or abscissa or "Hz", "frequency", "abscissa", "frequency=Hz")
-    factor, per = _ratio(ordinate, denominator) if stated is None else _ratio(stated, "")
+    # A unit of the acceleration alone, as g, leaves the input to the file's label.
+    factor, per = _ratio(stated or ordinate, denominator)
     notes = []
     if stated_Hz is not None and abscissa not in ("", stated_Hz):
         notes.append(f"the file's label says {abscissa} for the abscissa, --units says {stated_Hz}, which is taken")

@@ -186,6 +186,13 @@ def test_what_says_nothing_of_a_universal_file_is_refused(
         read_response(tmp_path / "r.uff", layout)
 
 
+def test_a_unit_of_the_acceleration_alone_leaves_the_input_to_the_label(tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("Hz", "furlong", "mV")))
+    found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g"}))
+    np.testing.assert_allclose(found.response, 9.80665e3 * G, rtol=1e-10)
+    assert found.input_unit == "V"
+
+
 def test_the_units_that_a_refusal_asks_for_lead_to_a_response(tmp_path: Path) -> None:
     (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("rpm", "furlong", "N")))
     found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g/V", "frequency": "Hz"}))
