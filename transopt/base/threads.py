@@ -41,15 +41,14 @@ class _Held:
 
     def enter(self) -> None:
         with self._lock:
-            self._inside += 1
-            if self._inside > 1:
-                return
-            # A library of linear algebra comes with a module: looked for anew, in a millisecond, only after imports.
-            if len(sys.modules) != self._modules:
-                from threadpoolctl import ThreadpoolController
+            if self._inside == 0:
+                # A library of linear algebra comes with a module: looked for, in a millisecond, only after imports.
+                if len(sys.modules) != self._modules:
+                    from threadpoolctl import ThreadpoolController
 
-                self._libraries, self._modules = ThreadpoolController(), len(sys.modules)
-            self._limit = self._libraries.limit(limits=1, user_api="blas")
+                    self._libraries, self._modules = ThreadpoolController(), len(sys.modules)
+                self._limit = self._libraries.limit(limits=1, user_api="blas")
+            self._inside += 1  # last, so that a search that fails leaves nobody inside
 
     def leave(self) -> None:
         with self._lock:

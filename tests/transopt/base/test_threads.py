@@ -118,6 +118,23 @@ def test_an_exception_gives_the_threads_back_and_nobody_takes_them_from_another(
         assert counts() == before
 
 
+def test_a_search_that_fails_leaves_later_calls_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in THREADS:
+        monkeypatch.delenv(name, raising=False)
+
+    def broken() -> None:
+        raise OSError("no libraries to be seen")
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        with monkeypatch.context() as patched:
+            patched.setattr("threadpoolctl.ThreadpoolController", broken)
+            patched.setattr("transopt.base.threads._HELD._modules", 0)
+            with pytest.raises(OSError, match="no libraries"), one_blas_thread():
+                pass
+        with one_blas_thread():
+            assert counts() == {1}
+
+
 def test_a_number_that_the_user_has_stated_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     with threadpool_limits(limits=2, user_api="blas"):
