@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
@@ -36,6 +37,7 @@ def printed(
     caption: str | None = None,
     striking: Sequence[str | None] = (),
     columns: int = 0,
+    in_one_piece: str = "",
 ) -> Table:
     """A table of entries for the terminal.
 
@@ -43,14 +45,14 @@ def printed(
     ----------
     striking : a style for each row, or None.
     columns : after how many rows a line is drawn; 0 for nowhere.
+    in_one_piece : the column that is never wrapped, the others giving way; a cell elsewhere is folded, not cut.
     """
     table = Table(title=title, caption=caption)
     for place in shown.places:
-        table.add_column(place, justify="right")
+        table.add_column(place, justify="right", overflow="fold")
     for name, head in zip(shown.names, shown.heads[len(shown.places) :], strict=True):
-        # Only what binds may be long; a verdict stays in one piece.
-        is_number = COLUMNS[name].is_number
-        table.add_column(head, justify="right" if is_number else "left", no_wrap=name == "verdict")
+        justify: JustifyMethod = "right" if COLUMNS[name].is_number else "left"
+        table.add_column(head, justify=justify, overflow="fold", no_wrap=name == in_one_piece)
     styles = striking or [None] * len(shown.rows)
     for number, (cells, style) in enumerate(zip(shown.cells, styles, strict=True), start=1):
         # `Text` is printed as it is; a string would be searched for markup, which takes longer.
@@ -68,7 +70,7 @@ def build_table(build: Build, width: int) -> Table:
     shown = build.table(FULL if width >= WIDE_TERMINAL else NARROW)
     title = ": ".join(filter(None, (build.scene.name, build.scene.description)))
     striking = ["red" if row.refusal else None for row in shown.rows]
-    return printed(shown, title, striking=striking, columns=len(build.scene.grid.grips_N))
+    return printed(shown, title, striking=striking, columns=len(build.scene.grid.grips_N), in_one_piece="verdict")
 
 
 def summary(build: Build) -> str:

@@ -12,7 +12,7 @@ import transopt as to
 from transopt.base.writing import percent
 from transopt.library.columns import COLUMNS, FULL, EntryTable, TableRow
 from transopt.report.markdown import build_markdown
-from transopt.report.tables import build_table, library_table
+from transopt.report.tables import build_table, library_table, verify_table
 from transopt.scene.keys import with_values
 
 ROW = TableRow(("0.2", "3"), nrmse=0.09996, floor=0.00999, after=0.02, peak_input=1.0, binding="none", verdict="fine")
@@ -24,6 +24,17 @@ def build() -> to.Build:
     scene = to.load_scene("wood_on_foam")
     values = {"weights.after_s": 0.0, "grid.speeds_m_s": [0.2], "grid.grips_N": [3.0]}
     return to.build(with_values(scene, values))
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_no_cell_is_cut_in_a_narrow_terminal(build: to.Build, width: int) -> None:
+    assert build.library is not None
+    checks = to.verify(build.library)
+    for table in (library_table(build.library, "file"), verify_table(checks, "file"), build_table(build, width)):
+        console = Console(file=io.StringIO(), width=width)
+        console.print(table)
+        assert isinstance(console.file, io.StringIO)
+        assert "…" not in console.file.getvalue()
 
 
 def printed(table: Table) -> list[str]:
