@@ -22,8 +22,8 @@ from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray
 from transopt.base.writing import table
 from transopt.design.build import build_library
-from transopt.design.intensity import best
-from transopt.design.posed import entry_problem
+from transopt.design.context import Context
+from transopt.design.design import design
 from transopt.design.refine_grid import DEFAULT_CAP, refine_grid
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
@@ -31,7 +31,6 @@ from transopt.proof.replay import replayed_errors
 from transopt.recordings.reference import Reference, between, build_references
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
-from transopt.solvers.options import SolverOptions
 from transopt.study.grid_spacing import soft_hand
 
 SEED = 1
@@ -50,8 +49,8 @@ def excess(scene: Scene, references: list[Reference], points: FloatArray, *libra
     for speed, grip in points:
         stage = discretise(scene.plant(grip), scene.amplifier_model(), grid.dt_s)
         reference = between(references, speed)
-        problem, objective = entry_problem(scene, stage, reference), scene.weights.objective
-        exactly = best(problem, SolverOptions(), objective=objective).solution.command
+        (entry,) = design([Context(scene).posed_as(reference, grip)])
+        exactly = entry.solution.command
         commands = np.stack([exactly, *(library.at(speed, grip).command for library in libraries)])
         wanted = [reference.target] * len(commands)
         exact, *blended = replayed_errors(stage, grid, commands, wanted)

@@ -22,14 +22,13 @@ import problems
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.writing import table
-from transopt.design.attained import TOLERANCE_dB
+from transopt.design.context import Context
 from transopt.design.intensity import MOST, intense
-from transopt.design.optimum import Designed
-from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate
 from transopt.problem.leave_out import leave_out
 from transopt.problem.objective.bands import levels
 from transopt.problem.problem import TransientProblem
+from transopt.proof.designed import Designed, TOLERANCE_dB
 from transopt.recordings.reference import build_references
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
@@ -159,9 +158,9 @@ def entries(scene: Scene, current_A: float, starts: int, seed: int) -> list[Foun
     )
     rng, found = np.random.default_rng(seed), []
     for grip in changed.grid.grips_N:
-        stage, spread = scene_stage(changed, grip), spread_stages(changed, grip)
+        context = Context(changed)
         for reference in references:
-            problem = replace(entry_problem(changed, stage, reference, spread), intensity_dB=0.0)
+            problem = replace(context.posed_as(reference, grip).problem, intensity_dB=0.0)
             found.append(_found(intense(problem, SolverOptions()), current_A, reference.speed_m_s, grip, starts, rng))
     return found
 

@@ -17,7 +17,7 @@ from common.command import JsonFile, at_least, run, write_json
 
 from transopt.base.errors import InputError
 from transopt.base.writing import table
-from transopt.design.nonlinear import design_nonlinear
+from transopt.design.solve import design_nonlinear
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
 
@@ -100,12 +100,12 @@ def measured(plant: str, rate_Hz: float = 10e3, targets: int = len(TARGETS)) -> 
             nonlinear=entry.nrmse,
             solve_s=entry.solution.solve_time_s,
             iterations=entry.solution.iterations,
-            substeps=entry.problem.stage.substeps,
+            substeps=0 if entry.designed.nonlinear is None else entry.designed.nonlinear.stage.substeps,
             off_replay=entry.off_replay,
             gap=entry.certificate.relative_gap,
             status="; ".join([entry.status.value, *entry.shortfalls]),
         )
-        for entry in design_nonlinear(scene(plant, rate_Hz, targets)).entries
+        for entry in design_nonlinear(scene(plant, rate_Hz, targets)).all_entries()
     ]
 
 

@@ -33,13 +33,14 @@ from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.writing import table
 from transopt.design.build import build_library
-from transopt.design.entry import design_grip
+from transopt.design.context import Context
+from transopt.design.design import design
 from transopt.design.explain import Remedy, what_would_do
-from transopt.design.optimum import Designed, optimum
+from transopt.design.optimum import optimum
 from transopt.design.remedy import Values, remedies
-from transopt.design.verify import admit
 from transopt.problem.answer import Status
-from transopt.recordings.reference import build_references
+from transopt.proof.admit import admit
+from transopt.proof.designed import Designed
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
 from transopt.solvers.options import SolverOptions
@@ -100,9 +101,7 @@ def _stands(case: StressCase, values: Values | None) -> tuple[Status, list[str],
     designed = optimum(case.problem(values), SolverOptions())
     command = designed.solution.command
     run = played(designed.problem, np.nan_to_num(command, nan=0.0, posinf=0.0, neginf=0.0))
-    predicted, _ = designed.problem.stage.rollout(command)
-    status, said = admit(designed.solution.status, designed.certificate, run, designed.problem, command, predicted)
-    return status, designed.remarks or said, designed
+    return *admit(designed, run), designed
 
 
 def _checked(refusal: Refusal, said: Sequence[Remedy], sentence: str, ends: Callable[[Values], str]) -> Refusal:
@@ -157,9 +156,7 @@ def of_scene(place: Place) -> list[Refusal]:
         def ends(values: Values, speed_m_s: float = entry.speed_m_s, grip_N: float = entry.grip_N) -> str:
             try:
                 changed = with_values(scene, values)
-                speeds = changed.grid.speeds_m_s
-                references = build_references(taps, speeds, changed.time_grid(), changed.recordings)
-                (again,) = design_grip(changed, grip_N, [references[speeds.index(speed_m_s)]], options)
+                (again,) = design([Context.recorded(changed, taps).posed(speed_m_s, grip_N)], options=options)
             except InputError as error:
                 return str(error)
             return "" if again.status is Status.OPTIMAL else f"{again.status.name}: {'; '.join(again.shortfalls)}"

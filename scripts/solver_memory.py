@@ -24,7 +24,7 @@ import numpy as np
 import problems
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.context import Context
 from transopt.plant.wall import reference_course
 from transopt.problem import stage_data
 from transopt.problem.leave_out import pressing
@@ -48,7 +48,7 @@ def hardest(name: str) -> TransientProblem:
     """The fastest tap under the firmest grip of a scene."""
     scene = problems.load(name)
     references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
-    problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
+    problem = Context(scene).posed_as(references[-1], scene.grid.grips_N[-1]).problem
     if problem.wall is None:
         return problem
     return pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))

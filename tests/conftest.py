@@ -27,7 +27,7 @@ from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
 from tests.benches.servo import WALL, Bench
 from transopt.design.build import Build, build_library
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.context import Context
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 from transopt.problem.answer import Solution, Status
@@ -159,7 +159,7 @@ def walled(scene: Scene, references: list[Reference]) -> WalledMaker:
     def make(stiffness_N_m: float, speed_m_s: float, grip_N: float = 3.0, **feedback: float) -> TransientProblem:
         varied = walled_scene(scene, max(stiffness_N_m, 1.0), **feedback)
         reference = next(r for r in references if r.speed_m_s == speed_m_s)
-        problem = entry_problem(varied, scene_stage(varied, grip_N), reference)
+        problem = Context(varied).posed_as(reference, grip_N).problem
         assert problem.wall is not None
         wall = replace(problem.wall.wall, stiffness_N_m=stiffness_N_m)
         return replace(problem, wall=replace(problem.wall, wall=wall))

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from transopt.base.errors import InputError
     from transopt.design.build import Build
     from transopt.design.entry import Entry
-    from transopt.design.nonlinear import NonlinearDesign, design_nonlinear
-    from transopt.design.solve import build, certify, solve
+    from transopt.design.solve import build, certify, design_nonlinear, solve
     from transopt.design.verify import verify_library as verify
     from transopt.library.drive_files import export_drive
     from transopt.library.export import export_library
@@ -64,7 +63,6 @@ __all__ = [
     "Library",
     "Limits",
     "Multipliers",
-    "NonlinearDesign",
     "Online",
     "Output",
     "Recording",
@@ -113,7 +111,6 @@ _HOME = {
     "Library": "library.library",
     "Limits": "problem.limits.limit",
     "Multipliers": "problem.answer",
-    "NonlinearDesign": "design.nonlinear",
     "Online": "library.online",
     "Output": "plant.state_space",
     "Recording": "recordings.recording",
@@ -131,7 +128,7 @@ _HOME = {
     "build_references": "recordings.reference",
     "certify": "design.solve",
     "export_drive": "library.drive_files",
-    "design_nonlinear": "design.nonlinear",
+    "design_nonlinear": "design.solve",
     "export_library": "library.export",
     "load_library": "library.file",
     "load_scene": "scene.builtin",

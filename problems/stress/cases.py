@@ -13,6 +13,7 @@ import numpy as np
 
 from problems.stress.actuators import Actuator
 from transopt.base.signals import FloatArray
+from transopt.design.context import Posed
 from transopt.design.intensity import most_price
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
@@ -388,6 +389,12 @@ class StressCase:
         """What the case states for a dotted key of a scene; None where it states nothing."""
         number: float | None = self._numbers().get(key)
         return number
+
+    def posed(self, changes: Mapping[str, float | None] | None = None) -> Posed:
+        """The problem as `transopt.design.design` takes it; parameters and errors as of `problem`."""
+        problem = self.problem(changes)
+        thermal = problem.thermal
+        return Posed(problem, objective=self.objective, coil=None if thermal is None else thermal.coil)
 
     def problem(self, changes: Mapping[str, float | None] | None = None) -> TransientProblem:
         """The optimal-control problem of the case.

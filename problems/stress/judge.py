@@ -11,13 +11,14 @@ import numpy as np
 from problems.stress.cases import StressCase
 from problems.stress.oracle import admits_a_command
 from transopt.base.errors import InputError
+from transopt.design.design import design
+from transopt.design.entry import Entry
 from transopt.design.explain import what_would_do
-from transopt.design.intensity import best
-from transopt.design.optimum import Designed
 from transopt.design.remedy import MOST_S, remedies
-from transopt.design.verify import admit
 from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.problem import TransientProblem
+from transopt.proof.admit import admit
+from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay, replay
 from transopt.solvers.options import SolverOptions
 
@@ -93,8 +94,8 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     problem, solution, proof = designed.problem, designed.solution, designed.certificate
     nothing = float("nan")
     predicted, _ = problem.stage.rollout(solution.command)
-    status, shortfalls = admit(solution.status, proof, run, problem, solution.command, predicted)
-    said = "; ".join(designed.remarks or shortfalls)
+    status, shortfalls = admit(designed, run)
+    said = "; ".join(shortfalls)
     if status is Status.OPTIMAL:
         # Beside a zero reference any motion is infinitely wrong: that of the wall alone, or what is left undone after
         # a window that ends before the tap begins.
@@ -129,16 +130,13 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     return Outcome(f"refused: {status.name}{unchecked}", said, nothing, nothing, 0.0)
 
 
-def with_remedy(case: StressCase, designed: Designed, run: Replay, found: Outcome) -> Outcome:
+def with_remedy(case: StressCase, entry: Entry, found: Outcome) -> Outcome:
     """A refusal with what would do, or bad where nothing was found that does."""
     if not found.kind.startswith("refused"):
         return found
-    problem, solution = designed.problem, designed.solution
-    predicted, _ = problem.stage.rollout(solution.command)
-    status, _ = admit(solution.status, designed.certificate, run, problem, solution.command, predicted)
     # The worst of several devices takes some ten problems where another one takes one.
-    patience = PATIENCE if problem.worst else 1.0
-    own = remedies(case, problem, run, status, SolverOptions(), most_s=patience * MOST_S)
+    patience = PATIENCE if entry.problem.worst else 1.0
+    own = remedies(case, entry, SolverOptions(), most_s=patience * MOST_S)
     kind = found.kind if any(remedy.solved for remedy in own) else "bad: no remedy"
     return replace(found, kind=kind, detail=f"{found.detail}; {what_would_do(own)}")
 
@@ -152,11 +150,8 @@ def judge(case: StressCase) -> Outcome:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            problem = case.problem()
-            designed = best(problem, SolverOptions(), objective=case.objective)
-            command = np.nan_to_num(designed.solution.command, nan=0.0, posinf=0.0, neginf=0.0)
-            run = played(designed.problem, command)
-            found = with_remedy(case, designed, run, judge_design(designed, run))
+            (entry,) = design([case.posed()])
+            found = with_remedy(case, entry, judge_design(entry.designed, entry.played))
         except InputError as error:
             named = re.search(INPUT, str(error)) is not None
             field = re.split(r"[ =]", str(error))[0].rstrip(":")

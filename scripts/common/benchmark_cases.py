@@ -25,7 +25,9 @@ from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
-from transopt.design.entry import Entry, design_grip
+from transopt.design.context import Context
+from transopt.design.design import design
+from transopt.design.entry import Entry
 from transopt.library.library import Library
 from transopt.library.online import Online
 from transopt.plant.discretise import discretise
@@ -134,7 +136,7 @@ def designed_entry(name: str, scene: Scene, speed_m_s: float, grip_N: float, aft
     wanted, options = references[scene.grid.speeds_m_s.index(speed_m_s)], SolverOptions()
 
     def run() -> Entry:
-        return design_grip(scene, grip_N, [wanted], options)[0]
+        return design([Context(scene).posed_as(wanted, grip_N)], options=options)[0]
 
     first, second = (elapsed_ms(run) for _ in range(2))
     proof = run().certificate

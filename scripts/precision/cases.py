@@ -8,7 +8,7 @@ import problems
 from precision.qp import QP, quadratic_program, solved
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.context import Context
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
@@ -207,4 +207,4 @@ def case_of_scene(name: str) -> Case:
     scene = problems.load(name)
     speed, grip = scene.grid.speeds_m_s[-1], scene.grid.grips_N[-1]
     reference = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)[-1]
-    return make_case(name, scene, entry_problem(scene, scene_stage(scene, grip), reference), speed, grip)
+    return make_case(name, scene, Context(scene).posed_as(reference, grip).problem, speed, grip)

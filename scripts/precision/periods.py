@@ -10,7 +10,7 @@ from precision.cases import Case
 from precision.methods import Kind, Level
 from precision.run import Effort, Row, set_up_and_run_ms, time_columns
 from transopt.base.signals import FloatArray
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.context import Context
 from transopt.plant.discretise import discretise
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
@@ -43,7 +43,7 @@ def reference_of(scene: Scene, speed_m_s: float) -> Reference:
 
 def _problem(case: Case, rate_Hz: float) -> TransientProblem:
     scene = at_rate(case.scene, rate_Hz)
-    return entry_problem(scene, scene_stage(scene, case.grip_N), reference_of(scene, case.speed_m_s))
+    return Context(scene).posed_as(reference_of(scene, case.speed_m_s, case.grip_N).problem)
 
 
 def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATES_Hz) -> list[Row]:

@@ -14,9 +14,10 @@ from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, playe
 from problems.stress.oracle import Verdict, admits_a_command
 from problems.stress.run import run_cases, summary
 from tests.benches.commands import Terminal, assert_refused
-from transopt.design.optimum import Designed, optimum
+from transopt.design.optimum import optimum
 from transopt.problem.answer import Certificate, Status
 from transopt.proof.certify import Effect, admissible, movement_bound, reduced_gradient
+from transopt.proof.designed import Designed
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
@@ -184,7 +185,7 @@ class TestJudge:
             raise KeyError("x")
 
         for broken, kind in ((divides, "bad: RuntimeWarning"), (breaks, "bad: KeyError")):
-            monkeypatch.setattr("problems.stress.judge.best", broken)
+            monkeypatch.setattr("problems.stress.judge.design", broken)
             assert judge(SATURATED).kind == kind
 
     def test_the_oracle_sees_both_ways(self) -> None:

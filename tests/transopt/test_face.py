@@ -158,7 +158,8 @@ def reached(value: Any, seen: set[int]) -> Iterator[Any]:
 class TestShown:
     def test_every_object_fits_a_terminal(self, build: to.Build, taps: list[to.Recording]) -> None:
         library = build.library
-        shown = list(reached([build, taps, library.at(0.33, 2.0), to.verify(library)], set()))
+        replays = [entry.played for entry in build.all_entries()]
+        shown = list(reached([build, taps, library.at(0.33, 2.0), to.verify(library), replays], set()))
         shown += [replace(build, library=None), library.problem(3, 2), library.stage(0), library.posing()]
         names = {type(each).__name__ for each in shown}
         assert names >= {

@@ -171,7 +171,8 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
     def designed(part: "DevicePart") -> "Taps | None":
         import numpy as np
 
-        from transopt.design.posed import optimal_commands
+        from transopt.design.context import Context
+        from transopt.design.design import design
         from transopt.identify.device.verdict import Taps
         from transopt.scene import builtin
         from transopt.scene.model_file import save_part
@@ -182,14 +183,16 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
             save_part(model, "device", part)
             try:
                 scene = builtin.load_scene(scene_name, model=model)
-                commands = optimal_commands(scene, recordings_of(scene))
+                context = Context.recorded(scene, recordings_of(scene))
+                grips, speeds = scene.grid.grips_N, [reference.speed_m_s for reference in context.references]
+                entries = [design([context.posed_as(each, grip) for each in context.references]) for grip in grips]
             except InputError:
                 return None
         return Taps(
-            speeds_m_s=tuple(reference.speed_m_s for reference in commands.references),
-            grips_N=tuple(scene.grid.grips_N),
-            current_A=commands.plant_input,
-            energy=np.sum(commands.predicted_m_s2**2, axis=2),
+            speeds_m_s=tuple(speeds),
+            grips_N=tuple(grips),
+            current_A=np.array([[entry.plant_input for entry in row] for row in entries]),
+            energy=np.array([[np.sum(entry.predicted_m_s2**2) for entry in row] for row in entries]),
             dt_s=scene.time_grid().dt_s,
         )
 

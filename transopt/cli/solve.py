@@ -30,6 +30,7 @@ class Wanted:
     grid_tolerance : None for the scene's own grid.
     grid_cap : most entries of a refined grid.
     figures : whether any are drawn.
+    full : whether the report has what takes further optima of every entry.
     """
 
     scene: "Scene"
@@ -38,6 +39,7 @@ class Wanted:
     grid_tolerance: float | None
     grid_cap: int
     figures: bool
+    full: bool
 
 
 def solve(
@@ -62,8 +64,12 @@ def solve(
     ] = None,
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
     figures: Annotated[
-        bool, typer.Option(help="Draw transients, methods, Bode plot and trade-off into the folder.")
+        bool, typer.Option(help="Draw transients, methods and Bode plot into the folder, with the full report more.")
     ] = True,
+    report: Annotated[
+        str,
+        typer.Option(help="brief, or full: prices of all entries and what intensity costs, which take longer."),
+    ] = "brief",
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up.
 
@@ -75,13 +81,15 @@ def solve(
     from transopt.solvers.choose import check_name
     from transopt.solvers.options import SolverOptions, default_solver
 
+    if report not in ("brief", "full"):
+        raise InputError(f"--report {report}: must be brief or full")
     name = default_solver() if solver is None else solver
     check_name(name)
     options = SolverOptions(name, solver_tolerance)
     loaded = _load(scene, recordings, model)
     unfit = _unfit(loaded, accept_unfit_model)
     folder = Path("out") / loaded.name if out is None else out
-    wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures)
+    wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures, report == "full")
     if loaded.nonlinear:
         _solve_nonlinear(wanted)
         return
@@ -110,8 +118,8 @@ def _solve_nonlinear(wanted: Wanted) -> None:
     if wanted.grid_tolerance is not None:
         raise InputError("--grid-tolerance: refines a grid of speeds, and model.nonlinear has targets: leave it out")
     # What only a nonlinear plant needs is loaded only for one.
-    from transopt.design.nonlinear import design_nonlinear
-    from transopt.report.nonlinear import refusals, write_nonlinear
+    from transopt.design.solve import design_nonlinear
+    from transopt.report.nonlinear import nonlinear_table, refusals, write_nonlinear
     from transopt.report.tables import printed
 
     folder = wanted.folder
@@ -120,17 +128,17 @@ def _solve_nonlinear(wanted: Wanted) -> None:
     written = write_nonlinear(design, folder, figures=wanted.figures)
     terminal.if_stopped(f"stopped; {folder} is written")
     console = terminal.console()
-    console.print(printed(design.table, wanted.scene.name))
-    for entry in design.entries:
+    console.print(printed(nonlinear_table(design), wanted.scene.name))
+    for entry in design.all_entries():
         for said in refusals(entry):
             console.print(f"refused: {entry.target}: {said}", style="red", highlight=False, soft_wrap=True)
     names = ", ".join(path.name for path in written)
-    refused = len(design.entries) - len(design.proven)
+    refused = len(design.refused)
     kept = "; no library written, an earlier one is kept" if refused else ""
     console.print(f"{folder}: {names}{kept}", highlight=False, soft_wrap=True)
     console.print(
-        f"{len(design.proven)} of {len(design.entries)} targets certified stationary and replayed on the nonlinear "
-        f"plant; {design.elapsed_s:.1f} s",
+        f"{len(design.proven)} of {design.scene.axes.entries} targets certified stationary and replayed on the "
+        f"nonlinear plant; {design.elapsed_s:.1f} s",
         style="red" if refused else None,
         highlight=False,
         soft_wrap=True,
@@ -213,7 +221,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
         )
         bar.update(task, visible=False)
         bar.add_task("files", total=None)
-        written = write_report(build, wanted.folder, figures=wanted.figures)
+        written = write_report(build, wanted.folder, figures=wanted.figures, full=wanted.full)
     return build, [path.name for path in written]
 
 

@@ -11,9 +11,12 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.machine import versions
 from transopt.base.shown import cut, html_figure, html_table, wrapped
+from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.base.writing import percent
-from transopt.design.entry import Entry, design_grip
+from transopt.design.context import Context
+from transopt.design.design import RIVALS, design
+from transopt.design.entry import Entry
 from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
@@ -21,15 +24,13 @@ from transopt.library.columns import EntryTable
 from transopt.library.library import PLANT, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import in_file_form, shared_left_out, temperature_is_in
 from transopt.plant.state_space import POSITION, VELOCITY
-from transopt.problem.answer import Status
 from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.supply import COPPER, SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between
+from transopt.recordings.reference import Reference
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS
-from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -54,24 +55,27 @@ class Build:
 
     def __repr__(self) -> str:
         entries = list(self.all_entries())
-        errors = [entry.nrmse for entry in entries if entry.status is Status.OPTIMAL]
+        errors = [entry.nrmse for entry in entries if entry.admitted]
         found = f", NRMSE {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
+        certified = "certified stationary" if self.scene.nonlinear else "certified"
         return wrapped(
             f"Build({cut(self.scene.name)}: {self.scene.axes.said}, "
-            f"{len(errors)} of {len(entries)} entries certified and replayed"
+            f"{len(errors)} of {len(entries)} entries {certified} and replayed"
             f"{found}; {self.elapsed_s:.2f} s)"
         )
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
-        shown = self.table(("nrmse", "floor", "after", "after_peak", "seed", "clipped", "binding", "verdict"))
+        linear = ("linear",) if self.scene.nonlinear else ()
+        names = ("nrmse", "floor", "after", "after_peak", "seed", "clipped", *linear, "binding", "verdict")
+        shown = self.table(names)
         return html_table(repr(self), shown.heads, shown.cells) + html_figure(self.plot())
 
     def table(self, names: Sequence[str]) -> EntryTable:
         """All entries, speeds outermost, in columns of `transopt.library.columns.COLUMNS`."""
-        scene, rows = self.scene, [entry.row for entry in self.all_entries()]
+        scene = self.scene
         limits = (scene.limits.transient_input, scene.limits.steady_input)
-        return EntryTable(scene.axes.columns, names, rows, scene.driven_by.unit, limits)
+        return EntryTable(scene.axes.columns, names, list(self.all_entries()), scene.driven_by.unit, limits)
 
     def plot(self) -> "Figure":
         """Every waveform over time; of a refused entry only its reference.
@@ -125,11 +129,31 @@ class Build:
                         f"{nodes[-1]:g} {unit}: ask for points within them"
                     )
         own = Nodes(tuple(grid.speeds_m_s), tuple(grid.grips_N))
-        return Errors(self.scene, self.references, SolverOptions(self.solver)).replayed(asked, own, own)
+        return Errors(Context(self.scene, self.references), SolverOptions(self.solver)).replayed(asked, own, own)
 
     @property
     def refused(self) -> list[Entry]:
-        return [entry for entry in self.all_entries() if entry.status is not Status.OPTIMAL]
+        return [entry for entry in self.all_entries() if not entry.admitted]
+
+    @property
+    def proven(self) -> list[Entry]:
+        """Entries that are certified and replayed clean."""
+        return [entry for entry in self.all_entries() if entry.admitted]
+
+    def command(self, target: str) -> FloatArray:
+        """(N,) command of a named target [A or V], issued at -lead + k dt and held.
+
+        Raises
+        ------
+        InputError : a target that the scene does not have, or one whose design is refused.
+        """
+        entry = next((each for each in self.all_entries() if each.target == target), None)
+        if entry is None:
+            known = ", ".join(self.scene.axes.targets) or "it has speeds"
+            raise InputError(f"{target}: no target of this scene: {known}")
+        if not entry.admitted:
+            raise InputError(f"{target}: refused: {'; '.join(entry.shortfalls) or entry.status.value}")
+        return entry.solution.command
 
 
 @one_blas_thread()
@@ -156,23 +180,25 @@ def build_library(
     """
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
-    recorded = references_of(scene, recordings)
+    recorded = Context.recorded(scene, recordings)
+    references, context = recorded.references, recorded
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
-    grips, speeds = scene.grid.grips_N, scene.axes.speeds_m_s
-    references = recorded if scene.targets else [between(recorded, speed) for speed in speeds]
+        references = [recorded.reference(speed) for speed in scene.axes.speeds_m_s]
+        context = Context(scene, references)
     columns: list[list[Entry]] = []
-    for grip in grips:
-        columns.append(design_grip(scene, grip, references, options))
-        progress(len(speeds))
-    entries = [[column[i] for column in columns] for i in range(len(speeds))]
-    entries = with_remedies(scene, entries, references, options)
-    admitted = all(entry.status is Status.OPTIMAL for row in entries for entry in row)
+    for grip in scene.grid.grips_N:
+        columns.append(design([context.posed_as(each, grip) for each in references], [RIVALS], options=options))
+        progress(len(references))
+    entries = [[column[i] for column in columns] for i in range(len(references))]
+    if not scene.nonlinear:
+        entries = with_remedies(context, entries, references, options)
+    admitted = all(entry.admitted for row in entries for entry in row)
     return Build(
         scene=scene,
-        references=references,
+        references=list(references),
         entries=entries,
-        library=assemble(scene, references, entries, options, refinement) if admitted else None,
+        library=assemble(context, references, entries, options, refinement) if admitted else None,
         solver=options.solver,
         elapsed_s=time.perf_counter() - start,
         refinement=refinement,
@@ -180,13 +206,18 @@ def build_library(
 
 
 def assemble(
-    scene: Scene,
-    references: list[Reference],
+    context: Context,
+    references: Sequence[Reference],
     entries: list[list[Entry]],
     options: SolverOptions,
     refinement: Refinement | None = None,
 ) -> Library:
-    """The library of admitted entries, speeds outermost."""
+    """The library of admitted entries, speeds outermost.
+
+    Everything that it states of a nonlinear plant's problem is of the plant as it is at rest; what the commands do,
+    and the errors of the other methods, are of the nonlinear plant.
+    """
+    scene = context.scene
 
     def over_grid(value: Callable[[Entry], Any]) -> Any:
         return np.array([[value(entry) for entry in row] for row in entries])
@@ -200,7 +231,7 @@ def assemble(
         return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
 
     at_ticks = np.stack([r.nominal_position_at_ticks_m for r in references])
-    meta = {**_meta(scene, references, entries, options), "grid_refinement": _refined(refinement)}
+    meta = {**_meta(context, references, entries, options), "grid_refinement": _refined(refinement)}
     return Library(
         speeds_m_s=np.asarray(scene.axes.speeds_m_s),
         targets=np.array(scene.axes.targets or [""] * len(references), dtype=np.str_),
@@ -243,9 +274,15 @@ def assemble(
         current_sign=over_grid(lambda e: e.solution.multipliers.slope),
         mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
         correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
-        # A linear plant has no such figures; `nonlinear_library` puts in those of a nonlinear one.
-        linear_command=np.zeros((len(references), len(plants), scene.time.stages)),
-        **{name: np.zeros((len(references), len(plants))) for name in ("nrmse_promised", "nrmse_linear", "substeps")},
+        # A linear plant has no such figures.
+        linear_command=over_grid(
+            lambda e: np.zeros(scene.time.stages) if e.linear_command is None else e.linear_command
+        ),
+        nrmse_promised=over_grid(lambda e: 0.0 if e.linear_played is None else e.linear_promised),
+        nrmse_linear=over_grid(lambda e: 0.0 if e.linear_played is None else e.linear_nrmse),
+        substeps=over_grid(
+            lambda e: 0.0 if e.designed.nonlinear is None else float(e.designed.nonlinear.stage.substeps)
+        ),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
         spread_share=over_grid(lambda e: e.problem.shared[1:]),
@@ -254,8 +291,9 @@ def assemble(
 
 
 def _meta(
-    scene: Scene, references: list[Reference], entries: list[list[Entry]], options: SolverOptions
+    context: Context, references: Sequence[Reference], entries: list[list[Entry]], options: SolverOptions
 ) -> dict[str, Any]:
+    scene = context.scene
     amplifier, coil, wall, circuit = scene.amplifier_model(), scene.coil(), scene.wall(), scene.circuit()
     problem = entries[0][0].problem
     rail, heard = problem.limits.get(SupplyLimit.name), problem.error_filter
@@ -288,7 +326,7 @@ def _meta(
         "feedback": None if wall is None else asdict(wall),
         "weights": {
             "rho": problem.rho,
-            "tracking": scene.posing().tracking_weights.tolist(),
+            "tracking": context.posing.tracking_weights.tolist(),
             "after_s": scene.weights.after_s,
             "objective": scene.weights.objective,
             "intensity_dB": scene.weights.intensity_dB,
@@ -302,8 +340,9 @@ def _meta(
         "hand_over_samples": scene.hand_over_samples,
         "left_out": shared_left_out([[entry.left_out for entry in row] for row in entries]),
         "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
+        **({"nonlinear": scene.formulas} if scene.nonlinear else {}),
         "scene": scene.model_dump(mode="json"),
-        "solver": asdict(options),
+        "solver": {**asdict(options), **({"nonlinear": entries[0][0].solution.solver} if scene.nonlinear else {})},
         "sources": [
             *(source for r in references if r.between_m_s is None for source in _sources(scene, r)),
             *_target_sources(scene, references),
@@ -365,7 +404,7 @@ def _sources(scene: Scene, reference: Reference) -> list[dict[str, Any]]:
     ]
 
 
-def _target_sources(scene: Scene, references: list[Reference]) -> list[dict[str, Any]]:
+def _target_sources(scene: Scene, references: Sequence[Reference]) -> list[dict[str, Any]]:
     """Named targets, each as it is stated, with the hash of its file if it was read from one."""
     if not scene.targets:
         return []

@@ -1,51 +1,39 @@
-"""The design of library entries: optimum, floor, baselines, certificate, replay, admission."""
+"""An entry: the answer for one tap or named target, with everything that is said about it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from transopt.base.axes import Axes
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.base.writing import percent
-from transopt.design.attained import Attained
+from transopt.design.batch import Baselines, Batch
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
-from transopt.design.optimum import Designed
-from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.design.price import Price, binding, prices
-from transopt.design.verify import admit
-from transopt.library.columns import NAN, EntryTable, TableRow
-from transopt.plant.coil import CoilModel
-from transopt.plant.continuous import Accurate, accurate
+from transopt.library.columns import NAN, PAIR, EntryTable
 from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
-from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
+from transopt.proof.admit import admit
 from transopt.proof.certify import Box, binding_limits, boxes
-from transopt.proof.replay import Replay, errors_of, replay, replayed_errors
-from transopt.recordings.reference import Reference
-from transopt.scene.scene import Scene
+from transopt.proof.designed import Attained, Designed
+from transopt.proof.replay import Replay
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import Size, size
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
 
-
-@dataclass(frozen=True)
-class Baselines:
-    """NRMSE of the two other methods after replay, at the transient limit and at the steady limit."""
-
-    seed: float
-    clipped: float
-    seed_steady: float
-    clipped_steady: float
+ADMITTED = (Status.OPTIMAL, Status.STATIONARY)
 
 
 @dataclass(frozen=True)
@@ -70,58 +58,217 @@ class SpreadErrors:
     robust_worst: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Entry:
-    """One (speed, grip) of a library, with everything that is said about it.
+    """One (speed, grip) or named target of a scene, and everything that is said about it.
+
+    What is said is made when it is first read and then kept: the replay with those of the other answers of the same
+    device, and what only some readers ask for, as prices, alone.
 
     Attributes
     ----------
     speed_m_s, grip_N : that it is for; 0 where it is for a named target.
     target : its name; empty for a tap.
-    predicted_m_s2, plant_input : (N,) y'' and i of the command at the switching instants.
-    floor : NRMSE of the unlimited optimum. free_peak : its peak current.
-    transient_command : (N,) the command without the wall's predicted feedback; the command itself without a wall.
-    status, shortfalls : admission; shortfalls is empty for an OPTIMAL entry.
-    remedies : what would do for a refused one, or what was tried; empty where nothing was.
-    prices : what each limit that binds costs.
-    left_out : part of the problem -> why it is not in it.
-    solved : the problem that a program was made of; None where one linear solve was enough.
-    spread : errors over the spread of devices; None for an entry designed for one device.
-    attained : what was found of the energy that was asked for; None where the scene asks for none.
+    designed : the answer with its proof.
+    batch : the answers of the same device, which are replayed together. index : of this one among them.
+    repeatability : trial-to-mean NRMSE of the recordings; NaN if unknown.
+    options : by which further optima are solved.
+    objective : "waveform" or "intensity", as the scene asks.
     """
 
     speed_m_s: float
     grip_N: float
     target: str
-    problem: TransientProblem
-    solution: Solution
-    certificate: Certificate
-    played: Replay
-    predicted_m_s2: FloatArray
-    plant_input: FloatArray
-    transient_command: FloatArray
-    floor: float
-    free_peak: float
-    baselines: Baselines
+    designed: Designed
+    batch: Batch
+    index: int
     repeatability: float
-    status: Status
-    shortfalls: list[str]
-    binding: str
-    prices: list[Price]
-    left_out: dict[str, str]
-    solved: TransientProblem | None
-    spread: SpreadErrors | None
-    remedies: tuple[Remedy, ...] = ()
-    attained: Attained | None = None
+    options: SolverOptions
+    objective: str
+
+    def stating(self, **values: Any) -> "Entry":
+        """Give the entry again with some of what is said of it stated, by name, in place of being made."""
+        named = {field.name for field in fields(self)}
+        found = replace(self, **{name: value for name, value in values.items() if name in named})
+        made = {name: value for name, value in vars(self).items() if name not in named} | values
+        vars(found).update({name: value for name, value in made.items() if name not in named})
+        return found
+
+    @property
+    def problem(self) -> TransientProblem:
+        """Problem with every limit of the scene; of a nonlinear plant that of the plant at rest."""
+        return self.designed.problem
+
+    @property
+    def solution(self) -> Solution:
+        """Command (N,) and multipliers."""
+        return self.designed.solution
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof of the answer."""
+        return self.designed.certificate
+
+    @cached_property
+    def played(self) -> Replay:
+        """The command in continuous time."""
+        return self.batch.replays[self.index]
+
+    @cached_property
+    def baselines(self) -> Baselines:
+        """Errors of the two other methods."""
+        return self.batch.rivals[self.index]
+
+    @property
+    def predicted_m_s2(self) -> FloatArray:
+        """(N,) y'' of the command at the switching instants."""
+        return self.designed.effect.motion.acceleration_m_s2
+
+    @property
+    def plant_input(self) -> FloatArray:
+        """(N,) what drives the plant there [A or V]."""
+        return self.designed.effect.motion.plant_input
+
+    @cached_property
+    def transient_command(self) -> FloatArray:
+        """(N,) the command without the wall's predicted feedback; the command itself without a wall."""
+        return self.problem.transient_command(self.solution.command)
+
+    @cached_property
+    def told(self) -> Target:
+        """Target against which errors are told, where refinement asks the device for another one."""
+        return self.batch.told[self.index]
+
+    @cached_property
+    def floor(self) -> float:
+        """NRMSE of the optimum without limits."""
+        if self.told is self.problem.target:
+            return self.designed.floor
+        return self.told.nrmse(self.problem.stage.rollout(self.designed.unlimited_command)[0])
+
+    @property
+    def free_peak(self) -> float:
+        """Largest plant input of the optimum without limits."""
+        return self.designed.free_peak
+
+    @cached_property
+    def _admission(self) -> tuple[Status, list[str]]:
+        return admit(self.designed, self.played)
+
+    @cached_property
+    def status(self) -> Status:
+        """How it ended; an entry of a library is OPTIMAL, or on a nonlinear plant STATIONARY."""
+        return self._admission[0]
+
+    @cached_property
+    def shortfalls(self) -> list[str]:
+        """What speaks against it, one sentence each; empty where it is admitted."""
+        return self._admission[1]
+
+    @property
+    def admitted(self) -> bool:
+        """Whether it may stand in a library."""
+        return self.status in ADMITTED
+
+    @cached_property
+    def binding(self) -> str:
+        """The limits that bind, and when; empty where the command is not finite."""
+        command, effect = self.solution.command, self.designed.effect
+        if not np.isfinite(command).all():
+            return ""
+        return binding_limits(self.problem, command, self.solution.multipliers, effect=effect)
+
+    @cached_property
+    def prices(self) -> list[Price]:
+        """What each limit that binds costs, the dearest first; each is two to four optima more."""
+        designed = self.designed
+        if self.status is not Status.OPTIMAL:
+            return []
+        with one_blas_thread():
+            return prices(
+                designed.problem,
+                designed.solution.command,
+                designed.solution.multipliers,
+                designed.unlimited_command,
+                self.options,
+                effect=designed.effect,
+            )
+
+    @cached_property
+    def spread(self) -> SpreadErrors | None:
+        """Errors over the spread of devices; None for an entry designed for one device, or refused."""
+        if not self.problem.spread or self.status is not Status.OPTIMAL:
+            return None
+        # Made for the node alone, and asked for the same.
+        with one_blas_thread():
+            nominal = best(self.problem.alone(), self.options, objective=self.objective).solution.command
+        return _spread_errors(self.problem, nominal, self.solution.command)
+
+    @cached_property
+    def remedies(self) -> tuple[Remedy, ...]:
+        """What would do for a refused entry, or what was tried; empty unless a build has looked for it."""
+        return ()
+
+    @property
+    def linear_command(self) -> FloatArray | None:
+        """(N,) the command of the design for the plant at rest, beside that for a nonlinear plant."""
+        linear = self.designed.linear
+        return None if linear is None else np.nan_to_num(linear.solution.command)
+
+    @cached_property
+    def linear_played(self) -> Replay | None:
+        """Replay of `linear_command` on the nonlinear plant."""
+        return None if self.designed.linear is None else self.batch.linear_replays[self.index]
+
+    @property
+    def linear_nrmse(self) -> float:
+        """NRMSE of that command on the nonlinear plant; NaN for a linear plant, and where its motion has no value."""
+        played = self.linear_played
+        return NAN if played is None or not np.isfinite(played.nrmse) else played.nrmse
+
+    @cached_property
+    def linear_promised(self) -> float:
+        """NRMSE that the plant at rest would have under that command; NaN for a linear plant."""
+        if self.linear_command is None:
+            return NAN
+        return self.told.nrmse(self.problem.stage.rollout(self.linear_command)[0])
+
+    @cached_property
+    def linear_leaves(self) -> list[str]:
+        """Limits that the linear design leaves on the nonlinear plant, one sentence each."""
+        played = self.linear_played
+        return [] if played is None else [x.replayed(played.peak(x)) for x in self.problem.limits if played.leaves(x)]
+
+    @property
+    def off_replay(self) -> float:
+        """Largest difference of the predicted y'' to the replay's, relative to its peak: the stage's own error."""
+        off = float(np.abs(self.predicted_m_s2 - self.played.acceleration_m_s2).max())
+        return off / max(self.played.scale_m_s2, float(np.finfo(float).tiny))
+
+    @property
+    def attained(self) -> Attained | None:
+        """What was found of the energy that was asked for; None where the scene asks for none."""
+        return self.designed.attained
+
+    @property
+    def solved(self) -> TransientProblem | None:
+        """The problem that a program was made of; None where one linear solve was enough."""
+        return self.designed.solved
+
+    @cached_property
+    def left_out(self) -> dict[str, str]:
+        """Part of the problem -> why it is not in it."""
+        return {**not_asked_for(self.problem, self.grip_N), **self.designed.left_out}
 
     def __repr__(self) -> str:
-        found = (
-            f"NRMSE {percent(self.nrmse)} %, floor {percent(self.floor)} %; {self.verdict}; "
-            f"binds: {cut(self.binding)}"
-            if self.status is Status.OPTIMAL
-            else f"refused: {cut('; '.join(self.shortfalls) or self.status.value)}"
-        )
-        return wrapped(f"Entry({self.place}: {found})")
+        if not self.admitted:
+            found = f"refused: {cut('; '.join(self.shortfalls) or self.status.value)}"
+        elif self.designed.linear is not None:
+            found = f"NRMSE {percent(self.nrmse)} %, of the linear design {percent(self.linear_nrmse)} %"
+        else:
+            found = f"NRMSE {percent(self.nrmse)} %, floor {percent(self.floor)} %; {self.verdict}"
+        binds = f"; binds: {cut(self.binding)}" if self.admitted else ""
+        return wrapped(f"Entry({self.place}: {found}{binds})")
 
     @property
     def place(self) -> str:
@@ -134,32 +281,22 @@ class Entry:
         return self._axes.cells(0, 0)
 
     @property
+    def columns(self) -> list[str]:
+        """Heads of `cells`."""
+        return self._axes.columns
+
+    @property
     def _axes(self) -> Axes:
         return Axes((self.speed_m_s,), (self.grip_N,), (self.target,) if self.target else ())
 
+    def value(self, column: str) -> Any:
+        """What the entry has in a column of `transopt.library.columns.COLUMNS`."""
+        return VALUES[column](self)
+
     @property
-    def row(self) -> TableRow:
-        """What tables show of it."""
-        b, looked = self.baselines, self.problem.grid.after_stages > 0
-        admitted = self.status is Status.OPTIMAL
-        return TableRow(
-            place=tuple(self.cells),
-            nrmse=self.nrmse,
-            floor=self.floor,
-            after=self.played.nrmse_after if looked else NAN,
-            after_peak_m_s2=self.played.error_peak_after_m_s2 if looked else NAN,
-            seed=(b.seed, b.seed_steady),
-            clipped=(b.clipped, b.clipped_steady),
-            repeatability=self.repeatability,
-            peak_input=self.played.peak_input,
-            winding_C=self.played.winding_C,
-            violation=self.certificate.primal_violation,
-            relative_gap=self.certificate.relative_gap,
-            solve_time_s=self.solution.solve_time_s,
-            binding=self.binding,
-            verdict=self.verdict,
-            refusal="" if admitted else self.status.value,
-        )
+    def refusal(self) -> str:
+        """Why it is refused, in the words of its status; empty for an entry that is admitted."""
+        return "" if self.admitted else self.status.value
 
     @property
     def unit(self) -> str:
@@ -169,8 +306,8 @@ class Entry:
     def _repr_html_(self) -> str:
         """Table, a row for each column, and figure in a notebook."""
         names = ("nrmse", "floor", "after", "after_peak", "seed", "clipped", "peak", "gap", "binding", "verdict")
-        shown = EntryTable((), names, (self.row,), self.unit)
-        rows = [["entry", self.place], *map(list, zip(shown.heads, shown.figures(self.row), strict=True))]
+        shown = EntryTable((), names, (self,), self.unit)
+        rows = [["entry", self.place], *map(list, zip(shown.heads, shown.figures(self), strict=True))]
         rows += [["why it is refused", said] for said in self.shortfalls]
         return html_table(repr(self), ["", ""], rows) + html_figure(self.plot())
 
@@ -211,7 +348,7 @@ class Entry:
         """
         if self.problem.reference_is_zero:
             return {}
-        return binding(self.problem, self.solution.command, self.solution.multipliers)
+        return binding(self.problem, self.solution.command, self.solution.multipliers, effect=self.designed.effect)
 
     def boxes(self, command: FloatArray | None = None) -> list[Box]:
         """Every limit along a command, with its bounds.
@@ -232,11 +369,40 @@ class Entry:
 
     @property
     def verdict(self) -> str:
-        if self.status is not Status.OPTIMAL:
+        """How good it is, see `transopt.problem.answer.verdict`; the floor of a plant at rest measures no other."""
+        if not self.admitted:
             return "refused"
         if self.problem.reference_is_zero:
             return "zero reference"
-        return verdict(self.nrmse, self.floor, self.repeatability, self.levels)
+        floor = self.floor if self.designed.nonlinear is None else NAN
+        return verdict(self.nrmse, floor, self.repeatability, self.levels)
+
+
+def _after(value: Callable[[Replay], float]) -> Callable[[Entry], float]:
+    """A figure after the waveform, which a scene need not look at."""
+    return lambda entry: value(entry.played) if entry.problem.grid.after_stages > 0 else NAN
+
+
+# What an entry has in the columns of `transopt.library.columns.COLUMNS`.
+VALUES: dict[str, Callable[[Entry], Any]] = {
+    "nrmse": lambda entry: entry.nrmse,
+    "floor": lambda entry: entry.floor,
+    "after": _after(lambda played: played.nrmse_after),
+    "after_peak": _after(lambda played: played.error_peak_after_m_s2),
+    "seed": lambda entry: (entry.baselines.seed, entry.baselines.seed_steady),
+    "clipped": lambda entry: (entry.baselines.clipped, entry.baselines.clipped_steady),
+    "linear": lambda entry: PAIR if entry.linear_played is None else (entry.linear_promised, entry.linear_nrmse),
+    "linear_after": lambda entry: NAN if entry.linear_played is None else entry.linear_played.nrmse_after,
+    "repeats": lambda entry: entry.repeatability,
+    "peak": lambda entry: entry.played.peak_input,
+    "winding": lambda entry: entry.played.winding_C,
+    "violation": lambda entry: entry.certificate.primal_violation,
+    "gap": lambda entry: entry.certificate.relative_gap,
+    "ms": lambda entry: entry.solution.solve_time_s,
+    "binding": lambda entry: entry.binding,
+    "result": lambda entry: "; ".join([entry.status.value, *entry.shortfalls]),
+    "verdict": lambda entry: entry.verdict,
+}
 
 
 def energy_dB(problem: TransientProblem, command: FloatArray) -> float:
@@ -246,8 +412,8 @@ def energy_dB(problem: TransientProblem, command: FloatArray) -> float:
     return problem.tracking.energy_dB(problem.accelerations(command))
 
 
-def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
-    """Parts that the scene does not ask for."""
+def not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:
+    """Parts that the scene of a problem does not ask for, each with the reason."""
     plant = problem.stage.plant
     # A black box has no position, and the state of its other grip that a node does not need is none.
     idle = int(np.sum(~acting_states(plant))) if plant.Ce.any() else 0
@@ -258,7 +424,7 @@ def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]
             "nothing in the scene depends on it" + (f": {idle} state fewer" if idle else ""),
         ),
         "amplifier": (problem.stage.amplifier is None, "ideal in the scene"),
-        "hand": (scene.grid.grips_N[0] == 0, "free device, grip 0"),
+        "hand": (grip_N == 0, "free device, grip 0"),
         "weighting": (problem.error_filter is None, "the scene weighs all frequencies alike"),
     }
     limits = {
@@ -268,87 +434,6 @@ def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]
     }
     parts = {**parts, **limits}
     return {part: reason for part, (missing, reason) in parts.items() if missing}
-
-
-def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], options: SolverOptions) -> list[Entry]:
-    """All entries of one grip, in the order of the references.
-
-    Solved one by one with one solver object; the optimum and the baselines of all speeds are replayed together.
-    """
-    stage = scene_stage(scene, grip_N)
-    spread = spread_stages(scene, grip_N)
-    objective = scene.weights.objective
-    problems = [entry_problem(scene, stage, reference, spread) for reference in references]
-    designed = [best(problem, options, objective=objective) for problem in problems]
-    replays, rivals = played_with_rivals(scene.limits.steady_input, scene.coil(), designed)
-    return [
-        _entry(scene, grip_N, reference, d, played, baselines, options)
-        for reference, d, played, baselines in zip(references, designed, replays, rivals, strict=True)
-    ]
-
-
-def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Replay]:
-    """Replays of optima, through the wall if there is one; all of one device, time axis and tap rate."""
-    return _replayed(coil, designed, _transients(designed), None)
-
-
-def played_with_rivals(
-    steady_input: float, coil: CoilModel | None, designed: Sequence[Designed]
-) -> tuple[list[Replay], list[Baselines]]:
-    """Replays of optima as of `replayed`, and the two other methods at the transient limit and at the steady one.
-
-    The rivals know no wall. Without one all commands go through one simulation.
-    """
-    first = designed[0].problem
-    transients, rivals = _transients(designed), rivals_of(steady_input, designed)
-    targets = [d.problem.target for d in designed] * (len(rivals) // len(designed))
-    if first.wall is None:
-        together, M = accurate(first.stage, first.grid, np.concatenate([transients, rivals]), None), len(designed)
-        replays = _replayed(coil, designed, transients, together.of(slice(M)))
-        errors = errors_of(together.of(slice(M, None)), first.grid, targets)
-    else:
-        replays = _replayed(coil, designed, transients, None)
-        errors = replayed_errors(first.stage, first.grid, rivals, targets)
-    return replays, [Baselines(*(float(error) for error in each)) for each in errors.reshape(-1, len(designed)).T]
-
-
-def _transients(designed: Sequence[Designed]) -> FloatArray:
-    """(M, N) what is played of each optimum, beside the wall's feedback."""
-    # A solver that broke down returns NaN, which no integrator needs to see.
-    commands = [np.nan_to_num(d.solution.command, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
-    return np.stack([d.problem.transient_command(c) for d, c in zip(designed, commands, strict=True)])
-
-
-def _replayed(
-    coil: CoilModel | None, designed: Sequence[Designed], transients: FloatArray, simulated: Accurate | None
-) -> list[Replay]:
-    problems = [d.problem for d in designed]
-    budgets = [p.thermal.budget for p in problems if p.thermal is not None]
-    walls = [p.wall for p in problems if p.wall is not None]
-    return replay(
-        problems[0].stage,
-        problems[0].grid,
-        transients,
-        [problem.target for problem in problems],
-        coil,
-        limits=[problem.limits for problem in problems],
-        walls=walls or None,
-        budgets=budgets or None,
-        simulated=simulated,
-        spread=problems[0].spread,
-    )
-
-
-def rivals_of(steady_input: float, designed: Sequence[Designed]) -> FloatArray:
-    """(4 M, N) commands of the two other methods, in the order of `Baselines`, each of all entries."""
-    first = designed[0].problem
-    references = np.stack([d.problem.reference_m_s2 for d in designed])
-    free = np.stack([d.unlimited_command for d in designed])
-    # Both limits at once: what is clipped at them is the same.
-    limits = np.array([first.limits.input_limit, steady_input])[:, None, None]
-    seed = seed_inversion(first.stage, first.grid, references, limits, first.hand_over_samples)
-    clipped = clipped_optimum(first.stage, first.grid, free, limits)
-    return np.stack([seed, clipped], axis=1).reshape(-1, first.grid.stages)  # limit, method, entry
 
 
 def _spread_errors(problem: TransientProblem, nominal: FloatArray, command: FloatArray) -> SpreadErrors | None:
@@ -367,49 +452,4 @@ def _spread_errors(problem: TransientProblem, nominal: FloatArray, command: Floa
         robust=float(robust[0]),
         robust_rms=rms(robust),
         robust_worst=float(robust.max()),
-    )
-
-
-def _entry(
-    scene: Scene,
-    grip_N: float,
-    reference: Reference,
-    designed: Designed,
-    played: Replay,
-    baselines: Baselines,
-    options: SolverOptions,
-) -> Entry:
-    problem, solution, effect = designed.problem, designed.solution, designed.effect
-    command, predicted = solution.command, effect.motion.acceleration_m_s2
-    status, shortfalls = admit(solution.status, designed.certificate, played, problem, command, predicted)
-    spread = None
-    if problem.spread and status is Status.OPTIMAL:
-        # Made for the node alone, and asked for the same.
-        nominal = best(problem.alone(), options, objective=scene.weights.objective).solution.command
-        spread = _spread_errors(problem, nominal, command)
-    return Entry(
-        speed_m_s=reference.speed_m_s,
-        grip_N=grip_N,
-        target=reference.name,
-        problem=problem,
-        solution=solution,
-        certificate=designed.certificate,
-        played=played,
-        predicted_m_s2=predicted,
-        plant_input=effect.motion.plant_input,
-        transient_command=problem.transient_command(command),
-        floor=designed.floor,
-        free_peak=designed.free_peak,
-        baselines=baselines,
-        repeatability=reference.repeatability,
-        status=status,
-        shortfalls=[*designed.remarks, *(text for text in shortfalls if not designed.remarks)],
-        binding=binding_limits(problem, command, solution.multipliers, effect=effect),
-        prices=prices(problem, command, solution.multipliers, designed.unlimited_command, options, effect=effect)
-        if status is Status.OPTIMAL
-        else [],
-        left_out={**left_out_by_scene(scene, problem), **designed.left_out},
-        solved=designed.solved,
-        spread=spread,
-        attained=designed.attained,
     )

@@ -12,9 +12,7 @@ from itertools import islice
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers, Status
-from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Box, boxes, certify
@@ -25,7 +23,6 @@ from transopt.solvers.options import SolverOptions
 
 WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
 MOST_ITERATIONS = 100
-GROWS = 1e-6  # per tick: more than rounding
 MOST_SOLVERS = 2  # asked whether a limit can be met
 PRECISION = 0.005  # relative, of the least width of a limit
 
@@ -79,27 +76,6 @@ def what_would_do(remedies: Sequence[Remedy]) -> str:
         return f"{', or '.join(solved)} would do"
     tried = ", ".join(str(remedy) for remedy in remedies)
     return f"tried in vain, as far as {tried}" if tried else "nothing was found to try"
-
-
-def unstable_wall(problem: TransientProblem) -> str:
-    """Whether the pressing wall grows by itself on this device; empty if it does not."""
-    if problem.wall is None:
-        return ""
-    growth = hand_over.growth(problem)
-    if growth <= 1 + GROWS:
-        return ""
-    stated = stated_wall(problem.wall.wall)
-    return f"feedback: on this device the pressing wall grows {growth:.4g} times per tick, with {stated}"
-
-
-def stated_wall(wall: Wall) -> str:
-    """What a scene says of its wall, as far as that is not zero."""
-    numbers = {
-        "feedback.stiffness_N_m": (wall.stiffness_N_m, " N/m"),
-        "feedback.damping_N_s_m": (wall.damping_N_s_m, " N s/m"),
-        "feedback.latency_ticks": (wall.latency_ticks, ""),
-    }
-    return ", ".join(f"{key} = {value:g}{unit}" for key, (value, unit) in numbers.items() if value > 0)
 
 
 def unavoidable(problem: TransientProblem) -> list[str]:

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt.design.attained import Attained, TOLERANCE_dB
-from transopt.design.optimum import Designed, optimum
+from transopt.design.optimum import optimum
 from transopt.design.worst import least_worst
 from transopt.problem.problem import TransientProblem
+from transopt.proof.designed import Attained, Designed, TOLERANCE_dB
 from transopt.solvers.options import SolverOptions
 
 MOST = 0.99  # of the smallest tracking weight, and of 1

@@ -1,21 +1,21 @@
 """The optimum of one entry: the smallest problem that has it, solved."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.design.attained import Attained
-from transopt.design.explain import infeasibility, stated_wall, unavoidable, unstable_wall
+from transopt.design.explain import infeasibility, unavoidable
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import encoder_course, leave_out, pressing, pressing_under, silence
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
+from transopt.proof.admit import stated_wall, unstable_wall
 from transopt.proof.certify import Effect, certify, gradient_rounding, in_whole, inside
-from transopt.solvers import program, unlimited
+from transopt.proof.designed import Designed
+from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, solve, solve_certified
 from transopt.solvers.options import SolverOptions
 
@@ -23,47 +23,6 @@ NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
 ROUNDED = 0.2  # of a gap: what the last bits make of it, and no method that computes so gets far below it
 MOST_MASKS = 12  # solves until the wall pushes exactly where it was assumed to
 STEADIER = 1e-3  # weight of the movement, that of a scene which states none, under which a flat J may have an optimum
-
-
-@dataclass(frozen=True)
-class Designed:
-    """One entry before its replay.
-
-    Attributes
-    ----------
-    problem : with every limit of the scene, and the wall pushing where the answer makes it push.
-    certificate : of the answer for that whole problem.
-    effect : what the answer's command does in it.
-    unlimited_command : (N,) the optimum without limits. floor : its NRMSE. free_peak : its peak current.
-    left_out : part -> why the problem that was solved does not have it.
-    solved : the problem that a program was made of; None where one linear solve was enough.
-    remarks : why an entry has no answer.
-    attained : what was found of the energy that was asked for; None where none is.
-    """
-
-    problem: TransientProblem
-    solution: Solution
-    certificate: Certificate
-    effect: Effect
-    unlimited_command: FloatArray
-    floor: float
-    free_peak: float
-    left_out: dict[str, str]
-    solved: TransientProblem | None
-    remarks: list[str]
-    attained: Attained | None = None
-
-    __repr__ = brief
-
-    @property
-    def size(self) -> program.Size | None:
-        """Size of the program that was solved; None where one linear solve was enough."""
-        return None if self.solved is None else program.size(self.solved)
-
-    @property
-    def is_proven(self) -> bool:
-        """Certified, but for the global bound where the temperature binds."""
-        return self.solution.status is Status.OPTIMAL and self.certificate.is_stationary
 
 
 def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:

@@ -20,13 +20,12 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.design.intensity import best
-from transopt.design.posed import entry_problem, scene_stage, spread_stages
-from transopt.plant.discretise import StageModel
+from transopt.design.context import Context
+from transopt.design.design import design
+from transopt.design.entry import Entry
 from transopt.problem.answer import Certificate, Status
 from transopt.proof.replay import replayed_errors
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between, build_references
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Grid
 from transopt.solvers.options import SolverOptions
@@ -190,64 +189,33 @@ class Nodes:
         return Nodes(self.speeds, tuple(sorted({*self.grips, _middle(interval)})))
 
 
-@dataclass(frozen=True)
-class _Optimum:
-    command: FloatArray
-    nrmse: float
-    energy: float
-    status: Status
-    certificate: Certificate
-
-
 class Errors:
-    """The excess at any point of any grid; optima, stage models, references and results are kept for re-use."""
+    """The excess at any point of any grid; optima and results are kept for re-use."""
 
-    def __init__(self, scene: Scene, recorded: list[Reference], options: SolverOptions) -> None:
-        self._scene, self._recorded, self._options = scene, recorded, options
-        self._filter = scene.posing().error_filter
-        self._stages: dict[float, StageModel] = {}
-        self._spreads: dict[float, tuple[StageModel, ...]] = {}
-        self._references: dict[float, Reference] = {}
-        self._optima: dict[Point, _Optimum] = {}
+    def __init__(self, context: Context, options: SolverOptions) -> None:
+        self.context, self._options = context, options
+        self._optima: dict[Point, Entry] = {}
         self._excess: dict[tuple[Point, tuple[Interval, Interval]], float] = {}
 
-    def stage(self, grip_N: float) -> StageModel:
-        if grip_N not in self._stages:
-            self._stages[grip_N] = scene_stage(self._scene, grip_N)
-        return self._stages[grip_N]
-
-    def spread(self, grip_N: float) -> tuple[StageModel, ...]:
-        if grip_N not in self._spreads:
-            self._spreads[grip_N] = spread_stages(self._scene, grip_N)
-        return self._spreads[grip_N]
-
-    def reference(self, speed_m_s: float) -> Reference:
-        if speed_m_s not in self._references:
-            self._references[speed_m_s] = between(self._recorded, speed_m_s)
-        return self._references[speed_m_s]
-
-    def optimum(self, point: Point) -> _Optimum:
+    def optimum(self, point: Point) -> Entry:
         """Raises InputError where no solver's answer can be proven: an excess over it would mean nothing."""
         if point not in self._optima:
             speed, grip = point
-            problem = entry_problem(self._scene, self.stage(grip), self.reference(speed), self.spread(grip))
-            designed = best(problem, self._options, objective=self._scene.weights.objective)
-            solution, proof = designed.solution, designed.certificate
+            (found,) = design([self.context.posed(speed, grip)], options=self._options)
+            solution, proof = found.solution, found.certificate
             if solution.status is not Status.OPTIMAL or not proof.accepted:
                 raise InputError(
                     f"--grid-tolerance: no proven optimum at {speed:g} m/s, {grip:g} N (gap "
                     f"{proof.relative_gap:.0e}, {solution.status.value}): leave it out to see what the grid's own "
                     "entries lack"
                 )
-            acceleration, _ = problem.stage.rollout(solution.command)
-            error, energy = problem.target.nrmse(acceleration), self._energy(acceleration)
-            self._optima[point] = _Optimum(solution.command, error, energy, solution.status, proof)
+            self._optima[point] = found
         return self._optima[point]
 
     @property
     def proofs(self) -> dict[Point, tuple[Status, Certificate]]:
         """How every optimum so far was found and proven."""
-        return {point: (found.status, found.certificate) for point, found in self._optima.items()}
+        return {point: (found.solution.status, found.certificate) for point, found in self._optima.items()}
 
     def solve(self, nodes: Nodes, points: Iterable[Point], progress: Callable[[int, int], None]) -> None:
         """All optima that the excess at some points takes, those of the nodes around them included."""
@@ -258,22 +226,28 @@ class Errors:
             progress(done, len(missing))
             self.optimum(point)
 
+    def _predicted_nrmse(self, point: Point) -> float:
+        """NRMSE of the optimum at a point, by the stage model."""
+        found = self.optimum(point)
+        return found.told.nrmse(found.predicted_m_s2)
+
     def _energy(self, acceleration_m_s2: FloatArray) -> float:
         """Energy of an acceleration (N,) through the scene's error filter."""
-        heard = self._filter.apply(acceleration_m_s2) if self._filter else acceleration_m_s2
+        of = self.context.posing.error_filter
+        heard = of.apply(acceleration_m_s2) if of else acceleration_m_s2
         return float(heard @ heard)
 
     def dB(self, point: Point, acceleration_m_s2: FloatArray) -> float:
         """Energy of (N,) over that of the optimum at a point; 0 where that has none."""
-        best = self.optimum(point).energy
+        best = self._energy(self.optimum(point).predicted_m_s2)
         return 10 * float(np.log10(max(self._energy(acceleration_m_s2) / best, TINY))) if best > 0 else 0.0
 
     def blend(self, nodes: Nodes, point: Point) -> FloatArray:
         """(N,) bilinear blend of the node commands, as `Library.at` makes it."""
         by_speed, by_grip = (_shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
-        blended = np.zeros(self._scene.time.stages)
+        blended = np.zeros(self.context.scene.time.stages)
         for (v, a), (F, b) in itertools.product(by_speed, by_grip):
-            blended += a * b * self.optimum((v, F)).command
+            blended += a * b * self.optimum((v, F)).solution.command
         return blended
 
     def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
@@ -281,26 +255,28 @@ class Errors:
         keys = {point: (point, nodes.cell(point)) for point in points}
         for grip, group in _by_grip(p for p, key in keys.items() if key not in self._excess):
             blended = np.stack([self.blend(nodes, point) for point in group])
-            played, _ = self.stage(grip).rollout(blended)
+            played, _ = self.context.stage(grip).rollout(blended)
             for point, acceleration in zip(group, played, strict=True):
-                error = self.reference(point[0]).target.nrmse(acceleration)
+                error = self.context.reference(point[0]).target.nrmse(acceleration)
                 short = lacking(self.dB(point, acceleration))
-                self._excess[keys[point]] = max(error - self.optimum(point).nrmse, short)
+                self._excess[keys[point]] = max(error - self._predicted_nrmse(point), short)
         return {point: self._excess[key] for point, key in keys.items()}
 
     def replayed(self, points: Sequence[Point], before: Nodes, after: Nodes) -> list[OffNode]:
         """The final word, by the independent replay: optimum and both blends at every point."""
-        grid = self._scene.time_grid()
+        grid = self.context.scene.time_grid()
         found = []
         for grip, group in _by_grip(points):
             for part in (group[j : j + REPLAYED_TOGETHER] for j in range(0, len(group), REPLAYED_TOGETHER)):
                 commands = [
-                    c for p in part for c in (self.optimum(p).command, self.blend(before, p), self.blend(after, p))
+                    c
+                    for p in part
+                    for c in (self.optimum(p).solution.command, self.blend(before, p), self.blend(after, p))
                 ]
-                wanted = [self.reference(speed).target for speed, _ in part for _ in range(3)]
+                wanted = [self.context.reference(speed).target for speed, _ in part for _ in range(3)]
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
-                played = replayed_errors(self.stage(grip), grid, np.stack(commands), wanted).tolist()
-                moved, _ = self.stage(grip).rollout(np.stack(commands))
+                played = replayed_errors(self.context.stage(grip), grid, np.stack(commands), wanted).tolist()
+                moved, _ = self.context.stage(grip).rollout(np.stack(commands))
                 for j, point in enumerate(part):
                     dB = (self.dB(point, moved[3 * j + 1]), self.dB(point, moved[3 * j + 2]))
                     optimum, *blended = played[3 * j : 3 * j + 3]
@@ -390,8 +366,8 @@ def refine_grid(
     check_tolerance(scene, tolerance, cap)
     first = Nodes(tuple(scene.grid.speeds_m_s), tuple(scene.grid.grips_N))
     start = time.perf_counter()
-    recorded = build_references(recordings, first.speeds, scene.time_grid(), scene.recordings)
-    errors = Errors(scene, recorded, SolverOptions() if options is None else options)
+    context = Context.recorded(scene, recordings)
+    errors = Errors(context, SolverOptions() if options is None else options)
     nodes, rounds = first, 0
 
     def excess(points: list[Point]) -> dict[Point, float]:

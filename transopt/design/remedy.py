@@ -16,10 +16,10 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.units import unit_of
-from transopt.design.entry import replayed
+from transopt.design.context import Posed
+from transopt.design.design import design
+from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy
-from transopt.design.intensity import best
-from transopt.design.verify import admit
 from transopt.problem.answer import Status
 from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import Replay
@@ -54,15 +54,11 @@ Move = tuple[str, bool]  # a key, and whether its number goes up
 class Adjustable(Protocol):
     """An entry that can be posed with other numbers."""
 
-    @property
-    def objective(self) -> str:
-        """What is asked for, as a scene says it: "waveform" or "intensity"."""
-
     def value(self, key: str) -> float | None:
         """What stands at a dotted key of the scene; None where nothing does."""
 
-    def problem(self, changes: Values) -> TransientProblem:
-        """The entry's problem with other numbers, None for a key that is left out.
+    def posed(self, changes: Values) -> Posed:
+        """The entry with other numbers, None for a key that is left out.
 
         Raises
         ------
@@ -75,17 +71,11 @@ def does(entry: Adjustable, changes: Values, options: SolverOptions) -> bool:
     trial = TrialOptions(options.solver, options.tolerance, min(options.max_iterations, MOST_ITERATIONS))
     with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails
         try:
-            problem = entry.problem(changes)
+            posed = entry.posed(changes)
         except InputError:
             return False
-        designed = best(problem, trial, objective=entry.objective)
-        if not designed.is_proven:
-            return False
-        (played,) = replayed(None if problem.thermal is None else problem.thermal.coil, [designed])
-        answer, command = designed.solution, designed.solution.command
-        predicted, _ = problem.stage.rollout(command)
-        status, _ = admit(answer.status, designed.certificate, played, designed.problem, command, predicted)
-    return status is Status.OPTIMAL
+        (found,) = design([posed], options=trial)
+        return found.designed.is_proven and found.admitted
 
 
 @dataclass(frozen=True)
@@ -193,26 +183,19 @@ class _Search:
         return _remedy(way.at(strong), solved=True)
 
 
-def remedies(
-    entry: Adjustable,
-    problem: TransientProblem,
-    played: Replay,
-    status: Status,
-    options: SolverOptions,
-    *,
-    most_s: float = MOST_S,
-) -> list[Remedy]:
+def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, *, most_s: float = MOST_S) -> list[Remedy]:
     """What would do for an entry that is refused: one number changed or, if none helps, several together.
 
     Parameters
     ----------
-    problem, played, status : of the refused answer: what it had to meet, its replay, how it ended.
+    refused : what had to be met, its replay, and how it ended.
     most_s : of a processor's time for all trials.
 
     Returns
     -------
     Those that do, if there are any; else those that were tried, each as far as it went.
     """
+    problem, played, status = refused.problem, refused.played, refused.status
     search = _Search(entry, options, _excess(problem, played, status), most_s)
     tried: list[Remedy] = []
     for ways in _ways(entry, problem, status):

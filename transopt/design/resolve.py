@@ -8,13 +8,11 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.entry import energy_dB, left_out_by_scene, replayed
-from transopt.design.optimum import Designed, optimum
-from transopt.design.verify import admit, unlimited_nrmse
+from transopt.design.context import Posed
+from transopt.design.design import design
+from transopt.design.entry import Entry
 from transopt.library.library import MULTIPLIERS, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
-from transopt.problem.answer import Status
-from transopt.proof.certify import binding_limits
 from transopt.solvers.options import SolverOptions
 
 
@@ -55,36 +53,32 @@ def resolve(
     kept: dict[tuple[int, int], str] = {}
     for ig in sorted({ig for _, ig in corrections_m_s2}):
         stage, speeds = library.stage(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
-        designed = []
+        posed = []
         for iv in speeds:
-            problem = library.problem(iv, ig, stage)
             wanted = library.reference_m_s2[iv] + corrections_m_s2[iv, ig]
-            designed.append(optimum(problem.towards(wanted), options))
-        for iv, answer, played in zip(speeds, designed, replayed(library.coil(), designed), strict=True):
-            command = answer.solution.command
-            motion = answer.effect.motion
-            predicted, current = motion.acceleration_m_s2, motion.plant_input
-            status, shortfalls = admit(
-                answer.solution.status, answer.certificate, played, answer.problem, command, predicted
-            )
-            if status is not Status.OPTIMAL:
-                kept[iv, ig] = (answer.remarks or shortfalls)[0]
+            problem = library.problem(iv, ig, stage).towards(wanted)
+            told = library.target(np.eye(nv)[iv])
+            grip, steady = float(library.grips_N[ig]), library.steady_input
+            posed.append(Posed(problem, grip_N=grip, coil=library.coil(), steady_input=steady, told=told))
+        for iv, entry in zip(speeds, design(posed, options=options), strict=True):
+            if not entry.admitted:
+                kept[iv, ig] = entry.shortfalls[0]
                 continue
-            target, proof = library.target(np.eye(nv)[iv]), answer.certificate
+            proof, played = entry.certificate, entry.played
             _put(
                 arrays,
                 (iv, ig),
-                _multipliers(answer, further)
+                _multipliers(entry, further)
                 | {
-                    "command": command,
-                    "transient_command": answer.problem.transient_command(command),
-                    "plant_input": current,
-                    "acceleration_m_s2": predicted,
-                    "nrmse": target.nrmse(played.acceleration_m_s2),
-                    "nrmse_after": target.nrmse_after(played.after_m_s2),
-                    "peak_after_m_s2": target.peak_after_m_s2(played.after_m_s2),
-                    "energy_dB": energy_dB(answer.problem, command) if has_energy else 0.0,
-                    "floor": unlimited_nrmse(answer.problem, target),
+                    "command": entry.solution.command,
+                    "transient_command": entry.transient_command,
+                    "plant_input": entry.plant_input,
+                    "acceleration_m_s2": entry.predicted_m_s2,
+                    "nrmse": entry.nrmse,
+                    "nrmse_after": played.nrmse_after,
+                    "peak_after_m_s2": played.error_peak_after_m_s2,
+                    "energy_dB": entry.energy_dB if has_energy else 0.0,
+                    "floor": entry.floor,
                     "peak_input": played.peak_input,
                     "peak_temperature_C": played.winding_C,
                     "objective": proof.objective,
@@ -92,14 +86,12 @@ def resolve(
                     "dual_residual": proof.dual_residual,
                     "duality_gap": proof.duality_gap,
                     "lower_bound": proof.lower_bound,
-                    "solve_time_s": answer.solution.solve_time_s,
-                    "binding": binding_limits(
-                        answer.problem, command, answer.solution.multipliers, effect=answer.effect
-                    ),
+                    "solve_time_s": entry.solution.solve_time_s,
+                    "binding": entry.binding,
                     "correction_m_s2": corrections_m_s2[iv, ig],
                 },
             )
-            left_out[iv][ig] = {**left_out_by_scene(scene, answer.problem), **answer.left_out}
+            left_out[iv][ig] = entry.left_out
     thermal = library.problem(0, 0).thermal
     warm = any(temperature_is_in(entry) for row in left_out for entry in row)
     meta = {
@@ -139,8 +131,8 @@ _CHANGED = (
 )
 
 
-def _multipliers(answer: Designed, further: Sequence[str]) -> dict[str, Any]:
-    found = answer.solution.multipliers
+def _multipliers(entry: Entry, further: Sequence[str]) -> dict[str, Any]:
+    found = entry.solution.multipliers
     arrays = {name: array[0, 0] for name, array in multiplier_arrays([[found]], further).items()}
     return {**arrays, "current_sign": found.slope, "mu_end": found.hand_over}
 

@@ -5,15 +5,13 @@ from dataclasses import dataclass, replace
 from time import process_time
 
 from transopt.base.errors import InputError
+from transopt.design.context import Context, Posed
 from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy, what_would_do
-from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.design.remedy import MOST_S, MOTOR, Values, does, remedies
 from transopt.plant.state_space import CURRENT_INPUT
-from transopt.problem.answer import Status
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.own import OwnLimit
-from transopt.problem.problem import TransientProblem
 from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import sampled_again
@@ -30,13 +28,14 @@ COIL = ("thermal.", *MOTOR)  # what only a scene with a motor of its own coil lo
 class SceneEntry:
     """One entry of a scene, which can be posed with other numbers in the scene."""
 
-    scene: Scene
+    context: Context
     grip_N: float
     reference: Reference
 
     @property
-    def objective(self) -> str:
-        return self.scene.weights.objective
+    def scene(self) -> Scene:
+        """The scene as it stands."""
+        return self.context.scene
 
     def value(self, key: str) -> float | None:
         """What stands at a dotted key; None where nothing does, or nothing that this entry depends on."""
@@ -49,8 +48,8 @@ class SceneEntry:
             found = getattr(found, name, None)
         return float(found) if isinstance(found, int | float) else None
 
-    def problem(self, changes: Values) -> TransientProblem:
-        """The problem with other numbers in the scene; a limit of a user's own is left out by its name.
+    def posed(self, changes: Values) -> Posed:
+        """The entry with other numbers in the scene; a limit of a user's own is left out by its name.
 
         Raises
         ------
@@ -58,21 +57,19 @@ class SceneEntry:
         """
         left_out = {key.removeprefix(f"{OWN}.") for key in changes if key.startswith(f"{OWN}.")}
         values = {key: value for key, value in changes.items() if not key.startswith(f"{OWN}.")}
+        scene = self.scene
         if left_out:
-            kept = [table.model_dump() for table in self.scene.limits.own if table.name not in left_out]
-            scene = with_values(self.scene, {**values, OWN: kept})
-        else:
-            scene = with_values(self.scene, values)
-        reference, grid = self.reference, scene.time_grid()
-        if grid != self.scene.time_grid():
+            scene = with_values(scene, {OWN: [x.model_dump() for x in scene.limits.own if x.name not in left_out]})
+        context, reference = self.context.varied(with_values(scene, values)), self.reference
+        if context.scene.time_grid() != self.scene.time_grid():
             if reference.between_m_s is not None:
                 raise InputError(f"{reference.speed_m_s:g} m/s: not recorded, so not sampled on another time axis")
-            reference = sampled_again(scene, reference)
-        return entry_problem(scene, scene_stage(scene, self.grip_N), reference, spread_stages(scene, self.grip_N))
+            reference = sampled_again(context.scene, reference)
+        return context.posed_as(reference, self.grip_N)
 
 
 def with_remedies(
-    scene: Scene, entries: Sequence[Sequence[Entry]], references: Sequence[Reference], options: SolverOptions
+    context: Context, entries: Sequence[Sequence[Entry]], references: Sequence[Reference], options: SolverOptions
 ) -> list[list[Entry]]:
     """The entries, speed by speed, those refused with what would do for each.
 
@@ -85,18 +82,18 @@ def with_remedies(
     began_s, found = process_time(), dict[str, Remedy]()
 
     def tried(entry: Entry, reference: Reference) -> Entry:
-        if entry.status is Status.OPTIMAL:
+        if entry.admitted:
             return entry
         left_s = MOST_OF_A_LIBRARY_S - (process_time() - began_s)
         if left_s <= 0:
-            return replace(entry, shortfalls=[*entry.shortfalls, "not tried what would do, for want of time"])
-        posed = SceneEntry(scene, entry.grip_N, reference)
+            return entry.stating(shortfalls=[*entry.shortfalls, "not tried what would do, for want of time"])
+        posed = SceneEntry(context, entry.grip_N, reference)
         own = [remedy for remedy in found.values() if does(posed, remedy.values, options)]
         if not own:
-            own = remedies(posed, entry.problem, entry.played, entry.status, options, most_s=min(MOST_S, left_s))
-        own = [_in_place_of_beta(scene, remedy) for remedy in own]
+            own = remedies(posed, entry, options, most_s=min(MOST_S, left_s))
+        own = [_in_place_of_beta(context.scene, remedy) for remedy in own]
         found.update({str(remedy): remedy for remedy in own if remedy.solved})
-        return replace(entry, remedies=tuple(own), shortfalls=[*entry.shortfalls, what_would_do(own)])
+        return entry.stating(remedies=tuple(own), shortfalls=[*entry.shortfalls, what_would_do(own)])
 
     return [[tried(entry, reference) for entry in row] for row, reference in zip(entries, references, strict=True)]
 

@@ -10,7 +10,7 @@ from transopt.base.threads import one_blas_thread
 from transopt.design.build import Build, build_library
 from transopt.design.refine_grid import DEFAULT_CAP, check_tolerance, refine_grid
 from transopt.library.library import Library
-from transopt.problem.answer import Certificate, Multipliers, Status
+from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.scene.builtin import load_scene
@@ -70,15 +70,18 @@ def solve(
 ) -> Library:
     """The library of a scene, every entry certified and replayed; parameters as of `build`.
 
-    Of a scene with `[model.nonlinear]` it is that of `design_nonlinear`: stationary points on the nonlinear plant.
+    The entries of a scene with `[model.nonlinear]` are stationary points on the nonlinear plant.
 
     Raises
     ------
     InputError : what `build` refuses; or entries that are refused, with the first one's reason.
     """
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-    if loaded.nonlinear:
-        return _on_nonlinear_plant(loaded, options, given=recordings is not None or grid_tolerance is not None)
+    if loaded.nonlinear and (recordings is not None or grid_tolerance is not None):
+        raise InputError(
+            f"{loaded.name}: recordings and grid_tolerance are for speeds, and model.nonlinear has targets: leave "
+            "them out"
+        )
     made = build(
         loaded,
         recordings,
@@ -97,29 +100,25 @@ def solve(
     )
 
 
-def _on_nonlinear_plant(scene: Scene, options: SolverOptions | None, *, given: bool) -> Library:
-    """
+def design_nonlinear(scene: Scene | str | Path, *, options: SolverOptions | None = None) -> Build:
+    """Design every target of a scene for its nonlinear plant, beside the linear design for the plant at rest.
+
+    Each entry is a certified stationary point that was replayed on the nonlinear plant; `linear_command` and
+    `linear_played` are those of the design for the plant at rest, played there too.
+
     Parameters
     ----------
-    given : whether recordings or a tolerance of the grid are, which only speeds have.
-    """
-    # IPOPT is loaded for such a plant alone.
-    from transopt.design.nonlinear import design_nonlinear
+    scene : a scene with `[[targets]]` and `[model.nonlinear]`, or the path of its .toml file.
+    options : tolerance and largest number of iterations of IPOPT; its `solver` is that of the linear design.
 
-    if given:
-        raise InputError(
-            f"{scene.name}: recordings and grid_tolerance are for speeds, and model.nonlinear has targets: leave "
-            "them out"
-        )
-    design = design_nonlinear(scene, options=options)
-    if design.library is not None:
-        return design.library
-    refused = [entry for entry in design.entries if entry.status is not Status.STATIONARY]
-    reason = "; ".join(refused[0].shortfalls) or refused[0].status.value
-    raise InputError(
-        f"{scene.name}: {len(refused)} of {len(design.entries)} targets refused, the first is {refused[0].target}: "
-        f"{cut(reason, 200)}; transopt.design_nonlinear returns all of them with their reasons"
-    )
+    Raises
+    ------
+    InputError : a scene without `model.nonlinear`, or with a part that no nonlinear plant can have yet; a target that
+        cannot serve.
+    """
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    loaded.nonlinear_plant()
+    return build(loaded, options=options)
 
 
 @one_blas_thread()

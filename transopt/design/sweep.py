@@ -4,37 +4,26 @@ A task is a handful of entries of one grip that can share work: stage models and
 task, and what has the same device is replayed together. Tasks and outcomes are plain values, for any executor.
 """
 
-import json
 import threading
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Generic, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
-from transopt.design.entry import Baselines, played_with_rivals, replayed
-from transopt.design.intensity import best
-from transopt.design.optimum import Designed
-from transopt.design.posed import entry_problem, scene_stage
-from transopt.design.price import prices
-from transopt.design.verify import admit
+from transopt.design.context import KEPT_STAGES, Context, Kept, Posed, as_text
+from transopt.design.design import RIVALS, design
+from transopt.design.entry import Entry
 from transopt.plant.discretise import StageModel
-from transopt.problem.answer import Status
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.objective.bands import pacinian_dB
-from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits, boxes_of
-from transopt.proof.replay import Replay
+from transopt.proof.certify import boxes_of
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between
+from transopt.recordings.reference import Reference
 from transopt.scene.keys import Changes, with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
@@ -42,9 +31,8 @@ from transopt.solvers.options import SolverOptions
 
 REFUSED = "REFUSED"  # beside the names of Status: the scene itself cannot be
 DEFECT = "DEFECT"  # a solve that ended in an exception that no input should cause
-KEPT_REFERENCES, KEPT_BETWEEN, KEPT_STAGES = 8, 32, 64
+KEPT_REFERENCES = 8
 NAN = float("nan")
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -95,7 +83,7 @@ class Outcome:
     multipliers : column of a limit (`multiplier_column`) -> its largest multiplier.
     binding : which limits bind, from when to when.
     price : what more of each binding limit would buy; with it the baselines at the transient limit.
-    solve_ms : of the solver; total_ms : with certificate and share of the replay.
+    solve_ms : of the solver; total_ms : share of the entry in the time of its task.
     """
 
     index: int
@@ -132,105 +120,20 @@ class Outcome:
     total_ms: float = NAN
 
 
-class _Kept(Generic[T]):
-    """The values made last, by key."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._values: OrderedDict[str, T] = OrderedDict()
-
-    def get(self, key: str, make: Callable[[], T]) -> T:
-        if key not in self._values:
-            self._values[key] = make()
-            if len(self._values) > self._most:
-                self._values.popitem(last=False)
-        self._values.move_to_end(key)
-        return self._values[key]
-
-
-_references: _Kept[list[Reference]] = _Kept(KEPT_REFERENCES)
-_between: _Kept[Reference] = _Kept(KEPT_BETWEEN)
-_stages: _Kept[StageModel] = _Kept(KEPT_STAGES)
+_references: Kept[list[Reference]] = Kept(KEPT_REFERENCES)
+_stages: Kept[StageModel] = Kept(KEPT_STAGES)
 # CasADi's solver objects are shared by all problems of a shape, and reading how one ended after another thread has
 # called it again would tell of the wrong problem.
 _one_at_a_time = threading.Lock()
 
 
-def _text(scene: Scene, *parts: str) -> str:
-    return json.dumps(scene.model_dump(include=set(parts), mode="json"), sort_keys=True)
-
-
-def _device(scene: Scene, grip_N: float) -> str:
-    """Everything that the stage model and its time axis depend on."""
-    parts = ("model", "motor", "transmission", "tip", "amplifier", "time", "feedback")
-    return f"{grip_N!r} {_text(scene, *parts)}"
-
-
-def _stage(scene: Scene, grip_N: float) -> StageModel:
-    return _stages.get(_device(scene, grip_N), lambda: scene_stage(scene, grip_N))
-
-
-class _Point:
-    """One scene of a task: what all its entries have in common, found when it is first asked for."""
-
-    def __init__(self, task: Task, scene: Scene) -> None:
-        self.task, self.scene = task, scene
-
-    @cached_property
-    def references(self) -> list[Reference]:
-        """References of all recorded speeds, or of all targets."""
-        task = self.task
-        recorded = self.scene.model_copy(update={"grid": task.scene.grid})
-        return _references.get(self._of_references, lambda: references_of(recorded, task.recordings))
-
-    @cached_property
-    def _of_references(self) -> str:
-        """Everything that the references depend on."""
-        task, scene = self.task, self.scene
-        recorded = _text(scene, "recordings", "targets")
-        return f"{task.source} {scene.time_grid()} {recorded} {task.scene.grid.speeds_m_s}"
-
-    def reference(self, item: Item) -> Reference:
-        if item.target:
-            return next(reference for reference in self.references if reference.name == item.target)
-        references = self.references
-        return _between.get(f"{self._of_references} {item.speed_m_s!r}", lambda: between(references, item.speed_m_s))
-
-    @cached_property
-    def stage(self) -> StageModel:
-        return _stage(self.scene, self.task.grip_N)
-
-    @cached_property
-    def spread(self) -> tuple[StageModel, ...]:
-        return tuple(_stage(of, grip) for of, grip in self.scene.spread(self.task.grip_N))
-
-    @cached_property
-    def _plays_on(self) -> str:
-        scene = self.scene
-        return f"{_device(scene, self.task.grip_N)} {scene.coil()} {scene.thermal.tap_rate_Hz}"
-
-    def played_with(self, problem: TransientProblem) -> str:
-        """What entries must have in common to be replayed together."""
-        parts = ([limit.name for limit in problem.limits], problem.wall is None)
-        return f"{self._plays_on} {parts}"
-
-
-@dataclass(frozen=True)
-class _Solved:
-    item: Item
-    point: _Point
-    designed: Designed
-    spent_s: float
-
-
-def _solved(task: Task, item: Item, points: dict[int, _Point]) -> _Solved:
-    start = time.perf_counter()
-    if item.point not in points:
-        points[item.point] = _Point(task, with_values(task.scene, task.points[item.point]))
-    point = points[item.point]
-    problem = entry_problem(point.scene, point.stage, point.reference(item), point.spread)
-    designed = best(problem, task.options, objective=point.scene.weights.objective)
-    return _Solved(item, point, designed, time.perf_counter() - start)
+def _context(task: Task, changes: Changes) -> Context:
+    """One scene of a task; what it shares with the others of its device or of its recordings is kept."""
+    scene = with_values(task.scene, changes)
+    recorded = scene.model_copy(update={"grid": task.scene.grid})
+    speeds = task.scene.grid.speeds_m_s
+    key = f"{task.source} {scene.time_grid()} {as_text(scene, 'recordings', 'targets')} {speeds}"
+    return Context(scene, lambda: _references.get(key, lambda: references_of(recorded, task.recordings)), _stages)
 
 
 def multiplier_column(kind: type[Limit]) -> str:
@@ -241,52 +144,43 @@ def multiplier_column(kind: type[Limit]) -> str:
 MULTIPLIER_COLUMNS = {kind.label: multiplier_column(kind) for kind in KINDS}
 
 
-def _largest(designed: Designed) -> dict[str, float]:
+def _largest(entry: Entry) -> dict[str, float]:
     """Largest multiplier of each limit that the problem has."""
     found: dict[str, float] = {}
-    for box in boxes_of(designed.effect, designed.solution.multipliers):
+    for box in boxes_of(entry.designed.effect, entry.solution.multipliers):
         name = multiplier_column(type(box.limit))
         found[name] = max(found.get(name, 0.0), float(box.by_upper.max()), float(box.by_lower.max()))
     return found
 
 
-def _intensity(designed: Designed, predicted_m_s2: FloatArray) -> dict[str, float]:
+def _intensity(entry: Entry) -> dict[str, float]:
     """The columns of an outcome that say how strong the tap is; none of a zero reference."""
-    problem, attained = designed.problem, designed.attained
+    problem, attained = entry.problem, entry.attained
     if problem.reference_is_zero:
         return {}
-    made_dB = problem.tracking.energy_dB(designed.effect.accelerations_m_s2)
+    made_dB = problem.tracking.energy_dB(entry.designed.effect.accelerations_m_s2)
     return {
         "energy_dB": made_dB,
-        "pacinian_dB": pacinian_dB(predicted_m_s2, problem.reference_m_s2, problem.grid.dt_s),
+        "pacinian_dB": pacinian_dB(entry.predicted_m_s2, problem.reference_m_s2, problem.grid.dt_s),
         "waveform_dB": made_dB if attained is None else attained.waveform_dB,
         "intensity": problem.intensity,
     }
 
 
-def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | None, replay_s: float) -> Outcome:
-    start = time.perf_counter()
-    designed, item = solved.designed, solved.item
-    problem, answer, proof = designed.problem, designed.solution, designed.certificate
-    command, predicted = answer.command, designed.effect.motion.acceleration_m_s2
-    status, shortfalls = admit(answer.status, proof, played, problem, command, predicted)
-    finite = bool(np.all(np.isfinite(command)))
-    price = ""
-    if task.rivals and status is Status.OPTIMAL:
-        free, effect = designed.unlimited_command, designed.effect
-        found = prices(problem, command, answer.multipliers, free, task.options, effect=effect)
-        price = "; ".join(one.sentence for one in found)
+def _outcome(task: Task, item: Item, entry: Entry) -> Outcome:
+    played, proof = entry.played, entry.certificate
+    finite = bool(np.all(np.isfinite(entry.solution.command)))
     return Outcome(
         index=item.index,
         speed_m_s=item.speed_m_s,
         grip_N=task.grip_N,
         target=item.target,
-        status=status.name,
+        status=entry.status.name,
         nrmse=played.nrmse,
-        floor=designed.floor,
-        weighted_nrmse=played.nrmse if problem.reference_is_zero else problem.tracking.nrmse(predicted),
-        **_intensity(designed, predicted),
-        free_peak=designed.free_peak,
+        floor=entry.floor,
+        weighted_nrmse=entry.weighted_nrmse,
+        **_intensity(entry),
+        free_peak=entry.free_peak,
         peak_input=played.peak_input,
         peak_command=played.peak_command,
         peak_temperature_C=played.winding_C,
@@ -297,31 +191,25 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
         violation_A=proof.violation("A"),
         violation_V=proof.violation("V"),
         violation_K=proof.violation("K"),
-        multipliers=_largest(designed) if finite else {},
-        nrmse_seed=NAN if rivals is None else rivals.seed,
-        nrmse_clipped=NAN if rivals is None else rivals.clipped,
-        binding=binding_limits(problem, command, answer.multipliers, effect=designed.effect) if finite else "",
-        price=price,
-        solver=answer.solver,
-        reason="; ".join(designed.remarks or shortfalls),
-        solve_ms=1e3 * answer.solve_time_s,
-        total_ms=1e3 * (solved.spent_s + replay_s + time.perf_counter() - start),
+        multipliers=_largest(entry) if finite else {},
+        nrmse_seed=entry.baselines.seed if task.rivals else NAN,
+        nrmse_clipped=entry.baselines.clipped if task.rivals else NAN,
+        binding=entry.binding,
+        price="; ".join(one.sentence for one in entry.prices) if task.rivals else "",
+        solver=entry.solution.solver,
+        reason="; ".join(entry.shortfalls),
+        solve_ms=1e3 * entry.solution.solve_time_s,
     )
 
 
-def _guarded(items: Sequence[Item], task: Task, work: Callable[[], T]) -> tuple[T | None, list[Outcome]]:
-    """What the work gives, or an outcome for each of its items that tells why it gives nothing."""
-
-    def ended(status: str, reason: str) -> list[Outcome]:
-        said = " ".join(reason.split())
-        return [Outcome(i.index, i.speed_m_s, task.grip_N, i.target, status, reason=said) for i in items]
-
-    try:
-        return work(), []
-    except InputError as error:
-        return None, ended(REFUSED, str(error))
-    except Exception as error:  # one entry must not take thousands with it: it is told, by name, in its row
-        return None, ended(DEFECT, f"{type(error).__name__}: {error}"[:300])
+def _ended(task: Task, item: Item, error: Exception) -> Outcome:
+    """What tells that an item has no entry, and why."""
+    if isinstance(error, InputError):
+        status, reason = REFUSED, str(error)
+    else:  # one entry must not take thousands with it: it is told, by name, in its row
+        status, reason = DEFECT, f"{type(error).__name__}: {error}"[:300]
+    said = " ".join(reason.split())
+    return Outcome(item.index, item.speed_m_s, task.grip_N, item.target, status, reason=said)
 
 
 @one_blas_thread()
@@ -332,31 +220,37 @@ def run_task(task: Task) -> list[Outcome]:
 
 
 def _run(task: Task) -> list[Outcome]:
-    outcomes: list[Outcome] = []
-    together: dict[str, list[_Solved]] = {}
-    points: dict[int, _Point] = {}
-    for item in task.items:
-        solved, refused = _guarded([item], task, partial(_solved, task, item, points))
-        outcomes += refused
-        if solved is not None:
-            together.setdefault(solved.point.played_with(solved.designed.problem), []).append(solved)
-    for group in together.values():
-        finished, refused = _guarded([s.item for s in group], task, partial(_finished, task, group))
-        outcomes += refused if finished is None else finished
-    place = {item.index: j for j, item in enumerate(task.items)}
-    return sorted(outcomes, key=lambda outcome: place[outcome.index])
-
-
-def _finished(task: Task, group: Sequence[_Solved]) -> list[Outcome]:
     start = time.perf_counter()
-    scene, designed = group[0].point.scene, [solved.designed for solved in group]
-    rivals: Sequence[Baselines | None] = [None] * len(designed)
-    if task.rivals:
-        replays, rivals = played_with_rivals(scene.limits.steady_input, scene.coil(), designed)
-    else:
-        replays = replayed(scene.coil(), designed)
-    share = (time.perf_counter() - start) / len(group)
+    outcomes: list[Outcome | None] = []
+    items: list[tuple[int, Item]] = []
+    posed: list[Posed] = []
+    contexts: dict[int, Context] = {}
+    for place, item in enumerate(task.items):
+        outcomes.append(None)
+        try:
+            if item.point not in contexts:
+                contexts[item.point] = _context(task, task.points[item.point])
+            posed.append(contexts[item.point].posed(item.speed_m_s, task.grip_N, item.target))
+        except Exception as error:
+            outcomes[place] = _ended(task, item, error)
+        else:
+            items.append((place, item))
+    failed: dict[int, Exception] = {}
+
+    def tell(which: Posed, error: Exception) -> None:
+        failed[id(which)] = error
+
+    entries = iter(design(posed, [RIVALS] if task.rivals else [], options=task.options, failed=tell))
+    for (place, item), one in zip(items, posed, strict=True):
+        if id(one) in failed:
+            outcomes[place] = _ended(task, item, failed[id(one)])
+            continue
+        entry = next(entries)
+        try:
+            outcomes[place] = _outcome(task, item, entry)
+        except Exception as error:
+            outcomes[place] = _ended(task, item, error)
+    share_ms = 1e3 * (time.perf_counter() - start) / len(task.items)
     return [
-        _outcome(task, solved, played, baselines, share)
-        for solved, played, baselines in zip(group, replays, rivals, strict=True)
+        replace(outcome, total_ms=share_ms if outcome.solver else NAN) for outcome in outcomes if outcome is not None
     ]

@@ -10,10 +10,11 @@ import numpy as np
 
 from transopt.design.entry import Entry
 from transopt.design.intensity import intense, most_price
-from transopt.design.optimum import Designed, optimum
+from transopt.design.optimum import optimum
 from transopt.problem.answer import Status
 from transopt.problem.objective.bands import Levels, levels
 from transopt.proof.certify import BINDING_MULTIPLIER
+from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions, TrialOptions
 
 POINTS = 8  # of the path, both ends among them

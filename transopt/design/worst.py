@@ -17,9 +17,10 @@ import numpy as np
 import scipy
 
 from transopt.base.signals import FloatArray
-from transopt.design.optimum import Designed, optimum
+from transopt.design.optimum import optimum
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.problem import TransientProblem
+from transopt.proof.designed import Designed
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 

@@ -1,12 +1,12 @@
 """The columns in which entries are shown: each is declared once, whatever prints or draws the table.
 
-A build, a library, a check, a study and the design on a nonlinear plant say what they know of an entry as a
-`TableRow`; terminal, Markdown report, notebook, `show`, `compare` and `verify` choose columns by name and print the
-same cells. A new figure of an entry is one field of `TableRow` and one `Column`.
+Entries of a build, of a library, of a check and of a study are rows (`Row`); terminal, Markdown report, notebook,
+`show`, `compare`, `verify` and the page choose columns by name and print the same cells.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,49 +15,42 @@ from transopt.base.writing import percent
 from transopt.problem.objective.bands import JUST_NOTICED_dB
 
 NAN = float("nan")
+PAIR = (NAN, NAN)
 UNKNOWN = "-"  # the cell of a number that is not known, or that a refused entry does not have
+
+
+class Row(Protocol):
+    """One entry as tables read it: a figure is made when its column is shown."""
+
+    @property
+    def cells(self) -> Sequence[str]:
+        """The entry, in the cells of `Axes.columns`."""
+
+    @property
+    def refusal(self) -> str:
+        """Why the entry is refused; empty for an entry whose figures are shown."""
+
+    def value(self, column: str) -> Any:
+        """What the entry has in a column of `COLUMNS`; NaN or empty where it is not known or not looked at."""
 
 
 @dataclass(frozen=True)
 class TableRow:
-    """What the columns show of one entry; NaN stands for a number that is not known or not looked at.
+    """A row whose figures are known already.
 
     Attributes
     ----------
-    place : the entry, in the cells of `Axes.columns`.
-    nrmse, floor : error after replay, and that of the same problem without its limits.
-    after : error after the waveform, relative to the whole target. after_peak_m_s2 : the largest error there.
-    seed, clipped : errors of the two other methods, at the transient limit and at the steady one.
-    linear : error of the linear design of a nonlinear plant, as promised and as played there. linear_after : its
-        error after the waveform.
-    repeatability : trial-to-mean error of the recordings.
-    peak_input : largest size of what drives the plant [A or V]. winding_C : the hottest winding of the replay.
-    violation : largest excess over a limit [A or V]. relative_gap : of the certificate.
-    solve_time_s : wall time of the solver.
-    largest_multiplier, binding, verdict, result : words; empty where there are none.
-    refusal : why the entry is refused; empty for an entry that stands in a library.
+    cells, refusal : as of `Row`.
+    values : column -> what stands there; columns that are not there are unknown.
     """
 
-    place: tuple[str, ...]
-    nrmse: float = NAN
-    floor: float = NAN
-    after: float = NAN
-    after_peak_m_s2: float = NAN
-    seed: tuple[float, float] = (NAN, NAN)
-    clipped: tuple[float, float] = (NAN, NAN)
-    linear: tuple[float, float] = (NAN, NAN)
-    linear_after: float = NAN
-    repeatability: float = NAN
-    peak_input: float = NAN
-    winding_C: float = NAN
-    violation: float = NAN
-    relative_gap: float = NAN
-    solve_time_s: float = NAN
-    largest_multiplier: str = ""
-    binding: str = ""
-    verdict: str = ""
-    result: str = ""
+    cells: Sequence[str]
+    values: Mapping[str, Any] = field(default_factory=dict)
     refusal: str = ""
+
+    def value(self, column: str) -> Any:
+        """What the entry has in a column."""
+        return self.values.get(column, COLUMNS[column].unknown)
 
 
 @dataclass(frozen=True)
@@ -67,16 +60,22 @@ class Column:
     Attributes
     ----------
     head : what stands above it; `{unit}` is that of the commands, `{at}` the transient and the steady limit.
-    cell : what stands in it.
+    show : the cell of a value.
     meaning : a sentence for the legend; empty where the head says it. `{input}` is what drives the plant, `{target}`
         what is tracked.
-    is_number : whether it is set to the right, and empty for a refused entry.
+    unknown : the value of an entry of which it is not known. A column of words is set to the left, one of numbers to
+        the right and is empty for a refused entry.
     """
 
     head: str
-    cell: Callable[[TableRow], str]
+    show: Callable[[Any], str]
     meaning: str = ""
-    is_number: bool = True
+    unknown: Any = NAN
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it is set to the right, and empty for a refused entry."""
+        return not isinstance(self.unknown, str)
 
 
 def fixed(value: float, digits: int, scale: float = 1.0) -> str:
@@ -95,47 +94,45 @@ def _pair(values: tuple[float, float]) -> str:
 
 # In the order in which tables show them.
 COLUMNS = {
-    "nrmse": Column("NRMSE %", lambda row: percent(row.nrmse), "|a - r| / |r| after replay, r {target}"),
-    "floor": Column("floor %", lambda row: percent(row.floor), "the same problem without its limits"),
-    "after": Column(
-        "after %",
-        lambda row: percent(row.after),
-        "|a - r| when the waveform is over, relative to the same |r|",
-    ),
+    "nrmse": Column("NRMSE %", percent, "|a - r| / |r| after replay, r {target}"),
+    "floor": Column("floor %", percent, "the same problem without its limits"),
+    "after": Column("after %", percent, "|a - r| when the waveform is over, relative to the same |r|"),
     "after_peak": Column(
-        "after g", lambda row: fixed(row.after_peak_m_s2, 3, 1 / STANDARD_GRAVITY_M_S2), "the largest |a - r| there"
+        "after g", lambda m_s2: fixed(m_s2, 3, 1 / STANDARD_GRAVITY_M_S2), "the largest |a - r| there"
     ),
-    "seed": Column("seed % {at}", lambda row: _pair(row.seed), "clipped frequency-domain inversion"),
+    "seed": Column("seed % {at}", _pair, "clipped frequency-domain inversion", PAIR),
     "clipped": Column(
         "clipped % {at}",
-        lambda row: _pair(row.clipped),
+        _pair,
         "the unlimited optimum, its {input} clipped (both keep {input} and command limits only)",
+        PAIR,
     ),
     "linear": Column(
         "linear % promised / played",
-        lambda row: _pair(row.linear),
+        _pair,
         "the design for the plant at rest, there and played on the nonlinear plant",
+        PAIR,
     ),
-    "linear_after": Column("after, linear %", lambda row: percent(row.linear_after)),
-    "repeats": Column("repeats %", lambda row: percent(row.repeatability), "NRMSE of the recordings to their mean"),
-    "peak": Column("peak {unit}", lambda row: fixed(row.peak_input, 3)),
-    "winding": Column("winding C", lambda row: fixed(row.winding_C, 2)),
+    "linear_after": Column("after, linear %", percent),
+    "repeats": Column("repeats %", percent, "NRMSE of the recordings to their mean"),
+    "peak": Column("peak {unit}", lambda value: fixed(value, 3)),
+    "winding": Column("winding C", lambda value: fixed(value, 2)),
     "largest_multiplier": Column(
         "largest multiplier",
-        lambda row: row.largest_multiplier or UNKNOWN,
+        lambda said: said if isinstance(said, str) else UNKNOWN,
         "per A, V or K of the limit that binds hardest",
     ),
-    "violation": Column("violation {unit}", lambda row: power(row.violation)),
-    "gap": Column("gap", lambda row: power(row.relative_gap), "of the certificate, relative to max(J, 1e-3)"),
-    "ms": Column("ms", lambda row: fixed(row.solve_time_s, 1, 1e3), "of the solver"),
-    "binding": Column("what binds", lambda row: row.refusal or row.binding, is_number=False),
-    "result": Column("result", lambda row: row.result, is_number=False),
+    "violation": Column("violation {unit}", power),
+    "gap": Column("gap", power, "of the certificate, relative to max(J, 1e-3)"),
+    "ms": Column("ms", lambda seconds: fixed(seconds, 1, 1e3), "of the solver"),
+    "binding": Column("what binds", str, unknown=""),
+    "result": Column("result", str, unknown=""),
     "verdict": Column(
         "verdict",
-        lambda row: "refused" if row.refusal else row.verdict,
+        str,
         "weak, strong: energy as vibration is felt, around 275 Hz, beside that of r; "
         f"{JUST_NOTICED_dB:g} dB are just noticed",
-        is_number=False,
+        unknown="",
     ),
 }
 
@@ -158,7 +155,7 @@ class EntryTable:
 
     places: Sequence[str]
     names: Sequence[str]
-    rows: Sequence[TableRow]
+    rows: Sequence[Row]
     unit: str = ""
     limits: tuple[float, float] | None = None
 
@@ -176,11 +173,14 @@ class EntryTable:
     @property
     def cells(self) -> list[list[str]]:
         """Cells of all rows, below `heads`."""
-        return [[*row.place, *self.figures(row)] for row in self.rows]
+        return [[*row.cells, *self.figures(row)] for row in self.rows]
 
-    def figures(self, row: TableRow) -> list[str]:
+    def figures(self, row: Row) -> list[str]:
         """Cells of one row behind its place."""
-        return [UNKNOWN if row.refusal and column.is_number else column.cell(row) for column in self.columns]
+        if not row.refusal:
+            return [COLUMNS[name].show(row.value(name)) for name in self.names]
+        said = {"binding": row.refusal, "verdict": "refused"}
+        return [UNKNOWN if COLUMNS[name].is_number else said.get(name, "") for name in self.names]
 
     def legend(self, driven_by: str, *, named: bool) -> str:
         """What the columns mean, in one paragraph.

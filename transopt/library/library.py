@@ -251,25 +251,25 @@ class Library:
         """What tables show of an entry."""
         looked = self.reference_after_m_s2.shape[1] > 0
         gap = self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE)
-        seed, clipped = (tuple(each[iv, ig].tolist()) for each in (self.nrmse_seed, self.nrmse_clipped))
-        return TableRow(
-            place=tuple(self.axes.cells(iv, ig)),
-            nrmse=float(self.nrmse[iv, ig]),
-            floor=float(self.floor[iv, ig]),
-            after=float(self.nrmse_after[iv, ig]) if looked else NAN,
-            after_peak_m_s2=float(self.peak_after_m_s2[iv, ig]) if looked else NAN,
-            seed=seed,
-            clipped=clipped,
-            linear=(float(self.nrmse_promised[iv, ig]), float(self.nrmse_linear[iv, ig])),
-            repeatability=self._repeatability(iv),
-            peak_input=float(self.peak_input[iv, ig]),
-            winding_C=float(self.peak_temperature_C[iv, ig]),
-            violation=float(self.primal_violation[iv, ig]),
-            relative_gap=float(gap),
-            solve_time_s=float(self.solve_time_s[iv, ig]),
-            binding=str(self.binding[iv, ig]),
-            verdict=self.verdict(iv, ig),
-        )
+        figures = {
+            "nrmse": self.nrmse[iv, ig],
+            "floor": self.floor[iv, ig],
+            "after": self.nrmse_after[iv, ig] if looked else NAN,
+            "after_peak": self.peak_after_m_s2[iv, ig] if looked else NAN,
+            "repeats": self._repeatability(iv),
+            "peak": self.peak_input[iv, ig],
+            "winding": self.peak_temperature_C[iv, ig],
+            "violation": self.primal_violation[iv, ig],
+            "gap": gap,
+            "ms": self.solve_time_s[iv, ig],
+        }
+        pairs = {
+            "seed": self.nrmse_seed[iv, ig],
+            "clipped": self.nrmse_clipped[iv, ig],
+            "linear": (self.nrmse_promised[iv, ig], self.nrmse_linear[iv, ig]),
+        }
+        words = {"binding": str(self.binding[iv, ig]), "verdict": self.verdict(iv, ig)}
+        return TableRow(self.axes.cells(iv, ig), {**figures, **pairs, **words})
 
     def verdict(self, iv: int, ig: int) -> str:
         """How good an entry is, see `transopt.problem.answer.verdict`.

@@ -157,7 +157,7 @@ def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
         pairs = zip(*(found.table.figures(row) for row in rows), strict=True)
         *figures, verdict = [_from_to(ours, theirs) for ours, theirs in pairs]
         command = UNKNOWN if np.isnan(found.apart[node]) else f"{found.apart[node]:.2g}"
-        yield [*node, *figures, command, verdict], rows[0].verdict != rows[1].verdict
+        yield [*node, *figures, command, verdict], rows[0].value("verdict") != rows[1].value("verdict")
     for name, nodes in (("A", found.only_first), ("B", found.only_second)):
         for node in nodes:
             yield [*node, *[UNKNOWN] * len(FIGURES), f"only in {name}"], True
@@ -192,7 +192,7 @@ def comparison_summary(found: Comparison) -> str:
     said += [
         f"{len(nodes)} only in {name}" for name, nodes in (("A", found.only_first), ("B", found.only_second)) if nodes
     ]
-    change = {node: theirs.nrmse - ours.nrmse for node, (ours, theirs) in found.both.items()}
+    change = {node: theirs.value("nrmse") - ours.value("nrmse") for node, (ours, theirs) in found.both.items()}
     if change:
         worst = max(change, key=lambda node: abs(change[node]))
         place = worst[0] if len(worst) == 1 else f"{worst[0]} m/s and {worst[1]} N"

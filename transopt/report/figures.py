@@ -18,6 +18,8 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import Status
+from transopt.problem.limits.supply import SupplyLimit
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.report.transients import QUIET, grip_label, legend_above
 
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
@@ -51,7 +53,11 @@ def _methods(build: "Build") -> list[_Method]:
     unit = build.scene.driven_by.unit
     high, low = f"{limits.transient_input:g} {unit}", f"{limits.steady_input:g} {unit}"
     # A rival that heeds neither rail nor coil may lie below the optimum, which does.
-    more = any({"supply", "coil"} & {price.limit for price in entry.prices} for entry in build.all_entries())
+    more = any(
+        {SupplyLimit.name, TemperatureLimit.name} & set(entry.slopes)
+        for entry in build.all_entries()
+        if entry.admitted
+    )
     only = ", no other limit" if more else ""
 
     def dot(shape: str, colour: str, filled: bool) -> dict[str, Any]:

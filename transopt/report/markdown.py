@@ -160,9 +160,15 @@ def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
     return ["", f"Of these limits the problem keeps so much back, for what happens between its instants: {said}."]
 
 
-def _price_lines(build: Build) -> list[str]:
+def _priced(build: Build, *, full: bool) -> list[Entry]:
+    """Entries whose prices are told: all, or the one that is farthest above its floor."""
+    entries = [entry for entry in build.all_entries() if entry.admitted]
+    return entries if full else sorted(entries, key=lambda entry: entry.floor - entry.nrmse)[:1]
+
+
+def _price_lines(build: Build, *, full: bool) -> list[str]:
     """The section on which limits bind, and what a wider one would buy."""
-    priced = [(entry, price) for entry in build.all_entries() for price in entry.prices]
+    priced = [(entry, price) for entry in _priced(build, full=full) for price in entry.prices]
     if not priced:
         return []
     other = ""
@@ -188,7 +194,9 @@ def _price_lines(build: Build) -> list[str]:
         *table([*build.scene.axes.columns, *head], rows),
         "Each figure is of an optimum that was solved and certified, with that limit alone wider and the others as "
         "they are; none is extrapolated. would not bind from: the least limit, to the digits printed, at which it "
-        "does not bind any more." + other,
+        "does not bind any more."
+        + other
+        + ("" if full else " It is the entry farthest above its floor; `--report full` has all."),
     ]
 
 
@@ -257,8 +265,13 @@ def _spread_lines(build: Build) -> list[str]:
     ]
 
 
-def build_markdown(build: Build) -> str:
-    """The text of report.md."""
+def build_markdown(build: Build, *, full: bool = True) -> str:
+    """The text of report.md.
+
+    Parameters
+    ----------
+    full : whether it has the prices of all entries, and what intensity costs each; else those of the worst entry.
+    """
     entries = list(build.all_entries())
     lines = [f"# {build.scene.name}", ""]
     for paragraph in filter(None, (build.scene.description, _origin(build), summary(build))):
@@ -298,8 +311,8 @@ def build_markdown(build: Build) -> str:
         *table([*build.scene.axes.columns, *head], rows),
         CERTIFICATE_LEGEND.format(", in the steady state of tapping" if build.scene.thermal.tap_rate_Hz else ""),
         *_kept_back_lines(entries),
-        *_price_lines(build),
-        *trade_off_lines(build),
+        *_price_lines(build, full=full),
+        *(trade_off_lines(build) if full else []),
         *attained_lines(entries),
         *_weighted_lines(build),
         *_spread_lines(build),
@@ -340,8 +353,14 @@ def _certificate_row(certificate: Certificate) -> dict[str, Any]:
     return row | {"relative_gap": certificate.relative_gap, "relative_bound": certificate.relative_bound}
 
 
-def build_json(build: Build) -> str:
-    """The text of report.json: the report's numbers, with units in their names; NaN becomes null."""
+def build_json(build: Build, *, full: bool = True) -> str:
+    """The text of report.json: the report's numbers, with units in their names; NaN becomes null.
+
+    Parameters
+    ----------
+    full : as of `build_markdown`; what is not made is null.
+    """
+    priced = _priced(build, full=full)
     peak = f"peak_{build.scene.driven_by.name}_{build.scene.driven_by.unit}"
     rows = [
         {
@@ -364,12 +383,12 @@ def build_json(build: Build) -> str:
             "housing_C": e.played.housing_C,
             "peak_voltage_V": e.played.reached.get("supply", float("nan")),
             "binding": e.binding,
-            "prices": [asdict(price) for price in e.prices],
+            "prices": [asdict(price) for price in e.prices] if e in priced or not e.admitted else None,
             "size": None if e.size is None else asdict(e.size),
             "weighted_nrmse": e.weighted_nrmse,
             "levels": levels_row(e.levels),
             "attained": None if e.attained is None else asdict(e.attained),
-            "trade_off": trade_off_row(build, e),
+            "trade_off": trade_off_row(build, e) if full else None,
             "spread": None if e.spread is None else asdict(e.spread),
             "certificate": _certificate_row(e.certificate),
             "replay_step_error": e.played.step_error,

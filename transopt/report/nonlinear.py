@@ -8,7 +8,9 @@ from typing import Any
 from transopt.base.files import without_nan
 from transopt.base.terminal import make_folder
 from transopt.base.writing import csv_text, table, write_text
-from transopt.design.nonlinear import NonlinearDesign, NonlinearEntry
+from transopt.design.build import Build
+from transopt.design.entry import Entry
+from transopt.library.columns import EntryTable, TableRow
 from transopt.library.library import NONLINEAR_CLAIM
 from transopt.problem.answer import Status
 from transopt.report.publish import publish
@@ -17,7 +19,7 @@ REPORT, FIGURES, COMMANDS, DRAWN = "nonlinear.md", "nonlinear.json", "nonlinear.
 LIBRARY = "library.npz"
 
 
-def write_nonlinear(design: NonlinearDesign, folder: str | Path, *, figures: bool = True) -> list[Path]:
+def write_nonlinear(design: Build, folder: str | Path, *, figures: bool = True) -> list[Path]:
     """Write `library.npz`, `nonlinear.md`, `.json`, `.png` and the proven commands as `nonlinear.csv`, all or none.
 
     Where no entry is proven there is no `nonlinear.csv`; what is not written goes if an earlier design left it. A
@@ -49,13 +51,14 @@ def write_nonlinear(design: NonlinearDesign, folder: str | Path, *, figures: boo
         from transopt.base.plotting import save_figure
         from transopt.report.nonlinear_figure import nonlinear_figure
 
-        files[DRAWN] = lambda path: save_figure(nonlinear_figure(design.entries), path)
+        files[DRAWN] = lambda path: save_figure(nonlinear_figure(list(design.all_entries())), path)
     publish(folder, files, [name for name in (COMMANDS, DRAWN) if name not in files])
     return [folder / name for name in files]
 
 
-def nonlinear_markdown(design: NonlinearDesign) -> str:
+def nonlinear_markdown(design: Build) -> str:
     """The report in Markdown."""
+    shown = nonlinear_table(design)
     lines = [
         f"# {design.scene.name}",
         "",
@@ -67,26 +70,26 @@ def nonlinear_markdown(design: NonlinearDesign) -> str:
         "within the tolerance (`gap`); no lower bound follows, since the problem is not convex.",
         *(["", f"`{LIBRARY}`: {NONLINEAR_CLAIM}."] if design.library is not None else []),
         "",
-        *table(design.table.heads, design.table.cells),
+        *table(shown.heads, shown.cells),
     ]
-    for entry in design.entries:
+    for entry in design.all_entries():
         lines += [f"## {entry.target}", "", f"- binds: {entry.binding}"]
         lines += [f"- the linear design leaves on this plant: {said}" for said in entry.linear_leaves]
         lines += [f"- refused: {said}" for said in refusals(entry)] + [""]
     return "\n".join(lines)
 
 
-def nonlinear_json(design: NonlinearDesign) -> str:
+def nonlinear_json(design: Build) -> str:
     """State a nonlinear design's figures as JSON; what has no value is null."""
     content = {
         "scene": design.scene.name,
         "elapsed_s": design.elapsed_s,
-        "entries": [_figures(entry) for entry in design.entries],
+        "entries": [_figures(entry) for entry in design.all_entries()],
     }
     return json.dumps(without_nan(content), indent=1)
 
 
-def _figures(entry: NonlinearEntry) -> dict[str, Any]:
+def _figures(entry: Entry) -> dict[str, Any]:
     c = entry.certificate
     return {
         "target": entry.target,
@@ -96,28 +99,35 @@ def _figures(entry: NonlinearEntry) -> dict[str, Any]:
         "nrmse_after": entry.played.nrmse_after,
         "linear_promised": entry.linear_promised,
         "linear_nrmse": entry.linear_nrmse,
-        "linear_nrmse_after": entry.linear_played.nrmse_after,
+        "linear_nrmse_after": entry.value("linear_after"),
         "linear_leaves": entry.linear_leaves,
         "objective": c.objective,
         "relative_gap": c.relative_gap,
         "excess": c.excess,
         "off_replay": entry.off_replay,
-        "substeps": entry.problem.stage.substeps,
+        "substeps": None if entry.designed.nonlinear is None else entry.designed.nonlinear.stage.substeps,
         "iterations": entry.solution.iterations,
         "solve_s": entry.solution.solve_time_s,
         "binding": entry.binding,
     }
 
 
-def refusals(entry: NonlinearEntry) -> list[str]:
+def refusals(entry: Entry) -> list[str]:
     """Why an entry is not proven, one sentence each; empty where it is."""
     return [] if entry.status is Status.STATIONARY else entry.shortfalls or [entry.status.value]
 
 
-def commands_csv(design: NonlinearDesign) -> str:
+def nonlinear_table(design: Build) -> EntryTable:
+    """All targets with the linear design's errors; the figures of a refused one are shown too."""
+    names = ("linear", "nrmse", "linear_after", "after", "ms", "gap", "result")
+    rows = [TableRow(e.cells, {name: e.value(name) for name in names}) for e in design.all_entries()]
+    return EntryTable(design.scene.axes.columns, names, rows, design.scene.driven_by.unit)
+
+
+def commands_csv(design: Build) -> str:
     """The proven commands, a column for each target: when each value is issued [s], and the value, which is held."""
     grid = design.scene.time_grid()
-    unit = design.entries[0].problem.linear.driven_by.unit
+    unit = design.scene.driven_by.unit
     issued_s = [k * grid.dt_s - grid.lead_s for k in range(grid.stages)]
     columns = [entry.solution.command for entry in design.proven]
     head = ["issued_s", *(f"{entry.target}_{unit}" for entry in design.proven)]

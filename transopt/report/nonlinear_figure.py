@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SMALL_PT, Drawing, leave_room, style
 from transopt.base.writing import percent
-from transopt.design.nonlinear import NonlinearEntry
+from transopt.design.entry import Entry
 from transopt.report.transients import legend_above
 
 MOST_TARGETS = 6  # that one figure shows legibly
@@ -18,7 +18,7 @@ OWN: dict[str, Any] = {"color": OPTIMUM, "linewidth": 1.0}
 BOUND: dict[str, Any] = {"color": DARK, "linewidth": 1.0, "linestyle": ":"}
 
 
-def nonlinear_figure(entries: Sequence[NonlinearEntry]) -> Figure:
+def nonlinear_figure(entries: Sequence[Entry]) -> Figure:
     """Acceleration of both designs played on the nonlinear plant, above their commands; a column for each target.
 
     Parameters
@@ -30,12 +30,13 @@ def nonlinear_figure(entries: Sequence[NonlinearEntry]) -> Figure:
     rows = figure.subplots(2, len(shown), sharex="col", squeeze=False, gridspec_kw={"wspace": 0.28, "hspace": 0.08})
     for column, entry in enumerate(shown):
         above, below = rows[:, column]
-        problem = entry.problem.linear
+        problem = entry.problem
         felt_ms, issued_ms = problem.grid.switching_times_s * 1e3, problem.grid.issue_times_s * 1e3
         above.plot(felt_ms, problem.reference_m_s2, **WANTED)
-        above.plot(felt_ms, entry.linear_played.acceleration_m_s2, **LINEAR)
+        if entry.linear_played is not None and entry.linear_command is not None:
+            above.plot(felt_ms, entry.linear_played.acceleration_m_s2, **LINEAR)
+            below.step(issued_ms, entry.linear_command, where="post", **LINEAR)
         above.plot(felt_ms, entry.played.acceleration_m_s2, **OWN)
-        below.step(issued_ms, entry.linear_command, where="post", **LINEAR)
         below.step(issued_ms, entry.solution.command, where="post", **OWN)
         for side in (-1, 1):
             below.axhline(side * problem.limits.input_limit, **BOUND)
@@ -44,7 +45,7 @@ def nonlinear_figure(entries: Sequence[NonlinearEntry]) -> Figure:
         below.set_xlabel("time [ms]", fontsize=LABEL_PT)
         for axes in (above, below):
             style(axes)
-    driven_by = shown[0].problem.linear.driven_by
+    driven_by = shown[0].problem.driven_by
     rows[0, 0].set_ylabel("acceleration [m/s²]", fontsize=LABEL_PT)
     rows[1, 0].set_ylabel(f"{driven_by.name} [{driven_by.unit}]", fontsize=LABEL_PT)
     handles = [

@@ -51,19 +51,27 @@ def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
         raise InputError(str(error).replace(str(place), str(folder))) from None
 
 
-def files_of(build: Build, *, figures: bool = True) -> Files:
-    """Library, report and, unless not wanted, figures; of a build that was refused, why."""
+def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files:
+    """Library, report and, unless not wanted, figures; of a build that was refused, why.
+
+    Parameters
+    ----------
+    full : whether the report has what takes further optima of every entry, see `build_markdown`.
+    """
 
     def text(content: str) -> Callable[[Path], object]:
         return lambda path: write_text(content, path)
 
     library = build.library
     if library is None:
-        return {"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}
+        return {
+            "refused.md": text(build_markdown(build, full=full)),
+            "refused.json": text(build_json(build, full=full)),
+        }
     files: dict[str, Callable[[Path], object]] = {
         "library.npz": library.save,
-        "report.md": text(build_markdown(build)),
-        "report.json": text(build_json(build)),
+        "report.md": text(build_markdown(build, full=full)),
+        "report.json": text(build_json(build, full=full)),
     }
     if not figures:
         return files
@@ -75,7 +83,7 @@ def files_of(build: Build, *, figures: bool = True) -> Files:
     files["transients.png"] = lambda path: save_figure(library.plot(), path)
     files["methods.png"] = lambda path: save_figure(drawing.method_figure(build), path)
     files["bode.png"] = lambda path: save_figure(drawing.bode_figure(library), path)
-    if build.trade_offs:
+    if full and build.trade_offs:
         files["trade_off.png"] = lambda path: save_figure(trade_off_figure(build), path)
     refinement = build.refinement
     if refinement is not None and refinement.entries > 1:

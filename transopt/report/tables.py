@@ -13,8 +13,7 @@ from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.design.verify import EntryCheck
-from transopt.library.columns import COLUMNS, FULL, NARROW, EntryTable
+from transopt.library.columns import COLUMNS, FULL, NARROW, EntryTable, TableRow
 from transopt.library.library import Library
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
@@ -174,8 +173,15 @@ def library_table(library: Library, name: str) -> Table:
     return printed(library.table(names), name, caption=library.claim or None, columns=library.grips_N.size)
 
 
-def verify_table(checks: Sequence[EntryCheck], name: str) -> Table:
-    """The table that `transopt verify` prints."""
+def verify_table(checked: Sequence[Entry], name: str) -> Table:
+    """The table that `transopt verify` prints; the figures of an entry that falls short are shown too."""
     names = ("nrmse", "peak", "violation", "gap", "result")
-    shown = EntryTable(checks[0].columns, names, [check.row for check in checks], checks[0].unit)
-    return printed(shown, name, striking=["red" if check.shortfalls else None for check in checks])
+    unit = checked[0].unit
+    rows = []
+    for entry in checked:
+        values = {column: entry.value(column) for column in ("nrmse", "peak", "gap")}
+        values |= {"violation": entry.certificate.violation(unit)}
+        values |= {"result": "; ".join(entry.shortfalls) or "certified, replayed clean"}
+        rows.append(TableRow(entry.cells, values))
+    shown = EntryTable(checked[0].columns, names, rows, unit)
+    return printed(shown, name, striking=["red" if entry.shortfalls else None for entry in checked])

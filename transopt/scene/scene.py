@@ -433,7 +433,7 @@ class Scene(Section):
         if self.nonlinear:
             raise InputError(
                 f"{self.name}: model.nonlinear: this is done with linear plants alone; `transopt solve` and "
-                "transopt.design_nonlinear design for a nonlinear one, for all else leave the table out"
+                "transopt.build design for a nonlinear one, for all else leave the table out"
             )
         grid = self.time_grid()
         return Posing(

@@ -40,8 +40,8 @@ class Played:
 
 
 def _errors_at(errors: Errors, scene: Scene, stage: StageModel, speed: float, grips: Sequence[float]) -> list[float]:
-    commands = np.stack([errors.optimum((speed, F)).command for F in grips])
-    wanted = [errors.reference(speed).target] * len(grips)
+    commands = np.stack([errors.optimum((speed, F)).solution.command for F in grips])
+    wanted = [errors.context.reference(speed).target] * len(grips)
     return [float(error) for error in replayed_errors(stage, scene.time_grid(), commands, wanted)]
 
 
@@ -59,7 +59,7 @@ def mismatch(
     errors, found = errors_of(scene), []
     for speed in speeds_m_s:
         for grip in grips_N:
-            played = _errors_at(errors, scene, errors.stage(grip), speed, grips_N)
+            played = _errors_at(errors, scene, errors.context.stage(grip), speed, grips_N)
             own = played[grips_N.index(grip)]
             found += [Played(speed, F, grip, e, e - own) for F, e in zip(grips_N, played, strict=True)]
     return found, proven("default", errors)

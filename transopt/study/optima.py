@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from transopt.design.context import Context
 from transopt.design.refine_grid import Errors
-from transopt.recordings.reference import build_references
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -13,8 +13,7 @@ from transopt.study.rows import OPTIMAL
 
 def errors_of(scene: Scene) -> Errors:
     """Optima, blends and replays at any speed and grip of a scene with simulated recordings."""
-    recorded = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
-    return Errors(scene, recorded, SolverOptions())
+    return Errors(Context.recorded(scene, recordings(scene)), SolverOptions())
 
 
 @dataclass(frozen=True)

@@ -50,18 +50,17 @@ def largest_multiplier(row: Row) -> str:
 def shown_row(row: Row) -> TableRow:
     """What the table shows of a row."""
     refused = row["status"] == REFUSED
-    return TableRow(
-        place=tuple(place_cells(row)),
-        nrmse=number(row, "nrmse"),
-        floor=number(row, "floor"),
-        peak_input=number(row, "peak_input"),
-        winding_C=number(row, "peak_temperature_C"),
-        largest_multiplier=largest_multiplier(row),
-        relative_gap=number(row, "relative_gap"),
-        solve_time_s=1e-3 * number(row, "solve_ms"),
-        binding=binding_names(row) if row["status"] == OPTIMAL else f"{row['status']}: {row['reason']}",
-        refusal=row["reason"] if refused else "",
-    )
+    values = {
+        "nrmse": number(row, "nrmse"),
+        "floor": number(row, "floor"),
+        "peak": number(row, "peak_input"),
+        "winding": number(row, "peak_temperature_C"),
+        "largest_multiplier": largest_multiplier(row),
+        "gap": number(row, "relative_gap"),
+        "ms": 1e-3 * number(row, "solve_ms"),
+        "binding": binding_names(row) if row["status"] == OPTIMAL else f"{row['status']}: {row['reason']}",
+    }
+    return TableRow(place_cells(row), values, row["reason"] if refused else "")
 
 
 COLUMNS = ("nrmse", "floor", "peak", "winding", "largest_multiplier", "gap", "ms", "binding")

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from transopt.base.plotting import LABEL_PT, style
 from transopt.base.writing import percent
-from transopt.design.attained import TOLERANCE_dB
 from transopt.problem.answer import AT_FLOOR
 from transopt.problem.objective.bands import JUST_NOTICED_dB
+from transopt.proof.designed import TOLERANCE_dB
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis

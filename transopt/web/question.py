@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from transopt.base.errors import InputError
-from transopt.design.intensity import best
-from transopt.design.posed import entry_problem, scene_stage, spread_stages
+from transopt.design.design import design
 from transopt.problem.answer import Status
 from transopt.scene.keys import Value, find_key, with_values
 from transopt.study.inverse import Question, Requirement, answer
@@ -59,27 +58,25 @@ def asked(service: Service, index: int, control: Control, nrmse: float) -> Found
         cells = {"speed_m_s": str(place.speed_m_s), "grip_N": str(place.grip_N), "target": place.target}
         try:
             scene = with_values(service.scene, {control.key: value})
-            stage, spread = scene_stage(scene, place.grip_N), spread_stages(scene, place.grip_N)
-            problem = entry_problem(scene, stage, reference, spread)
-            designed = best(problem, service.trial, objective=scene.weights.objective)
+            posed = service.context.varied(scene).posed_as(reference, place.grip_N)
+            (found,) = design([posed], options=service.trial)
         except InputError as error:
             return {**cells, "status": "REFUSED", "reason": str(error), "nrmse": ""}
-        if designed.solution.status is not Status.OPTIMAL or not designed.certificate.accepted:
-            said = designed.solution.status.value
+        if found.solution.status is not Status.OPTIMAL or not found.certificate.accepted:
+            said = found.solution.status.value
             return {**cells, "status": Status.NOT_CERTIFIED.name, "reason": said, "nrmse": ""}
-        predicted, _ = problem.stage.rollout(designed.solution.command)
-        return {**cells, "status": OPTIMAL, "reason": "", "nrmse": repr(problem.target.nrmse(predicted))}
+        return {**cells, "status": OPTIMAL, "reason": "", "nrmse": repr(found.told.nrmse(found.predicted_m_s2))}
 
-    found = answer(question, lambda values: [[row(value)] for value in values])
+    answered = answer(question, lambda values: [[row(value)] for value in values])
     unit = f" {control.unit}" if control.unit else ""
     wanted = f"{place.title}: an error of at most {100 * nrmse:.3g} %"
-    if found.met is None:
-        nearest = min(found.tried, key=lambda tried: tried.excess)
+    if answered.met is None:
+        nearest = min(answered.tried, key=lambda tried: tried.excess)
         reached = nearest.rows[0]["nrmse"]
         how_near = f"; the nearest is {100 * float(reached):.3g} % at {nearest.value:.4g}{unit}" if reached else ""
         return Found(
             None,
             f"{wanted} is met by no {control.label} from {control.low:.4g} to {control.high:.4g}{unit}{how_near}",
         )
-    ends = "" if found.missed is not None else ", the end of its slider"
-    return Found(found.met.value, f"{wanted} takes a {control.label} of {found.met.value:.4g}{unit}{ends}")
+    ends = "" if answered.missed is not None else ", the end of its slider"
+    return Found(answered.met.value, f"{wanted} takes a {control.label} of {answered.met.value:.4g}{unit}{ends}")

@@ -17,11 +17,10 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.build import build_library
-from transopt.design.entry import Entry, design_grip, energy_dB
+from transopt.design.context import KEPT_STAGES, Context, Kept, Posed
+from transopt.design.design import RIVALS, design
+from transopt.design.entry import Entry
 from transopt.design.explain import what_would_do
-from transopt.design.intensity import best
-from transopt.design.optimum import Designed
-from transopt.design.posed import entry_problem, scene_stage, spread_stages
 from transopt.design.remedy import remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
@@ -31,9 +30,8 @@ from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between
+from transopt.recordings.reference import Reference
 from transopt.recordings.tap import check_usable, prepare, read_recordings
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
@@ -151,8 +149,8 @@ class Service:
         self._references: tuple[str, list[Reference]] = ("", [])
         self._referenced: Scene | None = None  # that the references were last looked up for
         self._recordings: tuple[str, list[Recording]] = ("", [])
-        self._staged: Scene | None = None  # whose stages are kept, by grip
-        self._stages: dict[float, tuple[StageModel, tuple[StageModel, ...]]] = {}
+        self._stages: Kept[StageModel] = Kept(KEPT_STAGES)  # of all scenes that the sliders have come to
+        self._context: Context | None = None
         self.probe: tuple[float, float] | None = None
         self._known = {key.path for key in keys(scene) if key.path.split(".", 1)[0] in TABLES} - set(DEVICE)
         scene.posing()  # a nonlinear plant is refused here, by name
@@ -163,7 +161,7 @@ class Service:
 
     def __getstate__(self) -> dict[str, Any]:
         # For another process: it makes the devices itself, and needs no library beside the references.
-        return {**vars(self), "_staged": None, "_stages": {}, "of_library": None}
+        return {**vars(self), "_stages": Kept(KEPT_STAGES), "_context": None, "of_library": None}
 
     @property
     def axis(self) -> str:
@@ -260,21 +258,19 @@ class Service:
             self._recordings = (of, recordings_of(scene))
         return self._recordings[1]
 
+    @property
+    def context(self) -> Context:
+        """Devices and references of the scene as it is now."""
+        if self._context is None or self._context.scene is not self.scene:
+            self._context = Context(self.scene, self.references(self.scene), self._stages)
+        return self._context
+
     def reference(self, place: Place) -> Reference:
         """Reference of one tap, between the recorded speeds too."""
-        references = self.references(self.scene)
-        if place.target:
-            return next(reference for reference in references if reference.name == place.target)
-        return between(references, place.speed_m_s)
+        return self.context.reference(place.speed_m_s, place.target)
 
-    def _posed(self, place: Place) -> TransientProblem:
-        scene = self.scene
-        if scene is not self._staged:
-            self._staged, self._stages = scene, {}
-        if place.grip_N not in self._stages:
-            self._stages[place.grip_N] = (scene_stage(scene, place.grip_N), spread_stages(scene, place.grip_N))
-        stage, spread = self._stages[place.grip_N]
-        return entry_problem(scene, stage, self.reference(place), spread)
+    def _posed(self, place: Place) -> Posed:
+        return self.context.posed(place.speed_m_s, place.grip_N, place.target)
 
     def order(self, selected: int) -> list[int]:
         """All taps, the selected one first, then grip by grip."""
@@ -290,29 +286,26 @@ class Service:
         ----------
         words : whether it is found out what binds, and the energy; else these are left empty and NaN.
         """
-        problem = self._posed(self.places[index])
         with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
-            designed = best(problem, self.trial, objective=self.scene.weights.objective)
-            return _shown(index, designed, words=words)
+            (entry,) = design([self._posed(self.places[index])], options=self.trial)
+            return _shown(index, entry, words=words)
 
     @one_blas_thread()
     def entry(self, index: int) -> Entry:
         """One tap as an entry of a library: solved, certified, replayed, priced, or refused with its reason."""
-        place = self.places[index]
-        (found,) = design_grip(self.scene, place.grip_N, [self.reference(place)], self.options)
+        (found,) = design([self._posed(self.places[index])], [RIVALS], options=self.options)
         return found
 
     @one_blas_thread()
     def settled(self, index: int) -> Shown:
         """One tap as a library would hold it; of a refused one the reason, and what would do."""
         place, entry = self.places[index], self.entry(index)
-        problem, played = entry.problem, entry.played
-        admitted = entry.status is Status.OPTIMAL
+        played, admitted = entry.played, entry.admitted
         reason = ""
         if not admitted:
             said = list(dict.fromkeys([entry.status.value, *entry.shortfalls]))
-            posed = SceneEntry(self.scene, place.grip_N, self.reference(place))
-            found = remedies(posed, problem, played, entry.status, self.options, most_s=MOST_REMEDY_S)
+            posed = SceneEntry(self.context, place.grip_N, self.reference(place))
+            found = remedies(posed, entry, self.options, most_s=MOST_REMEDY_S)
             reason = ": ".join([said[0], "; ".join([*said[1:], what_would_do(found)])])
         return Shown(
             index=index,
@@ -455,12 +448,12 @@ def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray,
     return problem.stage.rollout(np.append(command, np.zeros(problem.grid.after_stages)))
 
 
-def _shown(index: int, designed: Designed, *, words: bool) -> Shown:
-    problem, answer, proof = designed.problem, designed.solution, designed.certificate
+def _shown(index: int, entry: Entry, *, words: bool) -> Shown:
+    problem, answer, proof = entry.problem, entry.solution, entry.certificate
     grid, target = problem.grid, problem.target
     N = grid.stages
-    certified = answer.status is Status.OPTIMAL and (proof.accepted or _bent(designed))
-    clipped = clipped_optimum(problem.stage, grid, designed.unlimited_command, problem.limits.input_limit)
+    certified = answer.status is Status.OPTIMAL and (proof.accepted or _bent(entry))
+    clipped = clipped_optimum(problem.stage, grid, entry.designed.unlimited_command, problem.limits.input_limit)
     clipped_m_s2, clipped_input = _rolled(problem, clipped)
     nothing = np.full(N + grid.after_stages, np.nan)
     optimum, current = (
@@ -482,7 +475,7 @@ def _shown(index: int, designed: Designed, *, words: bool) -> Shown:
         temperature_C=warm,
         temperature_limit_C=limit_C,
     )
-    said = "; ".join(dict.fromkeys([answer.status.value, *designed.remarks]))
+    said = "; ".join(dict.fromkeys([answer.status.value, *entry.designed.remarks]))
     if not certified and answer.status is Status.OPTIMAL:
         said = f"{Status.NOT_CERTIFIED.value}: gap {proof.relative_gap:.1e}, limit {proof.GAP_TOLERANCE:.0e}"
     return Shown(
@@ -491,20 +484,20 @@ def _shown(index: int, designed: Designed, *, words: bool) -> Shown:
         replayed=False,
         reason="" if certified else said,
         nrmse=target.nrmse(optimum[:N]) if certified else np.nan,
-        floor=designed.floor,
+        floor=entry.floor,
         clipped=target.nrmse(clipped_m_s2[:N]),
-        energy_dB=energy_dB(problem, answer.command) if certified and words else np.nan,
+        energy_dB=entry.energy_dB if certified and words else np.nan,
         after=target.nrmse_after(optimum[N:]) if certified else np.nan,
         after_peak_g=target.peak_after_m_s2(optimum[N:]) / STANDARD_GRAVITY_M_S2 if certified else np.nan,
-        binds=binding_limits(problem, answer.command, answer.multipliers) if certified and words else "",
+        binds=entry.binding if certified and words else "",
         curves=curves,
     )
 
 
-def _bent(designed: Designed) -> bool:
+def _bent(entry: Entry) -> bool:
     """Whether the answer is a stationary point under a limit of a user's own, of which nobody can promise more."""
-    own = any(name != TemperatureLimit.name for name in designed.problem.nonlinear)
-    return designed.certificate.is_stationary and own
+    own = any(name != TemperatureLimit.name for name in entry.problem.nonlinear)
+    return entry.certificate.is_stationary and own
 
 
 def described(service: Service) -> dict[str, Any]:

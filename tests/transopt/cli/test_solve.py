@@ -177,7 +177,7 @@ class TestSolve:
 
         target = {
             "recordings": "transopt.scene.recordings.recordings_of",
-            "entries": "transopt.design.entry.replay",
+            "entries": "transopt.design.batch.replay",
             "writing": "transopt.report.figures.bode_figure",
         }[instant]
         monkeypatch.setattr(target, interrupt)

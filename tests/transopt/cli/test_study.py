@@ -19,7 +19,7 @@ import problems
 from tests.benches.commands import Run, Terminal, assert_refused
 from tests.benches.places import ROOT
 from tests.benches.study import plain, read, serial, short_scene
-from transopt.design import sweep
+from transopt.design import entry as entries
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis
@@ -180,7 +180,7 @@ class TestCommandLine:
         self, run: Run, scene_file: Path, monkeypatch: pytest.MonkeyPatch, status: Status | None, code: int
     ) -> None:
         """None: an exception, which becomes a DEFECT."""
-        real, calls = sweep.admit, []
+        real, calls = entries.admit, []
 
         def second_differs(*given: Any) -> Any:
             calls.append(1)
@@ -188,7 +188,7 @@ class TestCommandLine:
                 raise ZeroDivisionError
             return (status, ["said so"]) if len(calls) == 2 else real(*given)
 
-        monkeypatch.setattr(sweep, "admit", second_differs)
+        monkeypatch.setattr(entries, "admit", second_differs)
         monkeypatch.setattr("transopt.study.plan.TOGETHER", 1)
         few = ("--vary", "limits.current_A=2,3", "--speed", 0.4, "--grip", "3,5", "--executor", "serial")
         assert run(scene_file, *few, "--out", "out").code == code

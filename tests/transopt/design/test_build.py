@@ -14,14 +14,16 @@ from tests.benches.limits import with_limit
 from tests.benches.places import IMPACTS
 from tests.conftest import ProblemMaker
 from transopt.design.build import Build, build_library
-from transopt.design.posed import optimal_commands
-from transopt.design.verify import admit, verify_library
+from transopt.design.verify import verify_library
 from transopt.library.library import Library
 from transopt.library.proven import doubts
 from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.bands import Levels, levels
-from transopt.proof.certify import certify
+from transopt.proof.admit import admit
+from transopt.proof.certify import Effect, certify
+from transopt.proof.designed import Designed
+from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
 from transopt.scene.keys import with_values
@@ -215,7 +217,7 @@ class TestAdmission:
     """Both the certificate and the replay decide."""
 
     @pytest.fixture
-    def parts(self, scene: Scene, make_problem: ProblemMaker) -> dict:
+    def designed(self, scene: Scene, make_problem: ProblemMaker) -> Designed:
         problem = make_problem(0.4, 5.0)
         solution = solve(problem)
         # The temperature cannot bind, but what is admitted has to keep it all the same.
@@ -223,21 +225,21 @@ class TestAdmission:
         assert coil is not None
         limit = temperature_limit(coil, problem.stage.amplifier, problem.grid, scene.budget())
         problem = with_limit(problem, limit)
-        predicted, _ = problem.stage.rollout(solution.command)
-        return {
-            "status": solution.status,
-            "certificate": certify(problem, solution.command, solution.multipliers),
-            "played": played(problem, solution.command),
-            "problem": problem,
-            "command": solution.command,
-            "predicted_m_s2": predicted,
-        }
+        proof, effect = certify(problem, solution.command, solution.multipliers), Effect(problem, solution.command)
+        rest = np.zeros(problem.grid.stages)
+        return Designed(problem, solution, proof, effect, rest, 0.0, 0.0, {}, None, [])
 
-    def test_clean(self, parts: dict) -> None:
-        assert admit(**parts) == (Status.OPTIMAL, [])
+    @pytest.fixture
+    def run(self, designed: Designed) -> Replay:
+        return played(designed.problem, designed.solution.command)
 
-    def test_solver_status_is_not_overruled(self, parts: dict) -> None:
-        status, why = admit(**{**parts, "status": Status.ITERATION_LIMIT})
+    def test_clean(self, designed: Designed, run: Replay) -> None:
+        assert admit(designed, run) == (Status.OPTIMAL, [])
+
+    def test_solver_status_is_not_overruled(self, designed: Designed, run: Replay) -> None:
+        status, why = admit(
+            replace(designed, solution=replace(designed.solution, status=Status.ITERATION_LIMIT)), run
+        )
         assert status is Status.ITERATION_LIMIT
         assert "iteration limit" in why[0]
 
@@ -255,13 +257,13 @@ class TestAdmission:
             {"finite": False},
         ],
     )
-    def test_bad_certificate(self, parts: dict, change: dict) -> None:
-        status, why = admit(**{**parts, "certificate": replace(parts["certificate"], **change)})
+    def test_bad_certificate(self, designed: Designed, run: Replay, change: dict) -> None:
+        status, why = admit(replace(designed, certificate=replace(designed.certificate, **change)), run)
         assert status is Status.NOT_CERTIFIED
         assert "limit 1e-06" in why[0]
 
-    def test_a_loose_bound_has_a_name_of_its_own(self, parts: dict) -> None:
-        status, why = admit(**{**parts, "certificate": replace(parts["certificate"], lower_bound=-np.inf)})
+    def test_a_loose_bound_has_a_name_of_its_own(self, designed: Designed, run: Replay) -> None:
+        status, why = admit(replace(designed, certificate=replace(designed.certificate, lower_bound=-np.inf)), run)
         assert status is Status.NOT_GLOBAL
         assert "above the convex lower bound, limit 1%" in why[0]
 
@@ -278,18 +280,23 @@ class TestAdmission:
             ({"step_error": 1e-3}, "replay did not converge"),
         ],
     )
-    def test_replay_beyond_a_limit(self, parts: dict, change: dict, text: str) -> None:
-        status, why = admit(**{**parts, "played": replace(parts["played"], **change)})
+    def test_replay_beyond_a_limit(self, designed: Designed, run: Replay, change: dict, text: str) -> None:
+        status, why = admit(designed, replace(run, **change))
         assert status is Status.REPLAY_VIOLATION
         assert text in why[0]
 
-    def test_command_other_than_the_one_replayed(self, parts: dict) -> None:
-        status, why = admit(**{**parts, "command": parts["command"] + 1e-5})
+    def test_command_other_than_the_one_replayed(self, designed: Designed, run: Replay) -> None:
+        status, why = admit(
+            replace(designed, solution=replace(designed.solution, command=designed.solution.command + 1e-5)), run
+        )
         assert status is Status.REPLAY_VIOLATION
         assert "differs from the predicted one by 1.0e-05 A" in why[0]
 
-    def test_replay_that_misses_the_prediction(self, parts: dict) -> None:
-        status, why = admit(**{**parts, "predicted_m_s2": np.roll(parts["predicted_m_s2"], 1)})
+    def test_replay_that_misses_the_prediction(self, designed: Designed, run: Replay) -> None:
+        motion = designed.effect.motion
+        off = replace(motion, acceleration_m_s2=np.roll(motion.acceleration_m_s2, 1))
+        effect = Effect(designed.problem, designed.solution.command, off)
+        status, why = admit(replace(designed, effect=effect), run)
         assert status is Status.REPLAY_VIOLATION
         assert "differs from the predicted" in why[0]
 
@@ -377,14 +384,3 @@ def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, t
     assert list(doubts(library)) == []
     louder = replace(library, energy_dB=library.energy_dB + 0.1)
     assert any("energy_dB says" in doubt for doubt in doubts(louder))
-
-
-def test_the_optima_alone_are_what_the_library_plays(build: Build, taps: list[Recording]) -> None:
-    alone = optimal_commands(build.scene, taps)
-    assert [reference.speed_m_s for reference in alone.references] == [row[0].speed_m_s for row in build.entries]
-    for i, row in enumerate(build.entries):
-        for j, entry in enumerate(row):
-            size = np.abs(entry.plant_input).max()
-            np.testing.assert_allclose(alone.plant_input[j, i], entry.plant_input, rtol=0, atol=1e-9 * size)
-            size = np.abs(entry.predicted_m_s2).max()
-            np.testing.assert_allclose(alone.predicted_m_s2[j, i], entry.predicted_m_s2, rtol=0, atol=1e-9 * size)

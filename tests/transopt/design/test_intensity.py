@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from transopt.design.attained import Attained
+from transopt.design.context import Context
 from transopt.design.intensity import best, intense, most_price
-from transopt.design.optimum import Designed, optimum
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.optimum import optimum
 from transopt.problem.problem import TransientProblem
+from transopt.proof.designed import Attained, Designed
 from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
@@ -25,7 +25,7 @@ def posed(scene: Scene, references: list[Reference]) -> Posed:
     def make(speed_m_s: float = 0.4, grip_N: float = 5.0, dB: float = 0.0, **changes: object) -> TransientProblem:
         changed = with_values(scene, {key.replace("__", "."): value for key, value in changes.items()})
         reference = next(r for r in references if r.speed_m_s == speed_m_s)
-        problem = entry_problem(changed, scene_stage(changed, grip_N), reference)
+        problem = Context(changed).posed_as(reference, grip_N).problem
         return replace(problem, intensity_dB=dB)
 
     return make
@@ -141,7 +141,7 @@ def test_the_filter_decides_which_energy_counts(posed: Posed) -> None:
 
 def test_a_spread_is_asked_for_its_mean_energy(posed: Posed, scene: Scene) -> None:
     problem = posed(limits__current_A=2.5)
-    several = replace(problem, spread=(scene_stage(scene, 4.0), scene_stage(scene, 3.0)))
+    several = replace(problem, spread=(Context(scene).stage(4.0), Context(scene).stage(3.0)))
     found = intense(several, OPTIONS)
     made = several.accelerations(found.solution.command)[:, : several.grid.stages]
     ratio = np.mean(np.sum(made**2, axis=-1)) / np.sum(several.reference_m_s2**2)
@@ -178,7 +178,7 @@ def test_a_zero_tap_asks_for_nothing(posed: Posed) -> None:
 
 def test_the_scene_says_which_objective(scene: Scene, references: list[Reference]) -> None:
     louder = with_values(scene, {"weights.objective": "intensity", "weights.intensity_dB": 1.0})
-    problem = entry_problem(louder, scene_stage(louder, 5.0), references[-1])
+    problem = Context(louder).posed_as(references[-1], 5.0).problem
     found = best(problem, OPTIONS, objective=louder.weights.objective)
     assert attained(found).energy_dB == pytest.approx(1.0, abs=0.01)
     assert best(problem, OPTIONS, objective="waveform").attained is None

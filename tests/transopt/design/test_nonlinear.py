@@ -14,7 +14,8 @@ from tests.benches.commands import Terminal, assert_refused
 from tests.benches.nonlinear_scene import SCENE, stated
 from transopt.base.errors import InputError
 from transopt.design import nonlinear
-from transopt.design.nonlinear import NonlinearDesign, design_nonlinear
+from transopt.design.build import Build
+from transopt.design.solve import design_nonlinear
 from transopt.problem.answer import Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.nonlinear_replay import replay_nonlinear
@@ -23,43 +24,42 @@ from transopt.solvers.options import SolverOptions
 
 
 @pytest.fixture(scope="module")
-def design(tmp_path_factory: pytest.TempPathFactory) -> NonlinearDesign:
+def design(tmp_path_factory: pytest.TempPathFactory) -> Build:
     return design_nonlinear(stated(tmp_path_factory.mktemp("nonlinear")))
 
 
 class TestDesign:
-    def test_is_proven_played_and_at_most_half_as_wrong_as_the_linear_one(self, design: NonlinearDesign) -> None:
-        (entry,) = design.entries
+    def test_is_proven_played_and_at_most_half_as_wrong_as_the_linear_one(self, design: Build) -> None:
+        (entry,) = design.all_entries()
         assert entry.status is Status.STATIONARY
         assert not entry.shortfalls
         assert entry.certificate.is_stationary
         assert entry.nrmse <= 0.5 * entry.linear_nrmse
         assert entry.linear_promised < entry.linear_nrmse
 
-    def test_replay_agrees_with_the_prediction(self, design: NonlinearDesign) -> None:
-        (entry,) = design.entries
+    def test_replay_agrees_with_the_prediction(self, design: Build) -> None:
+        (entry,) = design.all_entries()
         assert entry.off_replay <= 1e-6
         assert entry.played.step_error <= 1e-6
 
-    def test_hands_out_commands_by_target(self, design: NonlinearDesign) -> None:
+    def test_hands_out_commands_by_target(self, design: Build) -> None:
         assert design.command("click").shape == (120,)
-        assert design.commands.shape == (1, 120)
-        assert np.abs(design.commands).max() <= 12
+        assert np.abs(design.command("click")).max() <= 12
         with pytest.raises(InputError, match="clack: no target of this scene: click"):
             design.command("clack")
 
-    def test_shows_both_designs(self, design: NonlinearDesign) -> None:
-        assert "1 of 1 targets certified stationary" in repr(design)
-        assert "of the linear design" in repr(design.entries[0])
+    def test_shows_both_designs(self, design: Build) -> None:
+        assert "1 of 1 entries certified stationary" in repr(design)
+        assert "of the linear design" in repr(design.entries[0][0])
         assert "linear % promised / played" in design._repr_html_()
-        assert not design.entries[0].linear_leaves
+        assert not design.entries[0][0].linear_leaves
 
     def test_is_of_the_public_face(self) -> None:
         assert to.design_nonlinear is design_nonlinear
 
 
 class TestRefusedAnswer:
-    def designed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any) -> NonlinearDesign:
+    def designed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any) -> Build:
         true = nonlinear.solve
 
         def wrong(
@@ -73,8 +73,8 @@ class TestRefusedAnswer:
 
     def test_a_command_that_is_not_the_optimum(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         made = self.designed(tmp_path, monkeypatch, command=lambda found: 0.99 * found.command)
-        assert made.entries[0].status is Status.NOT_CERTIFIED
-        assert "gap" in made.entries[0].shortfalls[0]
+        assert made.entries[0][0].status is Status.NOT_CERTIFIED
+        assert "gap" in made.entries[0][0].shortfalls[0]
         with pytest.raises(InputError, match="click: refused: gap"):
             made.command("click")
 
@@ -88,21 +88,19 @@ class TestRefusedAnswer:
                 status=lambda _: Status.NUMERICAL_FAILURE,
                 message=lambda _: "Invalid_Number_Detected",
             )
-        assert made.entries[0].status is Status.NUMERICAL_FAILURE
-        assert made.entries[0].shortfalls[0] == "IPOPT: Invalid_Number_Detected"
+        assert made.entries[0][0].status is Status.NUMERICAL_FAILURE
+        assert made.entries[0][0].shortfalls[0] == "IPOPT: Invalid_Number_Detected"
 
     def test_too_few_iterations(self, tmp_path: Path) -> None:
         made = design_nonlinear(stated(tmp_path), options=SolverOptions(max_iterations=2))
-        assert made.entries[0].status is Status.ITERATION_LIMIT
+        assert made.entries[0][0].status is Status.ITERATION_LIMIT
 
 
 class TestScene:
     def test_what_takes_linear_plants_alone_is_refused_by_one_line(self, tmp_path: Path, terminal: Terminal) -> None:
         path = stated(tmp_path)
-        with pytest.raises(
-            InputError, match=r"done with linear plants alone; `transopt solve` and transopt\.design_"
-        ):
-            to.build(path)
+        with pytest.raises(InputError, match=r"done with linear plants alone; `transopt solve` and transopt\.build"):
+            to.load_scene(path).posing()
         refused = terminal("transopt", "solve", path, "--out", tmp_path / "out", "--grid-tolerance", "0.02")
         assert_refused(refused, "--grid-tolerance", "model.nonlinear")
         assert not (tmp_path / "out").exists()
@@ -122,8 +120,9 @@ class TestScene:
         assert (out / "nonlinear.png").read_bytes().startswith(b"\x89PNG")
         # The command in the file, played by DOP853 on the equations of motion, has the error that the report states.
         command = np.loadtxt(out / "nonlinear.csv", delimiter=",", skiprows=1)[:, 1]
-        [own] = design_nonlinear(stated(tmp_path)).entries
-        [played] = replay_nonlinear(own.problem, [command])
+        [own] = design_nonlinear(stated(tmp_path)).all_entries()
+        assert own.designed.nonlinear is not None
+        [played] = replay_nonlinear(own.designed.nonlinear, [command])
         assert played.nrmse == pytest.approx(entry["nrmse"], rel=1e-6)
 
     def test_solve_hands_out_no_command_that_is_not_proven(

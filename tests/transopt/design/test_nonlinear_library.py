@@ -187,7 +187,7 @@ class TestLibrary:
 
     def test_solve_says_what_is_not_proven(self, tmp_path: Path) -> None:
         with pytest.raises(
-            InputError, match=r"1 of 1 targets refused, the first is click: IPOPT: .*design_nonlinear"
+            InputError, match=r"1 of 1 entries refused, the first at click: IPOPT: .*transopt\.build returns all"
         ):
             to.solve(stated(tmp_path), options=to.SolverOptions(max_iterations=2))
 

@@ -13,8 +13,8 @@ from tests.benches.tails import without_tail
 from transopt.base.signals import nrmse
 from transopt.base.writing import percent, rounded_up
 from transopt.design.build import Build, build_library
-from transopt.design.optimum import Designed, optimum
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.context import Context
+from transopt.design.optimum import optimum
 from transopt.design.price import Price, binding, price_step, prices
 from transopt.problem.answer import Status
 from transopt.problem.heat import Budget
@@ -25,6 +25,7 @@ from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
+from transopt.proof.designed import Designed
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values
@@ -75,7 +76,7 @@ def railed(scene: Scene, reference: Reference, grip_N: float, limit_V: float) ->
     data = scene.model_dump()
     data["limits"]["supply_V"] = limit_V
     on_rail = Scene.model_validate(data)
-    return without_tail(entry_problem(on_rail, scene_stage(on_rail, grip_N), reference))
+    return without_tail(Context(on_rail).posed_as(reference, grip_N).problem)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +86,7 @@ def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
     data["thermal"].update(start_winding_C=HOT_C, start_housing_C=HOT_C)
     hot = Scene.model_validate(data)
     # Without a tail J is the squared NRMSE but for the movement.
-    problem = without_tail(entry_problem(hot, scene_stage(hot, 5.0), references[-1]))
+    problem = without_tail(Context(hot).posed_as(references[-1], 5.0).problem)
     wide = with_numbers(problem, current_A=8.0, command_A=16.0)
     rail = with_numbers(railed(scene, references[-1], 5.0, 9.0).without("temperature"), current_A=8.0, command_A=16.0)
     return {
@@ -337,11 +338,11 @@ class TestWords:
 
 
 def test_dearest_first_and_nothing_where_nothing_binds(scene: Scene, references: list[Reference]) -> None:
-    problem = entry_problem(scene, scene_stage(scene, 5.0), references[-1])
+    problem = Context(scene).posed_as(references[-1], 5.0).problem
     _, _, found = solved(problem)
     assert [p.limit for p in found] == ["current", "command"]
     assert found[0].then < found[1].then
-    slow = entry_problem(scene, scene_stage(scene, 3.0), references[1])
+    slow = Context(scene).posed_as(references[1], 3.0).problem
     assert solved(slow)[2] == []
 
 

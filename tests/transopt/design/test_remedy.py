@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 import problems
 from problems.stress.cases import Current, DrawnDevice, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
-from problems.stress.judge import judge, played
+from problems.stress.judge import judge
 from transopt.base.errors import InputError
 from transopt.design import remedy
 from transopt.design.build import build_library
-from transopt.design.entry import design_grip
+from transopt.design.context import Context
+from transopt.design.design import design
 from transopt.design.explain import Change, Remedy, infeasibility, what_would_do
 from transopt.design.optimum import optimum
 from transopt.design.remedy import NEAR, Values, does, remedies
 from transopt.design.scene_entry import SceneEntry
-from transopt.design.verify import admit
 from transopt.problem.answer import Status
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
@@ -38,12 +38,8 @@ ONE_ENTRY = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
 
 def refused(case: StressCase) -> tuple[Status, list[Remedy]]:
     """How a case ends, and its remedies."""
-    designed = optimum(case.problem(), OPTIONS)
-    problem, command = designed.problem, designed.solution.command
-    run = played(problem, np.nan_to_num(command))
-    predicted, _ = problem.stage.rollout(command)
-    status, _ = admit(designed.solution.status, designed.certificate, run, problem, command, predicted)
-    return status, remedies(case, problem, run, status, OPTIONS)
+    (entry,) = design([case.posed()])
+    return entry.status, remedies(case, entry, OPTIONS)
 
 
 class TestWords:
@@ -111,9 +107,8 @@ class TestSearch:
 
     def test_the_time_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(remedy, "MOST_S", 0.0)
-        designed = optimum(LEANT_ON.problem(), OPTIONS)
-        run = played(designed.problem, np.nan_to_num(designed.solution.command))
-        assert remedies(LEANT_ON, designed.problem, run, Status.HAND_OVER, OPTIONS, most_s=0.0) == []
+        (entry,) = design([LEANT_ON.posed()])
+        assert remedies(LEANT_ON, entry.stating(status=Status.HAND_OVER), OPTIONS, most_s=0.0) == []
 
 
 @pytest.mark.parametrize("case", [STARVED, LEANT_ON, WARM], ids=["rail", "wall", "coil"])
@@ -160,7 +155,7 @@ def test_limits_whose_program_finds_nothing_are_refused_by_their_proof(monkeypat
 
 class TestOfAScene:
     def entry(self, scene: Scene, references: Sequence[Reference], values: Values) -> SceneEntry:
-        return SceneEntry(with_values(scene, values), 5.0, references[-1])
+        return SceneEntry(Context(with_values(scene, values)), 5.0, references[-1])
 
     def test_knows_what_stands_there(self, scene: Scene, references: list[Reference]) -> None:
         entry = self.entry(scene, references, {})
@@ -172,10 +167,10 @@ class TestOfAScene:
 
     def test_is_posed_with_other_numbers(self, scene: Scene, references: list[Reference]) -> None:
         entry = self.entry(scene, references, {"limits.supply_V": 12.0})
-        assert entry.problem({"limits.supply_V": 13.0}).limits["supply"].stated == 13.0
-        assert "supply" not in entry.problem({"limits.supply_V": None}).limits
+        assert entry.posed({"limits.supply_V": 13.0}).problem.limits["supply"].stated == 13.0
+        assert "supply" not in entry.posed({"limits.supply_V": None}).problem.limits
         with pytest.raises(InputError, match="above the motor's i_peak_A"):
-            entry.problem({"limits.current_A": 1e3})
+            entry.posed({"limits.current_A": 1e3})
 
     def test_another_time_axis_takes_the_reference_anew(
         self, scene: Scene, taps: list[Recording], references: list[Reference]
@@ -183,11 +178,11 @@ class TestOfAScene:
         values = {"time.dt_s": 5e-5, "time.stages": 1200.0}
         finer = with_values(scene, values)
         wanted = build_references(taps, finer.grid.speeds_m_s, finer.time_grid(), finer.recordings)[-1]
-        found = self.entry(scene, references, {}).problem(values)
+        found = self.entry(scene, references, {}).posed(values).problem
         np.testing.assert_allclose(found.reference_m_s2, wanted.motor_m_s2, rtol=1e-12)
-        derived = SceneEntry(scene, 5.0, between(references, 0.35))
+        derived = SceneEntry(Context(scene), 5.0, between(references, 0.35))
         with pytest.raises(InputError, match="not recorded"):
-            derived.problem(values)
+            derived.posed(values)
 
     def test_a_refused_library_says_what_would_do(self, taps: list[Recording], scene: Scene) -> None:
         """Both entries take the same rail: what does for one is tried for the next."""
@@ -202,9 +197,7 @@ class TestOfAScene:
         (stated,) = built.refused[0].remedies
         changed = with_values(low, stated.values)
         for grip_N in (1.0, 5.0):
-            (entry,) = design_grip(
-                changed, grip_N, build_references(chosen, [0.4], low.time_grid(), low.recordings), OPTIONS
-            )
+            (entry,) = design([Context.recorded(changed, chosen).posed(0.4, grip_N)])
             assert entry.status is Status.OPTIMAL
 
 
@@ -228,8 +221,8 @@ def test_the_rate_of_taps_that_is_named_is_taken(rate_Hz: float) -> None:
         with_values(scene, {"thermal.tap_rate_Hz": rate_Hz})
     most_Hz = float(str(refusal.value).split("must be at most ")[1].split(",")[0])
     assert most_Hz > 0.98 / (scene.time.stages * scene.time.dt_s + 2 * scene.time.dt_s)
-    entry = SceneEntry(scene, 1.0, _reference(scene))
-    assert entry.problem({"thermal.tap_rate_Hz": most_Hz}).thermal is not None
+    entry = SceneEntry(Context(scene), 1.0, _reference(scene))
+    assert entry.posed({"thermal.tap_rate_Hz": most_Hz}).problem.thermal is not None
 
 
 def _reference(scene: Scene) -> Reference:

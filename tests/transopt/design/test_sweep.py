@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from transopt.design import sweep
+from transopt.design import design as the_one_way
 from transopt.design.build import Build
 from transopt.design.sweep import DEFECT, REFUSED, Item, Outcome, Task, run_task
 from transopt.recordings.recording import Recording
@@ -75,14 +75,14 @@ def test_infeasible_entry_is_told(scene: Scene, taps: list[Recording]) -> None:
 
 
 def test_a_defect_takes_nobody_with_it(scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch) -> None:
-    best = sweep.best
+    best = the_one_way.best
 
     def breaks(problem: object, options: SolverOptions, *, objective: str) -> object:
         if problem.limits.input_limit == 3.0:  # type: ignore[attr-defined]
             raise RuntimeError("two\nlines")
         return best(problem, options, objective=objective)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(sweep, "best", breaks)
+    monkeypatch.setattr(the_one_way, "best", breaks)
     one, other = run_task(task(scene, taps, [{"limits.current_A": 3.0}, {"limits.current_A": 3.5}], [0.4]))
     assert (one.status, one.reason) == (DEFECT, "RuntimeError: two lines")
     assert other.status == "OPTIMAL"

@@ -73,11 +73,11 @@ def test_nothing_is_drawn_or_written_where_nothing_binds(scene: Scene, taps: lis
     built = build_library(slow, taps)
     assert built.trade_offs == []
     assert "## Waveform and intensity" not in build_markdown(built)
-    assert "trade_off.png" not in {path.name for path in write_report(built, tmp_path)}
+    assert "trade_off.png" not in {path.name for path in write_report(built, tmp_path, full=True)}
 
 
 def test_the_figure_has_a_line_for_every_entry(cut: Build, tmp_path: Path) -> None:
     axes = trade_off_figure(cut).axes[0]
     labels = [line.get_label() for line in axes.lines if not str(line.get_label()).startswith("_")]
     assert labels == [f"{t.speed_m_s:g} m/s, {t.grip_N:g} N" for t in cut.trade_offs]
-    assert "trade_off.png" in {path.name for path in write_report(cut, tmp_path)}
+    assert "trade_off.png" in {path.name for path in write_report(cut, tmp_path, full=True)}

@@ -11,8 +11,8 @@ from tests.benches import dense
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.build import Build, build_library
-from transopt.design.optimum import Designed, optimum
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.context import Context, wanted_of
+from transopt.design.optimum import optimum
 from transopt.design.verify import verify_library
 from transopt.design.worst import least_worst
 from transopt.library.file import load_library
@@ -21,6 +21,7 @@ from transopt.library.online import Online
 from transopt.library.proven import doubts
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
+from transopt.proof.designed import Designed
 from transopt.recordings.recording import Recording
 from transopt.report.markdown import build_markdown
 from transopt.scene.keys import with_values
@@ -38,8 +39,9 @@ def several(scene: Scene, taps: list[Recording]) -> TransientProblem:
     """A tap at 3 N that shall do for four other grips too, its current saturated."""
     short = with_values(scene, SHORT)
     reference = next(r for r in references_of(short, taps) if r.speed_m_s == 0.3)
-    spread = tuple(scene_stage(short, grip) for grip in GRIPS_N)
-    problem = entry_problem(short, scene_stage(short, 3.0), reference, spread).without("temperature")
+    context = Context(short)
+    spread = tuple(context.stage(grip) for grip in GRIPS_N)
+    problem = context.posing.problem(wanted_of(reference), context.stage(3.0), spread).without("temperature")
     return replace(problem, worst=True)
 
 

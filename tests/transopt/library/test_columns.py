@@ -15,7 +15,8 @@ from transopt.report.markdown import build_markdown
 from transopt.report.tables import build_table, library_table, verify_table
 from transopt.scene.keys import with_values
 
-ROW = TableRow(("0.2", "3"), nrmse=0.09996, floor=0.00999, after=0.02, peak_input=1.0, binding="none", verdict="fine")
+FIGURES = {"nrmse": 0.09996, "floor": 0.00999, "after": 0.02, "peak": 1.0, "binding": "none", "verdict": "fine"}
+ROW = TableRow(("0.2", "3"), FIGURES)
 
 
 @pytest.fixture(scope="module")

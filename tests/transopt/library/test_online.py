@@ -16,8 +16,8 @@ from tests.benches.places import ROOT
 from tests.conftest import walled_scene
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
+from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.design.posed import entry_problem, scene_stage
 from transopt.library import online
 from transopt.library.library import Library
 from transopt.library.online import Online
@@ -184,7 +184,7 @@ class TestOtherLimits:
         data = scene.model_dump()
         data[section] = {**data[section], **changes}
         stated = Scene.model_validate(data)
-        problem = entry_problem(stated, scene_stage(stated, 5.0), references[3])
+        problem = Context(stated).posed_as(references[3], 5.0).problem
         designed = optimum(problem, SolverOptions())
         tap = solver.solve(0.4, 5.0, limits=limits)
         assert tap.certificate is not None, tap.remark

@@ -11,15 +11,16 @@ from scipy.linalg import expm
 from problems.stress.judge import played
 from tests.benches.limits import supply_of, with_rail
 from tests.conftest import is_stationary
-from transopt.design.entry import design_grip
+from transopt.design.context import Context
+from transopt.design.design import design
 from transopt.design.explain import infeasibility
-from transopt.design.optimum import Designed, optimum
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.optimum import optimum
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import Status
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
+from transopt.proof.designed import Designed
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
@@ -45,7 +46,7 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
     ) -> TransientProblem:
         other = varied(scene, limits, feedback)
         reference = next(r for r in references if r.speed_m_s == speed_m_s)
-        return entry_problem(other, scene_stage(other, grip_N), reference)
+        return Context(other).posed_as(reference, grip_N).problem
 
     return make
 
@@ -185,7 +186,7 @@ class TestInfeasible:
     def test_a_rail_below_the_incoming_hands_back_emf(self, scene: Scene, references: list[Reference]) -> None:
         """At 0.4 m/s the motor generates 0.5 V before anything is commanded: 0.3 V cannot hold that."""
         low = varied(scene, {"supply_V": 0.3})
-        (entry,) = design_grip(low, 5.0, [references[-1]], SolverOptions())
+        (entry,) = design([Context(low).posed_as(references[-1], 5.0)])
         assert entry.status is not Status.OPTIMAL
         (reason,) = entry.shortfalls
         assert reason == "supply 0.2 V over its 0.3 V at -0.2 ms: the back-EMF of the incoming stylus alone"

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from problems.stress.judge import played
 from tests.conftest import WalledMaker
 from transopt.base.errors import InputError
-from transopt.design.optimum import Designed, optimum
+from transopt.design.optimum import optimum
 from transopt.plant.amplifier import Amplifier, prefilter
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import FeedbackLoop, Wall
@@ -19,6 +19,7 @@ from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.proof.certify import Effect, certify, reduced_gradient
+from transopt.proof.designed import Designed
 from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene

@@ -8,8 +8,8 @@ import pytest
 import problems
 from tests.benches.limits import command_limit_A, supply_of, with_limit, with_numbers, with_rail
 from tests.conftest import ProblemMaker, is_stationary
+from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.answer import Status
@@ -33,7 +33,7 @@ def entry(scene: Scene, reference: Reference, grip_N: float, **tables: dict[str,
     for name, table in tables.items():
         data[name] = {**(data[name] or {}), **table}
     varied = Scene.model_validate(data)
-    return entry_problem(varied, scene_stage(varied, grip_N), reference)
+    return Context(varied).posed_as(reference, grip_N).problem
 
 
 def certified_objective(whole: TransientProblem, solved: TransientProblem, solver: str = "casadi-piqp") -> float:
@@ -150,7 +150,7 @@ class TestForcedIn:
         whole = entry(scene, references[1], 3.0)
         designed = optimum(whole, SolverOptions())
         assert designed.left_out["limits"].startswith("the unlimited optimum is inside all limits: current ")
-        assert designed.size is None
+        assert designed.solved is None
         assert designed.certificate.accepted
         assert inside(whole, designed.solution.command)
         for forced, solver in ((whole.without("temperature"), "casadi-piqp"), (whole, "casadi-ipopt")):

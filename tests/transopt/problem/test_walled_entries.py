@@ -13,7 +13,8 @@ from tests.benches.tails import without_tail
 from tests.conftest import WalledMaker, walled_scene
 from tests.transopt.plant.test_wall import plain_feedback, plain_prefilter
 from transopt.design.build import build_library
-from transopt.design.entry import design_grip
+from transopt.design.context import Context
+from transopt.design.design import design
 from transopt.design.optimum import optimum
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
@@ -59,7 +60,7 @@ class TestRefusal:
     def test_a_refused_entry_says_so_in_the_design(self, scene: Scene, references: list[Reference]) -> None:
         data = walled_scene(scene, 2000.0).model_dump()
         data["limits"].update(beta=None, current_A=0.3)
-        (entry,) = design_grip(Scene.model_validate(data), 3.0, [references[-1]], SolverOptions())
+        (entry,) = design([Context(Scene.model_validate(data)).posed_as(references[-1], 3.0)])
         assert entry.status is Status.HAND_OVER
         assert "limit 0.3 A" in entry.shortfalls[0]
 

@@ -15,8 +15,8 @@ from matplotlib.text import Text
 
 from tests.benches.libraries import resized
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
+from transopt.design.batch import Baselines
 from transopt.design.build import Build
-from transopt.design.entry import Baselines
 from transopt.library.library import Library
 from transopt.plant.chain import Link, chain
 from transopt.problem.answer import Status
@@ -161,14 +161,14 @@ class TestLibrary:
 def of_size(build: Build, speeds: int, grips: int) -> Build:
     """A build that has its first entry everywhere."""
     one, places = build.entries[0][0], 0.5 + np.arange(grips)
-    rows = [[replace(one, speed_m_s=0.1 * (j + 1), grip_N=float(F)) for F in places] for j in range(speeds)]
+    rows = [[one.stating(speed_m_s=0.1 * (j + 1), grip_N=float(F)) for F in places] for j in range(speeds)]
     return replace(build, entries=rows)
 
 
 def with_entry(build: Build, **changes: Any) -> Build:
     """A build whose first entry is another one."""
     first, *others = build.entries[0]
-    return replace(build, entries=[[replace(first, **changes), *others], *build.entries[1:]])
+    return replace(build, entries=[[first.stating(**changes), *others], *build.entries[1:]])
 
 
 class TestMethods:
@@ -196,7 +196,7 @@ class TestMethods:
     def test_refused_entries_are_marked_and_what_is_unknown_is_left_out(self, build: Build) -> None:
         refused = method_figure(with_entry(build, status=Status.NOT_CERTIFIED))
         assert refused.axes[0].get_xticklabels()[0].get_text() == "1 N\nrefused"
-        unknown = [[replace(entry, repeatability=float("nan")) for entry in row] for row in build.entries]
+        unknown = [[entry.stating(repeatability=float("nan")) for entry in row] for row in build.entries]
         figure = method_figure(replace(build, entries=unknown))
         assert "repeatability of the taps" not in legend_texts(figure)
         assert_nothing_clipped(figure)
@@ -225,7 +225,7 @@ class TestMethods:
     def test_speeds_of_many_digits_do_not_collide(self, build: Build) -> None:
         """Of a single grip, whose stripes are as narrow as an entry, and of three."""
         for grips in (1, 3):
-            long = [[replace(e, speed_m_s=e.speed_m_s + 0.0034) for e in row[:grips]] for row in build.entries]
+            long = [[e.stating(speed_m_s=e.speed_m_s + 0.0034) for e in row[:grips]] for row in build.entries]
             figure = method_figure(replace(build, entries=long))
             assert_nothing_clipped(figure)
             axes = figure.axes[0]

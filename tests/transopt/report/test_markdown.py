@@ -58,10 +58,10 @@ class TestPrices:
     def test_what_is_not_certified_is_called_so(self, tapping: Build) -> None:
         (entry,) = tapping.all_entries()
         unknown = replace(entry.prices[0], then=np.nan, enough=np.nan, there=np.nan)
-        text = build_markdown(replace(tapping, entries=[[replace(entry, prices=[unknown])]]))
+        text = build_markdown(replace(tapping, entries=[[entry.stating(prices=[unknown])]]))
         (row,) = (line for line in section(text, "What binds, and what more would buy") if "| 0.4" in line)
         assert row.count("not certified") == 3
-        assert '"then": null' in build_json(replace(tapping, entries=[[replace(entry, prices=[unknown])]]))
+        assert '"then": null' in build_json(replace(tapping, entries=[[entry.stating(prices=[unknown])]]))
 
 
 class TestCertificates:

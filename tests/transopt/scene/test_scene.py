@@ -8,7 +8,7 @@ import pytest
 
 import problems
 from transopt.base.errors import InputError
-from transopt.design.posed import scene_stage
+from transopt.design.context import Context
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limits, Setting
 from transopt.scene.file import read_scene
@@ -20,7 +20,7 @@ TEXT = problems.scene_path("wood_on_foam").read_text()
 
 def limits_of(scene: Scene) -> Limits:
     """The limits of a tap under the lightest grip that asks for no motion at all."""
-    grid, stage = scene.time_grid(), scene_stage(scene, scene.grid.grips_N[0])
+    grid, stage = scene.time_grid(), Context(scene).stage(scene.grid.grips_N[0])
     nothing = np.zeros(grid.stages)
     setting = Setting(stage, grid, scene.circuit(), scene.coil(), scene.budget(), None, nothing, nothing, nothing)
     return posed(scene.limits.asked(), setting)

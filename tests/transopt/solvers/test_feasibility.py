@@ -10,7 +10,6 @@ from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, S
 from problems.stress.draw import drawn
 from problems.stress.judge import played
 from transopt.base.errors import InputError
-from transopt.design.explain import unstable_wall
 from transopt.design.optimum import optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.plant.wall import earlier_by
@@ -18,6 +17,7 @@ from transopt.problem.answer import Status
 from transopt.problem.leave_out import encoder_course, silence
 from transopt.problem.limits import hand_over, limits_of
 from transopt.problem.problem import TransientProblem
+from transopt.proof.admit import unstable_wall
 from transopt.solvers.choose import solve_certified
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions

@@ -11,8 +11,8 @@ import pytest
 from scipy import optimize
 
 from transopt.base.errors import InputError
+from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import Multipliers, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
@@ -53,9 +53,8 @@ def scene(stages: int = 20, *, amplifier: str = "ideal", limits: dict[str, Any],
 
 def posed(of: Scene) -> NonlinearProblem:
     linear = of.at_rest()
-    stage = scene_stage(linear, 0.0)
     (reference,) = target_references(linear.targets, linear.time_grid(), linear.recordings)
-    problem = entry_problem(linear, stage, reference)
+    problem = Context(linear).posed_as(reference, 0.0).problem
     model: Any = of.model
     device = NonlinearStage(model.nonlinear_plant(), problem.stage.amplifier, 5e-4, 1, tuple(problem.stage.outputs))
     device, error = resolved(device, optimum(problem, SolverOptions()).solution.command)

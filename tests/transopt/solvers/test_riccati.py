@@ -20,7 +20,7 @@ from tests.benches.limits import drawn_ray, with_limit, with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
 from transopt.design.build import Build
-from transopt.design.posed import entry_problem, scene_stage
+from transopt.design.context import Context
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.heat import Budget
@@ -55,7 +55,7 @@ def hardest() -> Callable[[str], TransientProblem]:
     def make(name: str) -> TransientProblem:
         scene = problems.load(name)
         references = references_of(scene, recordings_of(scene))
-        problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
+        problem = Context(scene).posed_as(references[-1], scene.grid.grips_N[-1]).problem
         return (
             problem
             if problem.wall is None

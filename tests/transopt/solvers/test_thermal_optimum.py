@@ -13,8 +13,8 @@ from problems.stress.judge import played
 from tests.benches.limits import with_limit
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
+from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.design.posed import entry_problem, scene_stage
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.plant.amplifier import Amplifier
@@ -49,7 +49,7 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
         data["thermal"].update(thermal)
         varied = Scene.model_validate(data)
         reference = next(r for r in references if r.speed_m_s == speed_m_s)
-        problem = entry_problem(varied, scene_stage(varied, grip_N), reference)
+        problem = Context(varied).posed_as(reference, grip_N).problem
         if stages is None:
             return problem
         grid, coil = replace(problem.grid, stages=stages, after_stages=0), varied.coil()

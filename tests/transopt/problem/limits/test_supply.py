@@ -13,8 +13,8 @@ from tests.benches.limits import supply_of, with_rail
 from tests.benches.rail import Tap, terminal_voltages
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
+from transopt.design.context import Context, wanted_of
 from transopt.design.optimum import optimum
-from transopt.design.posed import entry_problem, scene_stage, wanted_of
 from transopt.design.resolve import resolve
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
@@ -52,7 +52,7 @@ def problems(scene: Scene, references: list[Reference]) -> dict[Case, TransientP
     found = {}
     for volts, pole, (speed, grip) in product(RAILS_V, POLES_Hz, ENTRIES):
         of = varied(scene, pole, volts)
-        found[volts, pole, speed, grip] = entry_problem(of, scene_stage(of, grip), by_speed[speed])
+        found[volts, pole, speed, grip] = Context(of).posed_as(by_speed[speed], grip).problem
     return found
 
 
@@ -102,7 +102,7 @@ def test_neither_end_alone_is_enough(
 class TestEnds:
     def ends_C(self, scene: Scene, references: list[Reference], **thermal: float) -> list[float] | None:
         of = varied(scene, 1050.0, 9.0, **thermal)
-        return supply_of(entry_problem(of, scene_stage(of, 5.0), references[-1])).copper_C
+        return supply_of(Context(of).posed_as(references[-1], 5.0).problem).copper_C
 
     def test_the_coldest_and_the_hottest_of_the_entry(self, scene: Scene, references: list[Reference]) -> None:
         assert self.ends_C(scene, references) == [25.0, 100.0]
@@ -122,7 +122,7 @@ class TestEnds:
     def test_without_a_coil_the_resistance_is_the_stated_one(self, scene: Scene, references: list[Reference]) -> None:
         of = varied(scene, 1050.0, 9.0)
         posing = replace(of.posing(), coil=None)
-        supply = supply_of(posing.problem(wanted_of(references[-1]), scene_stage(of, 5.0)))
+        supply = supply_of(posing.problem(wanted_of(references[-1]), Context(of).stage(5.0)))
         (end,) = supply.ends
         assert (supply.copper_C, end.said) == (None, "")
         assert end.circuit.R_ohm == pytest.approx(scene.motor.R_ohm, rel=1e-15)

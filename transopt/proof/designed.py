@@ -1,6 +1,13 @@
-"""What an entry attains that was asked for an intensity."""
+"""An answer with its proof: what a problem's solution is worth before anything is played."""
 
 from dataclasses import dataclass
+
+from transopt.base.shown import brief
+from transopt.base.signals import FloatArray
+from transopt.problem.answer import Certificate, Solution, Status
+from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import Effect
 
 TOLERANCE_dB = 0.01  # a hundredth of what a hand can tell apart, and more
 
@@ -62,3 +69,46 @@ class Attained:
             f"{nearest}; {self.missing_dB:.2f} dB are missing, {why}, which is no proof that no command within the "
             "limits has more"
         )
+
+
+@dataclass(frozen=True)
+class Designed:
+    """The answer to one problem, proven; nothing of it has been replayed.
+
+    Attributes
+    ----------
+    problem : with every limit of the scene, and the wall pushing where the answer makes it push. If the plant is
+        nonlinear it is the problem of the plant at rest, whose objective and limits are those of `nonlinear`.
+    certificate : of the answer for that whole problem.
+    effect : what the answer's command does in it, on the nonlinear plant where there is one.
+    unlimited_command : (N,) the optimum without limits.
+    floor : NRMSE of that optimum against the problem's target.
+    free_peak : its largest plant input [A or V].
+    left_out : part -> why the problem that was solved does not have it.
+    solved : the problem that a program was made of; None where one linear solve was enough.
+    remarks : why there is no answer.
+    attained : what was found of the energy that was asked for; None where none is.
+    nonlinear : the problem on the nonlinear plant; None for a linear one.
+    linear : the answer for the plant at rest, beside that for a nonlinear plant.
+    """
+
+    problem: TransientProblem
+    solution: Solution
+    certificate: Certificate
+    effect: Effect
+    unlimited_command: FloatArray
+    floor: float
+    free_peak: float
+    left_out: dict[str, str]
+    solved: TransientProblem | None
+    remarks: list[str]
+    attained: Attained | None = None
+    nonlinear: NonlinearProblem | None = None
+    linear: "Designed | None" = None
+
+    __repr__ = brief
+
+    @property
+    def is_proven(self) -> bool:
+        """Certified, but for the global bound where the temperature binds."""
+        return self.solution.status is Status.OPTIMAL and self.certificate.is_stationary

@@ -1,0 +1,155 @@
+"""Replays of the answers of one device, made together, and the two other methods beside them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.plant.coil import CoilModel
+from transopt.plant.continuous import Accurate, accurate
+from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.objective.target import Target
+from transopt.proof.designed import Designed
+from transopt.proof.replay import Replay, errors_of, replay, replayed_errors
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """NRMSE of the two other methods after replay, at the transient limit and at the steady limit."""
+
+    seed: float
+    clipped: float
+    seed_steady: float
+    clipped_steady: float
+
+
+class Batch:
+    """Answers of one device, time axis and tap rate, which one simulation plays when the first of them is read.
+
+    Parameters
+    ----------
+    designed : the answers, at least one.
+    coil : of the motor; None where nothing is known of it.
+    steady_input : what the actuator stands for ever, at which the other methods are looked at besides [A or V].
+    told : targets against which errors are told; by default what each problem tracks.
+    transients : (M, N) what is played beside the wall's feedback; by default what the commands leave of it.
+    """
+
+    def __init__(
+        self,
+        designed: Sequence[Designed],
+        coil: CoilModel | None,
+        steady_input: float,
+        told: Sequence[Target] | None = None,
+        transients: FloatArray | None = None,
+    ) -> None:
+        self._stated = transients
+        self.designed, self._coil, self._steady_input = designed, coil, steady_input
+        self.told = [each.problem.target for each in designed] if told is None else told
+
+    @cached_property
+    def replays(self) -> list[Replay]:
+        """Each command, through the wall if there is one."""
+        if self.designed[0].nonlinear is not None:
+            return [both[1] for both in self._on_nonlinear_plant]
+        return self._replayed(None)
+
+    @cached_property
+    def linear_replays(self) -> list[Replay]:
+        """The commands that were designed for the plant at rest, on the nonlinear plant."""
+        return [both[0] for both in self._on_nonlinear_plant]
+
+    @cached_property
+    def rivals(self) -> list[Baselines]:
+        """Errors of the two other methods, of each answer; they know no wall."""
+        first = self.designed[0]
+        if first.nonlinear is not None:
+            errors = np.array([self._errors_on_nonlinear_plant(each) for each in self.designed]).T
+            return _baselines(errors)
+        commands = self._rival_commands
+        return _baselines(replayed_errors(first.problem.stage, first.problem.grid, commands, self._rival_targets))
+
+    def play_with_rivals(self) -> None:
+        """Make replays and errors of the rivals in one simulation, where no wall stands between them."""
+        first, M = self.designed[0], len(self.designed)
+        if first.nonlinear is not None or first.problem.wall is not None:
+            return
+        commands = np.concatenate([self._transients, self._rival_commands])
+        together = accurate(first.problem.stage, first.problem.grid, commands, None)
+        self.replays = self._replayed(together.of(slice(M)))
+        self.rivals = _baselines(errors_of(together.of(slice(M, None)), first.problem.grid, self._rival_targets))
+
+    @property
+    def _transients(self) -> FloatArray:
+        """(M, N) what is played of each answer, beside the wall's feedback."""
+        if self._stated is not None:
+            return self._stated
+        # A solver that broke down returns NaN, which no integrator needs to see.
+        commands = [np.nan_to_num(d.solution.command, nan=0.0, posinf=0.0, neginf=0.0) for d in self.designed]
+        return np.stack([d.problem.transient_command(c) for d, c in zip(self.designed, commands, strict=True)])
+
+    def _replayed(self, simulated: Accurate | None) -> list[Replay]:
+        problems = [d.problem for d in self.designed]
+        budgets = [p.thermal.budget for p in problems if p.thermal is not None]
+        walls = [p.wall for p in problems if p.wall is not None]
+        return replay(
+            problems[0].stage,
+            problems[0].grid,
+            self._transients,
+            self.told,
+            self._coil,
+            limits=[problem.limits for problem in problems],
+            walls=walls or None,
+            budgets=budgets or None,
+            simulated=simulated,
+            spread=problems[0].spread,
+        )
+
+    @cached_property
+    def _on_nonlinear_plant(self) -> list[list[Replay]]:
+        """The linear design and the answer, of each."""
+        # IPOPT's results alone need this import.
+        from transopt.proof.nonlinear_replay import replay_nonlinear
+
+        found = []
+        for each in self.designed:
+            assert each.nonlinear is not None
+            assert each.linear is not None
+            commands = [np.nan_to_num(d.solution.command) for d in (each.linear, each)]
+            found.append(replay_nonlinear(each.nonlinear, commands))
+        return found
+
+    @property
+    def _rival_commands(self) -> FloatArray:
+        """(4 M, N) commands of the two other methods, in the order of `Baselines`, each of all answers."""
+        return _rivals_of(self.designed, self._steady_input)
+
+    @property
+    def _rival_targets(self) -> list[Target]:
+        return [*self.told] * 4
+
+    def _errors_on_nonlinear_plant(self, designed: Designed) -> list[float]:
+        assert designed.nonlinear is not None
+        # The rivals invert the plant at rest, as the linear design does.
+        return [
+            designed.nonlinear.nrmse(each) for each in _rivals_of([designed.linear or designed], self._steady_input)
+        ]
+
+
+def _rivals_of(designed: Sequence[Designed], steady_input: float) -> FloatArray:
+    first = designed[0].problem
+    references = np.stack([d.problem.reference_m_s2 for d in designed])
+    free = np.stack([d.unlimited_command for d in designed])
+    # Both limits at once: what is clipped at them is the same.
+    transient = np.array([d.problem.limits.input_limit for d in designed])
+    limits = np.stack([transient, np.full_like(transient, steady_input)])[:, :, None]
+    seed = seed_inversion(first.stage, first.grid, references, limits, first.hand_over_samples)
+    clipped = clipped_optimum(first.stage, first.grid, free, limits)
+    return np.stack([seed, clipped], axis=1).reshape(-1, first.grid.stages)  # limit, method, answer
+
+
+def _baselines(errors: FloatArray) -> list[Baselines]:
+    """From (4 M,) errors in the order of the commands, or (4, M)."""
+    return [Baselines(*(float(error) for error in each)) for each in errors.reshape(4, -1).T]

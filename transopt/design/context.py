@@ -1,0 +1,204 @@
+"""What the entries of a scene share: its devices by grip, its references by speed, each made once."""
+
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Generic, TypeVar
+
+from transopt.base.axes import Axes
+from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import StageModel
+from transopt.plant.nonlinear import NonlinearCoil
+from transopt.problem.limits import needed_outputs
+from transopt.problem.objective.target import Target
+from transopt.problem.posing import Posing, Wanted
+from transopt.problem.problem import TransientProblem
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, between
+from transopt.scene.recordings import references_of
+from transopt.scene.scene import Scene
+from transopt.solvers.own import law
+
+KEPT_STAGES, KEPT_BETWEEN = 64, 32
+# What a stage model depends on, beside the outputs that the limits look at.
+OF_A_STAGE = ("model", "motor", "transmission", "tip", "amplifier", "time", "feedback")
+T = TypeVar("T")
+
+
+class Kept(Generic[T]):
+    """The values made last, by a text that says what they depend on."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._values: OrderedDict[str, T] = OrderedDict()
+
+    def get(self, key: str, make: Callable[[], T]) -> T:
+        """The value of a key, made if it is not there."""
+        if key not in self._values:
+            self._values[key] = make()
+            if len(self._values) > self._most:
+                self._values.popitem(last=False)
+        self._values.move_to_end(key)
+        return self._values[key]
+
+
+def as_text(scene: Scene, *parts: str) -> str:
+    """Parts of a scene as a text by which something that depends on them alone is kept."""
+    return json.dumps(scene.model_dump(include=set(parts), mode="json"), sort_keys=True)
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A problem, and what else its answer is told by.
+
+    Attributes
+    ----------
+    problem : what a command has to meet; of a nonlinear plant that of the plant at rest.
+    speed_m_s, grip_N, target : where the entry stands in a library; speed and grip are 0 for a named target.
+    objective : "waveform" minimises J, "intensity" asks for the energy of the tap too.
+    coil : of the motor, for the replay; None where nothing is known of it.
+    steady_input : what the actuator stands for ever [A or V], at which the other methods are looked at.
+    repeatability : trial-to-mean NRMSE of its recordings; NaN if unknown.
+    told : the target against which errors are told; None for what the problem tracks.
+    plant : the nonlinear plant; None for a linear one.
+    """
+
+    problem: TransientProblem
+    speed_m_s: float = 0.0
+    grip_N: float = 0.0
+    target: str = ""
+    objective: str = "waveform"
+    coil: CoilModel | None = None
+    steady_input: float = float("inf")
+    repeatability: float = float("nan")
+    told: Target | None = None
+    plant: NonlinearCoil | None = None
+
+
+class Context:
+    """Devices, references and posing of one scene.
+
+    Parameters
+    ----------
+    scene : whose entries are posed.
+    references : of its recorded speeds or named targets, or what makes them when they are first asked for.
+    stages : in which stage models are kept; contexts of varied scenes may share one.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        references: Sequence[Reference] | Callable[[], Sequence[Reference]] = (),
+        stages: Kept[StageModel] | None = None,
+    ) -> None:
+        self.scene, self._given = scene, references
+        self.stages: Kept[StageModel] = Kept(KEPT_STAGES) if stages is None else stages
+        self._between: Kept[Reference] = Kept(KEPT_BETWEEN)
+
+    @classmethod
+    def recorded(cls, scene: Scene, recordings: Sequence[Recording]) -> "Context":
+        """The context of a scene with its recordings.
+
+        Raises
+        ------
+        InputError : recordings that cannot serve, when the references are first asked for.
+        """
+        return cls(scene, lambda: references_of(scene, recordings))
+
+    def varied(self, scene: Scene) -> "Context":
+        """Give a scene with other numbers on the same time axis these references and the devices that are kept."""
+        return Context(scene, lambda: self.references, self.stages)
+
+    @cached_property
+    def references(self) -> Sequence[Reference]:
+        """References of the recorded speeds, rising, or of the named targets."""
+        return self._given() if callable(self._given) else self._given
+
+    def reference(self, speed_m_s: float, target: str = "") -> Reference:
+        """The reference of a speed, blended between those recorded, or of a named target."""
+        if target:
+            return next(each for each in self.references if each.name == target)
+        return self._between.get(repr(speed_m_s), lambda: between(self.references, speed_m_s))
+
+    @cached_property
+    def posing(self) -> Posing:
+        """What the problems of all taps of the scene share, limits of a user's own evaluated."""
+        return replace(self._linear.posing(), law_of=law)
+
+    @cached_property
+    def _linear(self) -> Scene:
+        """The scene with its plant as it is at rest, by which a nonlinear one is posed."""
+        return self.scene.at_rest() if self.scene.nonlinear else self.scene
+
+    @cached_property
+    def plant(self) -> NonlinearCoil | None:
+        """The nonlinear plant; None for a linear one."""
+        return self.scene.nonlinear_plant() if self.scene.nonlinear else None
+
+    def stage(self, grip_N: float) -> StageModel:
+        """The device of one grip as the scene's problem needs it."""
+        return self._stage(self._linear, grip_N)
+
+    def spread(self, grip_N: float) -> tuple[StageModel, ...]:
+        """Further devices that the commands of one grip shall serve."""
+        return tuple(self._stage(of, grip) for of, grip in self._linear.spread(grip_N))
+
+    def _stage(self, of: Scene, grip_N: float) -> StageModel:
+        posing = self.posing
+        outputs = sorted(needed_outputs(posing.asked, posing.driven_by))
+        key = f"{grip_N!r} {outputs} {as_text(of, *OF_A_STAGE)}"
+        return self.stages.get(key, lambda: posing.stage(of.plant(grip_N)))
+
+    def posed(self, speed_m_s: float, grip_N: float, target: str = "") -> Posed:
+        """One entry of the scene.
+
+        Raises
+        ------
+        InputError : numbers that make no problem, recordings that cannot serve.
+        """
+        reference = self.reference(speed_m_s, target)
+        return self.posed_as(reference, grip_N)
+
+    def posed_as(self, reference: Reference, grip_N: float) -> Posed:
+        """The entry of a grip that a reference asks for."""
+        scene, problem = (
+            self.scene,
+            self.posing.problem(wanted_of(reference), self.stage(grip_N), self.spread(grip_N)),
+        )
+        return Posed(
+            problem=problem,
+            speed_m_s=reference.speed_m_s,
+            grip_N=grip_N,
+            target=reference.name,
+            objective=scene.weights.objective,
+            coil=scene.coil(),
+            steady_input=scene.limits.steady_input,
+            repeatability=reference.repeatability,
+            plant=self.plant,
+        )
+
+    def all(self) -> Iterator[Posed]:
+        """Every entry of the scene, speeds outermost."""
+        for speed, name in self.rows:
+            for grip in self.scene.grid.grips_N:
+                yield self.posed(speed, grip, name)
+
+    @property
+    def rows(self) -> list[tuple[float, str]]:
+        """Speed and name of what each row of a library is for."""
+        axes: Axes = self.scene.axes
+        return list(zip(axes.speeds_m_s, axes.targets or ("",) * len(axes.speeds_m_s), strict=True))
+
+
+def wanted_of(reference: Reference) -> Wanted:
+    """What a reference asks of the device, and the nominal motion under it."""
+    return Wanted(
+        reference.speed_m_s,
+        reference.target,
+        reference.nominal_velocity_m_s,
+        reference.nominal_position_m,
+        reference.nominal_position_at_ticks_m,
+        reference.ends_s,
+    )

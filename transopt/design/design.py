@@ -1,0 +1,89 @@
+"""The one way from a problem to an entry: solve, prove, replay, admit."""
+
+from collections.abc import Callable, Sequence
+
+from transopt.base.threads import one_blas_thread
+from transopt.design.batch import Batch
+from transopt.design.context import Posed
+from transopt.design.entry import Entry
+from transopt.design.intensity import best
+from transopt.proof.designed import Designed
+from transopt.solvers.options import SolverOptions
+
+RIVALS = "rivals"  # the column of the two other methods
+
+
+@one_blas_thread()
+def design(
+    problems: Sequence[Posed],
+    columns: Sequence[str] = (),
+    *,
+    options: SolverOptions | None = None,
+    failed: Callable[[Posed, Exception], None] | None = None,
+) -> list[Entry]:
+    """Design entries: each solved and proven; replayed, admitted and told when they are first read.
+
+    Problems of the same device are replayed by one simulation. What only some readers ask of an entry, as its prices
+    or the errors of the other methods, is made when it is read (`transopt.design.entry`).
+
+    Parameters
+    ----------
+    problems : in any order.
+    columns : what is going to be read of all entries: "rivals", which then share the simulation of the replays.
+    options : solver and its tolerance.
+    failed : told of a problem whose solution ended in an exception; its entry is then left out. Without it the
+        exception is raised.
+
+    Returns
+    -------
+    The entries in the order of the problems.
+    """
+    options = SolverOptions() if options is None else options
+    solved: dict[int, Designed] = {}
+    for number, posed in enumerate(problems):
+        try:
+            solved[number] = _solved(posed, options)
+        except Exception as error:
+            if failed is None:
+                raise
+            failed(posed, error)
+    entries: dict[int, Entry] = {}
+    together: dict[tuple[object, ...], list[int]] = {}
+    for number, designed in solved.items():
+        together.setdefault(_played_with(problems[number], designed), []).append(number)
+    for numbers in together.values():
+        first = problems[numbers[0]]
+        told = [problems[n].told or solved[n].problem.target for n in numbers]
+        batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, told)
+        if RIVALS in columns:
+            batch.play_with_rivals()
+        for index, n in enumerate(numbers):
+            posed = problems[n]
+            place = (posed.speed_m_s, posed.grip_N, posed.target)
+            entries[n] = Entry(*place, solved[n], batch, index, posed.repeatability, options, posed.objective)
+    return [entries[number] for number in sorted(entries)]
+
+
+def _solved(posed: Posed, options: SolverOptions) -> Designed:
+    if posed.plant is None:
+        return best(posed.problem, options, objective=posed.objective)
+    # IPOPT is loaded for a nonlinear plant alone.
+    from transopt.design.nonlinear import nonlinear_optimum
+
+    return nonlinear_optimum(posed, options)
+
+
+def _played_with(posed: Posed, designed: Designed) -> tuple[object, ...]:
+    """What answers must have in common to be replayed together."""
+    problem = designed.problem
+    return (
+        *map(id, (problem.stage, *problem.spread)),
+        problem.grid,
+        problem.hand_over_samples,
+        posed.coil,
+        posed.steady_input,
+        None if problem.thermal is None else problem.thermal.budget.tap_rate_Hz,
+        tuple(limit.name for limit in problem.limits),
+        problem.wall is None,
+        designed.nonlinear is None,
+    )
