@@ -31,7 +31,6 @@ from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import Stages, stages, without_limits
 from transopt.proof.certify import BINDING_MULTIPLIER, TEMPERATURE, Effect, certify, inside, relaxed_bound
 from transopt.solvers.native.extension import (
     ACCURACY,
@@ -42,6 +41,7 @@ from transopt.solvers.native.extension import (
     available,
     interior_point,
 )
+from transopt.solvers.stage_data import Stages, stages, without_limits
 
 if TYPE_CHECKING:  # which loads pydantic
     from transopt.scene.scene import Scene

@@ -20,7 +20,7 @@ from transopt.problem.limits.own import LawRow
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, layout, linear_stage
-from transopt.problem.stage_data import stated_rows
+from transopt.solvers.stage_data import stated_rows
 
 REPEATED_WEIGHT = 1e3
 UNLIKE = 4  # stages at the start, and more, that differ from those that follow: before the first one all is at rest

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from transopt.base import apart
 from transopt.base.signals import FloatArray
-from transopt.problem import stage_data
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
 from transopt.proof.certify import Effect, hand_over_multipliers, movement_bound, reduced_gradient
+from transopt.solvers import stage_data
 from transopt.solvers.native import extension
 from transopt.solvers.options import most_time_s
 from transopt.solvers.program import pattern, state_program

@@ -20,12 +20,12 @@ from transopt.problem.leave_out import pressing
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import without_limits
 from transopt.proof.certify import certify, gradient_rounding
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.stage_data import without_limits
 
 
 @pytest.mark.parametrize("ideal", [False, True])
