@@ -20,7 +20,6 @@ from transopt.design.price import Price, binding, prices
 from transopt.design.verify import admit
 from transopt.library.columns import NAN, EntryTable, TableRow
 from transopt.plant.coil import CoilModel
-from transopt.plant.continuous import Accurate, accurate
 from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.baselines import clipped_optimum, seed_inversion
@@ -28,6 +27,7 @@ from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Box, binding_limits, boxes
+from transopt.proof.continuous import Accurate, accurate
 from transopt.proof.replay import Replay, errors_of, replay, replayed_errors
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene

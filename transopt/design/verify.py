@@ -11,7 +11,6 @@ from transopt.design.explain import stated_wall, unstable_wall
 from transopt.library.columns import TableRow
 from transopt.library.library import Library
 from transopt.library.proven import contradictions, rivals_misstated
-from transopt.plant.continuous import after_s
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.leave_out import encoder_course, pressing
 from transopt.problem.limits.limit import Limit, tolerated
@@ -19,6 +18,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect
+from transopt.proof.continuous import after_s
 from transopt.proof.replay import Replay, replay
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove
