@@ -26,8 +26,8 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.wall import reference_course
-from transopt.problem.leave_out import pressing
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing
 from transopt.recordings.reference import build_references
 from transopt.scene.strikes import recordings
 from transopt.solvers import stage_data

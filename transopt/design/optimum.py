@@ -11,9 +11,10 @@ from transopt.design.attained import Attained
 from transopt.design.explain import infeasibility, stated_wall, unavoidable, unstable_wall
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
-from transopt.problem.leave_out import encoder_course, leave_out, pressing, pressing_under, silence
+from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.certify import Effect, certify, gradient_rounding, in_whole, inside
 from transopt.solvers import program, unlimited
 from transopt.solvers.choose import prove, solve, solve_certified

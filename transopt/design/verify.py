@@ -12,11 +12,11 @@ from transopt.library.columns import TableRow
 from transopt.library.library import Library
 from transopt.library.proven import contradictions, rivals_misstated
 from transopt.problem.answer import Certificate, Status
-from transopt.problem.leave_out import encoder_course, pressing
 from transopt.problem.limits.limit import Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import encoder_course, pressing
 from transopt.proof.certify import Effect
 from transopt.proof.continuous import after_s
 from transopt.proof.replay import Replay, replay

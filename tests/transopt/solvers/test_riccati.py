@@ -24,9 +24,9 @@ from transopt.design.posed import entry_problem, scene_stage
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.heat import Budget
-from transopt.problem.leave_out import pressing
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
 from transopt.report.markdown import build_markdown

@@ -16,10 +16,10 @@ from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import Motion, discretise
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Solution, Status
-from transopt.problem.leave_out import pressing
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify, gradient_rounding
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve

@@ -12,12 +12,12 @@ from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import StageModel, discretise
 from transopt.plant.wall import FeedbackLoop
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Status
-from transopt.problem.leave_out import pressing_under
 from transopt.problem.objective.tail import tail
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
+from transopt.problem.wall_ticks import pressing_under
 from transopt.proof.certify import Effect, certify, reduced_gradient
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
