@@ -26,13 +26,13 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.context import Context
 from transopt.plant.wall import reference_course
-from transopt.problem import stage_data
-from transopt.problem.leave_out import pressing
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import Stages, without_limits
+from transopt.problem.wall_ticks import pressing
 from transopt.recordings.reference import build_references
 from transopt.scene.strikes import recordings
+from transopt.solvers import stage_data
 from transopt.solvers.native import extension
+from transopt.solvers.stage_data import Stages, without_limits
 
 SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
 SOURCE = Path(__file__).with_suffix(".c")

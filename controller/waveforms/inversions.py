@@ -12,7 +12,7 @@ from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
-from transopt.problem.stage_data import tracking_values
+from transopt.solvers.stage_data import tracking_values
 
 
 def unlimited_optimum(problem: TransientProblem) -> FloatArray:

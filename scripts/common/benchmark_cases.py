@@ -37,7 +37,6 @@ from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import without_limits
 from transopt.proof.certify import certify
 from transopt.recordings.reference import build_references
 from transopt.scene.scene import Scene
@@ -46,6 +45,7 @@ from transopt.solvers import riccati, unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.stage_data import without_limits
 
 WIDE = {
     "speeds_m_s": np.linspace(0.1, 0.4, 20).round(6).tolist(),

@@ -8,9 +8,9 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import CoilModel
-from transopt.plant.continuous import Accurate, accurate
 from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.objective.target import Target
+from transopt.proof.continuous import Accurate, accurate
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay, errors_of, replay, replayed_errors
 

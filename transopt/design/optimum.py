@@ -9,9 +9,10 @@ from transopt.base.signals import FloatArray
 from transopt.design.explain import infeasibility, unavoidable
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
-from transopt.problem.leave_out import encoder_course, leave_out, pressing, pressing_under, silence
+from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.admit import stated_wall, unstable_wall
 from transopt.proof.certify import Effect, certify, gradient_rounding, in_whole, inside
 from transopt.proof.designed import Designed

@@ -25,7 +25,6 @@ from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.state_space import CURRENT_INPUT, INPUTS, Input, Output, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, verdict
-from transopt.problem.leave_out import pressing_under
 from transopt.problem.limits import KINDS, kinds_of
 from transopt.problem.limits.limit import SIDES, device_row
 from transopt.problem.limits.own import OwnLimit, follows_motion
@@ -33,6 +32,7 @@ from transopt.problem.objective.bands import levels
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing_under
 
 if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor pydantic for it
     from matplotlib.figure import Figure

@@ -26,12 +26,12 @@ from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Multipliers
-from transopt.problem.leave_out import leave_out, pressing, pressing_under
+from transopt.problem.leave_out import leave_out
 from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import Stages, stages, without_limits
+from transopt.problem.wall_ticks import pressing, pressing_under
 from transopt.proof.certify import BINDING_MULTIPLIER, TEMPERATURE, Effect, certify, inside, relaxed_bound
 from transopt.solvers.native.extension import (
     ACCURACY,
@@ -42,6 +42,7 @@ from transopt.solvers.native.extension import (
     available,
     interior_point,
 )
+from transopt.solvers.stage_data import Stages, stages, without_limits
 
 if TYPE_CHECKING:  # which loads pydantic
     from transopt.scene.scene import Scene

@@ -33,7 +33,6 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import stages, without_limits
 from transopt.proof.certify import BINDING_MULTIPLIER, Effect, binding_limits, certify, relaxed_bound
 from transopt.solvers.native.extension import (
     ACCURACY,
@@ -44,6 +43,7 @@ from transopt.solvers.native.extension import (
     buffers_of,
     interior_point,
 )
+from transopt.solvers.stage_data import stages, without_limits
 
 SAME = 1e-6  # relative, between what a file states of its scene and what the scene it carries comes to
 FIGURE = 1e-4  # relative, between a stated figure of an entry and the recomputed one

@@ -3,14 +3,14 @@
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.plant.continuous import after_s
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Status
-from transopt.problem.leave_out import encoder_course, pressing
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import encoder_course, pressing
+from transopt.proof.continuous import after_s
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay
 

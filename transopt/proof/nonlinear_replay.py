@@ -15,13 +15,13 @@ from scipy.integrate import solve_ivp
 
 from transopt.base.arithmetic import NUMPY
 from transopt.base.signals import FloatArray
-from transopt.plant.continuous import Trajectory, after_s, peak_scale
 from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.plant.state_space import VELOCITY
 from transopt.problem.limits.limit import Limits
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.objective.target import Target
+from transopt.proof.continuous import Trajectory, after_s, peak_scale
 from transopt.proof.replay import Replay, largest_reached
 
 SAMPLES = 4  # in every period

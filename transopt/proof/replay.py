@@ -13,7 +13,6 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
-from transopt.plant.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
@@ -21,6 +20,7 @@ from transopt.problem.limits.limit import Limit, Limits, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
+from transopt.proof.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
 
 
 @dataclass(frozen=True)

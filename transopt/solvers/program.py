@@ -1,9 +1,12 @@
-"""The optimal-control problem, stated once, in CasADi.
+"""The optimal-control problem as one sparse program in CasADi.
 
-Every solver reads its data from this statement. Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1:
-the command's movement, the linear states of `linear` in physical scale, and where the temperature is in the problem
-the size e_k of the mean current and the nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps
-repeat. Current, command and movement are single variables, so that their limits are boxes. Nothing is condensed.
+PIQP, IPOPT, the linear programs and the sparse KKT system read their data from this statement. The project's own
+method takes `stage_data`, made from the same linear stage and the same rows of limits.
+
+Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the command's movement, the linear states of
+`linear_stage` in physical scale, and where the temperature is in the problem the size e_k of the mean current and the
+nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps repeat. Current, command and movement are
+single variables, so that their limits are boxes. Nothing is condensed.
 """
 
 from dataclasses import astuple, dataclass, fields, replace
@@ -20,7 +23,7 @@ from transopt.problem.limits.own import LawRow
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, layout, linear_stage
-from transopt.problem.stage_data import stated_rows
+from transopt.solvers.stage_data import stated_rows
 
 REPEATED_WEIGHT = 1e3
 UNLIKE = 4  # stages at the start, and more, that differ from those that follow: before the first one all is at rest
@@ -319,6 +322,13 @@ def state_program(shape: Shape) -> Program:
         qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
     rows_of = {name: slice(int(ends[j]), int(ends[j + 1])) for j, name in enumerate(rows)}
     return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data is None, qp_data)
+
+
+@lru_cache(maxsize=16)
+def pattern(shape: Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Row indices and column starts of a matrix of `qp_data`; reading them off takes longer than a solve."""
+    sparsity = state_program(shape).qp_data.sparsity_out(name)
+    return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
 
 
 def program_shape(problem: TransientProblem) -> Shape:

@@ -9,10 +9,10 @@ from transopt.problem.answer import Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
-from transopt.problem.stage_data import stages
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, available, buffers_of, interior_point
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.stage_data import stages
 
 __all__ = ["available", "can_solve", "solve", "stages"]
 

@@ -12,7 +12,9 @@ from transopt.problem.limits.limit import COMMAND, INPUT, Limit
 from transopt.problem.limits.own import LawRow
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
-from transopt.problem.stage_data import (
+from transopt.solvers.bounds import check_bounds
+from transopt.solvers.program import Shape, nonzeros, program_shape, state_program
+from transopt.solvers.stage_data import (
     SIZE_BOUND,
     StatedRow,
     heat_values,
@@ -22,8 +24,6 @@ from transopt.problem.stage_data import (
     stated_rows,
     tracking_values,
 )
-from transopt.solvers.bounds import check_bounds
-from transopt.solvers.program import Shape, nonzeros, program_shape, state_program
 
 
 @dataclass(frozen=True)

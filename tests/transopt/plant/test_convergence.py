@@ -12,11 +12,11 @@ from problems.stress.families import SMALL_A
 from transopt.base.signals import FloatArray
 from transopt.design.optimum import optimum
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.continuous import _step_map
 from transopt.plant.discretise import StageModel, discretise
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
+from transopt.proof.continuous import _step_map
 from transopt.scene.strikes import rk4_step
 from transopt.solvers.options import SolverOptions
 

@@ -12,10 +12,10 @@ from transopt.design.build import build_library
 from transopt.design.verify import verify_library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
-from transopt.plant.continuous import accurate, fine
 from transopt.plant.discretise import Motion, TimeGrid, discretise, state_scale
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
+from transopt.proof.continuous import accurate, fine
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene

@@ -14,10 +14,10 @@ from transopt.plant.amplifier import Amplifier, prefilter
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import FeedbackLoop, Wall
 from transopt.problem.answer import Multipliers, Status
-from transopt.problem.leave_out import pressing
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
+from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import Effect, certify, reduced_gradient
 from transopt.proof.designed import Designed
 from transopt.proof.replay import replay

@@ -13,9 +13,10 @@ from transopt.design.optimum import optimum
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.answer import Status
-from transopt.problem.leave_out import leave_out, pressing, without_position
+from transopt.problem.leave_out import leave_out, without_position
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify, inside
 from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference

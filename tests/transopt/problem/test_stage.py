@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.conftest import ProblemMaker, WalledMaker
-from transopt.plant.continuous import accurate
 from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
+from transopt.proof.continuous import accurate
 
 
 def assert_same(one: LinearStage, other: LinearStage) -> None:

@@ -20,8 +20,8 @@ from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.problem.answer import Status
-from transopt.problem.leave_out import pressing
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene

@@ -14,9 +14,9 @@ from transopt.design.optimum import optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.plant.wall import earlier_by
 from transopt.problem.answer import Status
-from transopt.problem.leave_out import encoder_course, silence
 from transopt.problem.limits import hand_over, limits_of
 from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import encoder_course, silence
 from transopt.proof.admit import unstable_wall
 from transopt.solvers.choose import solve_certified
 from transopt.solvers.feasibility import least_widening

@@ -24,10 +24,9 @@ from transopt.design.context import Context
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.heat import Budget
-from transopt.problem.leave_out import pressing
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import Stages, stages
+from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
 from transopt.report.markdown import build_markdown
@@ -37,6 +36,7 @@ from transopt.solvers import choose, riccati
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.stage_data import Stages, stages
 
 pytestmark = pytest.mark.skipif(not riccati.available, reason="the extension is not built")
 

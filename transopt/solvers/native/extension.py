@@ -17,8 +17,8 @@ import numpy as np
 from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE
-from transopt.problem.stage_data import Stages
 from transopt.solvers.bounds import check_bounds
+from transopt.solvers.stage_data import Stages
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_ROWS = 48, 128  # of riccati.c

@@ -26,13 +26,13 @@ from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.velocity import VelocityLimit
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import stages
 from transopt.proof.certify import Effect, boxes, certify, reduced_gradient
 from transopt.proof.replay import replay
 from transopt.solvers import riccati
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
+from transopt.solvers.stage_data import stages
 from transopt.solvers.statement import state
 
 MOTION = {"current_A": 2.0, "stroke_m": 0.01, "velocity_m_s": 1.0}

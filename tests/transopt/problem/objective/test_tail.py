@@ -12,12 +12,12 @@ from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import StageModel, discretise
 from transopt.plant.wall import FeedbackLoop
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Status
-from transopt.problem.leave_out import pressing_under
 from transopt.problem.objective.tail import tail
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
+from transopt.problem.wall_ticks import pressing_under
 from transopt.proof.certify import Effect, certify, reduced_gradient
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
@@ -100,7 +100,7 @@ def test_the_unlimited_optimum_is_that_of_a_dense_program(plain: TransientProble
     H, g = dense.Program.of(problem).quadratic()
     free = problem.free_stages
     command = np.append(np.linalg.solve(H[:free, :free], -g[:free]), np.zeros(problem.hand_over_samples))
-    for found in (unlimited.solve(problem), unlimited.solve_in_casadi(problem)):
+    for found in (unlimited.solve(problem), unlimited.solve_sparse_kkt(problem)):
         np.testing.assert_allclose(found.command, command, atol=1e-6)
 
 
