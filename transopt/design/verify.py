@@ -183,6 +183,7 @@ def stored_contradictions(
 
 
 @one_blas_thread()
+@np.errstate(all="ignore")  # what overflows is found as not finite, and said
 def verify_library(library: Library) -> list[EntryCheck]:
     """Certify and replay every entry from the file alone.
 
