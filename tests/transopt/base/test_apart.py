@@ -178,6 +178,19 @@ def test_a_call_that_cannot_be_sent_is_an_error_and_ends_nothing(two: apart.Proc
     assert two.submit(math.sqrt, 4.0).result() == 2.0
 
 
+class Unreadable:
+    """An argument that can be sent, and raises where it is received."""
+
+    def __reduce__(self) -> tuple[object, tuple[int, int]]:
+        return divmod, (1, 0)
+
+
+def test_a_call_that_cannot_be_read_says_why_and_ends_nothing(two: apart.Processes) -> None:
+    with pytest.raises(ZeroDivisionError):
+        two.submit(id, Unreadable()).result()
+    assert two.submit(math.sqrt, 4.0).result() == 2.0
+
+
 def test_a_shutdown_waits_for_what_was_asked_and_takes_no_more() -> None:
     with apart.Processes(1) as executor:
         asked = [executor.submit(math.sqrt, float(j)) for j in range(4)]
