@@ -16,7 +16,7 @@ from rich.table import Table
 
 from problems.stress.cases import StressCase
 from problems.stress.judge import CERTIFIED, Outcome, judge
-from transopt.study.executors import Processes
+from transopt.base.apart import Processes
 
 
 def _quietly(outcome_of: Callable[[StressCase], Outcome], case: StressCase) -> Outcome:

@@ -3,8 +3,8 @@
 Matrices are small here, and threads of the linear algebra only wait for each other: with four of them a study takes
 twice the processor's time, and half as long again. The libraries read how many they may have from environment
 variables, once, when numpy is loaded: a command states them before (`one_thread`). Called from Python, numpy is there
-already: building and verifying a library, `certify`, `Online`, the tasks of a study and the taps of the page hold
-them to one while they run (`one_blas_thread`).
+already: building and verifying a library, solving, certifying and replaying one problem, `Online`, the tasks of a
+study and the taps of the page hold them to one while they run (`one_blas_thread`).
 """
 
 import os

@@ -23,8 +23,9 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
 
     loaded = load_library(library)
     try:
+        checks = verify_library(loaded)
         with np.errstate(all="ignore"):  # what overflows is found as not finite, and said
-            checks, misstated = verify_library(loaded), list(misstatements(loaded))
+            misstated = list(misstatements(loaded))
     except BROKEN as error:
         raise InputError(f"{library}: does not describe a problem ({error}); solve the scene again") from None
     console = terminal.console()

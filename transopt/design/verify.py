@@ -29,6 +29,7 @@ ROUNDING = 1e-9  # absolute, for figures that are zero
 
 
 @one_blas_thread()
+@np.errstate(all="ignore")  # what overflows is found as not finite, and said
 def verify_library(library: Library) -> list[Entry]:
     """Certify and replay every entry from the file alone.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
@@ -198,6 +199,7 @@ def _temperatures(
     return winding.max(axis=1), housing.max(axis=1)
 
 
+@one_blas_thread()
 def replay(
     stage: StageModel,
     grid: TimeGrid,

@@ -10,6 +10,7 @@ from transopt.base import apart
 from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
@@ -94,6 +95,7 @@ def capable(problem: TransientProblem, wanted: str = "riccati") -> Iterator[str]
     return (name for name in dict.fromkeys((wanted, *SOLVERS)) if SOLVERS[name].takes(problem))
 
 
+@one_blas_thread()
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
     """Solve one entry's problem; the answer's worth is judged by `certify` and `replay`, not here.
 

@@ -12,9 +12,9 @@ import pickle
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from concurrent.futures import BrokenExecutor, CancelledError, Future
 
-from transopt.base.apart import Process, UnansweredError
+from transopt.base.apart import Processes, bounded
 from transopt.scene.scene import Scene
 from transopt.web.service import Service, Shown
 
@@ -49,26 +49,28 @@ class Crew:
         """Start as many processes as are lacking, and take each on when it has loaded all it needs."""
         with self._enlisting:
             lacking = 0 if self._ended.is_set() else self._size - len(self._members)
-            for member in [_Member() for _ in range(lacking)]:
-                with suppress(UnansweredError):
-                    member.process.ask(_ready, within_s=READY_S)
-                    member.process.answer()
-                    with self._at_work:
-                        if not self._ended.is_set():
-                            self._members.append(member)
-                            continue
-                member.process.end()
+            starting = [_Member() for _ in range(lacking)]
+            for member, ready in [(one, one.process.submit(_ready)) for one in starting]:
+                try:
+                    ready.result(READY_S)
+                except (BrokenExecutor, TimeoutError):
+                    member.process.shutdown(wait=False)
+                    continue
+                with self._at_work:
+                    self._members.append(member)
+            if self._ended.is_set():
+                self.end()
 
     @property
     def numbers(self) -> list[int]:
         """Numbers of the processes that are ready, as the system counts them."""
-        return [member.process.number for member in self._members]
+        return [number for member in self._members for number in member.process.numbers]
 
     def end(self) -> None:
         """End all processes, whatever they are doing."""
         self._ended.set()
         for member in self._members:
-            member.process.end()
+            member.process.shutdown(wait=False)
 
     def quick(self, name: str, service: Service, order: Sequence[int]) -> Iterator[Shown]:
         """`Service.quick` of several taps, the first of them first and with its words, the others without.
@@ -81,33 +83,31 @@ class Crew:
         if alone:
             yield from (service.quick(index, words=index == order[0]) for index in order)
             return
-        pending: list[tuple[_Member, Sequence[int]]] = []
         try:
             # Neighbours in the order share the device of their grip, which is made once for each process.
             own, *others = _shares(order, len(self._members) + 1)
-            for member, share in zip(list(self._members), others, strict=False):
-                member.ask(name, service, share)
-                pending.append((member, share))
+            asked = [
+                (member, share, member.ask(name, service, share))
+                for member, share in zip(list(self._members), others, strict=False)
+            ]
             yield from (service.quick(index, words=index == order[0]) for index in own)
-            while pending:
-                yield from self._answer(*pending.pop(0), service)
-        finally:
-            for member, _ in pending:  # nobody waits for these answers any more, but they come
-                with suppress(Exception):
-                    member.process.outcome()
+            for member, share, answer in asked:
+                yield from self._answer(member, share, answer, service)
+        finally:  # answers that nobody waits for any more come before those of the next call
             self._at_work.release()
 
-    def _answer(self, member: "_Member", share: Sequence[int], service: Service) -> Sequence[Shown]:
+    def _answer(
+        self, member: "_Member", share: Sequence[int], answer: "Future[list[Shown]]", service: Service
+    ) -> Sequence[Shown]:
         try:
-            found: list[Shown] = member.process.answer()
-        except UnansweredError:
+            return answer.result(MOST_S)
+        except (BrokenExecutor, CancelledError, TimeoutError):
             # Dead or late: its share is solved here, and another takes its place.
             self._members.remove(member)
-            member.process.end()
+            member.process.shutdown(wait=False)
             if not self._ended.is_set():
                 self.start()
             return [service.quick(index, words=False) for index in share]
-        return found
 
 
 def _shares(order: Sequence[int], count: int) -> list[Sequence[int]]:
@@ -120,10 +120,10 @@ class _Member:
     """One process, and the services that it has been sent."""
 
     def __init__(self) -> None:
-        self.process = Process()
+        self.process = Processes(1, quiet=True)
         self._sent: OrderedDict[str, str] = OrderedDict()
 
-    def ask(self, name: str, service: Service, share: Sequence[int]) -> None:
+    def ask(self, name: str, service: Service, share: Sequence[int]) -> "Future[list[Shown]]":
         """Begin with a share of a window's taps."""
         whole, axis = None, service.axis
         if self._sent.get(name) != axis:
@@ -133,7 +133,7 @@ class _Member:
         self._sent.move_to_end(name)
         if len(self._sent) > KEPT:
             self._sent.popitem(last=False)
-        self.process.ask(_share, name, whole, service.scene, service.probe, list(share), within_s=MOST_S)
+        return self.process.submit(_share, name, whole, service.scene, service.probe, list(share))
 
 
 _services: OrderedDict[str, Service] = OrderedDict()
@@ -154,7 +154,7 @@ def _share(
         _services.popitem(last=False)
     service = _services[name]
     service.scene, service.probe = scene, probe
-    return [service.quick(index, words=False) for index in share]
+    return bounded(MOST_S, lambda: [service.quick(index, words=False) for index in share])
 
 
 def service_name() -> str:

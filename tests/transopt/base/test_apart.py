@@ -3,12 +3,15 @@
 import math
 import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import threading
 import time
 import warnings
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from pathlib import Path
 
 import pytest
@@ -16,6 +19,7 @@ import pytest
 from transopt.base import apart
 
 PATIENCE_S = 60.0
+ROOT = Path(__file__).parents[3]
 
 
 def test_the_answer_and_the_process_are_kept() -> None:
@@ -124,12 +128,116 @@ def _lives(process: int) -> bool:
 
 @pytest.mark.skipif(os.name != "posix", reason="asks the system by a signal")
 def test_at_the_end_no_process_is_left() -> None:
-    of_calls, own = apart.call(os.getpid, within_s=PATIENCE_S), apart.Process()
-    own.ask(time.sleep, 600.0, within_s=600.0)
+    of_calls, own = apart.call(os.getpid, within_s=PATIENCE_S), apart.Processes(1)
+    number = own.submit(os.getpid).result()
+    asleep = own.submit(time.sleep, 600.0)
     apart.end()
-    for number in (of_calls, own.number):
+    for each in (of_calls, number):
         with pytest.raises(ProcessLookupError):
-            os.kill(number, 0)
-    with pytest.raises(apart.UnansweredError):
-        own.answer()
+            os.kill(each, 0)
+    with pytest.raises((apart.UnansweredError, CancelledError)):
+        asleep.result()
     assert apart.call(math.sqrt, 4.0, within_s=PATIENCE_S) == 2.0
+
+
+@pytest.fixture
+def two() -> Iterator[apart.Processes]:
+    executor = apart.Processes(2)
+    yield executor
+    executor.shutdown(wait=False)
+
+
+def test_one_that_dies_is_told_by_its_code_and_the_others_go_on(two: apart.Processes) -> None:
+    slow, dies = two.submit(time.sleep, 1.0), two.submit(os._exit, 7)
+    with pytest.raises(apart.UnansweredError, match="its process ended with code 7"):
+        dies.result()
+    assert slow.result() is None
+    assert two.submit(math.sqrt, 4.0).result() == 2.0
+
+
+def test_tasks_have_no_deadline_of_their_own(two: apart.Processes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(apart, "START_S", 0.0)
+    assert two.submit(time.sleep, 0.5).result() is None
+
+
+def test_what_a_task_prints_goes_to_the_standard_error(
+    two: apart.Processes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    two.submit(os.system, "echo from native code; echo and its errors >&2").result()
+    two.submit(print, "from Python").result()
+    assert capfd.readouterr() == ("", "from native code\nand its errors\nfrom Python\n")
+
+
+def test_a_task_finds_nothing_to_read(two: apart.Processes) -> None:
+    with pytest.raises(EOFError):
+        two.submit(input).result()
+
+
+def test_a_call_that_cannot_be_sent_is_an_error_and_ends_nothing(two: apart.Processes) -> None:
+    assert isinstance(two.submit(lambda: 0).exception(), AttributeError | pickle.PicklingError)
+    assert two.submit(math.sqrt, 4.0).result() == 2.0
+
+
+class Unreadable:
+    """An argument that can be sent, and raises where it is received."""
+
+    def __reduce__(self) -> tuple[object, tuple[int, int]]:
+        return divmod, (1, 0)
+
+
+def test_a_call_that_cannot_be_read_says_why_and_ends_nothing(two: apart.Processes) -> None:
+    with pytest.raises(ZeroDivisionError):
+        two.submit(id, Unreadable()).result()
+    assert two.submit(math.sqrt, 4.0).result() == 2.0
+
+
+def test_a_shutdown_waits_for_what_was_asked_and_takes_no_more() -> None:
+    with apart.Processes(1) as executor:
+        asked = [executor.submit(math.sqrt, float(j)) for j in range(4)]
+    assert [answer.result() for answer in asked] == [math.sqrt(j) for j in range(4)]
+    assert executor.numbers == []
+    with pytest.raises(RuntimeError, match="after the shutdown"):
+        executor.submit(math.sqrt, 4.0)
+
+
+MAIN = """\
+from transopt.base.apart import Processes
+
+def triple(number):
+    return 3 * number
+
+def asked():
+    with Processes(1) as executor:
+        print(executor.submit(triple, 14).result())
+
+"""
+
+
+def _main(tmp_path: Path, last: str, *how: str) -> "subprocess.CompletedProcess[str]":
+    (tmp_path / "program.py").write_text(MAIN + last)
+    paths = os.pathsep.join([str(ROOT), str(tmp_path)])
+    return subprocess.run(
+        [sys.executable, *how],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("how", [("program.py",), ("-m", "program")])
+def test_a_function_of_the_main_program_is_found(tmp_path: Path, how: tuple[str, ...]) -> None:
+    ended = _main(tmp_path, "if __name__ == '__main__':\n    asked()\n", *how)
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("42\n", "", 0)
+
+
+def test_a_main_program_that_would_start_itself_without_end_is_told_so(tmp_path: Path) -> None:
+    ended = _main(tmp_path, "asked()\n", "program.py")
+    assert ended.returncode == 1
+    assert "RuntimeError: the main program starts processes while it is loaded" in ended.stderr
+
+
+def test_a_main_program_is_not_run_again_for_functions_of_modules(tmp_path: Path) -> None:
+    ended = _main(tmp_path, "import math\ntriple = math.sqrt\nprint('runs')\nasked()\n", "program.py")
+    assert (ended.stdout, ended.stderr) == ("runs\n3.7416573867739413\n", "")

@@ -4,15 +4,22 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import transopt as to
 from transopt.base.threads import THREADS, one_blas_thread, one_thread
+from transopt.study.axes import parse_axis
+from transopt.study.executors import executor_pool
+from transopt.study.plan import Plan
+from transopt.study.session import run_plan
+from transopt.web.service import Service
 
 COUNTED = """\
 import os
@@ -59,11 +66,29 @@ def test_a_command_takes_the_threads_that_the_user_allows(name: str) -> None:
     assert threads(**{name: "2"}) == 2
 
 
+def replayed(library: to.Library) -> object:
+    """A tap of the library, played again."""
+    problem = library.problem(0, 0)
+    return to.replay(problem.stage, problem.grid, np.zeros((1, problem.grid.stages)), [problem.target], None)
+
+
+def studied(library: to.Library) -> object:
+    """A study of one entry, as its executor in this process runs it."""
+    plan = Plan(library.scene(), (parse_axis(library.scene(), "--vary", "limits.current_A=2"),), (0.2,), (3.0,))
+    with tempfile.TemporaryDirectory() as folder:
+        return run_plan(plan, Path(folder), executor_pool("serial", 1))
+
+
 DOORS: dict[str, Callable[[to.Library], object]] = {
     "solve": lambda library: to.solve(library.scene()),
     "build": lambda library: to.build(library.scene()),
     "verify": to.verify,
     "online": lambda library: to.Online(library).solve(0.2, 3.0),
+    "solve_problem": lambda library: to.solve_problem(library.problem(0, 0)),
+    "replay": replayed,
+    "study": studied,
+    "page, at once": lambda library: Service(library.scene()).quick(0),
+    "page, settled": lambda library: Service(library.scene()).settled(0),
 }
 
 
@@ -89,7 +114,7 @@ def test_every_way_in_from_python_has_one_thread_and_gives_back_what_was_there(
 
     def watch(frame: FrameType, event: str, argument: object) -> None:
         """What is in force at the first step into physics or proof."""
-        if event == "call" and re.search(r"transopt/(proof|solvers)/", frame.f_code.co_filename):
+        if event == "call" and re.search(r"transopt/(proof|solvers/(?!options))", frame.f_code.co_filename):
             sys.setprofile(None)
             inside.append(counts())
 
