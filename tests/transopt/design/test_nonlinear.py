@@ -42,8 +42,8 @@ class TestDesign:
         assert entry.played.step_error <= 1e-6
 
     def test_hands_out_commands_by_target(self, design: NonlinearDesign) -> None:
-        assert design.command("click").shape == (120,)
-        assert design.commands.shape == (1, 120)
+        assert design.command("click").shape == (80,)
+        assert design.commands.shape == (1, 80)
         assert np.abs(design.commands).max() <= 12
         with pytest.raises(InputError, match="clack: no target of this scene: click"):
             design.command("clack")
