@@ -8,7 +8,7 @@ hand_over_samples = 1
 
 [time]
 dt_s = 2e-4
-stages = 120
+stages = 80
 lead_s = 0.0
 
 [[targets]]
@@ -36,7 +36,7 @@ voltage_V = 12.0
 stroke_m = 6e-4
 
 [weights]
-after_s = 10e-3
+after_s = 6e-3
 """
 
 

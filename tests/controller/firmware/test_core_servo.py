@@ -39,17 +39,23 @@ def played(library: Library) -> list[Recorder]:
     return [tap_run(library, seed) for seed in range(4)]
 
 
-@pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
-def test_the_core_compiles_without_a_warning(flags: tuple[str, ...]) -> None:
-    assert build("strict", PROGRAM, flags=(*STRICT, *flags)).exists()
+@pytest.fixture(scope="module", params=[DOUBLE, FLOAT], ids=["double", "single"])
+def objects(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the program's object files, compiled with warnings as errors."""
+    folder = tmp_path_factory.mktemp("objects")
+    command = [*compiler().command, *FLAGS, *STRICT, *request.param, f"-I{CORE}", f"-I{REPLAY}", "-c"]
+    done = subprocess.run([*command, *map(str, PROGRAM)], cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return folder
 
 
-@pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
-def test_the_core_keeps_no_state_of_its_own_and_calls_next_to_nothing(tmp_path: Path, flags: tuple[str, ...]) -> None:
-    command = [*compiler().command, *FLAGS, *flags, f"-I{CORE}", "-c", *map(str, sources(CORE))]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    objects = sorted(map(str, tmp_path.glob("*.o")))
-    said = subprocess.run(["nm", "-A", *objects], capture_output=True, text=True, check=True).stdout
+def test_the_core_compiles_without_a_warning(objects: Path) -> None:
+    assert {path.stem for path in objects.glob("*.o")} == {path.stem for path in PROGRAM}
+
+
+def test_the_core_keeps_no_state_of_its_own_and_calls_next_to_nothing(objects: Path) -> None:
+    core = [str(objects / f"{path.stem}.o") for path in sources(CORE)]
+    said = subprocess.run(["nm", "-A", *core], capture_output=True, text=True, check=True).stdout
     symbols = [line.split()[-2:] for line in said.splitlines()]
     kinds = {kind for kind, _ in symbols}
     assert "T" in kinds

@@ -43,7 +43,7 @@ class TestDesign:
         assert entry.played.step_error <= 1e-6
 
     def test_hands_out_commands_by_target(self, design: Build) -> None:
-        assert design.command("click").shape == (120,)
+        assert design.command("click").shape == (80,)
         assert np.abs(design.command("click")).max() <= 12
         with pytest.raises(InputError, match="clack: no target of this scene: click"):
             design.command("clack")

@@ -18,7 +18,7 @@ from transopt.library.library import NONLINEAR_CLAIM, Library
 from transopt.library.proven import doubts, load_proven
 from transopt.problem.answer import Status
 
-DT_S, STAGES, AFTER = 2e-4, 120, 50
+DT_S, STAGES, AFTER = 2e-4, 80, 30
 Tampered = Callable[[Library], Library]
 
 

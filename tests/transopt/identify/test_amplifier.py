@@ -105,7 +105,7 @@ SETS = {
     "through zero": [{"amplitude_A": 1.0}, {"amplitude_A": 1.0, "sign": -1}],
     "with offset": [{"offset_A": 1.0}, {"offset_A": 1.0, "sign": -1}],
 }
-SEEDS, LONG_SEEDS = 15, 50
+SEEDS, LONG_SEEDS = 8, 50
 
 
 @cache

@@ -62,10 +62,11 @@ def test_an_answer_that_the_end_of_the_record_cuts_off_is_no_bias() -> None:
     assert np.abs(turned - 1).max() < 0.02
 
 
+@pytest.mark.parametrize("seeds", [15, pytest.param(40, marks=pytest.mark.long)])
 @pytest.mark.parametrize("seconds", [[2.0], [1.0] * 4, [1.0, 1.1, 1.3]])
-def test_bands_hold_the_truth_as_often_as_they_say(seconds: list[float]) -> None:
+def test_bands_hold_the_truth_as_often_as_they_say(seconds: list[float], seeds: int) -> None:
     disc, real, magnitude, phase = [], [], [], []
-    for seed in range(40):
+    for seed in range(seeds):
         estimate = estimate_transfer(trials(seconds, 0.05, seed)).between(150, 1000)
         wanted = truth(estimate.frequencies_Hz)
         error = estimate.response - wanted
@@ -75,7 +76,7 @@ def test_bands_hold_the_truth_as_often_as_they_say(seconds: list[float]) -> None
         magnitude.append(np.mean((low <= np.abs(wanted)) & (np.abs(wanted) <= high)))
         turned = np.degrees(np.angle(estimate.response / wanted))
         phase.append(np.mean(np.abs(turned) <= estimate.phase_half_width_deg()))
-    # 40 x 66 bins: the standard deviation of the count is 0.4 %.
+    # 15 x 66 bins: the standard deviation of the count is 0.7 %, of 40 x 66 bins 0.4 %.
     for shares in (disc, real, magnitude, phase):
         assert 0.93 < np.mean(shares) < 0.97
 
@@ -150,9 +151,10 @@ def test_a_response_over_another_output_is_that_from_the_other_as_input() -> Non
     assert 0.9 < np.mean(same) < 1.1
 
 
-def test_bins_share_no_line_and_their_errors_do_not_correlate() -> None:
+@pytest.mark.parametrize("seeds", [25, pytest.param(60, marks=pytest.mark.long)])
+def test_bins_share_no_line_and_their_errors_do_not_correlate(seeds: int) -> None:
     errors = []
-    for seed in range(60):
+    for seed in range(seeds):
         estimate = estimate_transfer(trials([1.0] * 4, 0.05, seed)).between(200, 800)
         errors.append((estimate.response - truth(estimate.frequencies_Hz)).real / estimate.deviation)
     neighbours = np.mean(np.array(errors)[:, 1:] * np.array(errors)[:, :-1])

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -23,12 +24,25 @@ def service() -> Service:
     return Service(with_values(load_scene("wood_on_foam"), small))
 
 
-@pytest.fixture
-def crew() -> Iterator[Crew]:
+@contextmanager
+def enlisted() -> Iterator[Crew]:
     found = Crew(2)
     found.enlist()
     yield found
     found.end()
+
+
+@pytest.fixture(scope="module")
+def crew() -> Iterator[Crew]:
+    with enlisted() as found:
+        yield found
+
+
+@pytest.fixture
+def own_crew() -> Iterator[Crew]:
+    """One that a test may kill or end."""
+    with enlisted() as found:
+        yield found
 
 
 def alone(service: Service, order: list[int]) -> list[Shown]:
@@ -66,7 +80,10 @@ def test_a_tap_between_the_nodes_and_another_time_axis_are_taken_along(crew: Cre
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
-def test_the_share_of_one_that_was_killed_is_solved_and_another_takes_its_place(crew: Crew, service: Service) -> None:
+def test_the_share_of_one_that_was_killed_is_solved_and_another_takes_its_place(
+    own_crew: Crew, service: Service
+) -> None:
+    crew = own_crew
     name, before = service_name(), crew.numbers
     expected = alone(service, service.order(1))
     same(list(crew.quick(name, service, service.order(1))), expected)
@@ -97,9 +114,9 @@ def test_while_it_works_for_one_window_another_is_served_by_the_server(crew: Cre
 
 
 @pytest.mark.skipif(os.name != "posix", reason="asks the system by a signal")
-def test_none_is_left_when_its_program_ends(crew: Crew) -> None:
-    numbers = crew.numbers
-    crew.end()
+def test_none_is_left_when_its_program_ends(own_crew: Crew) -> None:
+    numbers = own_crew.numbers
+    own_crew.end()
     program = (
         "import os\nfrom transopt.web.crew import Crew\ncrew = Crew(2)\ncrew.enlist()\n"
         "print(*crew.numbers, flush=True)\nos._exit(0)\n"

@@ -10,13 +10,13 @@ from tests.benches.identification import DEFAULT, mismatched
 from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.base.errors import InputError
 from transopt.identify.device.chain import DriveChain
-from transopt.identify.device.chain_fit import GripResponse, fit_chain, fit_per_grip, refit, scaled_to
+from transopt.identify.device.chain_fit import ChainFit, GripResponse, fit_chain, fit_per_grip, refit, scaled_to
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
 Measured = Callable[..., list[GripResponse]]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def measured(respond: Respond) -> Measured:
     """Responses of a device at several grips."""
 
@@ -39,6 +39,12 @@ def measured(respond: Respond) -> Measured:
     return make
 
 
+@pytest.fixture(scope="module")
+def plain(measured: Measured) -> ChainFit:
+    """The fit to the default device at the stated noise."""
+    return fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
+
+
 def test_without_noise_the_device_itself_is_found(measured: Measured) -> None:
     truth = mismatched(0.3, 1)
     fit = fit_chain(measured(truth, noise=0.0), INSTRUMENT, DEFAULT)
@@ -58,11 +64,10 @@ def test_a_device_ten_times_as_heavy_is_found_from_the_nominal_one(measured: Mea
     np.testing.assert_allclose(fit.device.shared, truth.shared, rtol=0.02)
 
 
-def test_intervals_cover_the_truth(measured: Measured) -> None:
-    first = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
+def test_intervals_cover_the_truth(measured: Measured, plain: ChainFit) -> None:
     inside = []
     for seed in range(1, 31):
-        fit = refit(first, measured(DEFAULT, seed=seed))
+        fit = refit(plain, measured(DEFAULT, seed=seed))
         _, values, covariance = fit.stated()
         _, truth, _ = fit.coordinates.stated(fit.coordinates.of(DEFAULT))
         inside.append(np.abs(values - truth) < 1.96 * np.sqrt(np.diag(covariance)))
@@ -71,15 +76,16 @@ def test_intervals_cover_the_truth(measured: Measured) -> None:
     assert np.min(np.mean(inside, axis=0)) > 0.75  # no single one of the 14 parameters far off, in 30 draws
 
 
-def test_what_the_band_does_not_show_is_called_unknown(measured: Measured) -> None:
+def test_what_the_band_does_not_show_is_called_unknown(measured: Measured, plain: ChainFit) -> None:
     """Below 60 Hz the transmission is rigid: its damping leaves no trace."""
-    fit = fit_chain(measured(DEFAULT, noise=10.0, high_Hz=60.0), INSTRUMENT, DEFAULT, random_starts=0)
+    fit = fit_chain(measured(DEFAULT, (1.0, 5.0), noise=10.0, high_Hz=60.0), INSTRUMENT, DEFAULT, random_starts=0)
     assert "transmission_damping_N_s_m" in {*fit.unidentified, *fit.at_bounds}
-    full = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
-    assert full.unidentified == {}
+    assert plain.unidentified == {}
 
 
-def test_a_hand_that_is_no_line_over_grip_shows_against_the_fit_of_its_own_grip(measured: Measured) -> None:
+def test_a_hand_that_is_no_line_over_grip_shows_against_the_fit_of_its_own_grip(
+    measured: Measured, plain: ChainFit
+) -> None:
     bent = DriveChain(DEFAULT.force_per_current_N_A, DEFAULT.shared, DEFAULT.hand * [[1.0, 1.0]])
     responses = measured(bent)
     softer = DriveChain(1.25, DEFAULT.shared, 0.6 * DEFAULT.hand)
@@ -89,16 +95,14 @@ def test_a_hand_that_is_no_line_over_grip_shows_against_the_fit_of_its_own_grip(
     assert own[3.0].scatter > 10
     assert own[3.0].own_scatter < 0.2 * own[3.0].scatter
     assert own[3.0].difference_dB > 1
-    straight = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
-    for one in fit_per_grip(straight, measured(DEFAULT), least_coherence=0.8):
+    for one in fit_per_grip(plain, measured(DEFAULT), least_coherence=0.8):
         assert one.scatter == pytest.approx(one.own_scatter, rel=0.1)
         assert one.difference_dB < 0.1
 
 
-def test_noise_beyond_the_stated_one_widens_the_intervals(measured: Measured) -> None:
-    quiet = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
+def test_noise_beyond_the_stated_one_widens_the_intervals(measured: Measured, plain: ChainFit) -> None:
     loud = fit_chain(measured(DEFAULT, noise=3.0), INSTRUMENT, DEFAULT, random_starts=0)
-    ratio = np.sqrt(np.diag(loud.covariance) / np.diag(quiet.covariance))
+    ratio = np.sqrt(np.diag(loud.covariance) / np.diag(plain.covariance))
     assert np.all((ratio > 2.5) & (ratio < 3.5))
 
 

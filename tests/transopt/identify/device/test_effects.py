@@ -1,5 +1,6 @@
 """What taps at full current show that no response does: told from noise, and apart by name."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import pytest
 from controller.record.excitation import multisine_command, multisine_period_s
 from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
 from transopt.base.signals import FloatArray, Signal
+from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import ChainFit, fit_chain
 from transopt.identify.device.effects import (
     at_use,
@@ -24,6 +26,7 @@ from transopt.scene.model_error import ModelError
 
 GRIPS_N = (1.0, 3.0, 5.0)
 NOTHING = ModelError(grips_N=[3.0], frequencies_Hz=[100.0], power=[[0.0]])
+STEPS = 40  # of a sample: the stiffest spring of the chain is stable far below that
 EFFECTS = ("friction", "backlash", "stiffening")
 
 
@@ -43,33 +46,34 @@ def taps(rig: Rig) -> list[Measurement]:
     return [replace(run, held_out=True) for seed in range(3) for run in rig.transients(GRIPS_N, seed=seed)]
 
 
-def newmark(device: object, grip_N: float, current_A: FloatArray, effect: str, size: float) -> FloatArray:
+def explicit_steps(
+    chain: DriveChain, grip_N: float, current_A: FloatArray, effect: str = "", size: float = 0.0
+) -> FloatArray:
     """Acceleration of the stylus with an effect inside the chain, by small explicit steps: written for this test."""
-    chain = DEFAULT.__class__(DEFAULT.force_per_current_N_A, device.shared, device.hand)  # type: ignore[attr-defined]
     motor, stylus, k, c = chain.shared.tolist()
     hand, skin_k, skin_c, arm_k, arm_c = chain.hand_at(grip_N).tolist()
-    steps, z, v, found = 40, np.zeros(3), np.zeros(3), np.empty(current_A.size)
-    h = DT_S / steps
+    h = DT_S / STEPS
+    found = np.empty(current_A.size)
+    # Plain floats: one array for each small step would take ten times as long.
+    zm = zs = zh = vm = vs = vh = 0.0
     for n, current in enumerate(current_A.tolist()):
-        for step in range(steps):
-            drawn = k * (z[0] - z[1]) + c * (v[0] - v[1])
+        for step in range(STEPS):
+            drawn = k * (zm - zs) + c * (vm - vs)
+            skin = skin_k * (zs - zh) + skin_c * (vs - vh)
+            force = chain.force_per_current_N_A * current
             if effect == "backlash":
-                drawn -= size * np.tanh((z[0] - z[1]) / 1e-8)
-            skin = skin_k * (z[1] - z[2]) + skin_c * (v[1] - v[2])
-            if effect == "stiffening":
-                skin += size * (z[1] - z[2]) ** 3
-            drag = size * np.tanh(v[0] / 1e-3) if effect == "friction" else 0.0
-            a = np.array(
-                [
-                    (1.25 * current - drawn - drag) / motor,
-                    (drawn - skin) / stylus,
-                    (skin - arm_k * z[2] - arm_c * v[2]) / hand,
-                ]
-            )
+                drawn -= size * math.tanh((zm - zs) / 1e-8)
+            elif effect == "stiffening":
+                skin += size * (zs - zh) ** 3
+            elif effect == "friction":
+                force -= size * math.tanh(vm / 1e-3)
+            stylus_m_s2 = (drawn - skin) / stylus
             if step == 0:
-                found[n] = a[1]
-            v += h * a
-            z += h * v
+                found[n] = stylus_m_s2
+            vm += h * (force - drawn) / motor
+            vs += h * stylus_m_s2
+            vh += h * (skin - arm_k * zh - arm_c * vh) / hand
+            zm, zs, zh = zm + h * vm, zs + h * vs, zh + h * vh
     return found
 
 
@@ -78,7 +82,9 @@ def with_effect(rig: Rig, run: Measurement, effect: str, size: float) -> Measure
     assert run.grip_N is not None
     current = Rig(rig.device, noise=0.0).record("", run.grip_N, run.require("command", "").values, 0)
     given = current.require("current", "").values
-    added = newmark(rig.device, run.grip_N, given, effect, size) - newmark(rig.device, run.grip_N, given, "", 0.0)
+    added = explicit_steps(rig.device, run.grip_N, given, effect, size) - explicit_steps(
+        rig.device, run.grip_N, given
+    )
     acceleration = run.require("acceleration", "")
     return replace(run, acceleration=replace(acceleration, values=acceleration.values + added))
 

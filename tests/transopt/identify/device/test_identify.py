@@ -47,7 +47,7 @@ def found(rig: Rig, sweeps: list[Measurement]) -> DeviceResult:
     return identify(sweeps, rig.transients((0.0, 1.0, 2.0, 3.0, 4.0, 5.0)), SETTINGS)
 
 
-@pytest.mark.parametrize(("crossover_A", "mismatch"), [(0.0, 0.0), (0.01, 0.0), (0.01, 0.05)])
+@pytest.mark.parametrize(("crossover_A", "mismatch"), [(0.0, 0.0), (0.01, 0.05)])
 def test_the_response_is_found_within_a_decibel_and_five_degrees(crossover_A: float, mismatch: float) -> None:
     rig = Rig(mismatched(mismatch, 5), crossover_A=crossover_A)
     result = identify(rig.sweeps(GRIPS_N, seed=1), [], SETTINGS)
