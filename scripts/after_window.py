@@ -16,12 +16,12 @@ from typing import Annotated
 import numpy as np
 import typer
 from common.command import JsonFile, Seed, at_least, run, write_json
-from common.experiment import play_tap
 from common.page import PageFile, write_part
 
 import problems
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank

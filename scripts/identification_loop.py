@@ -32,7 +32,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common.experiment import play_tap
 from common.page import write_part
 from matplotlib.figure import Figure
 from rich.table import Table
@@ -43,6 +42,7 @@ from controller.refine.heard import Node, nodes_of
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
+from controller.sim.played_tap import play_tap
 from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections

@@ -14,11 +14,11 @@ from typing import Annotated
 
 import numpy as np
 from common.command import JsonFile, LibraryFile, at_least, run, write_json
-from common.experiment import Played, play_tap
 
 from controller.record.metrics import align
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import predict

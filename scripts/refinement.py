@@ -37,13 +37,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from common.experiment import play_tap
 from common.measuring import on_one_thread
 from common.page import write_part
 from identification_loop import TRUTH, known_optimum, without_servo
 from rich.table import Table
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
+
+from controller.sim.played_tap import play_tap
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 

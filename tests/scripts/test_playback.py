@@ -11,10 +11,10 @@ import pytest
 from controller.servo.interface import Notice
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.waveforms.bank import Bank, Method, bank
-from scripts.common.experiment import play_tap
 from scripts.playback_accuracy import MOST_LATENCY_S, MOST_NRMSE, at_node, between, inside
 from transopt.library.library import Library
 

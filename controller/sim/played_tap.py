@@ -1,7 +1,7 @@
 """One tap of servo and simulator without the protocol between, and the truth of it, which no device could tell.
 
-What the commands show comes over a port, from a device's own sensors; this is for scripts and tests that compare
-servo, library and truth.
+What the commands show comes over a port, from a device's own sensors. This is for programs that compare servo,
+library and truth.
 """
 
 from collections import Counter

@@ -10,13 +10,13 @@ from controller.record.metrics import align, band_levels_dB, rate_hardness_N_m, 
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import SimulatedTap, approach_ticks
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import Ground
 from controller.sim.user import Habit, Tremor
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import predict, scene_of
-from scripts.common.experiment import Played, play_tap
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
