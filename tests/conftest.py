@@ -58,6 +58,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    words = 'options of a campaign, like "--seeds 0,1"; --campaign=--help tells them'
+    parser.addoption("--campaign", action="append", default=[], metavar="OPTIONS", help=words)
+
+
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command, answer.multipliers)

@@ -1,7 +1,8 @@
 """Record, identify, solve, play, refine: how near a device that is not what its scene says comes to recorded taps.
 
-    python scripts/identification_loop.py [--scene NAME] [--mismatch 0.1 0.2] [--seed 4] [--rounds 3] [--taps 3]
-        [--trials 4] [--grips 1,2,3,4,5] [--without-identification] [--unstated-pole] [--out out/identification_loop]
+    python -m pytest -m long -n 0 tests/campaigns/test_identification_loop.py
+        --campaign "[--scene NAME] [--mismatch 0.1,0.2] [--seed 4] [--rounds 3] [--taps 3] [--trials 4]
+        [--grips 1,2,3,4,5] [--without-identification] [--unstated-pole] [--out out/identification_loop]"
 
 The true device is the scene's with every parameter off by up to the mismatch, its amplifier with a crossover, its
 sensors with noise. For each mismatch: the nominal library is solved; sweeps are recorded on the true device,
@@ -15,26 +16,26 @@ Two rows are free of what a servo adds: the optimum of who knows the true chain 
 identified library, both rolled out through the true device without its crossover. Their difference is what the
 identification costs.
 
-Prints one table per mismatch, draws loop.png, writes loop.json. Exit code 1 if a current was above its limit, if the
+Prints one table per mismatch, draws loop.png, writes loop.json. It fails if a current was above its limit, if the
 identified commands are more than 0.05 points worse than who knows the truth over the taps up to 0.3 m/s (not asked
 with `--unstated-pole`, where no file states the accelerometer's pole), if the identified model is worse than the
 nominal one, or if refinement makes it worse.
 """
 
-import argparse
-import json
 import re
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
-from common.page import write_part
+import pytest
+import typer
 from matplotlib.figure import Figure
-from rich.table import Table
 
 import problems
 from controller.record.metrics import align
@@ -50,12 +51,13 @@ from controller.sim.true_device import TrueDevice
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from problems.generators.strikes import write_csv
+from tests.campaigns.harness import PartFile, Seed, at_least, long_form, numbers_of, show, write_json, write_part
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.base.files import whole_file
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, save_figure
 from transopt.base.signals import FloatArray
 from transopt.base.writing import table as markdown_table
+from transopt.design.build import build_library
 from transopt.design.optimum import optimum
 from transopt.library.file import load_library
 from transopt.library.library import Library
@@ -63,6 +65,8 @@ from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import discretise
 from transopt.plant.state_space import StateSpace
 from transopt.problem.problem import TransientProblem
+from transopt.recordings.tap import read_recordings
+from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
 
@@ -93,6 +97,29 @@ class Stage:
     @property
     def worst(self) -> float:
         return max(self.nrmse)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """How the loop is gone through.
+
+    Attributes
+    ----------
+    seed : of the true device and its noise.
+    rounds, taps : of the refinement.
+    trials, grips : of the sweeps; grips in N with commas between.
+    identify : the library that is refined has an identified model.
+    unstated_pole : no file states the accelerometer's pole.
+    """
+
+    out: Path
+    seed: int
+    rounds: int
+    taps: int
+    trials: int
+    grips: str
+    identify: bool
+    unstated_pole: bool
 
 
 def command(program: str, *arguments: object) -> None:
@@ -202,18 +229,18 @@ def known_optimum(node: Node, problem: TransientProblem) -> FloatArray:
     return found.solution.command
 
 
-def identified(scene: Path, arguments: argparse.Namespace, mismatch: float, folder: Path) -> Path:
+def identified(scene: Path, loop: Loop, mismatch: float, folder: Path) -> Path:
     """Record on the true device and identify; the scene with that model."""
     model = scene.with_name(f"identified_{mismatch:g}.json")
-    truth = ("--true-device", scene, "--mismatch", mismatch, "--seed", arguments.seed)
-    for purpose, more in (("amplifier", ()), ("device", ("--grips", arguments.grips))):
+    truth = ("--true-device", scene, "--mismatch", mismatch, "--seed", loop.seed)
+    for purpose, more in (("amplifier", ()), ("device", ("--grips", loop.grips))):
         sweeps = folder / f"sweeps_{purpose}"
         for old in sweeps.glob("*.npz"):
             old.unlink()
-        record = ("record", "sweep", "--simulate", "--for", purpose, "--trials", arguments.trials, *more)
+        record = ("record", "sweep", "--simulate", "--for", purpose, "--trials", loop.trials, *more)
         command("transopt-play", *record, *truth, "--out", sweeps)
         files = sorted(sweeps.glob(f"{purpose}_*.npz"))
-        if arguments.unstated_pole:
+        if loop.unstated_pole:
             for file in files:
                 leave_out(file, "accelerometer_Hz")
         known = ("--scene", scene) if purpose == "device" else ()
@@ -228,33 +255,33 @@ def leave_out(file: Path, name: str) -> None:
     np.savez_compressed(file, **kept)
 
 
-def run_one(scene: Path, arguments: argparse.Namespace, mismatch: float) -> list[Stage]:
+def run_one(scene: Path, loop: Loop, mismatch: float) -> list[Stage]:
     """All stages at one mismatch, the known truth last."""
-    folder = arguments.out / f"mismatch_{mismatch:g}"
+    folder = loop.out / f"mismatch_{mismatch:g}"
     folder.mkdir(parents=True, exist_ok=True)
     wrong = Imperfections(mismatch=mismatch)
     nominal = solved(scene, folder / "nominal")
-    device = device_in(scene_of(nominal), wrong, arguments.seed)
-    seed = arguments.seed + ANOTHER_SEED
+    device = device_in(scene_of(nominal), wrong, loop.seed)
+    seed = loop.seed + ANOTHER_SEED
 
     def play(name: str, library: Library) -> Stage:
-        return played(name, library, device, wrong, arguments.taps, seed)
+        return played(name, library, device, wrong, loop.taps, seed)
 
     stages, begun = [play("nominal model", nominal)], folder / "nominal" / "library.npz"
-    if not arguments.without_identification:
-        model_scene = identified(scene, arguments, mismatch, folder)
+    if loop.identify:
+        model_scene = identified(scene, loop, mismatch, folder)
         begun = folder / "identified" / "library.npz"
         model = solved(model_scene, begun.parent)
         stages.append(play("identified model", model))
     out = folder / "refined"
-    truth = ("--true-device", scene, "--mismatch", mismatch, "--seed", arguments.seed)
-    how = ("--simulate", *truth, "--rounds", arguments.rounds, "--taps", arguments.taps)
+    truth = ("--true-device", scene, "--mismatch", mismatch, "--seed", loop.seed)
+    how = ("--simulate", *truth, "--rounds", loop.rounds, "--taps", loop.taps)
     command("transopt-play", "refine", begun, *how, "--out", out)
     command("transopt", "verify", out / "library.npz")
     refined = load_library(out / "library.npz")
-    stages += rounds_of(refined, arguments.rounds)
+    stages += rounds_of(refined, loop.rounds)
     stages.append(play("refined, kept", refined))
-    if not arguments.without_identification:
+    if loop.identify:
         stages.append(without_servo(IDENTIFIED, model, device, lambda node, _: model.command[node]))
     return [*stages, without_servo(TRUTH, nominal, device, known_optimum)]
 
@@ -277,34 +304,17 @@ def rounds_of(refined: Library, most: int) -> list[Stage]:
     return stages + [replace(last, name=f"{ROUND} {number}") for number in range(len(stages) + 1, most + 1)]
 
 
-def table(mismatch: float, stages: Sequence[Stage], library: Library) -> Table:
-    """Mean, worst and every node."""
-    shown = Table(title=f"mismatch {mismatch:g}: NRMSE against the recorded tap in %")
-    shown.add_column("library")
-    for name in ("mean", f"to {SLOW_M_S:g} m/s", "worst", "peak A", *(f"{v:g} m/s" for v in library.speeds_m_s)):
-        shown.add_column(name, justify="right", no_wrap=True)
-    grips = library.grips_N.size
+def table(mismatch: float, stages: Sequence[Stage], library: Library) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of mean, worst and every node: NRMSE against the recorded tap in %."""
+    speeds = [f"{v:g} m/s" for v in library.speeds_m_s]
+    head = [f"mismatch {mismatch:g}, %", "mean", f"to {SLOW_M_S:g} m/s", "worst", "peak A", *speeds]
+    slow, found = library.speeds_m_s <= SLOW_M_S + 1e-9, []
     for stage in stages:
-        rows = [stage.nrmse[at : at + grips] for at in range(0, len(stage.nrmse), grips)]
-        cells = [" ".join(f"{100 * value:.1f}" for value in row) for row in rows]
-        slow = float(
-            np.mean(
-                [
-                    value
-                    for v, row in zip(library.speeds_m_s, rows, strict=True)
-                    if v <= SLOW_M_S + 1e-9
-                    for value in row
-                ]
-            )
-        )
-        numbers = (
-            f"{100 * stage.mean:.2f}",
-            f"{100 * slow:.3f}",
-            f"{100 * stage.worst:.2f}",
-            f"{stage.peak_current_A:.3f}",
-        )
-        shown.add_row(stage.name, *numbers, *cells)
-    return shown
+        nrmse = 100 * np.array(stage.nrmse).reshape(-1, library.grips_N.size)
+        nodes = (" ".join(f"{value:.1f}" for value in row) for row in nrmse)
+        numbers = f"{nrmse.mean():.2f}", f"{nrmse[slow].mean():.3f}", f"{nrmse.max():.2f}"
+        found.append([stage.name, *numbers, f"{stage.peak_current_A:.3f}", *nodes])
+    return head, found
 
 
 def in_markdown(results: dict[float, list[Stage]]) -> list[str]:
@@ -371,43 +381,116 @@ def shortfalls(mismatch: float, stages: Sequence[Stage], library: Library, unsta
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", default="wood_on_foam")
-    parser.add_argument("--mismatch", type=float, nargs="+", default=[0.1, 0.2])
-    parser.add_argument("--seed", type=int, default=4)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--taps", type=int, default=3)
-    parser.add_argument("--trials", type=int, default=4)
-    parser.add_argument("--grips", default="1,2,3,4,5", help="at which sweeps are recorded, in N")
-    parser.add_argument("--without-identification", action="store_true", help="refine the nominal library")
-    parser.add_argument("--unstated-pole", action="store_true", help="no file states the accelerometer's pole")
-    parser.add_argument("--out", type=Path, default=Path("out/identification_loop"))
-    parser.add_argument("--page", type=Path, help="page of results whose marked part is written anew")
-    arguments = parser.parse_args()
-    console, began_s = terminal.console(), time.monotonic()
-    try:
-        terminal.make_folder(arguments.out)
-        scene = recorded_scene(arguments.scene, arguments.out)
-        results = {mismatch: run_one(scene, arguments, mismatch) for mismatch in arguments.mismatch}
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+def main(
+    scene: str = "wood_on_foam",
+    mismatch: str = "0.1,0.2",
+    seed: Seed = 4,
+    rounds: Annotated[int, at_least(1)] = 3,
+    taps: Annotated[int, at_least(1)] = 3,
+    trials: Annotated[int, at_least(1)] = 4,
+    grips: Annotated[str, typer.Option(help="at which sweeps are recorded, in N")] = "1,2,3,4,5",
+    without_identification: Annotated[
+        bool, typer.Option("--without-identification", help="refine the nominal library")
+    ] = False,
+    unstated_pole: Annotated[
+        bool, typer.Option("--unstated-pole", help="no file states the accelerometer's pole")
+    ] = False,
+    out: Path = Path("out/identification_loop"),
+    part: PartFile = None,
+) -> int:
+    began_s = time.monotonic()
+    terminal.make_folder(out)
+    loop = Loop(out, seed, rounds, taps, trials, grips, not without_identification, unstated_pole)
+    recorded = recorded_scene(scene, out)
+    results = {by: run_one(recorded, loop, by) for by in numbers_of(mismatch)}
     failed = []
-    for mismatch, stages in results.items():
-        library = load_library(arguments.out / f"mismatch_{mismatch:g}" / "nominal" / "library.npz")
-        console.print(table(mismatch, stages, library))
-        failed += shortfalls(mismatch, stages, library, arguments.unstated_pole)
-    save_figure(figure(results), arguments.out / "loop.png")
-    write_part(arguments.page, in_markdown(results))
-    told = {f"{mismatch:g}": [asdict(stage) for stage in stages] for mismatch, stages in results.items()}
-    with whole_file(arguments.out / "loop.json") as file:
-        file.write(json.dumps(told, indent=1).encode("ascii"))
-    console.print(f"{arguments.out}: loop.png, loop.json; {time.monotonic() - began_s:.0f} s", highlight=False)
-    for words in failed:
-        console.print(words, style="red", highlight=False, soft_wrap=True)
-    sys.exit(1 if failed else 0)
+    for by, stages in results.items():
+        library = load_library(out / f"mismatch_{by:g}" / "nominal" / "library.npz")
+        show(*table(by, stages, library))
+        failed += shortfalls(by, stages, library, unstated_pole)
+    save_figure(figure(results), out / "loop.png")
+    write_part(part, in_markdown(results))
+    write_json({f"{by:g}": [asdict(stage) for stage in stages] for by, stages in results.items()}, out / "loop.json")
+    print(f"{out}: loop.png, loop.json; {time.monotonic() - began_s:.0f} s")
+    print("\n".join(failed))
+    return 1 if failed else 0
 
 
-if __name__ == "__main__":
-    main()
+test_long_form = long_form(main)
+
+
+def test_recorded_files_give_the_library_of_the_simulated_object(library: Library, tmp_path: Path) -> None:
+    path = recorded_scene("wood_on_foam", tmp_path)
+    scene = problems.load(path)
+    assert scene.recordings.simulated is None
+    again = build_library(scene, read_recordings(scene.recordings)).library
+    assert again is not None
+    # The files round accelerations to 1e-4 g and speeds to 1e-4 m/s.
+    np.testing.assert_allclose(again.reference_m_s2, library.reference_m_s2, atol=0.2)
+    np.testing.assert_allclose(again.nrmse, library.nrmse, atol=2e-3)
+
+
+def test_a_scene_on_its_model(tmp_path: Path) -> None:
+    path, model = recorded_scene("wood_on_foam", tmp_path), tmp_path / "m.json"
+    before = tomllib.loads(path.read_text())
+    after = tomllib.loads(with_model(path, model).read_text())
+    assert after.pop("model_file") == "m.json"
+    assert after == before
+
+
+def test_without_mismatch_the_known_truth_is_the_library(scene: Scene, library: Library) -> None:
+    device = device_in(scene, Imperfections(), 0)
+    f = np.geomspace(5, 2000, 30)
+    for grip in (1.0, 5.0):
+        np.testing.assert_allclose(plant_of(device, grip).response(f), scene.plant(grip).response(f), rtol=1e-9)
+    truth = without_servo(TRUTH, library, device, known_optimum)
+    np.testing.assert_allclose(truth.nrmse, library.nrmse.ravel(), atol=1e-6)
+    assert truth.peak_current_A == pytest.approx(4.0, abs=1e-6)
+    other = device_in(scene, Imperfections(mismatch=0.2), 4)
+    best = without_servo(TRUTH, library, other, known_optimum)
+    own = without_servo(IDENTIFIED, library, other, lambda node, _: library.command[node])
+    assert best.worst > truth.worst
+    assert own.mean > best.mean + 0.01
+
+
+def test_rounds_keep_the_best_so_far(library: Library) -> None:
+    rounds = [
+        {"nrmse": [[0.2, 0.3]], "better": [[True, True]], "peak_current_A": [[1.0, 2.0]]},
+        {"nrmse": [[0.1, 0.4]], "better": [[True, False]], "peak_current_A": [[1.0, 3.0]]},
+        {"nrmse": [[None, 0.2]], "better": [[None, True]], "peak_current_A": [[None, 1.0]]},
+    ]
+    found = rounds_of(replace(library, meta={**library.meta, "refinement": {"rounds": rounds}}), 3)
+    assert [stage.nrmse for stage in found] == [[0.1, 0.3], [0.1, 0.2], [0.1, 0.2]]
+    assert [stage.peak_current_A for stage in found] == [3.0, 1.0, 1.0]
+
+
+def test_what_falls_short(library: Library) -> None:
+    def stages(nominal: float, model: float, refined: float, own: float = 0.0104, peak: float = 4.0) -> list[Any]:
+        named = {
+            "nominal model": nominal,
+            "identified model": model,
+            "refined, kept": refined,
+            IDENTIFIED: own,
+            TRUTH: 0.01,
+        }
+        return [Stage(name, [value] * 12, peak) for name, value in named.items()]
+
+    def short(*values: float, unstated: bool = False, **more: float) -> list[str]:
+        return list(shortfalls(0.1, stages(*values, **more), library, unstated))
+
+    assert short(0.09, 0.04, 0.03) == []
+    [worse] = short(0.09, 0.10, 0.03)
+    assert "identified 10.00%, worse than nominal 9.00%" in worse
+    [far] = short(0.09, 0.04, 0.03, own=0.0106)
+    assert "up to 0.3 m/s identified 1.060%, known truth 1.000%" in far
+    assert short(0.09, 0.04, 0.03, own=0.0106, unstated=True) == []
+    [refined] = short(0.09, 0.04, 0.05)
+    assert "refined, kept 5.00%, identified model 4.00%" in refined
+    assert len(short(0.09, 0.04, 0.03, peak=4.01)) == 4
+
+
+def test_a_record_without_one_of_its_numbers(tmp_path: Path) -> None:
+    np.savez(tmp_path / "one.npz", time_s=np.arange(3.0), accelerometer_Hz=2500.0)
+    leave_out(tmp_path / "one.npz", "accelerometer_Hz")
+    with np.load(tmp_path / "one.npz") as record:
+        assert record.files == ["time_s"]

@@ -1,8 +1,8 @@
 """What a refinement truly does to a device: the error of every node before and after, without noise.
 
-    python scripts/refinement.py [--cases right right_held varying friction mismatch] [--seeds 11 12 13 14]
-        [--taps 6] [--rounds 6] [--scene wood_on_foam] [--jobs 2] [--out out/refinement]
-        [--page PAGE.md]
+    python -m pytest -m long -n 0 tests/campaigns/test_refinement.py
+        --campaign "[--cases right,right_held,varying,friction,mismatch] [--seeds 11,12,13,14] [--taps 6] [--rounds 6]
+        [--scene wood_on_foam] [--jobs 2] [--json FILE]"
 
 The scene's library is refined on devices that are not what it was solved for:
 
@@ -24,29 +24,19 @@ which is what a refinement measures, and over the whole window. Beside it stands
 the true device. Asked is: where the model is right no node is truly worse by more than 0.02 points; with friction
 no node that limits leave free has more than 1.4 %.
 
-Prints tables, writes refinement.json. Exit code 1 if something is not as asked.
+It fails if something is not as asked.
 """
 
-import argparse
-import json
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
 import numpy as np
-from common.measuring import on_one_thread
-from common.page import write_part
-from identification_loop import TRUTH, known_optimum, without_servo
-from rich.table import Table
+import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
-
-from controller.sim.played_tap import play_tap
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from controller.cli.port import connected
 from controller.cli.refine_taps import Taps, simulated_at
@@ -58,21 +48,43 @@ from controller.refine.rounds import Refined, refine
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
+from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import REACTION_S, scene_of
-from tests.benches.other_device import ACCELEROMETER_HZ, HAND, TICK_S, Motion, simulate, true_device
-from transopt.base import terminal
+from tests.benches.libraries import part_of
+from tests.benches.other_device import (
+    ACCELEROMETER_HZ,
+    HAND,
+    TICK_S,
+    Device,
+    Motion,
+    NoCompilerError,
+    simulate,
+    true_device,
+)
+from tests.campaigns.harness import (
+    Jobs,
+    JsonFile,
+    PartFile,
+    at_least,
+    each,
+    long_form,
+    numbers_of,
+    show,
+    solved,
+    words_of,
+    write_json,
+    write_part,
+)
+from tests.campaigns.test_identification_loop import TRUTH, known_optimum, without_servo
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
-from transopt.base.writing import table as markdown_table
-from transopt.design.build import build_library
+from transopt.base.threads import one_blas_thread
 from transopt.design.resolve import resolve
 from transopt.library.library import Library
 from transopt.library.meta import entry_left_out
 from transopt.recordings.recording import Recording
-from transopt.scene import builtin
-from transopt.scene.recordings import recordings_of
 
 CASES = ("right", "right_held", "varying", "friction", "mismatch")
 MISMATCH = {"right": 0.0, "mismatch": 0.1}  # of the built-in device, with its crossover
@@ -253,14 +265,7 @@ def true_errors(
     return found
 
 
-def solved(scene: str) -> Library:
-    """The library of a built-in scene, as it is before any refinement."""
-    said = builtin.load_scene(scene)
-    library = build_library(said, recordings_of(said)).library
-    assert library is not None
-    return library
-
-
+@one_blas_thread()
 def outcome_of(library: Library, case: str, seed: int, taps: int, rounds: int) -> Outcome:
     """Refine on the device of a case and a seed, and ask the simulator what became of it."""
     device, nodes = device_of_case(library, case, seed), nodes_of(library)
@@ -368,45 +373,75 @@ def figures(outcomes: Sequence[Outcome]) -> list[tuple[str, str, str, bool]]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", nargs="+", default=CASES, choices=CASES, metavar="CASE")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[11, 12, 13, 14])
-    parser.add_argument("--taps", type=int, default=6)
-    parser.add_argument("--rounds", type=int, default=6)
-    parser.add_argument("--scene", default="wood_on_foam")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("out/refinement"))
-    parser.add_argument("--page", type=Path, help="page of results whose marked part is written anew")
-    arguments = parser.parse_args()
-    on_one_thread()
-    terminal.make_folder(arguments.out)
-    work = [
-        (arguments.scene, case, seed, arguments.taps, arguments.rounds)
-        for case in arguments.cases
-        for seed in arguments.seeds
-    ]
-    console, outcomes = terminal.console(), list[Outcome]()
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        for one in pool.map(_outcome, work):
-            outcomes.append(one)
-            print("  ".join(rows([one])[0]), flush=True)
-            text = json.dumps([asdict(done) for done in outcomes], indent=1)
-            (arguments.out / "refinement.json").write_text(text + "\n", encoding="utf-8")
-    for head, lines in ((HEAD, rows(outcomes)), (NODE_HEAD, node_rows(outcomes))):
-        table = Table(*head)
-        for line in lines:
-            table.add_row(*line)
-        console.print(table)
+def main(
+    cases: str = ",".join(CASES),
+    seeds: str = "11,12,13,14",
+    taps: Annotated[int, at_least(1, "at each node in each round")] = 6,
+    rounds: Annotated[int, at_least(1)] = 6,
+    scene: str = "wood_on_foam",
+    jobs: Jobs = 2,
+    json_file: JsonFile = None,
+    part: PartFile = None,
+) -> int:
+    work = [(scene, case, int(seed), taps, rounds) for case in words_of(cases, CASES) for seed in numbers_of(seeds)]
+    outcomes: list[Outcome] = []
+    for one in each(_outcome, work, jobs):
+        outcomes.append(one)
+        print("  ".join(rows([one])[0]), flush=True)
+        write_json([asdict(done) for done in outcomes], json_file)
     found = figures(outcomes)
-    for what, asked, reached, right in found:
-        line = f"{what}: asked {asked}, reached {reached}"
-        console.print(line, style=None if right else "red", soft_wrap=True, highlight=False)
-    asked_rows = [[what, asked, reached] for what, asked, reached, _ in found]
-    parts = ((["figure", "asked", "reached"], asked_rows), (HEAD, rows(outcomes)), (NODE_HEAD, node_rows(outcomes)))
-    write_part(arguments.page, [line for head, lines in parts for line in markdown_table(head, lines)])
-    sys.exit(0 if all(right for *_, right in found) else 1)
+    asked = show(("figure", "asked", "reached", "as asked"), found)
+    write_part(part, [*asked, *show(HEAD, rows(outcomes)), *show(NODE_HEAD, node_rows(outcomes))])
+    return 0 if all(right for *_, right in found) else 1
 
 
-if __name__ == "__main__":
-    main()
+test_long_form = long_form(main)
+
+
+@pytest.fixture(scope="module")
+def small(library: Library) -> Library:
+    """0.2 and 0.4 m/s at 1 and 5 N: two nodes that no limit binds, and two that have one."""
+    return part_of(library, [1, 3], [0, 2])
+
+
+@pytest.fixture(autouse=True)
+def _compiled() -> None:
+    try:
+        simulate(Device(), np.zeros(1))
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.mark.parametrize("case", ["right", "varying"])
+def test_where_the_model_is_right_no_node_is_truly_worse(small: Library, case: str) -> None:
+    found = outcome_of(small, case, 21, taps=3, rounds=3)
+    assert max(node.worse for node in found.nodes) <= WORSE
+
+
+def test_friction_is_taken_out(small: Library) -> None:
+    found = outcome_of(small, "friction", 21, taps=6, rounds=6)
+    free = [node for node in found.nodes if not node.limited]
+    assert min(node.before for node in free) > 0.03
+    assert max(node.after for node in free) <= WITH_FRICTION
+    assert all(node.refined and node.worse < 0 for node in free)
+    assert all(node.after < node.before for node in found.nodes)
+
+
+def test_a_mismatch_is_taken_out(small: Library) -> None:
+    found = outcome_of(small, "mismatch", 22, taps=3, rounds=3)
+    free = [node for node in found.nodes if not node.limited]
+    assert all(node.after < 0.6 * node.before for node in free)
+    assert all(node.worse <= WORSE for node in found.nodes)
+
+
+def test_what_was_asked_and_what_was_reached() -> None:
+    def node(before: float, after: float, *, limited: bool = False) -> NodeErrors:
+        return NodeErrors(0.2, 3.0, limited, before, after, before, after, float("nan"), True, "")
+
+    right = Outcome("right", 1, 3, [node(0.01, 0.0101), node(0.01, 0.0103)])
+    friction = Outcome("friction", 1, 5, [node(0.05, 0.013), node(0.2, 0.15, limited=True)])
+    asked = figures([right, friction])
+    assert [reached for _, _, reached, _ in asked] == ["0.030 points", "1.30 %"]
+    assert [as_asked for *_, as_asked in asked] == [False, True]
+    assert rows([friction])[0][4:] == ["12.50 → 8.15", "5.00 → 1.30", "20.00 → 15.00", "0.000"]
+    assert node_rows([right])[0][:3] == ["right", "0.2 m/s, 3 N", "1 of 1"]
