@@ -1,5 +1,6 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -73,6 +74,16 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
 def c_compiler() -> None:
     """Without one, a test that asks for it is skipped."""
     need_compiler()
+
+
+@pytest.fixture
+def pseudo_terminal() -> None:
+    """Without one, a test that asks for it is skipped."""
+    try:
+        for end in os.openpty():
+            os.close(end)
+    except OSError as error:
+        pytest.skip(f"no pseudo-terminals here: {error}")
 
 
 @pytest.fixture(scope="session")
