@@ -1,6 +1,6 @@
 """What campaigns share: their options, their processes, their tables and the test that runs them.
 
-    python -m pytest -m long -n 0 tests/campaigns/test_verdicts.py [--campaign "--effects pole --seeds 0,1"]
+    python -m pytest -m long -n 0 tests/campaigns/test_verdicts.py [--campaign="--effects pole --seeds 0,1"]
 
 A campaign tests the product at length. Its module holds a function `main`, whose parameters are the campaign's
 options (`--campaign=--help` tells them, below the docstring of the module), tests of its short form, which the suite

@@ -1,6 +1,6 @@
 """Twelve taps on a device on a desk, through the commands that a user types.
 
-    python -m pytest -m long -n 0 tests/campaigns/test_desk.py --campaign "[LIBRARY] [--out DIR] [--json FILE]"
+    python -m pytest -m long -n 0 tests/campaigns/test_desk.py --campaign="[LIBRARY] [--out DIR] [--json FILE]"
 
 The device has equations of its own (`common.own_device`): an encoder of 10 um whose counts are 1234 at the surface,
 no grip sensor, gravity along the accelerometer, another delay of the amplifier than the library's. Its device file

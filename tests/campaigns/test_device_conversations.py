@@ -1,7 +1,7 @@
 """Conversations with the device, recorded: what the compiled core must say and command in every tick.
 
     python -m pytest -m long -n 0 tests/campaigns/test_device_conversations.py
-        --campaign "[--record]"
+        --campaign="[--record]"
 
 Without an option the recorded conversations are played to the core; `--record` records them anew, from the core as it
 is.

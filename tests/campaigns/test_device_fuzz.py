@@ -1,6 +1,6 @@
 """Fuzz the device's core by libFuzzer, in double and in single precision, under sanitizers.
 
-    python -m pytest -m long -n 0 tests/campaigns/test_device_fuzz.py --campaign "[--seconds 30] [--keep FOLDER]"
+    python -m pytest -m long -n 0 tests/campaigns/test_device_fuzz.py --campaign="[--seconds 30] [--keep FOLDER]"
 
 The harness and what it asks of the device stand in `controller/firmware/fuzz/fuzz_device.c`. Both precisions run at
 once, each for so long. It fails if something was found: the inputs that show it are kept in FOLDER.

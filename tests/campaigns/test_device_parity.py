@@ -1,7 +1,7 @@
 """The C core against the Python servo: random ticks, scenarios on the simulator, an hour of heat.
 
     python -m pytest -m long -n 0 tests/campaigns/test_device_parity.py
-        --campaign "[LIBRARY] [--ticks 1000000] [--scenarios 200] [--seed 0] [--write FILE]"
+        --campaign="[LIBRARY] [--ticks 1000000] [--scenarios 200] [--seed 0] [--write FILE]"
 
 In double precision every command, state, event and temperature must be the same, bit for bit. In single precision
 states and events are compared tick by tick, commands wherever both are in the same state. It fails if something is

@@ -1,7 +1,7 @@
 """Every fault at random instants while the real servo plays on the simulator: FAULT at once, nothing played, latched.
 
     python -m pytest -m long -n 0 tests/campaigns/test_fault_injection.py
-        --campaign "[LIBRARY] [--instants 100] [--seed 0]"
+        --campaign="[LIBRARY] [--instants 100] [--seed 0]"
 
 Each injection has a tap of its own, with random speed, grip, hand and mismatch. A fault counts as detectable at the
 first tick whose readings show it: at once for most, after the stated time or impulse for a missing current and a

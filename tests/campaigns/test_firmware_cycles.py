@@ -1,7 +1,7 @@
 """How many cycles an instruction of the core takes at most on a Cortex-M4F: every instruction of a tick looked up.
 
     python -m pytest -m long -n 0 tests/campaigns/test_firmware_cycles.py
-        --campaign "[--seed 0] [--conversation 0] [--ticks 4000]"
+        --campaign="[--seed 0] [--conversation 0] [--ticks 4000]"
 
 QEMU writes down each instruction of the device's ticks in one of the conversations of `test_firmware_targets.py`, and
 each is given the cycles of ARM's tables for the processor (Cortex-M4 Technical Reference Manual, "Instruction set

@@ -1,7 +1,7 @@
 """The C core for the processors of real devices, compiled with Debian's toolchain and run under QEMU.
 
     python -m pytest -m long -n 0 tests/campaigns/test_firmware_targets.py
-        --campaign "[LIBRARY] [--seed 0] [--part FILE]"
+        --campaign="[LIBRARY] [--seed 0] [--part FILE]"
 
 Recorded runs of the servo and recorded conversations with the device, random ones and with LIBRARY taps on the
 simulator too, are played by the core for Cortex-M4F (single precision) and Cortex-M7 (double), by its Arduino library

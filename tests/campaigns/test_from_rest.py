@@ -1,7 +1,7 @@
 """Taps from rest close above the surface: how well the device foresees when they touch it.
 
     python -m pytest -m long -n 0 tests/campaigns/test_from_rest.py
-        --campaign "[--taps 200] [--seed 1] [--quick]"
+        --campaign="[--taps 200] [--seed 1] [--quick]"
 
 A stylus rests 1 to 5 mm above the surface in a hand that trembles (0.1 mm at 8 Hz, four counts of the usual encoder),
 and is pushed down with 5 to 30 m/s^2: by a constant force, along a minimum-jerk course that ends 20 mm below the

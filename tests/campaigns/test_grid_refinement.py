@@ -1,7 +1,7 @@
 """What refining the grid does between the nodes, on two devices, at random points.
 
     python -m pytest -m long -n 0 tests/campaigns/test_grid_refinement.py
-        --campaign "[--points 200] [--tolerance 0.02] [--cap 400] [--out DIR]"
+        --campaign="[--points 200] [--tolerance 0.02] [--cap 400] [--out DIR]"
 
 Prints for the default scene and for the same device in a soft hand: entries, worst and median excess of the blend
 over the optimum without and with refinement, and times. The excess is taken from the two libraries as a device blends

@@ -1,7 +1,7 @@
 """Files that no honest user makes: whatever is read ends in a result that is right, or in one line.
 
     python -m pytest -m long -n 0 tests/campaigns/test_hostile_files.py
-        --campaign "[--flips 500] [--altered 500] [--recordings 300] [--scenes 100] [--seed N]"
+        --campaign="[--flips 500] [--altered 500] [--recordings 300] [--scenes 100] [--seed N]"
 
 Every case is a command on an input: a library with bits turned over, one that was altered and hashed again, a fuzzed
 recording, a scene with absurd values, a pipe or a folder in place of a file. A command that refuses says so in one

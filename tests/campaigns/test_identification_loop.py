@@ -1,7 +1,7 @@
 """Record, identify, solve, play, refine: how near a device that is not what its scene says comes to recorded taps.
 
     python -m pytest -m long -n 0 tests/campaigns/test_identification_loop.py
-        --campaign "[--scene NAME] [--mismatch 0.1,0.2] [--seed 4] [--rounds 3] [--taps 3] [--trials 4]
+        --campaign="[--scene NAME] [--mismatch 0.1,0.2] [--seed 4] [--rounds 3] [--taps 3] [--trials 4]
         [--grips 1,2,3,4,5] [--without-identification] [--unstated-pole] [--out out/identification_loop]"
 
 The true device is the scene's with every parameter off by up to the mismatch, its amplifier with a crossover, its

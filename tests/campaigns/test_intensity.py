@@ -1,7 +1,7 @@
 """What the search for intensity costs and what its answers are worth, on the default scene.
 
     python -m pytest -m long -n 0 tests/campaigns/test_intensity.py
-        --campaign "[SCENE] [--currents 4,2.5,1.25] [--starts 0] [--seed 1] [--json FILE] [--part FILE]"
+        --campaign="[SCENE] [--currents 4,2.5,1.25] [--starts 0] [--seed 1] [--json FILE] [--part FILE]"
 
 Every entry of the scene is solved for the energy of the recorded tap under each current limit. Printed per limit: how
 many entries are asked for more than the nearest waveform has, the price lam, what is left of the energy in dB, the

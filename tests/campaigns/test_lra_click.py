@@ -1,7 +1,7 @@
 """An LRA's click, designed, beside the best pulses of overdrive and brake that a search can find.
 
     python -m pytest -m long -n 0 tests/campaigns/test_lra_click.py
-        --campaign "[--scene lra_click] [--volts 3,8] [--generations 150] [--seed 1] [--repeats 20]
+        --campaign="[--scene lra_click] [--volts 3,8] [--generations 150] [--seed 1] [--repeats 20]
         [--json FILE] [--part FILE]"
 
 Drivers of LRAs play two pulses: a burst that overdrives the mass, and one of the other sign that brakes it. The trade

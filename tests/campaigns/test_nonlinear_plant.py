@@ -1,7 +1,7 @@
 """Designs for an actuator whose force factor, spring and friction are not constant, beside the linear designs.
 
     python -m pytest -m long -n 0 tests/campaigns/test_nonlinear_plant.py
-        --campaign "[--plants force,spring,friction] [--rate-hz 10000] [--json FILE]"
+        --campaign="[--plants force,spring,friction] [--rate-hz 10000] [--json FILE]"
 
 The actuator is an LRA with its case; its force factor falls by 30 % at full stroke (`force`), its spring stiffens by
 50 % there besides (`spring`), and it rubs with 0.04 N besides (`friction`). The targets take it

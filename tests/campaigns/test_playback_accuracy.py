@@ -1,7 +1,7 @@
 """How well the servo plays a library on the nominal device under a mild user.
 
     python -m pytest -m long -n 0 tests/campaigns/test_playback_accuracy.py
-        --campaign "[LIBRARY] [--phases 5] [--seeds 2] [--points 60] [--json FILE]"
+        --campaign="[LIBRARY] [--phases 5] [--seeds 2] [--points 60] [--json FILE]"
 
 At the nodes: latency and NRMSE after it, against the library's prediction, over contact phases within the tick and
 seeds of the sensors' noise. Between them, at random speeds and grips of the grid: against the blend of the nodes'

@@ -1,7 +1,7 @@
 """What a refinement truly does to a device: the error of every node before and after, without noise.
 
     python -m pytest -m long -n 0 tests/campaigns/test_refinement.py
-        --campaign "[--cases right,right_held,varying,friction,mismatch] [--seeds 11,12,13,14] [--taps 6] [--rounds 6]
+        --campaign="[--cases right,right_held,varying,friction,mismatch] [--seeds 11,12,13,14] [--taps 6] [--rounds 6]
         [--scene wood_on_foam] [--jobs 2] [--json FILE]"
 
 The scene's library is refined on devices that are not what it was solved for:

@@ -1,7 +1,7 @@
 """Does what is said to do for a refused entry really do?
 
     python -m pytest -m long -n 0 tests/campaigns/test_remedies.py
-        --campaign "[--cases 3000] [--seed 31337] [--scenes all|few|none] [--jobs 4] [--json FILE]"
+        --campaign="[--cases 3000] [--seed 31337] [--scenes all|few|none] [--jobs 4] [--json FILE]"
 
 Gathers the refusals of random stress cases and of a grid of scenes: virtual walls of 50 to 2000 N/m at 0.2 to 4 A,
 slow commands over a wall, warm coils, rails, strokes. Of each it takes every remedy that is stated as solved, reads

@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM at random instants of every command: each ends in time, loses nothing and leaves nothing behind.
 
     python -m pytest -m long -n 0 tests/campaigns/test_signals.py
-        --campaign "[--instants 200] [--seed 0] [--processes 2] [--only WORD]"
+        --campaign="[--instants 200] [--seed 0] [--processes 2] [--only WORD]"
 
 Every command first runs undisturbed, which tells how long it takes and leaves an earlier result. Then it runs again
 over that result and gets a signal at a random instant: SIGTERM alone, or SIGINT with its whole process group, as a

@@ -1,7 +1,7 @@
 """Minutes of random tapping with the real servo on the simulator: do the limits hold, is anything left unsaid?
 
     python -m pytest -m long -n 0 tests/campaigns/test_soak.py
-        --campaign "[LIBRARY] [--minutes 10] [--seed 0] [--amplifier-tolerance T]"
+        --campaign="[LIBRARY] [--minutes 10] [--seed 0] [--amplifier-tolerance T]"
 
 Taps at 0.05 to 1 m/s and 0 to 10 N by hands that yield, in stretches of 10 s that take turns: the nominal device;
 10 % of mismatch in every parameter; 20 % with tremor and a dead band of 50 mA; hands that let go or grasp within

@@ -1,7 +1,7 @@
 """Unplugs, resets, kills and hangs at random instants of a session with the compiled device.
 
     python -m pytest -m long -n 0 tests/campaigns/test_unplug_campaign.py
-        --campaign "[--cases 1000] [--processes 12] [--seed 0]"
+        --campaign="[--cases 1000] [--processes 12] [--seed 0]"
 
 In virtual time (`unplug_cases`), and with real processes, killed by SIGKILL, on pseudo-terminals and sockets
 (`unplug_processes`). Of each case is asked: the command is zero within the lease after the last heartbeat that

@@ -1,6 +1,6 @@
 """How fast a library of 400 kB gets over a pseudo-terminal into the compiled device.
 
-    python -m pytest -m long -n 0 tests/campaigns/test_upload_speed.py --campaign "[--runs 5] [--json FILE]"
+    python -m pytest -m long -n 0 tests/campaigns/test_upload_speed.py --campaign="[--runs 5] [--json FILE]"
 
 From the first byte asked for to the device's word that the library is in force, its checks included; each run another
 library, so that none is skipped. As it is, with 16 ms each way, with one frame in twenty lost each way. Exit code 1

@@ -1,7 +1,7 @@
 """Is what `transopt identify device` says about its own model true? Twenty effects on a drive of other make.
 
     python -m pytest -m long -n 0 tests/campaigns/test_verdicts.py -k long_form
-        --campaign "[--effects none,pole,...] [--seeds 0,1,2] [--grips 1,2,3,4,5] [--trials 4] [--jobs 2]
+        --campaign="[--effects none,pole,...] [--seeds 0,1,2] [--grips 1,2,3,4,5] [--trials 4] [--jobs 2]
         [--sweeps-only] [--json FILE]"
 
 For each effect and seed: sweeps, multisines and held-out taps are recorded on a device whose equations and

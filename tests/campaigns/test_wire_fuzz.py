@@ -1,7 +1,7 @@
 """Damaged frames by the million: none is taken for another one, none makes the decoder fail.
 
     python -m pytest -m long -n 0 tests/campaigns/test_wire_fuzz.py
-        --campaign "[--frames 1000000] [--seed 0] [--endpoints]"
+        --campaign="[--frames 1000000] [--seed 0] [--endpoints]"
 
 Frames of random length and content are hit in 2 to 4 bytes, cut, lengthened, or merged with the next, and given to
 the host's decoder and to the compiled core's in pieces of random size. Whatever they then take for a sound frame must

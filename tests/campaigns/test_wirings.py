@@ -1,7 +1,7 @@
 """What the bring-up check makes of wrong wires: every error refused by its name, every sound device passed.
 
     python -m pytest -m long -n 0 tests/campaigns/test_wirings.py
-        --campaign "[LIBRARY] [--quick] [--jobs 2] [--json FILE]"
+        --campaign="[LIBRARY] [--quick] [--jobs 2] [--json FILE]"
 
 A device with equations of its own (`common.own_device`) and a scripted person stand behind the compiled core, in
 virtual time; the check is the one that `transopt-play check` runs, the device file that of a sound device. One part

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from scripts import device_end_to_end as end_to_end
+from tests.benches.scripts import script
 from transopt.library.library import Library
+
+end_to_end = script("device_end_to_end")
 
 
 @pytest.mark.usefixtures("c_compiler", "pseudo_terminal")

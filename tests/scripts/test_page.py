@@ -5,10 +5,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from common.page import END, begin, write_part
 
 from tests.benches.places import ROOT
+from tests.benches.scripts import script
 from transopt.base.errors import InputError
+
+page_parts = script("common.page")
+END, begin, write_part = page_parts.END, page_parts.begin, page_parts.write_part
 
 STAMP = re.compile(
     r"^\*`python ([^`]+)`, \d{4}-\d\d-\d\d, .+, \d+ cores, Python 3\.[\d.]+, "

@@ -1,6 +1,6 @@
 """A pytest plugin that takes the tests in another order: files first, then the tests within each file.
 
-    PYTHONPATH=scripts SHUFFLED=7 python -m pytest -p shuffled
+    SHUFFLED=7 python -m pytest -p tests.benches.shuffled
 
 A test that passes only after another one hides a state that both share. The same number gives the same order in
 every worker of pytest-xdist, which insists on that. Tests of one file stay together: a fixture of a module is then
