@@ -75,6 +75,35 @@ def test_a_page_of_another_script_is_refused(page: Path, monkeypatch: pytest.Mon
         write_part(page, [])
 
 
+CAMPAIGN = """
+import pathlib, shlex, sys
+option, part = shlex.split(sys.argv[-1].removeprefix("--campaign="))
+assert option == "--part"
+pathlib.Path(part).write_text("| reached |")
+"""
+
+
+def test_tables_that_a_campaign_writes_are_put_on_the_page_as_they_are(tmp_path: Path) -> None:
+    campaign, page = tmp_path / "campaign.py", tmp_path / "p.md"
+    campaign.write_text(CAMPAIGN)
+    page.write_text(f"before\n\n<!-- tables of: python {campaign} -->\nold\n{END}\n\nafter\n")
+    assert script("results").main(page) == 0
+    text = page.read_text()
+    assert f"-->\n\n| reached |\n\n*`python {campaign}`, " in text
+    assert "old" not in text
+    assert text.endswith("<!-- end -->\n\nafter\n")
+
+
+def test_a_campaign_that_writes_no_tables_leaves_the_page_alone(tmp_path: Path) -> None:
+    campaign, page = tmp_path / "campaign.py", tmp_path / "p.md"
+    campaign.write_text("raise SystemExit(1)")
+    before = f"<!-- tables of: python {campaign} -->\nold\n{END}\n"
+    page.write_text(before)
+    with pytest.raises(InputError, match="has written no tables; its exit code is 1"):
+        script("results").main(page)
+    assert page.read_text() == before
+
+
 @pytest.mark.parametrize(("path", "script", "part"), PARTS, ids=[f"{p.stem}-{Path(s).stem}" for p, s, _ in PARTS])
 def test_every_part_says_when_where_and_by_what(path: Path, script: str, part: str) -> None:
     assert (ROOT / script).exists() or (ROOT / script.replace(".", "/")).exists()
