@@ -21,17 +21,17 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from campaign.compiled_device import CompiledDevice, arm_at_rest
 from common.command import Seed, at_least, run
 from typer import Option
 
 import problems
-from controller.host.driver import Device
+from controller.host.driver import Device, arm_at_rest
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
 from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import Contact, Recorder
 from controller.servo.settings import Settings
+from controller.sim.compiled_device import CompiledDevice
 from controller.sim.plant_file import plant_bytes
 from controller.sim.sensors import SEED_SENSORS, Sensors
 from controller.sim.simulator import Imperfections, Simulator

@@ -17,7 +17,6 @@ from typing import Annotated
 import numpy as np
 import seed.device as seed_device
 from common.command import at_least, run
-from common.experiment import Played
 from common.page import PageFile, write_part
 from seed.comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
 from seed.plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
@@ -34,6 +33,7 @@ from seed.report import (
 from typer import Option
 
 import problems
+from controller.sim.played_tap import Played
 from controller.waveforms.bank import Method
 from controller.waveforms.inversions import unlimited_optimum
 from controller.waveforms.prediction import scene_of

@@ -30,13 +30,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
-from shuffled import VARIABLE as ORDER
-
 from controller.firmware.build import NoCompilerError, compiler
 from transopt.base.writing import table, write_text
 from transopt.solvers.native.extension import EXTENSION
 
 ROOT = Path(__file__).parents[1]
+SHUFFLED, ORDER = "tests.benches.shuffled", "SHUFFLED"  # plugin of pytest, and the variable that it reads
 # What a run leaves behind or brings itself; all else belongs to the copy that is given another extension.
 LEFT_BEHIND = (".git", ".venv", ".*cache", ".hypothesis", "__pycache__", "*.so", "*.pyd", "build", "dist", "out")
 BESIDE = "shared"  # recordings that some tests look for beside the checkout
@@ -165,7 +164,7 @@ def environments(here: Probed) -> list[Environment]:
         Environment("compiled pass of one double", width=1),
         Environment("no compiled pass", width=NO_EXTENSION),
         Environment("all of an old processor", {**prescott, **baseline, **WITHOUT_FMA}, kernel="Prescott", width=2),
-        *(Environment(f"order {seed}", {ORDER: str(seed)}, ("-p", "shuffled")) for seed in (1, 2, 3)),
+        *(Environment(f"order {seed}", {ORDER: str(seed)}, ("-p", SHUFFLED)) for seed in (1, 2, 3)),
         *(Environment(f"threads {count}", dict.fromkeys(threads, count)) for count in ("1", "4")),
     ]
 
@@ -217,7 +216,7 @@ def checkout(width: int | None) -> Iterator[Path]:
 def asked_for(root: Path, environment: Environment, arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:
     """What `python -m` with these arguments says in an environment."""
     # Ahead of the installed package, which is the checkout: what the tests start has to find the copy as well.
-    paths = [str(root), str(root / "scripts"), os.environ.get("PYTHONPATH", "")]
+    paths = [str(root), os.environ.get("PYTHONPATH", "")]
     return subprocess.run(
         [sys.executable, "-m", *arguments],
         cwd=root,

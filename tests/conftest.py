@@ -1,17 +1,15 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import hypothesis
 import numpy as np
 import pytest
-from precision.cases import make_case
-from precision.run import Effort, measure
 
 import problems
 from controller.host.payload import payload
@@ -58,6 +56,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    words = 'options of a campaign, like "--seeds 0,1"; --campaign=--help tells them'
+    parser.addoption("--campaign", action="append", default=[], metavar="OPTIONS", help=words)
+
+
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command, answer.multipliers)
@@ -68,6 +71,16 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
 def c_compiler() -> None:
     """Without one, a test that asks for it is skipped."""
     need_compiler()
+
+
+@pytest.fixture
+def pseudo_terminal() -> None:
+    """Without one, a test that asks for it is skipped."""
+    try:
+        for end in os.openpty():
+            os.close(end)
+    except OSError as error:
+        pytest.skip(f"no pseudo-terminals here: {error}")
 
 
 @pytest.fixture(scope="session")
@@ -198,48 +211,12 @@ def short_scene(scene: Scene) -> Scene:
 
 
 @pytest.fixture(scope="session")
-def short_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
-    problem = make_problem(stages=STAGES)
-    return make_case("short", short_scene, problem, 0.4, 5.0)
-
-
-@pytest.fixture(scope="session")
-def tailed_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
-    """The short case with as many instants after the window, in which the tap goes on."""
-    problem = make_problem(stages=STAGES)
-    after = make_problem().reference_m_s2[STAGES : 2 * STAGES]
-    target = replace(problem.target, after_m_s2=after)
-    problem = replace(problem, target=target, grid=replace(problem.grid, after_stages=after.size))
-    return make_case("tailed", short_scene, problem, 0.4, 5.0)
-
-
-@pytest.fixture(scope="session")
 def hot_problem(make_problem: ProblemMaker, scene: Scene) -> TransientProblem:
     """The coil's temperature binds, so that there is no QP."""
     problem, coil = make_problem(stages=STAGES), scene.coil()
     assert coil is not None
     limit = temperature_limit(coil, scene.amplifier_model(), problem.grid, Budget(headroom_K=0.02))
     return with_limit(problem, limit)
-
-
-@pytest.fixture
-def rows_of(short_case: Any) -> Callable[..., list[Any]]:
-    """Rows of methods on the short case, each setting run once after its two first runs."""
-
-    def measured(*methods: Any) -> list[Any]:
-        return measure(short_case, methods, Effort(0.0, least=1))
-
-    return measured
-
-
-@pytest.fixture
-def user_file(tmp_path: Path) -> Callable[[str], Path]:
-    def write(text: str) -> Path:
-        path = tmp_path / "mine.py"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return write
 
 
 @pytest.fixture

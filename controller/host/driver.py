@@ -14,6 +14,7 @@ too, stops the device: disarmed if all is well, else by an emergency stop, and w
 Every wait is bounded, by the session's own deadlines at the latest. Not thread-safe.
 """
 
+import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -305,3 +306,23 @@ class Device:
                 self.emergency_stop()
         finally:
             self.close()
+
+
+def arm_at_rest(device: Device, lease_ms: int, within_s: float) -> None:
+    """Arm as soon as the hand is at rest.
+
+    Raises
+    ------
+    DeviceError : it was not within this time.
+    """
+    end_s = time.monotonic() + within_s
+    while True:
+        try:
+            device.arm(1.0, lease_ms)
+            return
+        except LinkLostError:
+            raise
+        except DeviceError:
+            if time.monotonic() > end_s:
+                raise
+            device.listen(0.02)

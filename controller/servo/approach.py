@@ -16,7 +16,8 @@ then no more what the readings follow. That shows in them as a part of the cubic
 (`parabola.bend_row`). Where it is more than twice what rounding alone makes of it, the newer half of the window is
 taken. At a steady speed near a whole number of counts per tick rounding is a slow sawtooth, and makes more of it:
 where the paths of the two halves differ by no more than an eighth and two counts, more is asked for. Rms errors of
-the contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2 (`scripts/from_rest.py`, 24.5 um):
+the contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2, at 24.5 um per count
+(`tests/campaigns/test_from_rest.py`):
 
                     10 ms alone     5 ms alone      10 or 5 ms
     constant force  9 us            14 us           9 us

@@ -1,7 +1,7 @@
 """One tap as a simulated hand does it: what is asked of it, and the simulator on which it is under way.
 
-Of these the world behind the port `sim:` is made (`controller.sim.tapping`); `scripts.common.experiment` plays one
-without the protocol between and asks for the truth.
+The world behind the port `sim:` is made of these taps (`controller.sim.tapping`); `controller.sim.played_tap` plays
+one without the protocol between and asks for the truth.
 """
 
 from dataclasses import dataclass

@@ -135,13 +135,18 @@ def device_of(scene: Scene) -> TrueDevice:
 
     Raises
     ------
-    InputError : a black box, which has no masses to move.
+    InputError : a black box, which has no masses to move, or an actuator that no hand holds.
     """
     model = scene.model.moving if isinstance(scene.model, IdentifiedModel) else scene.model
     if isinstance(model, StateSpaceDevice):
         raise InputError(
             f"{scene.name}: its device is an identified state space, which has no masses to move: simulate "
             "another device (--true-device SCENE.toml or library.npz)"
+        )
+    if not isinstance(model, SecondOrder | HandPart | FourthOrder | Drive | DriveDevice):
+        raise InputError(
+            f"{scene.name}: no hand holds its actuator, so that nobody taps with it: simulate another device "
+            "(--true-device SCENE.toml or library.npz)"
         )
     tip = scene.drive_at_tip()
 

@@ -25,7 +25,13 @@ from transopt.base.sizes import MOST_TEXT_BYTES
 from transopt.base.writing import write_text
 
 ROOT = Path(__file__).parents[2]
-MEASURED = ("transopt", "controller", "problems", "scripts")  # whose changes since the commit the stamp tells
+MEASURED = (
+    "transopt",
+    "controller",
+    "problems",
+    "scripts",
+    "tests",
+)  # whose changes since the commit the stamp tells
 END = "<!-- end -->"
 PageFile = Annotated[
     Path | None, typer.Option("--page", metavar="PAGE.md", help="page of results whose marked part is written anew")

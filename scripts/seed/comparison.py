@@ -5,12 +5,12 @@ from concurrent.futures import as_completed
 from dataclasses import dataclass
 
 import numpy as np
-from common.experiment import Played, play_tap
 
 import problems
 from controller.record.metrics import align
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import NONE, Imperfections
 from controller.waveforms.bank import Bank, Method, bank

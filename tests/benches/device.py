@@ -21,8 +21,8 @@ from controller.protocol.wire import DELIMITER, Decoder, decode, encode
 from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
 from controller.sim.virtual_link import Trouble
-from scripts.campaign.compiled_device import smooth_bank
-from scripts.campaign.rehearsal import Rehearsal
+from tests.benches.compiled import smooth_bank
+from tests.benches.rehearsal import Rehearsal
 from tests.benches.servo import AMPLIFIER, DT_S
 
 SETTINGS = Settings(DT_S, 3 * DT_S, 4.0, AMPLIFIER, window_ticks=20)

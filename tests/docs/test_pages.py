@@ -1,12 +1,13 @@
 """Every page can be reached and built, and what it tells a user to type exists."""
 
+import inspect
 import re
 import shlex
 import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterable
-from importlib import util
+from importlib import import_module, util
 from pathlib import Path
 
 import click
@@ -24,6 +25,7 @@ from transopt.scene.builtin import load_scene
 from transopt.scene.keys import keys
 from transopt.scene.model_parts import CoilPart, DriveDevice, HandPart
 
+STAMP = re.compile(r"^\*`.*\*$", re.MULTILINE)  # names a commit, at which its command was another one perhaps
 OUTPUT = {"text", "bibtex"}
 RUN = {"sh", "python", "toml", "c"}  # by tests/docs/test_blocks.py, or a comment before the fence says why not
 # By Sphinx, which executes the cells; what is included is a file that a test runs.
@@ -89,10 +91,16 @@ class TestPage:
                 assert re.search(stated, text(file), re.MULTILINE), f"{file}:{name}"
 
     def test_scripts_and_their_options_exist(self, page: Path) -> None:
-        for name, options in re.findall(r"python (scripts/[a-z_]+\.py)([^`|\n]*)", text(page)):
+        for name, options in re.findall(r"python (scripts/[a-z_]+\.py)([^`|\n]*)", STAMP.sub("", text(page))):
             assert (ROOT / name).exists(), name
             for option in re.findall(r"--[\w-]+", options):
                 assert option in sources(ROOT / name), f"{name} {option}"
+
+    def test_campaigns_and_their_options_exist(self, page: Path) -> None:
+        for name, options in re.findall(r"python -m pytest [^`|\n]*(tests/campaigns/\w+\.py)([^`|\n]*)", text(page)):
+            main = import_module(name.removesuffix(".py").replace("/", ".")).main
+            for option in re.findall(r"--[\w-]+", options.removeprefix(" --campaign").replace("--help", "")):
+                assert option[2:].replace("-", "_") in inspect.signature(main).parameters, f"{name} {option}"
 
 
 def sources(script: Path) -> str:
@@ -102,8 +110,6 @@ def sources(script: Path) -> str:
 
 
 def _check(words: list[str]) -> None:
-    from importlib import import_module
-
     app = import_module(COMMANDS[words[0]]).app
     command: click.Command = typer.main.get_command(app)
     rest = words[1:]

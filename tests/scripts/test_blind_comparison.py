@@ -5,13 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from scripts.blind_comparison import Answer, Answers, Judge, first_of, main, summary
+from tests.benches.scripts import script
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
+
+blind = script("blind_comparison")
+Answer, Answers, Judge = blind.Answer, blind.Answers, blind.Judge
+first_of, main, summary = blind.first_of, blind.main, blind.summary
 
 CUT_A = 2.5
 

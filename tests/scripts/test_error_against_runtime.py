@@ -11,22 +11,30 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import error_against_runtime
 import numpy as np
 import pytest
-from common import command
-from precision import cases, methods, periods, report, summary, user, wheels
-from precision.figure import work_precision
-from precision.run import Effort, Row
 
 from tests.benches.limits import with_numbers
 from tests.benches.places import ROOT
+from tests.benches.scripts import script
 from tests.conftest import STAGES
 from transopt.base.errors import InputError
 from transopt.problem.problem import TransientProblem
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
+
+error_against_runtime, command = script("error_against_runtime"), script("common.command")
+cases = script("precision.cases")
+methods = script("precision.methods")
+periods = script("precision.periods")
+report = script("precision.report")
+summary = script("precision.summary")
+user = script("precision.user")
+wheels = script("precision.wheels")
+work_precision = script("precision.figure").work_precision
+measured = script("precision.run")
+Effort, Row = measured.Effort, measured.Row
 
 
 class TestJudge:

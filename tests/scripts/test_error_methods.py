@@ -7,19 +7,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from common.measuring import take_turns
-from precision import cases, discretisations, methods, run, user, wheels
-from precision.qp import dump, project_multipliers, quadratic_program
-from precision.run import Effort
 from scipy import sparse
 
 import problems
+from tests.benches.scripts import script
 from tests.conftest import STAGES, ProblemMaker
 from transopt.base.errors import InputError
 from transopt.plant.discretise import discretise
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.scene.scene import Scene
+
+cases = script("precision.cases")
+discretisations = script("precision.discretisations")
+methods = script("precision.methods")
+run = script("precision.run")
+user = script("precision.user")
+wheels = script("precision.wheels")
+qp = script("precision.qp")
+Effort, take_turns = run.Effort, script("common.measuring").take_turns
+dump, project_multipliers, quadratic_program = qp.dump, qp.project_multipliers, qp.quadratic_program
 
 WHEELS = ("piqp", "clarabel", "osqp", "daqp")
 

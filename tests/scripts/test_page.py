@@ -5,23 +5,36 @@ import sys
 from pathlib import Path
 
 import pytest
-from common.page import END, begin, write_part
 
 from tests.benches.places import ROOT
+from tests.benches.scripts import script
 from transopt.base.errors import InputError
 
+page_parts = script("common.page")
+END, begin, write_part = page_parts.END, page_parts.begin, page_parts.write_part
+
 STAMP = re.compile(
-    r"^\*`python (?:-m )?([\w./]+)[^`]*`, \d{4}-\d\d-\d\d, .+, \d+ cores, Python 3\.[\d.]+, "
+    r"^\*`python ([^`]+)`, \d{4}-\d\d-\d\d, .+, \d+ cores, Python 3\.[\d.]+, "
     r"commit \w+(, with changes)?\.\*$",
     re.MULTILINE,
 )
 PART = re.compile(
-    r"^<!-- (?:written by|output of: python(?: -m)?) ([\w./]+)[^\n]* -->$(.*?)^<!-- end -->$",
+    r"^<!-- (?:written by|(?:output|tables) of: python) ([^\n]+) -->$(.*?)^<!-- end -->$",
     re.DOTALL | re.MULTILINE,
 )
+
+
+def named_by(command: str) -> str:
+    """The file that a command runs, or its module."""
+    words = command.split()
+    return next((word for word in words if word.endswith(".py")), words[1 if words[0] == "-m" else 0])
+
+
 RESULTS = ROOT / "docs/results"
 PARTS = [
-    (path, *found.groups()) for path in sorted(RESULTS.glob("*.md")) for found in PART.finditer(path.read_text())
+    (path, named_by(found[1]), found[2])
+    for path in sorted(RESULTS.glob("*.md"))
+    for found in PART.finditer(path.read_text())
 ]
 TIMED = (
     "scripts/benchmark.py",
@@ -45,7 +58,7 @@ def test_the_part_is_replaced_and_stamped_and_the_rest_stays(page: Path) -> None
     assert "old" not in text
     assert "| \\1 |\n\n*`python scripts/after_window.py wood --out DIR`, " in text
     [found] = STAMP.findall(text)
-    assert found[0] == "scripts/after_window.py"
+    assert named_by(found[0]) == "scripts/after_window.py"
     write_part(page, ["| a |", "|---|", "| \\1 |"])
     assert page.read_text() == text
 
@@ -62,8 +75,39 @@ def test_a_page_of_another_script_is_refused(page: Path, monkeypatch: pytest.Mon
         write_part(page, [])
 
 
+CAMPAIGN = """
+import pathlib, shlex, sys
+option, part = shlex.split(sys.argv[-1].removeprefix("--campaign="))
+assert option == "--part"
+pathlib.Path(part).write_text("| reached |")
+"""
+
+
+def test_tables_that_a_campaign_writes_are_put_on_the_page_as_they_are(tmp_path: Path) -> None:
+    campaign, page = tmp_path / "campaign.py", tmp_path / "p.md"
+    campaign.write_text(CAMPAIGN)
+    page.write_text(f"before\n\n<!-- tables of: python {campaign} -->\nold\n{END}\n\nafter\n")
+    assert script("results").main(page) == 0
+    text = page.read_text()
+    assert f"-->\n\n| reached |\n\n*`python {campaign}`, " in text
+    assert "old" not in text
+    assert text.endswith("<!-- end -->\n\nafter\n")
+
+
+def test_a_campaign_that_writes_no_tables_leaves_the_page_alone(tmp_path: Path) -> None:
+    campaign, page = tmp_path / "campaign.py", tmp_path / "p.md"
+    campaign.write_text("raise SystemExit(1)")
+    before = f"<!-- tables of: python {campaign} -->\nold\n{END}\n"
+    page.write_text(before)
+    with pytest.raises(InputError, match="has written no tables; its exit code is 1"):
+        script("results").main(page)
+    assert page.read_text() == before
+
+
 @pytest.mark.parametrize(("path", "script", "part"), PARTS, ids=[f"{p.stem}-{Path(s).stem}" for p, s, _ in PARTS])
 def test_every_part_says_when_where_and_by_what(path: Path, script: str, part: str) -> None:
     assert (ROOT / script).exists() or (ROOT / script.replace(".", "/")).exists()
     found = STAMP.findall(part)
-    assert [name for name, _ in found] == [script] or (script in TIMED and not found)
+    # A campaign may have been a script at the commit that its stamp names.
+    by = [Path(named_by(command)).stem.removeprefix("test_") for command, _ in found]
+    assert by == [Path(script).stem.removeprefix("test_")] or (script in TIMED and not found)

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-import seed_figures as figures
-from common import command
 from matplotlib import image
-from seed import comparison, device
 
 from controller.waveforms.bank import Method
+from tests.benches.scripts import script
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
+
+figures, comparison, device = script("seed_figures"), script("seed.comparison"), script("seed.device")
+command = script("common.command")
 
 SATURATED = (0.4, 5.0)
 METHODS = (

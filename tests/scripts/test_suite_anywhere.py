@@ -5,8 +5,11 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
-import shuffled
-import suite_anywhere
+
+from tests.benches import shuffled
+from tests.benches.scripts import script
+
+suite_anywhere = script("suite_anywhere")
 
 FILES = {"tests/a.py": 6, "tests/b.py": 5, "tests/c.py": 1, "tests/d.py": 4}
 NODES = [f"{name}::Test::test_{j}" for name, count in FILES.items() for j in range(count)]
@@ -35,6 +38,14 @@ def test_another_order_has_the_same_tests_file_by_file(monkeypatch: pytest.Monke
         assert files != sorted(files)
         assert sum(one != other for one, other in pairwise(files)) == len(FILES) - 1
         assert [node for node in order if "a.py" in node] != NODES[: FILES["tests/a.py"]]
+
+
+def test_an_order_is_asked_for_as_the_plugin_reads_it(old: suite_anywhere.Probed) -> None:
+    orders = [one for one in suite_anywhere.environments(old) if one.name.startswith("order")]
+    assert len(orders) == 3
+    for one in orders:
+        assert one.arguments == ("-p", shuffled.__name__)
+        assert list(one.variables) == [shuffled.VARIABLE]
 
 
 def test_every_environment_has_a_name_of_its_own(old: suite_anywhere.Probed) -> None:

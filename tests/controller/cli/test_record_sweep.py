@@ -16,12 +16,13 @@ from controller.protocol.codes import STATES, Kind
 from controller.protocol.events import News, Samples
 from controller.record.excitation import sweep_command
 from controller.servo.interface import State
+from controller.sim.compiled_device import CompiledDevice
 from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.sensors import SEED_SENSORS
 from controller.sim.user import StillHand
 from controller.sim.virtual_link import Trouble
-from scripts.campaign.compiled_device import CompiledDevice, plant_of
 from tests.benches.commands import Run, assert_refused
+from tests.benches.compiled import plant_of
 from tests.benches.desk import DT_S, PORT, Desk
 from tests.controller.cli.test_device import interrupt
 from transopt.identify.measurement import load_measurement

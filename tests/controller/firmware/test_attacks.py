@@ -18,7 +18,7 @@ from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
 from controller.protocol.wire import encode
 from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.settings import Settings
-from scripts.campaign.compiled_device import DT_S, smooth_bank
+from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, ONE_WAVEFORM, REST, SETTINGS, Talker
 from tests.benches.servo import AMPLIFIER
 from transopt.plant.coil import CoilModel

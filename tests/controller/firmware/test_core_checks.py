@@ -18,10 +18,10 @@ from controller.protocol.packed import Packed
 from controller.protocol.wire import Decoder, encode
 from controller.servo.interface import Readings
 from controller.servo.settings import Settings
-from scripts.campaign.compiled_device import DT_S, TAIL, smooth_bank
-from scripts.campaign.conversations import NUMBERS
+from tests.benches.compiled import DT_S, TAIL, smooth_bank
 from tests.benches.device import REST, Talker
 from tests.benches.servo import AMPLIFIER, WALL
+from tests.campaigns.conversations import NUMBERS
 from transopt.plant.coil import CoilModel
 
 pytestmark = pytest.mark.usefixtures("c_compiler")

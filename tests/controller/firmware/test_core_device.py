@@ -15,10 +15,10 @@ from controller.firmware.core_device import CoreDevice, Decoder, crc32, encode, 
 from controller.firmware.replay import REPLAY
 from controller.protocol import wire
 from controller.servo.interface import State
-from scripts.campaign.recorded import BOOT, Conversation, load, save
-from scripts.device_conversations import SCENES, VECTORS, random_talk, said, scene, taps, vouched
-from scripts.wire_fuzz import fuzz
 from tests.benches.device import World, clean_answers
+from tests.campaigns.recorded import BOOT, Conversation, load, save
+from tests.campaigns.test_device_conversations import SCENES, VECTORS, random_talk, said, scene, taps, vouched
+from tests.campaigns.test_wire_fuzz import fuzz
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 
@@ -27,7 +27,7 @@ RECORDED = load(VECTORS)
 
 @pytest.mark.parametrize("conversation", RECORDED, ids=lambda one: one.name)
 def test_the_device_says_and_does_what_was_recorded(conversation: Conversation) -> None:
-    """Every byte and every command; `scripts/device_conversations.py` says how they were recorded, and how anew."""
+    """Every byte and every command, as `tests/campaigns/test_device_conversations.py` has recorded them."""
     assert conversation.differs(CoreDevice(BOOT, simulated=True)) == ""
 
 

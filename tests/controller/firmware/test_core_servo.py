@@ -1,4 +1,4 @@
-"""The servo in C against the Python servo; `scripts/device_parity.py` in short."""
+"""The servo in C against the Python servo; `tests/campaigns/test_device_parity.py` in short."""
 
 import functools
 import subprocess
@@ -14,9 +14,9 @@ from controller.firmware.replay import EXCITE, NEGATIVE, REPLAY, Core, Recorder,
 from controller.protocol.codes import EVENT_CODES, EVENTS
 from controller.protocol.image import image_of
 from controller.servo.interface import Fault, Notice
-from scripts.campaign.parity_runs import random_run, tap_run
-from scripts.device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_differences_K
 from tests.benches.device import clean_answers
+from tests.campaigns.parity_runs import random_run, tap_run
+from tests.campaigns.test_device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_differences_K
 from transopt.library.library import Library
 from transopt.plant.wall import Wall
 

@@ -18,13 +18,13 @@ from controller.firmware.build import CORE, FIRMWARE, STRICT, build, sources
 from controller.host.driver import Device
 from controller.protocol import messages as m
 from controller.record.excitation import sweep_command
+from controller.sim.compiled_device import CompiledDevice
 from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.plant_file import plant_bytes
 from controller.sim.sensors import Sensors
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import Ground, device_of
 from controller.sim.user import Habit, StillHand, TapsInTurn, TapUser
-from scripts.campaign.compiled_device import CompiledDevice
 from tests.benches.commands import Terminal, assert_refused
 from transopt.base.errors import InputError
 from transopt.library.library import Library

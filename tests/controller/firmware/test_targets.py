@@ -1,4 +1,4 @@
-"""The core on emulated processors; `scripts/firmware_targets.py` in short."""
+"""The core on emulated processors; `tests/campaigns/test_firmware_targets.py` in short."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,8 +6,18 @@ from pathlib import Path
 import pytest
 
 from controller.firmware.build import NoCompilerError, compiler
-from scripts import firmware_targets
-from scripts.firmware_targets import TARGETS, Found, MissingToolError, Target, misses, need_tools, play, record, rows
+from tests.campaigns import test_firmware_targets as firmware_targets
+from tests.campaigns.test_firmware_targets import (
+    TARGETS,
+    Found,
+    MissingToolError,
+    Target,
+    misses,
+    need_tools,
+    play,
+    record,
+    rows,
+)
 from transopt.base.errors import InputError
 
 CORTEX_M7 = TARGETS[1]
@@ -81,4 +91,5 @@ def test_missing_tools_are_named_with_their_package(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(MissingToolError, match=r"arm-none-eabi-gcc: not found; install gcc-arm-none-eabi"):
         need_tools()
-    assert firmware_targets.main() == 3
+    with pytest.raises(pytest.skip.Exception, match="install"):
+        firmware_targets.main()

@@ -13,7 +13,7 @@ from controller.protocol.codes import Stage
 from controller.protocol.configuration import configuration_of
 from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
-from scripts.campaign.compiled_device import DT_S
+from tests.benches.compiled import DT_S
 from tests.benches.device import IMAGE, SETTINGS, Talker
 from tests.controller.firmware.test_attacks import HARDWARE, PULSE_TICKS, WATCHED, Plant, arm, evidence, pulsed
 

@@ -14,7 +14,7 @@ from controller.protocol.image import HEADER as IMAGE_HEADER
 from controller.protocol.image import IMAGE_FIELDS, bank_of, image_bytes, image_of, too_large
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Method, bank
-from scripts.campaign.compiled_device import smooth_bank as table
+from tests.benches.compiled import smooth_bank as table
 from tests.benches.device import IMAGE, SETTINGS
 from tests.benches.servo import DT_S
 from transopt.base.errors import InputError

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.protocol.wire import DELIMITER, ENCODED_LIMIT, PAYLOAD_LIMIT, Decoder, decode, encode, stuff, unstuff
-from scripts.wire_fuzz import Ends, fuzz, random_frame
 from tests.benches.device import need_compiler
+from tests.campaigns.test_wire_fuzz import Ends, fuzz, random_frame
 
 RAW = st.one_of(
     st.binary(max_size=1100),
@@ -133,7 +133,7 @@ def test_every_single_changed_byte_is_seen(payload: bytes, place: int, change: i
 
 
 def test_damaged_frames_are_never_taken_for_others() -> None:
-    """Short form of scripts/wire_fuzz.py."""
+    """Short form of tests/campaigns/test_wire_fuzz.py."""
     counts = fuzz(20_000, seed=1)
     assert counts["wrong"] == 0
     assert counts["lost"] == 0

@@ -2,7 +2,6 @@
 
 import math
 
-import from_rest
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -10,6 +9,7 @@ from hypothesis import strategies as st
 
 from controller.servo.approach import BEND_COUNTS, NEVER, STEADY_BEND_COUNTS, Approach, Touch, Trigger
 from controller.servo.settings import Settings
+from tests.campaigns import test_from_rest as from_rest
 from transopt.base.signals import FloatArray
 
 DT_S, LEAD_S, COUNT_M, WINDOW = 1e-4, 3e-4, 24.5e-6, 100

@@ -17,13 +17,13 @@ from controller.record.telemetry import read_csv
 from controller.servo.interface import Notice, State
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import play_tap
 from controller.sim.port import SimulatedPort, core_end
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
-from scripts.common.experiment import play_tap
 from tests.benches.commands import Run, assert_refused
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure

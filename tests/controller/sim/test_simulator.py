@@ -25,6 +25,7 @@ from controller.sim.user import (
     User,
 )
 from controller.waveforms.prediction import REACTION_S
+from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, nrmse
 from transopt.library.library import Library
 from transopt.plant.coil import effective_square
@@ -409,3 +410,8 @@ def test_trace_is_kept_only_on_demand(scene: Scene) -> None:
     simulator = Simulator(device_of(scene), still(), DT, imperfections=NONE)
     with pytest.raises(ValueError, match="trace=True"):
         simulator.trace()
+
+
+def test_an_actuator_that_no_hand_holds_is_refused() -> None:
+    with pytest.raises(InputError, match="lra_click: no hand holds its actuator"):
+        device_of(problems.load("lra_click"))

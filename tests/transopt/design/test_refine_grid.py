@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import problems
-from scripts.grid_refinement import excess, random_points, soft_hand
 from tests.benches.commands import Outcome, Terminal
+from tests.campaigns.test_grid_refinement import excess, random_points, soft_hand
 from transopt.base.errors import InputError
 from transopt.base.filters import highpass
 from transopt.base.signals import Signal

@@ -10,11 +10,11 @@ import pytest
 import problems
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import device_of
 from controller.waveforms.bank import Method, bank
-from scripts.common.experiment import play_tap
 from tests.benches.commands import Run
 from tests.benches.model_parts import (
     BOX,

@@ -1,0 +1,127 @@
+"""One tap of servo and simulator without the protocol between, and the truth of it, which no device could tell.
+
+What the commands show comes over a port, from a device's own sensors. This is for programs that compare servo,
+library and truth.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.record.metrics import align
+from controller.servo.interface import Event, Fault, Notice, Output
+from controller.servo.loop import Servo, run
+from controller.sim.simulated_tap import AFTER_S, SimulatedTap, approach_ticks, tap_simulator
+from controller.sim.simulator import Trace
+from controller.sim.true_device import TrueDevice, device_of
+from controller.waveforms.prediction import Prediction, predict, scene_of
+from transopt.base.signals import FloatArray, nrmse
+from transopt.library.library import Library
+
+UNTOUCHED_S = 0.5e-3  # before the lead the motion is the user's alone
+
+
+@dataclass(frozen=True)
+class Played:
+    """A tap as it went, with times from the moment at which the device would have met the surface undriven.
+
+    Attributes
+    ----------
+    tap : that was asked for.
+    prediction : of the library.
+    times_s : (K,) of the truth at every integration step; so are current_A and winding_C.
+    acceleration_m_s2 : (K,) of the stylus without the user's own share, so that it compares with the predicted y''. A
+        mild, a yielding and a stopping user are all taken to go straight on: what they do otherwise is error.
+    command_A : (T,) of the servo at its ticks.
+    events : of the servo, in the order they came.
+    latency_s : the one shift within 1 ms that aligns played and predicted acceleration, positive if played late;
+        like both errors NaN if no transient was played.
+    nrmse : after that shift, against the library's prediction.
+    nrmse_reference : after that shift, against the recorded reference r.
+    """
+
+    tap: SimulatedTap
+    prediction: Prediction
+    times_s: FloatArray
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    winding_C: FloatArray
+    command_A: FloatArray
+    events: tuple[Event, ...]
+    latency_s: float = float("nan")
+    nrmse: float = float("nan")
+    nrmse_reference: float = float("nan")
+
+    @property
+    def played(self) -> bool:
+        return not np.isnan(self.nrmse)
+
+    @property
+    def peak_m_s2(self) -> float:
+        """Largest |acceleration| within the library's window."""
+        first, last = self.prediction.times_s[[0, -1]]
+        return float(np.abs(self.acceleration_m_s2[(self.times_s >= first) & (self.times_s <= last)]).max())
+
+    @property
+    def reference_m_s2(self) -> FloatArray:
+        """(N,) the recorded reference at the tap's gain."""
+        return np.asarray(self.tap.gain * self.prediction.reference_m_s2)
+
+    @property
+    def peak_current_A(self) -> float:
+        return float(np.abs(self.current_A).max())
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        return tuple(event.what for event in self.events if isinstance(event.what, Fault))
+
+    @property
+    def notices(self) -> Counter[Notice]:
+        """How often each came."""
+        return Counter(event.what for event in self.events if isinstance(event.what, Notice))
+
+
+def _contact_s(trace: Trace, expected_s: float, lead_s: float) -> float:
+    """When the motor mass would have met z = 0 undriven: its last straight motion before the lead, continued."""
+    k = int(np.searchsorted(trace.times_s, expected_s - lead_s - UNTOUCHED_S)) - 1
+    return float(trace.times_s[k] - trace.motor_m[k] / trace.motor_m_s[k])
+
+
+def play_tap(
+    library: Library,
+    servo: Servo,
+    tap: SimulatedTap,
+    *,
+    device: TrueDevice | None = None,
+    after_s: float = AFTER_S,
+) -> Played:
+    """Arm the servo, let a simulated user tap once, and compare with the library's prediction.
+
+    The true device is that of the library's scene, or another `device`: a library that was solved with an identified
+    model is tried on what the model was identified from. The tap's imperfections are the true device's.
+
+    Raises
+    ------
+    InputError : speed or grip is not a finite number; a library of a black box, without a device to simulate.
+    """
+    prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
+    grid = library.time_grid()
+    truth = device_of(scene_of(library)) if device is None else device
+    simulator, expected = tap_simulator(library, tap, truth, trace=True)
+    outputs: list[Output] = []
+    servo.arm()
+    ticks = approach_ticks(tap.speed_m_s, grid.dt_s) + int(np.ceil((grid.end_s + after_s) / grid.dt_s)) + 1
+    run(simulator, servo, ticks, grid.dt_s, observe=lambda _, output: outputs.append(output))
+    trace = simulator.trace()
+    times = trace.times_s - _contact_s(trace, expected, grid.lead_s)
+    acceleration = trace.acceleration_m_s2 - trace.own_m_s2
+    events = tuple(event for output in outputs for event in output.events)
+    commands = np.array([output.command_A for output in outputs])
+    truth_of = (tap, prediction, times, acceleration, trace.current_A, trace.winding_C, commands, events)
+    wanted = prediction.acceleration_m_s2
+    if prediction.silent or not np.any(wanted) or not np.any(trace.current_A):
+        return Played(*truth_of)
+    aligned = align(times, acceleration, prediction.times_s, wanted)
+    error = nrmse(aligned.played_m_s2, tap.gain * prediction.reference_m_s2)
+    return Played(*truth_of, aligned.latency_s, aligned.nrmse, error)

@@ -1,0 +1,223 @@
+"""How well the servo plays a library on the nominal device under a mild user.
+
+    python -m pytest -m long -n 0 tests/campaigns/test_playback_accuracy.py
+        --campaign="[LIBRARY] [--phases 5] [--seeds 2] [--points 60] [--json FILE]"
+
+At the nodes: latency and NRMSE after it, against the library's prediction, over contact phases within the tick and
+seeds of the sensors' noise. Between them, at random speeds and grips of the grid: against the blend of the nodes'
+predictions, which a device at that grip misses by the interpolation error even if everything is played on time.
+It fails if a node's latency is above 20 us rms or its NRMSE above 3 %, or a point's above the interpolation error
+plus 3 %.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated
+
+import numpy as np
+import pytest
+
+from controller.record.metrics import align
+from controller.servo.interface import Notice
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
+from controller.sim.played_tap import Played, play_tap
+from controller.sim.simulated_tap import SimulatedTap
+from controller.sim.simulator import Imperfections
+from controller.waveforms.bank import Bank, Method, bank
+from controller.waveforms.prediction import predict
+from tests.campaigns.harness import JsonFile, LibraryFile, at_least, library_of, long_form, write_json
+from transopt.base.signals import FloatArray, nrmse
+from transopt.library.library import Library
+
+MOST_LATENCY_S, MOST_NRMSE = 20e-6, 0.03
+SEED = 1
+
+
+@dataclass(frozen=True)
+class Node:
+    """One node over all phases and seeds; `nrmse` the worst, `nrmse_reference` the mean against the recorded tap."""
+
+    speed_m_s: float
+    grip_N: float
+    taps: int
+    latency_rms_s: float
+    latency_worst_s: float
+    nrmse: float
+    nrmse_reference: float
+    peak_current_A: float
+
+    @property
+    def kept(self) -> bool:
+        return self.latency_rms_s <= MOST_LATENCY_S and self.nrmse <= MOST_NRMSE
+
+
+@dataclass(frozen=True)
+class Point:
+    """One tap between the nodes.
+
+    Attributes
+    ----------
+    nrmse : against the blended command replayed through the device of this grip.
+    nrmse_blend : against the blend of the nodes' predicted accelerations. interpolation : that replay against it.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    latency_s: float
+    nrmse: float
+    nrmse_blend: float
+    interpolation: float
+
+    @property
+    def kept(self) -> bool:
+        return self.nrmse_blend <= self.interpolation + MOST_NRMSE
+
+
+def once(library: Library, table: Bank, tap: SimulatedTap) -> Played:
+    """One nominal tap with a fresh servo.
+
+    Raises
+    ------
+    RuntimeError : it was not played.
+    """
+    metrics = play_tap(library, Servo(Settings.of(library), table), tap)
+    if not metrics.played or metrics.faults:
+        raise RuntimeError(f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N: {metrics.events}")
+    return metrics
+
+
+def at_node(library: Library, table: Bank, iv: int, ig: int, phases: FloatArray, seeds: int) -> Node:
+    speed, grip = float(library.speeds_m_s[iv]), float(library.grips_N[ig])
+    taps = [SimulatedTap(speed, grip, phase=float(phase), seed=seed) for phase in phases for seed in range(seeds)]
+    found = [once(library, table, tap) for tap in taps]
+    late = np.array([metrics.latency_s for metrics in found])
+    return Node(
+        speed_m_s=speed,
+        grip_N=grip,
+        taps=len(taps),
+        latency_rms_s=float(np.sqrt(np.mean(late**2))),
+        latency_worst_s=float(late[np.argmax(np.abs(late))]),
+        nrmse=max(metrics.nrmse for metrics in found),
+        nrmse_reference=float(np.mean([metrics.nrmse_reference for metrics in found])),
+        peak_current_A=max(metrics.peak_current_A for metrics in found),
+    )
+
+
+def blended(library: Library, speed_m_s: float, grip_N: float) -> FloatArray:
+    """(N,) predicted accelerations of the four nodes around a point, blended as the commands are."""
+    by_v, by_F = (
+        np.array([np.interp(value, nodes, unit) for unit in np.eye(nodes.size)])
+        for value, nodes in ((speed_m_s, library.speeds_m_s), (grip_N, library.grips_N))
+    )
+    return np.asarray(np.einsum("v,g,vgk->k", by_v, by_F, library.acceleration_m_s2))
+
+
+def between(library: Library, table: Bank, speed_m_s: float, grip_N: float, seed: int) -> Point:
+    """One tap between the nodes, its phase drawn from the seed."""
+    tap = SimulatedTap(speed_m_s, grip_N, seed=seed)
+    played = play_tap(library, Servo(Settings.of(library), table), tap)
+    blend, prediction = blended(library, speed_m_s, grip_N), predict(library, speed_m_s, grip_N)
+    return Point(
+        speed_m_s=speed_m_s,
+        grip_N=grip_N,
+        latency_s=played.latency_s,
+        nrmse=played.nrmse,
+        nrmse_blend=align(played.times_s, played.acceleration_m_s2, prediction.times_s, blend).nrmse,
+        interpolation=nrmse(prediction.acceleration_m_s2, blend),
+    )
+
+
+def inside(library: Library, count: int) -> FloatArray:
+    """(count, 2) random speeds [m/s] and grips [N] of the grid."""
+    low, high = (library.speeds_m_s[0], library.grips_N[0]), (library.speeds_m_s[-1], library.grips_N[-1])
+    return np.random.default_rng(SEED).uniform(low, high, (count, 2))
+
+
+def summarise(points: list[Point]) -> None:
+    late = np.array([p.latency_s for p in points])
+    extra = [p.nrmse_blend - p.interpolation for p in points]
+    worst = points[int(np.argmax(extra))]
+    print(
+        f"{len(points)} random taps between the nodes: latency {1e6 * np.sqrt(np.mean(late**2)):.1f} us rms, "
+        f"{1e6 * np.abs(late).max():.1f} us at most; NRMSE at most\n"
+        f"  {100 * max(p.nrmse for p in points):.2f} % against the blended command's replay,\n"
+        f"  {100 * max(p.nrmse_blend for p in points):.2f} % against the blended prediction, where interpolation "
+        f"alone makes {100 * max(p.interpolation for p in points):.2f} %;\n"
+        f"  largest difference of the two {100 * max(extra):.2f} % at {worst.speed_m_s:.3f} m/s, {worst.grip_N:.2f} N"
+    )
+
+
+def main(
+    library: LibraryFile = None,
+    phases: Annotated[int, at_least(1, "phases of the contact within the tick, per node")] = 5,
+    seeds: Annotated[int, at_least(1, "seeds of the sensors' noise, per phase")] = 2,
+    points: Annotated[int, at_least(0, "random taps between the nodes")] = 60,
+    json: JsonFile = None,
+) -> int:
+    solved = library_of(library)
+    table, within = bank(solved), np.arange(phases) / phases
+    print("  m/s    N taps latency rms us worst us  NRMSE %  of r % peak A")
+    nodes = []
+    for iv, ig in np.ndindex(solved.nrmse.shape):
+        nodes.append(n := at_node(solved, table, iv, ig, within, seeds))
+        print(
+            f"{n.speed_m_s:5g} {n.grip_N:4g} {n.taps:4d} {1e6 * n.latency_rms_s:14.1f} "
+            f"{1e6 * n.latency_worst_s:8.1f} {100 * n.nrmse:8.2f} {100 * n.nrmse_reference:7.2f} "
+            f"{n.peak_current_A:.4f}{'' if n.kept else '  MISSED'}",
+            flush=True,
+        )
+    drawn = inside(solved, points)
+    found = [between(solved, table, float(v), float(F), seed) for seed, (v, F) in enumerate(drawn)]
+    if found:
+        summarise(found)
+    write_json({"nodes": [asdict(n) for n in nodes], "points": [asdict(p) for p in found]}, json)
+    return 0 if all(entry.kept for entry in [*nodes, *found]) else 1
+
+
+test_long_form = long_form(main)
+
+
+@pytest.fixture(scope="module")
+def tables(library: Library) -> Bank:
+    return bank(library)
+
+
+@pytest.mark.parametrize("iv", range(4))
+@pytest.mark.parametrize("ig", range(3))
+def test_every_node_is_on_time_and_as_predicted(library: Library, tables: Bank, iv: int, ig: int) -> None:
+    node = at_node(library, tables, iv, ig, np.array([0.0, 0.3, 0.65]), seeds=1)
+    assert node.latency_rms_s <= MOST_LATENCY_S
+    assert node.nrmse <= MOST_NRMSE
+    assert node.nrmse_reference <= library.nrmse[iv, ig] + MOST_NRMSE
+    assert node.peak_current_A <= 4.0 + 1e-6
+
+
+def test_between_the_nodes_only_interpolation_is_added(library: Library, tables: Bank) -> None:
+    points = [between(library, tables, float(v), float(F), seed) for seed, (v, F) in enumerate(inside(library, 12))]
+    late = np.array([p.latency_s for p in points])
+    assert np.sqrt(np.mean(late**2)) <= MOST_LATENCY_S
+    for p in points:
+        assert p.nrmse <= MOST_NRMSE, p
+        assert p.nrmse_blend <= p.interpolation + MOST_NRMSE, p
+
+
+@pytest.mark.parametrize("mismatch", [0.1, 0.2])
+def test_a_mismatched_amplifier_stays_within_the_limit_it_was_told_of(
+    library: Library, tables: Bank, mismatch: float
+) -> None:
+    """Seed 3 draws a faster pole: without the tolerance its current passes the limit."""
+    tap = SimulatedTap(0.4, 5.0, seed=3, imperfections=Imperfections(mismatch=mismatch, crossover_A=0.0))
+    settings = Settings.of(library)
+    told = replace(settings, amplifier_tolerance=mismatch)
+    peaks = [play_tap(library, Servo(s, tables), tap).peak_current_A for s in (settings, told)]
+    assert peaks[0] > 4.02
+    assert peaks[1] <= 4.0 + 1e-6
+
+
+def test_every_method_plays_within_the_limits(library: Library) -> None:
+    for method in Method:
+        m = play_tap(library, Servo(Settings.of(library), bank(library, method)), SimulatedTap(0.35, 4.5))
+        assert not m.faults, method
+        assert m.notices[Notice.CONTACT] == 1
+        assert m.played == (method is not Method.PROPORTIONAL), method
+        assert m.peak_current_A <= 4.0 + 1e-6

@@ -1,0 +1,50 @@
+"""Short cases of error against run time, and rows of them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.benches.scripts import script
+from tests.conftest import STAGES, ProblemMaker
+from transopt.scene.scene import Scene
+
+cases, run = script("precision.cases"), script("precision.run")
+
+
+@pytest.fixture(scope="session")
+def short_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
+    problem = make_problem(stages=STAGES)
+    return cases.make_case("short", short_scene, problem, 0.4, 5.0)
+
+
+@pytest.fixture(scope="session")
+def tailed_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
+    """The short case with as many instants after the window, in which the tap goes on."""
+    problem = make_problem(stages=STAGES)
+    after = make_problem().reference_m_s2[STAGES : 2 * STAGES]
+    target = replace(problem.target, after_m_s2=after)
+    problem = replace(problem, target=target, grid=replace(problem.grid, after_stages=after.size))
+    return cases.make_case("tailed", short_scene, problem, 0.4, 5.0)
+
+
+@pytest.fixture
+def rows_of(short_case: Any) -> Callable[..., list[Any]]:
+    """Rows of methods on the short case, each setting run once after its two first runs."""
+
+    def measured(*methods: Any) -> list[Any]:
+        return run.measure(short_case, methods, run.Effort(0.0, least=1))
+
+    return measured
+
+
+@pytest.fixture
+def user_file(tmp_path: Path) -> Callable[[str], Path]:
+    def write(text: str) -> Path:
+        path = tmp_path / "mine.py"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
