@@ -24,6 +24,7 @@ from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW, MOST_ROWS
 from transopt.recordings.names import (
     SKIPPED,
     Layout,
+    Meaning,
     Vocabulary,
     looks_known,
     meanings,
@@ -49,13 +50,13 @@ class RawTable:
     Attributes
     ----------
     columns : name in the file -> (n,) numbers.
-    meanings : name in the file -> quantity and factor to SI.
+    meanings : name in the file -> quantity and unit.
     header : name in the file -> what stands there, unchecked.
     place : where in the file a user finds the sample of an index, for messages.
     """
 
     columns: Mapping[str, FloatArray]
-    meanings: Mapping[str, tuple[str, float]]
+    meanings: Mapping[str, Meaning]
     header: Mapping[str, object]
     place: Callable[[int], str]
 
@@ -275,7 +276,7 @@ def _read_wav(data: bytes, layout: Layout) -> RawTable:
     elif samples.dtype.kind == "i":
         values = values / 2.0 ** (8 * samples.dtype.itemsize - 1)
     columns = {"time_s": np.arange(values.size) / rate_Hz, "acceleration_m_s2": full_scale_m_s2 * values}
-    known = {"time_s": ("time", 1.0), "acceleration_m_s2": ("acceleration", 1.0)}
+    known = {"time_s": Meaning("time", 1.0), "acceleration_m_s2": Meaning("acceleration", 1.0)}
     return RawTable(columns, known, {}, lambda k: f"sample {k}")
 
 

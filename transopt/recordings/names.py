@@ -9,53 +9,22 @@ A name in a file is understood in one of three ways:
 A unit is never guessed: 9.81 lies between the two that are usual for an acceleration.
 """
 
-import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.recordings.units import Unit, known_units, parts, read_unit, remedy_of, with_input
 
 SKIPPED = "-"
 LONGEST_SHOWN = 300  # characters of all names together, which a message repeats
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
-_WITH_UNIT = re.compile(r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>[^\[\](){}]*)[\])}]|/\s*(?P<behind>\S+))")
-_G = STANDARD_GRAVITY_M_S2
-_TEMPERATURE = {"C": 1.0, "degC": 1.0, "°C": 1.0}
-# In the place of a factor: a magnitude of so many dB is 10^(dB / 20), re 1 m/s^2 per A or V.
-LEVEL = math.nan
-_PER_INPUT = {f"{a}/{u}": factor for a, factor in (("m/s^2", 1.0), ("m/s2", 1.0), ("g", _G)) for u in "AV"}
-# Quantity -> unit as instruments write it -> factor to SI. `_plain` spells a superscript or a dot as the table does.
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "acceleration": {
-        "m/s^2": 1.0,
-        "m/s2": 1.0,
-        "m/s/s": 1.0,
-        "m s-2": 1.0,
-        "m_s2": 1.0,
-        "g": _G,
-        "gn": _G,
-        "mg": 1e-3 * _G,
-    }
-    | {"mm/s^2": 1e-3, "mm/s2": 1e-3},
-    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "command": {"A": 1.0, "mA": 1e-3},
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "winding": _TEMPERATURE,
-    "housing": _TEMPERATURE,
-    "ambient": _TEMPERATURE,
-    "frequency": {"Hz": 1.0, "kHz": 1e3, "rad/s": 1 / (2 * math.pi)},
-    "magnitude": {**_PER_INPUT, "dB": LEVEL},
-    "real": _PER_INPUT,
-    "imaginary": _PER_INPUT,
-    "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
-}
+_WITH_UNIT = re.compile(
+    r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>([^\[\](){}]|\([^()]*\))*)[\])}]|/\s*(?P<behind>\S+))"
+)
 # Quantity -> what else it is called, in small letters.
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("t", "zeit", "times"),
@@ -91,6 +60,25 @@ class Scalar:
     zero: bool = False
 
 
+class Meaning(NamedTuple):
+    """What a column of a file means.
+
+    Attributes
+    ----------
+    quantity : "acceleration" for example.
+    factor : from the file's unit to SI; `units.LEVEL` for a level in dB.
+    per : what a response is to, "current" or "voltage"; empty where nobody states it.
+    stated : the unit as user or file state it; empty where neither does.
+    note : that the user states another unit than the file, in one sentence; empty where both agree.
+    """
+
+    quantity: str
+    factor: float
+    per: str = ""
+    stated: str = ""
+    note: str = ""
+
+
 @dataclass(frozen=True)
 class Vocabulary:
     """What a reader's files may hold.
@@ -123,9 +111,9 @@ class Layout:
     Attributes
     ----------
     columns : names of the file's columns, "-" for one to skip. In text they replace the header row, in NPZ and MAT
-        they choose the variables; WAV ignores them.
+        they choose the variables.
     units : unit of a column, by its name or by its quantity.
-    full_scale_m_s2 : acceleration of full scale [m/s^2], needed by WAV and ignored by the others.
+    full_scale_m_s2 : acceleration of full scale of WAV files [m/s^2].
     channel : of a WAV file with several, counted from 1.
     """
 
@@ -155,18 +143,6 @@ def split_names(line: str) -> list[str]:
     if mark is None:
         line = re.sub(r"\s+(?=[\[({])", "", line.strip())
     return [cell.strip() for cell in line.rstrip(";, \t").split(mark)]
-
-
-def _plain(unit: str) -> str:
-    """A unit without the signs that keyboards lack."""
-    plain = unit.strip().replace("²", "^2").replace("**", "^").replace("µ", "u").replace("μ", "u")
-    return plain.replace("⁻", "-").replace("·", " ").replace("*", " ")
-
-
-def factor_of(unit: str, quantity: str) -> float | None:
-    """What makes SI of a unit as instruments write it; None for a unit that this quantity does not have."""
-    table = UNITS[quantity]
-    return table.get(unit.strip(), table.get(_plain(unit)))
 
 
 def _quantity(base: str, words: Vocabulary) -> str | None:
@@ -201,18 +177,18 @@ def _apart(name: str) -> tuple[str, str | None]:
 
 
 def _stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | None:
-    """The unit of a column, as a user or the file states it; None if neither does."""
-    base, stated = _apart(name)
-    return next((units[key] for key in (name, base, quantity) if key in units), stated)
+    """The unit of a column as a user states it; None if no user does."""
+    return next((units[key] for key in (name, _apart(name)[0], quantity) if key in units), None)
 
 
 def _lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
-    quantity = _quantity(_apart(name)[0], words)
-    return name not in words.columns and quantity is not None and _stated_unit(name, quantity, units) is None
+    base, label = _apart(name)
+    quantity = None if label or name in words.columns else _quantity(base, words)
+    return quantity is not None and _stated_unit(name, quantity, units) is None
 
 
-def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Sequence[str]) -> tuple[str, float]:
-    """Quantity and factor to SI of a column.
+def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Sequence[str]) -> Meaning:
+    """Quantity and unit of a column.
 
     Parameters
     ----------
@@ -232,23 +208,43 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Seque
             kept = ",".join(SKIPPED if _quantity_of(each, words) is None else each for each in names)
         remedy = f"rename it, or skip it: --columns {shlex.quote(kept)} (in a scene recordings.columns)"
         raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
-    unit = _stated_unit(name, quantity, units)
-    if unit is None and name in words.columns:
-        return words.columns[name]
-    factor = UNITS[quantity].get(_plain(unit or ""))
-    if factor is None:
-        known = ", ".join(UNITS[quantity])
-        hint = (
-            "; divide a sensor's voltage by its sensitivity first" if _plain(unit or "") in UNITS["voltage"] else ""
-        )
-        raise InputError(f"column {quote(name)}: {quote(unit or '')} is no unit of {quantity}; known: {known}{hint}")
-    return quantity, factor
+    user, label = _stated_unit(name, quantity, units), _apart(name)[1] or ""
+    own: Unit | None
+    if name in words.columns:
+        own = Unit(words.columns[name][1])
+        label = label if _quantity(name, words) else name  # a name of the project's own, which has its unit
+    else:
+        own = read_unit(label, quantity)
+    if user is None and own is not None:
+        return Meaning(quantity, own.factor, own.per, label)
+    stated = with_input(user, label) if user else label
+    if read_unit(stated, quantity) is None:
+        known = ", ".join(known_units(quantity)) + remedy_of(stated)
+        raise InputError(f"column {quote(name)}: {quote(stated)} is no unit of {quantity}; known: {known}")
+    return settled(quantity, stated, own, label and f"column is {quote(name)}")
+
+
+def settled(quantity: str, stated: str, own: Unit | None, said: str) -> Meaning:
+    """What a column means by the unit that a user states, and a note where the file states another.
+
+    Parameters
+    ----------
+    stated : a unit of the quantity.
+    own, said : the file's unit, None where it is not known, and what the file says; empty where it says nothing.
+    """
+    unit = read_unit(stated, quantity)
+    assert unit is not None
+    # A file that states an acceleration alone says nothing against any input.
+    compared = unit if own is None or own.per else read_unit(parts(stated)[0], quantity)
+    agrees = own is not None and compared is not None and compared.means(own)
+    note = f"the file's {said}, --units says {stated}, which is taken" if said and not agrees else ""
+    return Meaning(quantity, unit.factor, unit.per, stated, note)
 
 
 def meanings(
     names: Sequence[str], words: Vocabulary, units: Mapping[str, str], found: Sequence[str] = ()
-) -> dict[str, tuple[str, float]]:
-    """Quantity and factor of all columns but the skipped ones.
+) -> dict[str, Meaning]:
+    """What all columns but the skipped ones mean.
 
     Parameters
     ----------
@@ -263,9 +259,9 @@ def meanings(
     said, without = {}, [name for name in used if _lacks_unit(name, words, units)]
     if without:
         wanted = [_quantity(_apart(name)[0], words) or name for name in without]
-        stated = [f"{quantity}={next(iter(UNITS[quantity]))}" for quantity in wanted]
-        in_scene = ", ".join(f'{quantity} = "{next(iter(UNITS[quantity]))}"' for quantity in wanted)
-        known = "; ".join(f"{quantity} in {', '.join(UNITS[quantity])}" for quantity in wanted)
+        stated = [f"{quantity}={known_units(quantity)[0]}" for quantity in wanted]
+        in_scene = ", ".join(f'{quantity} = "{known_units(quantity)[0]}"' for quantity in wanted)
+        known = "; ".join(f"{quantity} in {', '.join(known_units(quantity))}" for quantity in wanted)
         raise InputError(
             f"no unit stated in the column{'s' * (len(without) > 1)} {quote(', '.join(without))}; state it, for "
             f"example --units {','.join(stated)} (in a scene recordings.units = {{ {in_scene} }}); known: {known}"
@@ -275,7 +271,7 @@ def meanings(
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
     for quantity in words.quantities:
-        count = sum(said[name][0] == quantity for name in used)
+        count = sum(said[name].quantity == quantity for name in used)
         if count > 1 or (count == 0 and quantity in words.required):
             choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
             raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")

@@ -116,7 +116,7 @@ def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Cl
         raise InputError(f"columns differ in length ({listed} samples); save them equally long")
     if size < MIN_SAMPLES:
         raise InputError(f"{size} samples, at least {MIN_SAMPLES} are needed; record a longer piece")
-    si = {table.meanings[name][0]: _to_si(name, values, table) for name, values in table.columns.items()}
+    si = {table.meanings[name].quantity: _to_si(name, values, table) for name, values in table.columns.items()}
     times = si.pop("time")
     clock = _clock(times, table.place, words.step_s)
     if not clock.uniform:
@@ -146,7 +146,7 @@ def _stamped_late(as_read: Mapping[str, FloatArray], moved: Mapping[str, FloatAr
 
 
 def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
-    converted = table.meanings[name][1] * values
+    converted = table.meanings[name].factor * values
     bad = np.flatnonzero(~(np.abs(converted) <= LARGEST))
     if bad.size:
         at = int(bad[0])
