@@ -9,7 +9,7 @@ import io
 import re
 import warnings
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -86,6 +86,43 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
             return _read_wav(data, layout)
     known = ".csv, .txt, .dat, .npz, .mat, .wav"
     raise InputError(f"unknown format {quote(suffix)}; known: {known}; export it as CSV")
+
+
+def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
+    """Refuse what a user states about files of which none has a use for it.
+
+    Parameters
+    ----------
+    suffixes : of all files that the layout is for, with their dots, in any case.
+
+    Raises
+    ------
+    InputError : one line that names the option and what to do instead.
+    """
+    sounds = [suffix.lower() == ".wav" for suffix in suffixes]
+    if sounds and all(sounds):
+        if layout.columns:
+            raise InputError(
+                f"--columns {','.join(layout.columns)} (in a scene recordings.columns): a WAV file has channels, no "
+                "columns; leave it out and choose one, --channel 1"
+            )
+        if layout.units:
+            name, unit = next(iter(layout.units.items()))
+            raise InputError(
+                f"--units {name}={unit} (in a scene recordings.units): a WAV file has no units; leave it out and "
+                "state the acceleration of full scale in m/s^2, --full-scale 490.3"
+            )
+    if not any(sounds):
+        if layout.channel is not None:
+            raise InputError(
+                f"--channel {layout.channel} (in a scene recordings.channel): only a WAV file has channels; leave it "
+                "out and choose columns, --columns time_s,-,acceleration_g"
+            )
+        if layout.full_scale_m_s2 is not None:
+            raise InputError(
+                f"--full-scale {layout.full_scale_m_s2:g} (in a scene recordings.full_scale_m_s2): only a WAV file "
+                "has a full scale; leave it out and state units, --units acceleration=g"
+            )
 
 
 def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:

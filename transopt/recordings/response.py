@@ -18,7 +18,7 @@ from transopt.base.files import read_file
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.formats import MIN_SAMPLES, RawTable, read_raw
+from transopt.recordings.formats import MIN_SAMPLES, RawTable, read_raw, refuse_idle
 from transopt.recordings.names import Layout, Meaning, Vocabulary, quote
 from transopt.recordings.units import INPUTS, LEVEL, RATIOS, parts
 from transopt.recordings.universal_file import read_universal_file
@@ -90,6 +90,9 @@ def read_response(
     try:
         if not (math.isfinite(scale) and scale != 0):
             raise InputError(f"--scale {scale}: must be a number other than 0")
+        if path.suffix.lower() == ".wav":
+            raise InputError("a WAV file holds a signal, no frequency response; export the response as CSV")
+        refuse_idle(layout, [path.suffix])
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the check
             raw = read_universal_file(data, layout) if is_universal else read_raw(path.suffix, data, layout, WORDS)
             frequencies_Hz, response, said = _of_table(raw)

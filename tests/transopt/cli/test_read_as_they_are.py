@@ -64,6 +64,50 @@ class TestTaps:
         assert_refused(run("taps", "two.wav", *options, "--channel", 3), "choose 1 to 2")
 
 
+def pulse() -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and an acceleration [m/s^2] that may be a tap's."""
+    times = np.arange(3000) * 1e-4
+    return times, 60 * np.sin(np.pi * np.clip(times - 0.1, 0, 4e-3) / 4e-3)
+
+
+class TestIdleOptions:
+    """An option that none of the files has a use for is refused, and what it proposes instead reads them."""
+
+    @pytest.fixture(autouse=True)
+    def files(self, run: Run) -> None:
+        times, values = pulse()
+        Path("x.wav").write_bytes(wav(values / 490.3))
+        Path("x.csv").write_text("time_s,acceleration_m_s2\n" + text(times, values))
+
+    @pytest.mark.parametrize(
+        ("file", "options", "said"),
+        [
+            (
+                "x.wav",
+                ("--columns", "time_s,acc"),
+                ("--columns time_s,acc", "no columns; leave it out", "--channel 1"),
+            ),
+            ("x.wav", ("--units", "acc=g"), ("--units acc=g", "no units; leave it out", "--full-scale 490.3")),
+            ("x.csv", ("--channel", 2), ("--channel 2", "recordings.channel", "only a WAV file has channels; leave")),
+            ("x.csv", ("--full-scale", 490.3), ("--full-scale 490.3", "only a WAV file has a full scale; leave it")),
+        ],
+    )
+    def test_are_refused(self, run: Run, file: str, options: tuple[object, ...], said: tuple[str, ...]) -> None:
+        needed = ("--speed", 0.2, *(("--full-scale", 490.3) if file == "x.wav" else ()))
+        assert run("taps", file, *needed).code == 0
+        assert_refused(run("taps", file, *needed, *options), *said)
+
+    def test_are_used_where_one_of_the_files_has_a_use_for_them(self, run: Run) -> None:
+        outcome = run("taps", "x.csv", "x.wav", "--speed", 0.2, "--full-scale", 490.3, "--units", "acceleration=m/s2")
+        assert outcome.code == 0, outcome.err
+
+    def test_are_refused_in_a_scene(self, run: Run) -> None:
+        scene = problems.scene_path("own_taps").read_text()
+        lines = f'folder = "{Path().absolute()}"\nfiles = ["x.csv"]\nspeed_m_s = 0.3\nchannel = 2'
+        Path("s.toml").write_text(scene.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', lines))
+        assert_refused(run("solve", "s.toml"), "--channel 2 (in a scene recordings.channel)")
+
+
 @pytest.mark.parametrize("command", ["amplifier", "device", "hand", "coil"])
 def test_identify_takes_columns_and_units(run: Run, command: str) -> None:
     Path("run.txt").write_text(

@@ -325,6 +325,24 @@ def test_a_scale_besides_a_unit_that_is_converted_is_named(tmp_path: Path) -> No
         assert read_response(tmp_path / "r.csv", scale=9.80665).notes == ()
 
 
+@pytest.mark.parametrize("name", ["r.uff", "r.csv"])
+def test_what_only_sounds_have_is_refused_of_a_response(name: str, tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G))
+    table(tmp_path / "r.csv", "frequency_Hz,real,imag", F_HZ, G.real, G.imag)
+    with pytest.raises(InputError, match=rf"{name}: --channel 2 .*: only a WAV file has channels; leave it out"):
+        read_response(tmp_path / name, Layout(channel=2))
+    with pytest.raises(InputError, match=rf"{name}: --full-scale 9 .*: only a WAV file has a full scale; leave it"):
+        read_response(tmp_path / name, Layout(full_scale_m_s2=9.0))
+
+
+def test_a_sound_is_no_response(tmp_path: Path) -> None:
+    (tmp_path / "r.wav").write_bytes(b"RIFF")
+    with pytest.raises(
+        InputError, match=r"r\.wav: a WAV file holds a signal, no frequency response; export the resp"
+    ):
+        read_response(tmp_path / "r.wav")
+
+
 def test_a_unit_of_the_acceleration_alone_leaves_the_input_to_the_label(tmp_path: Path) -> None:
     (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("Hz", "furlong", "mV")))
     found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g"}))
