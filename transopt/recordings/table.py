@@ -44,6 +44,7 @@ class Table:
     sha256 : of the file's bytes.
     off_grid : how far time stamps lay off the uniform grid, rms, in steps.
     missing : what was interpolated, in one sentence; empty where no sample was missing.
+    notes : units that a user states against the file, one sentence each.
     """
 
     signals: Mapping[str, Signal]
@@ -51,6 +52,7 @@ class Table:
     sha256: str
     off_grid: float
     missing: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,8 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
         # A message is one line, a file's name need not be.
         file = str(path) if str(path).isprintable() else repr(str(path))
         raise InputError(f"{file}: {error}") from error
-    return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing)
+    notes = tuple(each.note for each in raw.meanings.values() if each.note)
+    return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
 
 
 def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Clock]:

@@ -118,6 +118,14 @@ def test_a_stated_unit_goes_before_that_of_the_file(tmp_path: Path) -> None:
         np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
 
 
+def test_a_stated_unit_against_that_of_the_file_is_noted(tmp_path: Path) -> None:
+    for name in ("acc [m/s^2]", "acceleration_m_s2"):
+        recording = load(tmp_path, f"time [s],{name}\n{IN_G}", units={"acceleration": "G"})
+        assert recording.notes == (f"the file's column is '{name}', --units says G, which is taken",)
+    recording = load(tmp_path, f"time [SEC],acc [g]\n{IN_G}", units={"acceleration": "G", "time": "seconds"})
+    assert recording.notes == ()
+
+
 def test_units_of_a_command_line() -> None:
     assert stated_units("time=ms, acc=g") == {"time": "ms", "acc": "g"}
     with pytest.raises(InputError, match="--units acc: 'acc' has no unit; write --units"):
