@@ -5,6 +5,7 @@ columns' names (`transopt.recordings.names`), for which the reader has a `Vocabu
 checks and converts all of them alike.
 """
 
+import codecs
 import io
 import re
 import warnings
@@ -32,6 +33,7 @@ from transopt.recordings.names import (
     split_names,
     stated_for,
 )
+from transopt.recordings.units import UNITS, read_unit
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
 MIN_SAMPLES = 8
@@ -40,6 +42,11 @@ _SAVE_MAT = "save it in MATLAB with -v7"
 _HEADER_LINE = re.compile(r"#\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
 _UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
+_HEAD = 65536  # bytes in which a file's units stand, and which tell how it is stored
+_ZERO_BYTES = 0.4  # of every second byte: more are zero in UTF-16, whose other bytes are hardly ever
+_CODE_PAGES = ("cp1252", "cp850", "mac_roman")  # Windows, its console and DOS, Mac OS before X: western Europe
+_CONTROLS = "".join(map(chr, [*range(9), *range(14, 26), *range(28, 32)]))  # which no text in a code page has
+_BEYOND_ASCII = re.compile(r"[^\s,;:\"()\[\]{}]*[^\x00-\x7f\s][^\s,;:\"()\[\]{}]*")
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 
@@ -131,8 +138,7 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     remark, columns = "", layout.columns
     rows, numbers = list[str](), array("l")  # by the million: no object more than there must be
     _check_size(max(data.count(b"\n"), data.count(b"\r")))
-    _check_text(data)
-    for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=None), 1):
+    for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), encoding_of(data), newline=None), 1):
         if len(line) > MOST_IN_A_ROW:
             remedy = "put one sample in a row, and only the columns that are needed; shorten a remark"
             raise InputError(f"row {number}: {len(line)} characters, at most {MOST_IN_A_ROW}; {remedy}")
@@ -175,15 +181,48 @@ def _unit_row(rows: Sequence[str], columns: int) -> list[str]:
     return inside if len(inside) == len(cells) == columns else []
 
 
-def _check_text(data: bytes) -> None:
-    bad = data.find(b"\0")  # valid UTF-8, but only binary files have it
+def encoding_of(data: bytes) -> str:
+    """How the text of a file is stored: by its mark, by its pattern of zero bytes, as UTF-8, or in a code page.
+
+    Code pages make different characters of the same bytes, and statistics of a few of them cannot tell the pages
+    apart. The page under which a unit can be read is the file's.
+
+    Raises
+    ------
+    InputError : bytes that no text holds.
+    """
+    pairs = data[: min(len(data), _HEAD) // 2 * 2]
+    even, odd = (2 * pairs[k::2].count(0) / max(len(pairs), 1) for k in (0, 1))
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        name = "utf-16"
+    elif max(even, odd) > _ZERO_BYTES > min(even, odd):
+        name = "utf-16-be" if even > odd else "utf-16-le"
+    else:
+        name = "utf-8-sig"
+    bad = _undecodable(data, name.removesuffix("-sig"), "\0")
+    if bad is None:
+        return name
+    pages = [page for page in _CODE_PAGES if _undecodable(data, page, _CONTROLS) is None]
+    if name == "utf-8-sig" and not data.startswith(codecs.BOM_UTF8) and pages:
+        return next((page for page in pages if _has_units(data[:_HEAD].decode(page))), pages[0])
+    row = data.count(b"\n", 0, bad) + 1
+    raise InputError(f"row {row}: byte 0x{data[bad]:02x} is not UTF-8 text; save it as UTF-8 text")
+
+
+def _undecodable(data: bytes, name: str, controls: str) -> int | None:
+    """Place of the first byte that an encoding does not know, or one of the control characters; None if nowhere."""
     try:
-        data.decode()
+        text = data.decode(name)
     except UnicodeDecodeError as error:
-        bad = error.start
-    if bad >= 0:
-        row = data.count(b"\n", 0, bad) + 1
-        raise InputError(f"row {row}: byte 0x{data[bad]:02x} is not UTF-8 text; save it as UTF-8 text")
+        return error.start
+    places = [at for character in controls if (at := text.find(character)) >= 0]
+    return min(places, default=None)
+
+
+def _has_units(text: str) -> bool:
+    """Whether a word with a sign beyond ASCII is a unit, or ends in one behind a stroke."""
+    words = {word for found in _BEYOND_ASCII.findall(text) for word in (found, found.partition("/")[2])}
+    return any(read_unit(word, quantity) is not None for word in words for quantity in UNITS)
 
 
 def _read_header_line(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:

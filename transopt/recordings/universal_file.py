@@ -13,7 +13,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.recordings.formats import RawTable
+from transopt.recordings.formats import RawTable, encoding_of
 from transopt.recordings.names import Layout, Meaning, quote, settled
 from transopt.recordings.units import input_unit, parts, read_unit, remedy_of
 
@@ -70,8 +70,9 @@ def read_universal_file(data: bytes, layout: Layout) -> RawTable:
             f"--units {other[0]}={units[other[0]]}: a universal file has a magnitude and a frequency; write --units "
             "magnitude=g/V,frequency=Hz"
         )
-    text = _text(data)
-    lines = text.splitlines()
+    if b"\0" in data:
+        raise InputError("holds binary datasets; export dataset 58 in ASCII")
+    lines = data.decode(encoding_of(data)).splitlines()
     found = [block for kind, block in _datasets(lines) if kind == "58"]
     if any(kind.startswith("58b") for kind, _ in _datasets(lines)):
         raise InputError("holds a binary dataset 58b; export dataset 58 in ASCII")
@@ -85,21 +86,6 @@ def read_universal_file(data: bytes, layout: Layout) -> RawTable:
             "leads from the input to the acceleration"
         )
     return _of_dataset(responses[0], units)
-
-
-def _text(data: bytes) -> str:
-    """The file's text; a label may hold a superscript in one of the usual encodings.
-
-    Raises
-    ------
-    InputError : bytes that no text holds.
-    """
-    if b"\0" in data:
-        raise InputError("holds binary datasets; export dataset 58 in ASCII")
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
 
 
 def _datasets(lines: list[str]) -> list[tuple[str, list[str]]]:

@@ -44,6 +44,22 @@ def test_headers_of_instruments(tmp_path: Path, header: str, rows: str, suffix: 
     assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "cp850", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("head", ["Zeit [µs];Beschleunigung [m/s²]", "# Prüfer: Öhler\nZeit/µs;a/m/s²"])
+def test_text_in_every_usual_encoding(tmp_path: Path, head: str, encoding: str) -> None:
+    """A micro sign is a capital letter with an accent in the wrong code page, and no unit."""
+    rows = text(1e6 * TIMES_S, TAP_M_S2, delimiter=";").replace(".", ",")
+    recording = load(tmp_path, f"{head}\n{rows}".encode(encoding))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "mac_roman"])
+def test_remarks_in_a_code_page_keep_nobody_from_reading(tmp_path: Path, encoding: str) -> None:
+    recording = load(tmp_path, f"# Prüfer: Öhler\ntime [s],acc [g]\n{IN_G}".encode(encoding))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+
+
 def test_every_quantity_has_usual_names(tmp_path: Path) -> None:
     columns = text(TIMES_S, TAP_M_S2, 1e3 * TAP_M_S2, TAP_M_S2 + 1, 1e3 * TAP_M_S2)
     recording = load(tmp_path, f"t [s],a [m/s2],pos [mm],Force [N],i [mA]\n{columns}")

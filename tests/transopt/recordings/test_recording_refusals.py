@@ -84,10 +84,11 @@ def test_unnamed_columns(tmp_path: Path) -> None:
     ("content", "words"),
     [
         (b"\x89PNG\xff\xfe\x00", "row 1: byte 0x89 is not UTF-8 text; save it as UTF-8"),
-        (csv().encode() + b"\xb5", "row 202: byte 0xb5 is not UTF-8"),
+        (csv().encode() + b"\xb5", "row 202: 1 cells, 2 columns"),
+        (csv().encode() + b"\xb5\1", "row 202: byte 0xb5 is not UTF-8"),
         ("\ufeff".encode() + b"time_s\n\xb5", "row 2: byte 0xb5 is not UTF-8"),
         (HEADER.encode() + b"0,\0\n", "row 2: byte 0x00 is not UTF-8"),
-        (csv().encode("utf-16"), "row 1: byte 0xff is not UTF-8"),
+        (csv().encode("utf-16")[:-1], "row 201: byte 0x0a is not UTF-8"),
         ("# nothing else\n", "no rows of numbers, at least 8 are needed"),
         (HEADER, "0 samples, at least 8 are needed"),
         (csv(TIMES_S[:7], TAP_M_S2[:7]), "7 samples, at least 8 are needed"),
