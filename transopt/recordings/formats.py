@@ -10,6 +10,7 @@ import io
 import re
 import warnings
 from array import array
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -33,20 +34,26 @@ from transopt.recordings.names import (
     split_names,
     stated_for,
 )
-from transopt.recordings.units import UNITS, read_unit
+from transopt.recordings.units import is_unit
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
 MIN_SAMPLES = 8
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
-_HEADER_LINE = re.compile(r"#\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
+_REMARKS = ("#", "*", "%", "//")
+_HEADER_LINE = re.compile(r"(?:[#*%]|//)\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
 _UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
+_METADATA = re.compile(r"([A-Za-z]\w*)\s*[:=,;\t]\s*(.*)")
+_QUOTED = re.compile(r'"([^"]*)"')
+_LAST_ROWS = 20  # of a file, which show how its rows are divided
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
 _HEAD = 65536  # bytes in which a file's units stand, and which tell how it is stored
 _ZERO_BYTES = 0.4  # of every second byte: more are zero in UTF-16, whose other bytes are hardly ever
 _CODE_PAGES = ("cp1252", "cp850", "mac_roman")  # Windows, its console and DOS, Mac OS before X: western Europe
 _CONTROLS = "".join(map(chr, [*range(9), *range(14, 26), *range(28, 32)]))  # which no text in a code page has
 _BEYOND_ASCII = re.compile(r"[^\s,;:\"()\[\]{}]*[^\x00-\x7f\s][^\s,;:\"()\[\]{}]*")
+_NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
+_STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 
@@ -133,52 +140,112 @@ def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
 
 
 def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
-    """Comment lines, at most one row of names and one of units, rows of numbers; counted as an editor counts them."""
+    """Remarks, at most one row of names and one of units, rows of numbers; counted as an editor counts them."""
     header: dict[str, object] = {}
-    remark, columns = "", layout.columns
+    rows, numbers, remark = _lines(data, header, words)
+    if not rows:
+        raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
+    start = _first_of_numbers(rows)
+    above, first = rows[:start], rows[min(start, len(rows) - 1)]
+    if (
+        max(len(layout.columns), *(len(row.split(mark)) for row in (first, *above[-2:]) for mark in ";,\t"))
+        > MOST_COLUMNS
+    ):
+        raise InputError(f"row {numbers[0]}: more than {MOST_COLUMNS} columns; export the ones that are needed")
+    if above:
+        found = _names_above(above, header, words)
+    else:
+        found = split_names(remark.lstrip("".join(_REMARKS) + " "))
+        if len(found) != len(_cells(first)) or not all(looks_known(name, words) for name in found):
+            found = []
+    if not (layout.columns or found):
+        need = 'name them: --columns time_s,acceleration_g (in a scene recordings.columns), "-" skips one'
+        raise InputError(f"row {numbers[0]}: {quote(first)} has no row of names above it; {need}")
+    del rows[:start], numbers[:start]
+    names = layout.columns or found
+    known = meanings(names, words, layout.units or {})
+    return RawTable(_parse(rows, numbers, names), known, header, lambda k: f"row {numbers[k]}")
+
+
+def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[list[str], "array[int]", str]:
+    """Lines that are neither empty nor remarks, their numbers in the file, and the last remark above them.
+
+    Parameters
+    ----------
+    header : takes what remarks state.
+    """
+    remark = ""
     rows, numbers = list[str](), array("l")  # by the million: no object more than there must be
     _check_size(max(data.count(b"\n"), data.count(b"\r")))
     for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), encoding_of(data), newline=None), 1):
         if len(line) > MOST_IN_A_ROW:
             remedy = "put one sample in a row, and only the columns that are needed; shorten a remark"
             raise InputError(f"row {number}: {len(line)} characters, at most {MOST_IN_A_ROW}; {remedy}")
-        content = line.replace('"', "").strip()  # spreadsheets quote cells; no name or number needs the quotes
+        content = (_QUOTED.sub(_unquoted, line).replace('"', "") if '"' in line else line).strip()
         if number == 1 and content.lower().startswith("sep="):
             continue  # a spreadsheet's own note about its delimiter
-        if content.startswith("#"):
+        if content.startswith(_REMARKS):
             _read_header_line(number, content, header, words)
             remark = remark if rows else content
         elif content:
             rows.append(content)
             numbers.append(number)
-    if not rows:
-        raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
-    number, first = numbers[0], rows[0]
-    cells = first.rstrip(";,").split(_delimiter(first), MOST_COLUMNS)
-    if max(len(cells), len(columns), first.count("\t")) > MOST_COLUMNS:
-        raise InputError(f"row {number}: more than {MOST_COLUMNS} columns; export the ones that are needed")
-    if not any(_NUMBER_START.match(cell.strip()) for cell in cells):
-        found, above = split_names(first), 1
-        if units := _unit_row(rows[1:2], len(found)):
-            found, above = [f"{name} [{unit}]" for name, unit in zip(found, units, strict=True)], 2
-        del rows[:above], numbers[:above]
-    else:
-        found = split_names(remark.lstrip("# "))
-        if len(found) != len(cells) or not all(looks_known(name, words) for name in found):
-            found = []
-    if not (columns or found):
-        need = 'name them: --columns time_s,acceleration_g (in a scene recordings.columns), "-" skips one'
-        raise InputError(f"row {number}: {quote(first)} has no row of names above it; {need}")
-    names = columns or found
-    known = meanings(names, words, layout.units or {})
-    return RawTable(_parse(rows, numbers, names), known, header, lambda k: f"row {numbers[k]}")
+    return rows, numbers, remark
 
 
-def _unit_row(rows: Sequence[str], columns: int) -> list[str]:
-    """The units of a row below the names, as oscilloscopes write it: every cell one in brackets. Else nothing."""
-    cells = [cell for row in rows for cell in split_names(row)]
+def _unquoted(cell: re.Match[str]) -> str:
+    """What a spreadsheet has put in quotes; a comma in a cell is a decimal one, or part of a name."""
+    inside = cell[1].strip()
+    if cell[0] == cell.string.strip():
+        return inside  # a whole row
+    return inside.replace(",", "." if _DECIMAL_COMMA.fullmatch(inside) else " ")
+
+
+def _cells(row: str) -> list[str]:
+    return [cell.strip() for cell in row.split(_delimiter(row), MOST_COLUMNS)]
+
+
+def _first_of_numbers(rows: Sequence[str]) -> int:
+    """Place of the first row of numbers: it begins with one, and is divided as the last rows are or has no words.
+
+    Names, units and what an instrument notes about a record stand above it. Where no row is such a one, the first
+    that has a number anywhere counts.
+    """
+    usual = Counter((_delimiter(row), len(_cells(row))) for row in rows[-_LAST_ROWS:]).most_common(1)[0][0]
+
+    def is_first(row: str) -> bool:
+        cells = _cells(row)
+        wordless = len(cells) > 1 and all(map(_NUMBER.fullmatch, cells))
+        return wordless or ((_delimiter(row), len(cells)) == usual and bool(_STAMP.fullmatch(cells[0])))
+
+    has_number = (k for k, row in enumerate(rows) if any(map(_NUMBER_START.match, _cells(row))))
+    begins = (k for k, row in enumerate(rows) if _NUMBER_START.match(row) and is_first(row))
+    return next(begins, next(has_number, len(rows)))
+
+
+def _names_above(above: list[str], header: dict[str, object], words: Vocabulary) -> list[str]:
+    """Names and units of the columns, which end what stands above the numbers.
+
+    Parameters
+    ----------
+    header : takes what the other rows state, as `speed_m_s,0.21`; an instrument states much else there.
+    """
+    names, rest = split_names(above[-1]), above[:-1]
+    if rest and (units := _units_of(names, len(split_names(rest[-1])))):
+        above_units = split_names(rest.pop())
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(above_units, units, strict=True)]
+    for row in rest:
+        found = _METADATA.fullmatch(row)
+        if found and found[1] in words.header:
+            header[found[1]] = _scalar(found[2])
+    return names
+
+
+def _units_of(cells: Sequence[str], columns: int) -> list[str]:
+    """The units of a row below the names, in brackets or bare; nothing if the row has none."""
     inside = [found[1] for cell in cells if (found := _UNIT_CELL.fullmatch(cell))]
-    return inside if len(inside) == len(cells) == columns else []
+    units = inside if len(inside) == len(cells) else [cell for cell in cells if is_unit(cell)]
+    return units if len(units) == len(cells) == columns else []
 
 
 def encoding_of(data: bytes) -> str:
@@ -210,7 +277,7 @@ def encoding_of(data: bytes) -> str:
 
 
 def _undecodable(data: bytes, name: str, controls: str) -> int | None:
-    """Place of the first byte that an encoding does not know, or one of the control characters; None if nowhere."""
+    """Place of the first byte that an encoding does not know, or of a control character; None if all are known."""
     try:
         text = data.decode(name)
     except UnicodeDecodeError as error:
@@ -222,16 +289,14 @@ def _undecodable(data: bytes, name: str, controls: str) -> int | None:
 def _has_units(text: str) -> bool:
     """Whether a word with a sign beyond ASCII is a unit, or ends in one behind a stroke."""
     words = {word for found in _BEYOND_ASCII.findall(text) for word in (found, found.partition("/")[2])}
-    return any(read_unit(word, quantity) is not None for word in words for quantity in UNITS)
+    return any(map(is_unit, words))
 
 
 def _read_header_line(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:
     """Add `# key: value` to `header`; a comment that merely has a colon in it stays a comment."""
     found = _HEADER_LINE.fullmatch(line)
     key, value = found.groups() if found else ("", "")
-    value = value.rstrip(";, ")  # spreadsheets pad short rows with delimiters
-    if _DECIMAL_COMMA.fullmatch(value):
-        value = value.replace(",", ".")
+    value = _scalar(value)
     if key in header:
         raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
     if key in words.header:
@@ -241,8 +306,19 @@ def _read_header_line(number: int, line: str, header: dict[str, object], words: 
         raise InputError(f"row {number}: unknown header key {quote(key)}; {known}; correct or reword it")
 
 
+def _scalar(value: str) -> str:
+    """A number in a file's head; spreadsheets pad short rows with delimiters."""
+    value = value.rstrip(";, \t")
+    return value.replace(",", ".") if _DECIMAL_COMMA.fullmatch(value) else value
+
+
 def _delimiter(line: str) -> str | None:
-    # The semicolon comes first: where both occur the comma is a decimal comma. None: white space.
+    """What divides the cells of a row; None for white space."""
+    # Between tabs, where each cell is one number, and between semicolons a comma is a decimal comma.
+    if "\t" in line:
+        cells = [cell.strip() for cell in line.split("\t")]
+        if all(map(_NUMBER.fullmatch, cells)) and ("," in line or all(cells)):
+            return "\t"
     return next((mark for mark in (";", ",") if mark in line), None)
 
 
@@ -263,8 +339,8 @@ def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) ->
                 return {name: table[:, at].copy() for name, at in used.items()}
     columns = {name: array("d") for name in used}
     for number, line in zip(numbers, rows, strict=True):
-        # Between semicolons a comma can only be a decimal comma.
-        cells = (line.replace(",", ".") if delimiter == ";" else line).split(delimiter, len(names) + 1)
+        # Between semicolons and tabs a comma can only be a decimal comma.
+        cells = (line.replace(",", ".") if delimiter in (";", "\t") else line).split(delimiter, len(names) + 1)
         if len(cells) == len(names) + 1 and not cells[-1].strip():
             del cells[-1]  # spreadsheets end every row with a delimiter if one row needs it
         if len(cells) != len(names):

@@ -130,6 +130,11 @@ def read_unit(unit: str, quantity: str) -> Unit | None:
     return None if factor is None or by is None else Unit(factor * by.factor, by.per)
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit of any quantity."""
+    return any(read_unit(text, quantity) is not None for quantity in UNITS)
+
+
 def remedy_of(unit: str) -> str:
     """What to do with a column in a unit of another quantity than the wanted one; empty where that is not known."""
     above = parts(unit)[0]

@@ -16,6 +16,7 @@ from transopt.recordings.split import bounds
 from transopt.recordings.tap import PreparedTap, prepare, read_recordings
 
 IN_G = text(TIMES_S, TAP_M_S2 / G)
+QUOTED = "".join('"{}","{}"\n'.format(*row.replace(".", ";").split(",")) for row in IN_G.split()).replace(";", ",")
 
 
 # ---- names and units ---------------------------------------------------------------------------------------
@@ -42,6 +43,27 @@ def test_headers_of_instruments(tmp_path: Path, header: str, rows: str, suffix: 
     recording = load(tmp_path, f"{header}\n{rows}", suffix)
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
     assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "Sample rate: 10000 Hz\nDate: 05.03.2024\nOperator: lab\n\nTime (s),Acc (g)\n" + IN_G,
+        "Logger,X7\nRange,16\nRate,10000\nspeed_m_s,0.3\nt [s],a [g]\n" + IN_G,
+        "Logger;X7\nspeed_m_s;0,3;\nt [s];a [g]\n" + IN_G.replace(",", ";").replace(".", ","),
+        "3 channels, 2 of them off\n\ntime,acc\n[s],[g]\n\n" + IN_G,
+        "Scope\ntime,acc\nsec,M/S^2\n" + text(TIMES_S, TAP_M_S2),
+        "* made by a simulator\n% and another\n// and a third\ntime_s acceleration_g\n" + IN_G.replace(",", " "),
+        "Time [s]\tAcc [g]\n" + IN_G.replace(",", "\t").replace(".", ","),
+        "2 Hz\nTime [s]\tAcc [g]\n" + IN_G.replace(",", "\t").replace(".", ","),
+        '"Time (s)","Acc (g)"\n' + QUOTED,
+    ],
+)
+def test_what_scopes_and_loggers_write_above_the_numbers(tmp_path: Path, content: str) -> None:
+    recording = load(tmp_path, content)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+    assert recording.speed_m_s == (0.3 if "speed_m_s" in content else None)
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp850", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])

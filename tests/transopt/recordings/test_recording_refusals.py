@@ -109,7 +109,8 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         (HEADER + "," * 70_000, "row 2: 70000 characters, at most 65536; put one sample in a row"),
         ("# " + "x" * 70_000, "row 1: 70002 characters, at most 65536"),
         (csv() + "1_0,2e\n", "row 202, column acceleration_m_s2: '2e' is no number"),
-        ("time_s\tacceleration_g\n0,1\t1,5\n", "row 2: 3 cells, 2 columns ('time_s, acceleration_g'); correct"),
+        ("time_s\tacceleration_g\n0,1\t1,5\n", "1 samples, at least 8 are needed"),
+        (HEADER + "0,1,5\n" + text(TIMES_S, TAP_M_S2), "row 2: 3 cells, 2 columns ('time_s, acceleration_m_s2')"),
     ],
 )
 def test_bad_text(tmp_path: Path, content: str | bytes, words: str) -> None:
