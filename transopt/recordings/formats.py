@@ -156,7 +156,7 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
         found = _names_above(above, header, words)
     else:
         found = split_names(remark.lstrip("".join(_REMARKS) + " "))
-        if len(found) != len(_cells(first)) or not all(looks_known(name, words) for name in found):
+        if len(found) != len(_cells(first)) or not any(looks_known(name, words) for name in found):
             found = []
     if not (layout.columns or found):
         need = 'name them: --columns time_s,acceleration_g (in a scene recordings.columns), "-" skips one'

@@ -2,7 +2,7 @@
 
 A name in a file is understood in one of three ways:
 
-- `acceleration_g`, a name of the project's own: quantity and unit in one word;
+- `acceleration_g`, quantity and unit in one word, as the project's own names are, or `acc_g`;
 - `acc [g]`, `time (ms)`, `Force/N`: a usual name of the quantity with its unit behind it;
 - `acc` with a unit that the user states (`--units acc=g`, or `units = { acc = "g" }` in a scene).
 
@@ -19,16 +19,21 @@ from transopt.base.errors import InputError
 from transopt.recordings.units import Unit, known_units, parts, read_unit, remedy_of, with_input
 
 SKIPPED = "-"
+MOST_CHOICES = 3  # among columns of one quantity, which a message lists
 LONGEST_SHOWN = 300  # characters of all names together, which a message repeats
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
 _WITH_UNIT = re.compile(
     r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>([^\[\](){}]|\([^()]*\))*)[\])}]|/\s*(?P<behind>\S+))"
 )
+# One of three axes, as in accel_x or ay; an underscore is read as a blank.
+AXES = tuple(
+    f"{stem}{mark}{axis}" for stem in ("acceleration", "accel", "acc", "a") for mark in ("", " ") for axis in "xyz"
+)
 # Quantity -> what else it is called, in small letters.
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("t", "zeit", "times"),
-    "acceleration": ("acc", "accel", "a", "beschleunigung"),
+    "acceleration": ("acc", "accel", "a", "beschleunigung", *AXES),
     "position": ("pos", "displacement", "z"),
     "force": ("f", "hammer", "kraft"),
     "current": ("i", "strom"),
@@ -147,7 +152,7 @@ def split_names(line: str) -> list[str]:
 
 def _quantity(base: str, words: Vocabulary) -> str | None:
     """The quantity that a name without unit means, None if none."""
-    small = base.strip().lower()
+    small = base.strip().lower().replace("_", " ")
     named = (q for q in words.quantities if small == q or small in ALIASES.get(q, ()))
     return next(named, None)
 
@@ -172,8 +177,18 @@ def _apart(name: str) -> tuple[str, str | None]:
     """A name without its unit, and the unit."""
     found = _WITH_UNIT.fullmatch(name.strip())
     if found is None:
-        return name, None
+        return next(
+            filter(None, (_unit_in_word(name, at) for at, mark in enumerate(name) if mark == "_")), (name, None)
+        )
     return found["base"].replace("_", " ").strip(), (found["inside"] or found["behind"] or "").strip() or None
+
+
+def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
+    """Quantity and unit of a name like acc_g or pos_mm, parted at an underscore; None if they are none."""
+    base, unit = name[:at].strip(), name[at + 1 :].strip()
+    small = base.lower().replace("_", " ")
+    of = (quantity for quantity, names in ALIASES.items() if small in (quantity, *names))
+    return (base, unit) if any(read_unit(unit, quantity) for quantity in of) else None
 
 
 def _stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | None:
@@ -203,10 +218,12 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Seque
     if quantity is None:
         known = ", ".join(words.columns)
         usual = "time [s], acc [g] and the like"
-        kept = "time_s,-,..."
-        if sum(map(len, names)) < LONGEST_SHOWN:
-            kept = ",".join(SKIPPED if _quantity_of(each, words) is None else each for each in names)
-        remedy = f"rename it, or skip it: --columns {shlex.quote(kept)} (in a scene recordings.columns)"
+        kept = [SKIPPED if _quantity_of(each, words) is None else each for each in names]
+        short = sum(map(len, names)) < LONGEST_SHOWN
+        skip = "rename it, or skip it"
+        if not (short and all(any(_quantity_of(each, words) == of for each in kept) for of in words.required)):
+            skip, kept = "name the columns in their order, - for one to skip", [*words.required, SKIPPED]
+        remedy = f"{skip}: --columns {shlex.quote(','.join(kept))} (in a scene recordings.columns)"
         raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
     user, label = _stated_unit(name, quantity, units), _apart(name)[1] or ""
     own: Unit | None
@@ -256,6 +273,7 @@ def meanings(
     """
     present = quote(", ".join(found or names))
     used = [name for name in names if name != SKIPPED]
+    _refuse_rivals(used, names, present, words)
     said, without = {}, [name for name in used if _lacks_unit(name, words, units)]
     if without:
         wanted = [_quantity(_apart(name)[0], words) or name for name in without]
@@ -271,15 +289,30 @@ def meanings(
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
     for quantity in words.quantities:
-        count = sum(said[name].quantity == quantity for name in used)
-        if count > 1 or (count == 0 and quantity in words.required):
+        if quantity in words.required and all(said[name].quantity != quantity for name in used):
             choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
-            raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")
+            raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}")
     own = {*said, *(_apart(name)[0] for name in said), *words.quantities}
     unused = [key for key in units if key not in own]
     if unused:
         raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
     return said
+
+
+def _refuse_rivals(used: Sequence[str], names: Sequence[str], present: str, words: Vocabulary) -> None:
+    """Refuse several columns of one quantity, as the three axes of a sensor, with the choices that there are."""
+    for quantity in words.quantities:
+        rivals = [at for at, name in enumerate(names) if name in used and _quantity_of(name, words) == quantity]
+        if len(rivals) > 1:
+            choices = [
+                ",".join(SKIPPED if at in rivals and at != kept else name for at, name in enumerate(names))
+                for kept in rivals[:MOST_CHOICES]
+            ]
+            listed = " or ".join(map(shlex.quote, choices)) if len(choices[0]) < LONGEST_SHOWN else "time_s,-,..."
+            raise InputError(
+                f"{len(rivals)} {quantity} columns in {present}: must be 1; choose one: --columns {listed} (in a "
+                "scene recordings.columns)"
+            )
 
 
 def quote(text: str) -> str:

@@ -125,7 +125,8 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
         ("time [s],Temp [C]", {}, "unknown column 'Temp [C]'; known: time_s"),
         ("time [s],a [g]", {"units": {"accel": "g"}}, "--units accel: no column of that name; the file has"),
         ("time [s],acc", {"units": {"acc": "g", "time": "V"}}, "column 'time [s]': 'V' is no unit of time"),
-        ("a [g],acc [g]", {}, "0 time columns"),
+        ("force [N],acc [g]", {}, "0 time columns"),
+        ("a [g],acc [g]", {}, "2 acceleration columns in 'a [g], acc [g]': must be 1; choose one: --columns"),
     ],
 )
 def test_names_and_units_that_cannot_be(tmp_path: Path, header: str, options: dict[str, object], words: str) -> None:
@@ -139,6 +140,43 @@ def test_the_refusal_of_a_column_of_ones_own_says_how_to_skip_it(tmp_path: Path)
     assert "--columns 'time [s],-,acc [g]'" in said
     columns = said.partition("--columns '")[2].partition("'")[0].split(",")
     np.testing.assert_allclose(load(tmp_path, content, columns=columns).acceleration.values, TAP_M_S2, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [
+        ("t_s,ax_g,ay_g,az_g", {}),
+        ("Time [s],Acc X [g],Acc Y [g],Acc Z [g]", {}),
+        ("#time,accel_x,accel_y,accel_z", {"time": "s", "acceleration": "g"}),
+        ("t,acc_x,acc_y,acc_z", {"t": "s", "acc_z": "g"}),
+    ],
+)
+def test_one_of_three_axes_is_asked_for_by_columns_that_read_it(
+    tmp_path: Path, head: str, units: dict[str, str]
+) -> None:
+    rows = text(TIMES_S, np.ones(TIMES_S.size), np.full(TIMES_S.size, 2.0), TAP_M_S2 / G)
+    said = refusal(tmp_path, f"{head}\n{rows}", units=units)
+    assert said.startswith("3 acceleration columns in ")
+    choices = said.partition("choose one: --columns ")[2].partition(" (in a scene")[0].split(" or ")
+    assert len(choices) == 3
+    columns = choices[2].strip("'").split(",")
+    recording = load(tmp_path, f"{head}\n{rows}", columns=columns, units=units)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+@pytest.mark.parametrize("pack", [npz, mat])
+def test_one_of_three_variables_is_asked_for(tmp_path: Path, pack: object) -> None:
+    suffix = ".npz" if pack is npz else ".mat"
+    content = pack(t_ms=1e3 * TIMES_S, ax_g=TIMES_S, az_g=TAP_M_S2 / G)  # type: ignore[operator]
+    said = refusal(tmp_path, content, suffix)
+    assert "choose one: --columns t_ms,ax_g,- or t_ms,-,az_g" in said
+    recording = load(tmp_path, content, suffix, columns=["t_ms", "-", "az_g"])
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+def test_columns_that_are_proposed_hold_all_that_is_needed(tmp_path: Path) -> None:
+    said = refusal(tmp_path, f"x,y\n{IN_G}")
+    assert "name the columns in their order, - for one to skip: --columns time,acceleration,-" in said
 
 
 def test_columns_in_the_wrong_order(tmp_path: Path) -> None:

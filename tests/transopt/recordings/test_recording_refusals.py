@@ -100,7 +100,7 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         (HEADER + "0,1\n1e-4,nan\n" + text(TIMES_S, TAP_M_S2), "row 3, column acceleration_m_s2: nan: must be"),
         (csv() + "-inf,1\n", "row 202, column time_s: -inf: must be finite"),
         (csv() + "1,1e300\n", "row 202, column acceleration_m_s2: 1e+300: must be finite and at most 1e+12"),
-        ("time_s,acceleration_mm_s2\n0,0\n", "unknown column 'acceleration_mm_s2'; known: time_s, time_ms, acc"),
+        ("time_s,acceleration_ft_s2\n0,0\n", "unknown column 'acceleration_ft_s2'; known: time_s, time_ms, acc"),
         ("time_s,time_ms\n0,0\n", "2 time columns in 'time_s, time_ms': must be 1"),
         ("time_s,time_s\n0,0\n", "2 time columns in 'time_s, time_s': must be 1"),
         ("time_s,force_N\n0,0\n", "0 acceleration columns in 'time_s, force_N': must be 1; name one acceleration"),
@@ -168,8 +168,8 @@ def test_bad_header_values(tmp_path: Path, comments: str, words: str) -> None:
 
 
 def test_a_column_that_the_caller_misspells(tmp_path: Path) -> None:
-    message = refusal(tmp_path, VALID[".csv"], columns=["time_s", "acceleration_G"])
-    assert message.startswith("unknown column 'acceleration_G'; known: time_s")
+    message = refusal(tmp_path, VALID[".csv"], columns=["time_s", "acceleratoin_g"])
+    assert message.startswith("unknown column 'acceleratoin_g'; known: time_s")
 
 
 @pytest.mark.parametrize("suffix", PACKERS)
@@ -185,7 +185,7 @@ def test_a_column_that_the_caller_misspells(tmp_path: Path) -> None:
         ({"speed_m_s": TAP_M_S2}, "must be one number"),
         ({"speed_m_s": -1.0}, "speed_m_s = -1 m/s: must be > 0"),
         ({"grip_N": "firm"}, "variable grip_N is"),
-        ({"position_cm": TAP_M_S2}, "unknown column 'position_cm'; known: time_s"),
+        ({"posn_mm": TAP_M_S2}, "unknown column 'posn_mm'; known: time_s"),
     ],
 )
 def test_bad_variables(tmp_path: Path, suffix: str, changed: dict[str, Any], words: str) -> None:
