@@ -13,7 +13,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -30,6 +30,7 @@ from transopt.recordings.names import (
     Vocabulary,
     looks_known,
     meanings,
+    means_time,
     quote,
     split_names,
     stated_for,
@@ -54,6 +55,7 @@ _CONTROLS = "".join(map(chr, [*range(9), *range(14, 26), *range(28, 32)]))  # wh
 _BEYOND_ASCII = re.compile(r"[^\s,;:\"()\[\]{}]*[^\x00-\x7f\s][^\s,;:\"()\[\]{}]*")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
+_DATE = re.compile(r"\d:\d|\d-\d+-\d|\d/\d+/\d|\d\.\d+\.\d")
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 
@@ -89,6 +91,15 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
     ------
     InputError : an unknown format or column, or content that is not of the format.
     """
+    if layout.rate_Hz is None:
+        return _read(suffix, data, layout, words)
+    raw = _read(suffix, data, layout, replace(words, required=tuple(of for of in words.required if of != "time")))
+    rows = np.arange(max((values.size for values in raw.columns.values()), default=0))
+    columns = {"time_s": rows / layout.rate_Hz, **raw.columns}
+    return replace(raw, columns=columns, meanings={"time_s": Meaning("time", 1.0), **raw.meanings})
+
+
+def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     match suffix.lower():
         case ".csv" | ".txt" | ".dat":
             return _read_text(data, layout, words)
@@ -126,6 +137,11 @@ def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
                 f"--units {name}={unit} (in a scene recordings.units): a WAV file has no units; leave it out and "
                 "state the acceleration of full scale in m/s^2, --full-scale 490.3"
             )
+        if layout.rate_Hz is not None:
+            raise InputError(
+                f"--rate-Hz {layout.rate_Hz:g} (in a scene recordings.rate_Hz): a WAV file states its "
+                "own; leave it out, or correct the file's"
+            )
     if not any(sounds):
         if layout.channel is not None:
             raise InputError(
@@ -162,9 +178,20 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
         need = 'name them: --columns time_s,acceleration_g (in a scene recordings.columns), "-" skips one'
         raise InputError(f"row {numbers[0]}: {quote(first)} has no row of names above it; {need}")
     del rows[:start], numbers[:start]
-    names = layout.columns or found
+    names = _untimed(layout.columns or found, layout, words)
+    for name, cell in zip(names, _cells(first), strict=False):
+        if means_time(name, words) and _DATE.search(cell):
+            raise InputError(
+                f"row {numbers[0]}, column {name}: {quote(cell)} is a date or a time of day, no number; state the "
+                "sample rate instead, --rate-Hz 10000 where it is 10 kHz (in a scene recordings.rate_Hz)"
+            )
     known = meanings(names, words, layout.units or {})
     return RawTable(_parse(rows, numbers, names), known, header, lambda k: f"row {numbers[k]}")
+
+
+def _untimed(names: Sequence[str], layout: Layout, words: Vocabulary) -> list[str]:
+    """Names of columns, those of times skipped where a user states the rate: they may be dates, or repeat."""
+    return [SKIPPED if layout.rate_Hz and means_time(name, words) else name for name in names]
 
 
 def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[list[str], "array[int]", str]:
@@ -387,11 +414,12 @@ def _from_variables(
 ) -> RawTable:
     """The chosen columns among the variables; without a choice, all whose names end in a unit or are given one."""
     units = layout.units or {}
-    wanted = [name for name in layout.columns if name != SKIPPED] or [
+    chosen = layout.columns or [
         name
         for name in named
         if name not in words.header and (words.unit_suffix.search(name) or stated_for(name, words, units))
     ]
+    wanted = [name for name in _untimed(chosen, layout, words) if name != SKIPPED]
     known = meanings(wanted, words, units, list(named))
     header = {name: _column(named, name) for name in words.header if name in named}
     return RawTable({name: _column(named, name) for name in wanted}, known, header, place)

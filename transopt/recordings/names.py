@@ -120,12 +120,14 @@ class Layout:
     units : unit of a column, by its name or by its quantity.
     full_scale_m_s2 : acceleration of full scale of WAV files [m/s^2].
     channel : of a WAV file with several, counted from 1.
+    rate_Hz : sample rate of all files but WAV, which goes before what a column of times says.
     """
 
     columns: Sequence[str] = ()
     units: Mapping[str, str] | None = None
     full_scale_m_s2: float | None = None
     channel: int | None = None
+    rate_Hz: float | None = None
 
 
 def stated_units(text: str) -> dict[str, str]:
@@ -160,6 +162,11 @@ def _quantity(base: str, words: Vocabulary) -> str | None:
 def _quantity_of(name: str, words: Vocabulary) -> str | None:
     """The quantity that a column means by its name, with or without a unit; None if none."""
     return words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
+
+
+def means_time(name: str, words: Vocabulary) -> bool:
+    """Whether a column holds the times of the rows, with or without a unit."""
+    return _quantity_of(name, words) == "time"
 
 
 def looks_known(name: str, words: Vocabulary) -> bool:
@@ -291,7 +298,8 @@ def meanings(
     for quantity in words.quantities:
         if quantity in words.required and all(said[name].quantity != quantity for name in used):
             choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
-            raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}")
+            rate = ", or state the sample rate, --rate-Hz 10000" if quantity == "time" else ""
+            raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}{rate}")
     own = {*said, *(_apart(name)[0] for name in said), *words.quantities}
     unused = [key for key in units if key not in own]
     if unused:

@@ -92,6 +92,8 @@ def read_response(
             raise InputError(f"--scale {scale}: must be a number other than 0")
         if path.suffix.lower() == ".wav":
             raise InputError("a WAV file holds a signal, no frequency response; export the response as CSV")
+        if layout.rate_Hz is not None:
+            raise InputError(f"--rate-Hz {layout.rate_Hz:g}: a response has frequencies and no times; leave it out")
         refuse_idle(layout, [path.suffix])
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the check
             raw = read_universal_file(data, layout) if is_universal else read_raw(path.suffix, data, layout, WORDS)

@@ -171,6 +171,15 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     if steps[at] <= 0:
         order = f"time {times[at + 1]:.15g} s does not increase, before it {times[at]:.15g} s"
         many = np.count_nonzero(steps <= 0) > _DISORDER * steps.size
+        begins = np.flatnonzero(steps > 0) + 1
+        if many and (steps >= 0).all() and begins.size > 1:
+            # The first and the last group may be cut short; between them every group has its full length.
+            rate_Hz = (begins[-1] - begins[0]) / (times[begins[-1]] - times[begins[0]])
+            raise InputError(
+                f"{place(at + 1)}: the times repeat, in groups of {np.diff(begins).mean():.3g} rows, as of a "
+                f"sensor's buffer; state the sample rate, --rate-Hz {rate_Hz:.5g} by the times of the groups (in a "
+                "scene recordings.rate_Hz)"
+            )
         remedy = "is another column the time's?" if many else "sort the rows and remove repeated ones"
         raise InputError(f"{place(at + 1)}: {order}; {remedy}")
     low, high = step_range_s

@@ -174,6 +174,53 @@ def test_one_of_three_variables_is_asked_for(tmp_path: Path, pack: object) -> No
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
 
 
+# ---- times that are none -----------------------------------------------------------------------------------
+
+ROWS = [row.partition(",")[2] for row in IN_G.split()]
+FIFO = "time [s],acc [g]\n" + "".join(f"{(k // 32) * 32 * DT_S:.6f},{row}\n" for k, row in enumerate(ROWS))
+DATES = "Time,Acc (g)\n" + "".join(f"2024-03-05 14:11:02.{k:06d},{row}\n" for k, row in enumerate(ROWS))
+CLOCK = "Time;Acc (g)\n" + "".join(f"14:11:02,{k:06d};{row}\n".replace(".", ",") for k, row in enumerate(ROWS))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (
+            "acc [g]\n" + "\n".join(ROWS) + "\n",
+            "0 time columns in 'acc[g]': must be 1; name one time_s or time_ms, or",
+        ),
+        (FIFO, "row 3: the times repeat, in groups of 32 rows, as of a sensor's buffer; state the sample rate"),
+        (DATES, "row 2, column Time: '2024-03-05 14:11:02.000000' is a date or a time of day, no number; state"),
+        (CLOCK, "row 2, column Time: '14:11:02,000000' is a date or a time of day, no number; state the sample rate"),
+    ],
+)
+def test_a_rate_stands_for_times_that_say_nothing(tmp_path: Path, content: str, said: str) -> None:
+    message = refusal(tmp_path, content)
+    assert message.startswith(said)
+    proposed = float(message.partition("--rate-Hz ")[2].split(" ")[0])
+    assert proposed == pytest.approx(1 / DT_S, rel=1e-3)
+    recording = load(tmp_path, content, rate_Hz=proposed)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-3)
+
+
+@pytest.mark.parametrize("pack", [npz, mat])
+def test_variables_without_times_have_a_rate(tmp_path: Path, pack: object) -> None:
+    suffix = ".npz" if pack is npz else ".mat"
+    content = pack(acceleration_m_s2=TAP_M_S2)  # type: ignore[operator]
+    assert "--rate-Hz 10000" in refusal(tmp_path, content, suffix)
+    recording = load(tmp_path, content, suffix, rate_Hz=10_000)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-12)
+
+
+def test_few_rows_that_stand_there_twice_are_no_buffers(tmp_path: Path) -> None:
+    rows = IN_G.splitlines()
+    assert "sort the rows and remove repeated ones" in refusal(
+        tmp_path, "\n".join(["time [s],acc [g]", *rows[:50], *rows[49:]])
+    )
+
+
 def test_columns_that_are_proposed_hold_all_that_is_needed(tmp_path: Path) -> None:
     said = refusal(tmp_path, f"x,y\n{IN_G}")
     assert "name the columns in their order, - for one to skip: --columns time,acceleration,-" in said

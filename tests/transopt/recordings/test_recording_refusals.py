@@ -195,7 +195,8 @@ def test_bad_variables(tmp_path: Path, suffix: str, changed: dict[str, Any], wor
 @pytest.mark.parametrize("suffix", PACKERS)
 def test_missing_variables(tmp_path: Path, suffix: str) -> None:
     message = refusal(tmp_path, PACKERS[suffix](a=TIMES_S, b=TAP_M_S2), suffix)
-    assert message == "0 time columns in 'a, b': must be 1; name one time_s or time_ms"
+    rate = "state the sample rate, --rate-Hz 10000"
+    assert message == f"0 time columns in 'a, b': must be 1; name one time_s or time_ms, or {rate}"
     message = refusal(tmp_path, VALID[suffix], suffix, columns=["time_ms", "acceleration_g"])
     assert message.startswith("no variable time_ms; found: 'time_s, acceleration_m_s2, speed_m_s, grip_N'")
 
