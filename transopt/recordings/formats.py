@@ -7,6 +7,7 @@ checks and converts all of them alike.
 
 import codecs
 import io
+import math
 import re
 import warnings
 from array import array
@@ -186,7 +187,11 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
                 "sample rate instead, --rate-Hz 10000 where it is 10 kHz (in a scene recordings.rate_Hz)"
             )
     known = meanings(names, words, layout.units or {})
-    return RawTable(_parse(rows, numbers, names), known, header, lambda k: f"row {numbers[k]}")
+    columns, blanks = _parse(rows, numbers, names)
+    for name, stride in _fill(columns, blanks, numbers).items():
+        note = f"{name} stands in one row of {stride} only, and is interpolated between them"
+        known[name] = known[name]._replace(note="; ".join(filter(None, [known[name].note, note])))
+    return RawTable(columns, known, header, lambda k: f"row {numbers[k]}")
 
 
 def _untimed(names: Sequence[str], layout: Layout, words: Vocabulary) -> list[str]:
@@ -349,8 +354,10 @@ def _delimiter(line: str) -> str | None:
     return next((mark for mark in (";", ",") if mark in line), None)
 
 
-def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) -> dict[str, FloatArray]:
-    """Columns (n,) of the rows' numbers; skipped columns may hold anything.
+def _parse(
+    rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]
+) -> tuple[dict[str, FloatArray], dict[str, list[int]]]:
+    """Columns (n,) of the rows' numbers, and the rows in which one is blank; skipped columns may hold anything.
 
     Parameters
     ----------
@@ -363,9 +370,9 @@ def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) ->
         with suppress(ValueError):
             table = np.loadtxt(rows, delimiter=delimiter, comments=None, ndmin=2)
             if table.shape[1] == len(names):
-                return {name: table[:, at].copy() for name, at in used.items()}
-    columns = {name: array("d") for name in used}
-    for number, line in zip(numbers, rows, strict=True):
+                return {name: table[:, at].copy() for name, at in used.items()}, {}
+    columns, blanks = {name: array("d") for name in used}, dict[str, list[int]]()
+    for row, (number, line) in enumerate(zip(numbers, rows, strict=True)):
         # Between semicolons and tabs a comma can only be a decimal comma.
         cells = (line.replace(",", ".") if delimiter in (";", "\t") else line).split(delimiter, len(names) + 1)
         if len(cells) == len(names) + 1 and not cells[-1].strip():
@@ -376,13 +383,53 @@ def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) ->
             count = len(cells) if len(cells) < len(names) + 2 else f"{len(cells)} or more"
             raise InputError(f"row {number}: {count} cells, {len(names)} columns ({listed}); {remedy}")
         for name, at in used.items():
+            if not cells[at].strip():
+                blanks.setdefault(name, []).append(row)
+                columns[name].append(math.nan)
+                continue
             try:
                 columns[name].append(float(cells[at]))
             except ValueError:
                 remedy = "write decimal points" if "," in cells[at] else "correct it, or put # before a remark"
                 problem = f"{quote(cells[at])} is no number"
                 raise InputError(f"row {number}, column {name}: {problem}; {remedy}") from None
-    return {name: np.array(values, dtype=float) for name, values in columns.items()}
+    return {name: np.array(values, dtype=float) for name, values in columns.items()}, blanks
+
+
+def _fill(
+    columns: dict[str, FloatArray], blanks: Mapping[str, Sequence[int]], numbers: "array[int]"
+) -> dict[str, int]:
+    """Interpolate channels that were recorded more slowly than the others, which leave regular blanks.
+
+    Rows before the first and behind the last value of such a channel are cut off, since nobody knows it there.
+
+    Parameters
+    ----------
+    columns, numbers : are changed.
+
+    Returns
+    -------
+    Name of the channel -> the rows from one of its values to the next.
+
+    Raises
+    ------
+    InputError : a blank among values of all rows, or blanks that are not regular.
+    """
+    strides, first, end = dict[str, int](), 0, len(numbers)
+    for name, rows in blanks.items():
+        have = np.setdiff1d(np.arange(len(numbers)), rows)
+        steps = np.unique(np.diff(have))
+        ends = max(have[0], len(numbers) - 1 - have[-1]) if have.size else 0
+        if have.size < MIN_SAMPLES or steps.size != 1 or ends >= steps[0]:
+            row = f"row {numbers[rows[0]]}, column {name}"
+            raise InputError(f"{row}: '' is no number; correct it, or put # before a remark")
+        strides[name], first, end = int(steps[0]), max(first, int(have[0])), min(end, int(have[-1]) + 1)
+        spline = scipy.interpolate.CubicSpline(have, columns[name][have])
+        columns[name] = np.asarray(spline(np.arange(len(numbers))))
+    if strides:
+        columns.update({name: values[first:end] for name, values in columns.items()})
+        del numbers[:first]
+    return strides
 
 
 def _read_npz(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:

@@ -221,6 +221,30 @@ def test_few_rows_that_stand_there_twice_are_no_buffers(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("delimiter", [",", ";"])
+@pytest.mark.parametrize("offset", [0, 3])
+def test_a_slower_channel_leaves_blanks_that_are_filled(tmp_path: Path, delimiter: str, offset: int) -> None:
+    positions = 1e3 * np.cos(40 * TIMES_S)
+    rows = [
+        row + delimiter + (f"{z:.12g}" if k % 10 == offset else "")
+        for k, (row, z) in enumerate(zip(IN_G.replace(",", delimiter).split(), positions, strict=True))
+    ]
+    recording = load(tmp_path, "\n".join([delimiter.join(["time [s]", "acc [g]", "pos [mm]"]), *rows]))
+    known = slice(offset, 190 + offset + 1)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2[known], atol=1e-9)
+    assert recording.acceleration.start_s == pytest.approx(offset * DT_S)
+    assert recording.position is not None
+    np.testing.assert_allclose(recording.position.values, 1e-3 * positions[known], atol=1e-6)
+    assert recording.notes == ("pos [mm] stands in one row of 10 only, and is interpolated between them",)
+
+
+@pytest.mark.parametrize("blank", [{5}, {5, 6, 7}, set(range(100, 200)), set(range(1, 200))])
+def test_blanks_that_are_not_regular_are_named(tmp_path: Path, blank: set[int]) -> None:
+    rows = [row.partition(",")[0] + "," if k in blank else row for k, row in enumerate(IN_G.split())]
+    message = refusal(tmp_path, "\n".join(["time [s],acc [g]", *rows]))
+    assert message.startswith(f"row {min(blank) + 2}, column acc [g]: '' is no number; correct it")
+
+
 def test_columns_that_are_proposed_hold_all_that_is_needed(tmp_path: Path) -> None:
     said = refusal(tmp_path, f"x,y\n{IN_G}")
     assert "name the columns in their order, - for one to skip: --columns time,acceleration,-" in said
