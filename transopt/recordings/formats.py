@@ -36,7 +36,7 @@ from transopt.recordings.names import (
     split_names,
     stated_for,
 )
-from transopt.recordings.units import is_unit
+from transopt.recordings.units import is_unit, read_unit
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
 MIN_SAMPLES = 8
@@ -57,6 +57,15 @@ _BEYOND_ASCII = re.compile(r"[^\s,;:\"()\[\]{}]*[^\x00-\x7f\s][^\s,;:\"()\[\]{}]
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
 _DATE = re.compile(r"\d:\d|\d-\d+-\d|\d/\d+/\d|\d\.\d+\.\d")
+# What a number in a file's head is preceded and followed by: a unit in brackets or none, a mark, and a unit or none.
+_VALUE = (
+    r"\s*(?:[\[(]\s*(?P<before>[a-zµ/]+)\s*[\])])?\s*[:=,;\t ]\s*(?P<number>\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
+    r"\s*(?P<behind>[a-zµ]+(?:/s)?)?(?![\w.])"
+)
+_RATE = re.compile(r"\b(?:sampl\w*[ _]*(?:rate|freq\w*)|rate|fs)" + _VALUE, re.IGNORECASE)
+_STEP = re.compile(
+    r"\b(?:delta[ _]?[xt]|(?:x[ _])?increment|sampl\w*[ _]*(?:interval|period))" + _VALUE, re.IGNORECASE
+)
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 
@@ -178,10 +187,18 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     if not (layout.columns or found):
         need = 'name them: --columns time_s,acceleration_g (in a scene recordings.columns), "-" skips one'
         raise InputError(f"row {numbers[0]}: {quote(first)} has no row of names above it; {need}")
-    del rows[:start], numbers[:start]
     names = _untimed(layout.columns or found, layout, words)
+    if layout.rate_Hz is None and "time" in words.required and not any(means_time(name, words) for name in names):
+        head = data[:_HEAD].decode(encoding_of(data), errors="ignore").splitlines()[: numbers[0] - 1 + start]
+        if rate := _rate_of(head):
+            raw = read_raw(".csv", data, replace(layout, rate_Hz=rate[0]), words)
+            note = (
+                f"no column of times; the sample rate of {rate[0]:g} Hz is that of the file's line {quote(rate[1])}"
+            )
+            return replace(raw, meanings={**raw.meanings, "time_s": raw.meanings["time_s"]._replace(note=note)})
+    del rows[:start], numbers[:start]
     for name, cell in zip(names, _cells(first), strict=False):
-        if means_time(name, words) and _DATE.search(cell):
+        if rows and means_time(name, words) and _DATE.search(cell):
             raise InputError(
                 f"row {numbers[0]}, column {name}: {quote(cell)} is a date or a time of day, no number; state the "
                 "sample rate instead, --rate-Hz 10000 where it is 10 kHz (in a scene recordings.rate_Hz)"
@@ -192,6 +209,20 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
         note = f"{name} stands in one row of {stride} only, and is interpolated between them"
         known[name] = known[name]._replace(note="; ".join(filter(None, [known[name].note, note])))
     return RawTable(columns, known, header, lambda k: f"row {numbers[k]}")
+
+
+def _rate_of(lines: Sequence[str]) -> tuple[float, str] | None:
+    """Sample rate [Hz] that a file's head states, and the line; None where none or more than one is stated."""
+    rates: list[tuple[float, str]] = []
+    for line in lines:
+        for pattern, quantity, default in ((_RATE, "frequency", "Hz"), (_STEP, "time", "s")):
+            for found in pattern.finditer(line.replace('"', "")):
+                unit = (found["before"] or found["behind"] or default).replace("S/s", "Hz")
+                factor, number = read_unit(unit, quantity), float(found["number"].replace(",", "."))
+                if factor is not None and number > 0:
+                    value = factor.factor * number
+                    rates.append((value if quantity == "frequency" else 1 / value, line.strip()))
+    return rates[0] if rates and all(math.isclose(rate, rates[0][0], rel_tol=1e-6) for rate, _ in rates) else None
 
 
 def _untimed(names: Sequence[str], layout: Layout, words: Vocabulary) -> list[str]:

@@ -204,6 +204,34 @@ def test_a_rate_stands_for_times_that_say_nothing(tmp_path: Path, content: str, 
     assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Sample rate: 10000 Hz",
+        "# Sampling Frequency (kHz): 10",
+        "Fs = 10 kHz",
+        "SampleRate,1e4",
+        "Sample rate;10,0 kHz",
+        "Delta_X\t0.0001",
+        "Increment,1.000000e-04",
+        "Sample interval [µs]: 100",
+        "Rate,10 kS/s",
+    ],
+)
+def test_a_rate_in_the_files_head_stands_for_times_that_are_not_there(tmp_path: Path, line: str) -> None:
+    recording = load(tmp_path, f"Logger X7\n{line}\nacc [g]\n" + "\n".join(ROWS))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+    assert recording.notes == (
+        f"no column of times; the sample rate of 10000 Hz is that of the file's line {' '.join(line.split())!r}",
+    )
+
+
+@pytest.mark.parametrize("lines", ["Rate: 100 Hz\nSample rate: 10000 Hz", "Rate: 10 MHz", "Rate: 0 Hz", "Frames: 9"])
+def test_rates_that_contradict_each_other_or_are_none_are_asked_for(tmp_path: Path, lines: str) -> None:
+    assert "0 time columns" in refusal(tmp_path, f"{lines}\nacc [g]\n" + "\n".join(ROWS))
+
+
 @pytest.mark.parametrize("pack", [npz, mat])
 def test_variables_without_times_have_a_rate(tmp_path: Path, pack: object) -> None:
     suffix = ".npz" if pack is npz else ".mat"

@@ -91,6 +91,7 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         (csv().encode("utf-16")[:-1], "row 201: byte 0x0a is not UTF-8"),
         ("# nothing else\n", "no rows of numbers, at least 8 are needed"),
         (HEADER, "0 samples, at least 8 are needed"),
+        ("t:0:0", "unknown column"),
         (csv(TIMES_S[:7], TAP_M_S2[:7]), "7 samples, at least 8 are needed"),
         (csv() + "0.1,1,2\n", "row 202: 3 cells, 2 columns ('time_s, acceleration_m_s2'); correct"),
         (csv() + "0.1\n", "row 202: 1 cells, 2 columns"),
