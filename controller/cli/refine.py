@@ -31,7 +31,7 @@ from controller.cli.options import (
 from controller.cli.port import STOPPED, connected, person_at
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP
+from transopt.cli.layout import COLUMNS_HELP, RATE_HELP, UNITS_HELP
 
 if TYPE_CHECKING:
     from controller.cli.bench import Bench
@@ -44,9 +44,9 @@ if TYPE_CHECKING:
 WITH_FILES = "With --from-files"
 
 
-def with_files(words: str) -> Any:
+def with_files(words: str, *names: str) -> Any:
     """An option that means something with recorded taps only."""
-    return typer.Option(help=words, rich_help_panel=WITH_FILES)
+    return typer.Option(*names, help=words, rich_help_panel=WITH_FILES)
 
 
 def only_for_files(context: typer.Context, from_files: bool, names_device: bool) -> None:
@@ -85,6 +85,7 @@ def refine(
     ] = False,
     columns: Annotated[str, with_files(COLUMNS_HELP)] = "",
     units: Annotated[str, with_files(UNITS_HELP)] = "",
+    rate_Hz: Annotated[float | None, with_files(RATE_HELP, "--rate-Hz")] = None,
     device: DeviceName = None,
     rounds: Annotated[int, typer.Option(help="How often is learnt and solved again, at most.")] = 6,
     taps: Annotated[int, typer.Option(help="Taps at each speed and grip in each round; their mean counts.")] = 3,
@@ -130,7 +131,18 @@ def refine(
         from transopt.design.resolve import resolve
 
         said = _stated(loaded, "files", accelerometer_Hz)
-        step(loaded, library, files or [], layout(columns, units), accelerometer_Hz, resolve, rounds, taps, said, out)
+        step(
+            loaded,
+            library,
+            files or [],
+            layout(columns, units, rate_Hz),
+            accelerometer_Hz,
+            resolve,
+            rounds,
+            taps,
+            said,
+            out,
+        )
         return
     from controller.refine.kept import is_learning
 

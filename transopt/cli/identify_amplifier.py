@@ -9,7 +9,7 @@ import typer
 
 from transopt.base import terminal
 from transopt.cli.identified_file import check_place, next_step
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,6 +26,7 @@ def identify_amplifier(
     out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    rate_Hz: RateHz = None,
 ) -> None:
     """Pole and delay of the current amplifier from swept sines.
 
@@ -39,7 +40,7 @@ def identify_amplifier(
 
     check_place(out)
     with terminal.console().status("fitting"):
-        runs = load_measurements(files, layout(columns, units))
+        runs = load_measurements(files, layout(columns, units, rate_Hz))
         trials, findings = prepare(runs)
         fit = fit_amplifier(trials)
     part = amplifier_part(fit, runs)

@@ -8,7 +8,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def identify_coil(
     ] = RIPPLE_A,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    rate_Hz: RateHz = None,
 ) -> None:
     """Thermal resistances and time constants of the coil.
 
@@ -57,7 +58,7 @@ def identify_coil(
 
     check_place(out)
     nominal = _coil_of(scene)
-    run = load_measurement(file, layout(columns, units))
+    run = load_measurement(file, layout(columns, units, rate_Hz))
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
     fit = fit_coil(heat_record(run, R_ohm, ripple_A), limit_C=nominal.limit_C)
     # The identified coil in the scene's surroundings, to be compared with the datasheet.

@@ -11,7 +11,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ def identify_device(
     ] = None,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    rate_Hz: RateHz = None,
 ) -> None:
     """Identify drive and hand from swept sines, all grips together, and say what the model is good for.
 
@@ -65,7 +66,9 @@ def identify_device(
     check_place(out)
     settings = _settings(out, scene, force_per_current, order, kind)
     with _progress(console) as step:
-        read = load_measurements((*files, *(validate or [])), layout(columns, units), read=lambda: step("reading"))
+        read = load_measurements(
+            (*files, *(validate or [])), layout(columns, units, rate_Hz), read=lambda: step("reading")
+        )
         runs, transients = read[: len(files)], read[len(files) :]
         result = identify(runs, transients, settings, tick=step)
         part = device_part(result)

@@ -9,7 +9,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,6 +33,7 @@ def identify_hand(
     ] = None,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    rate_Hz: RateHz = None,
 ) -> None:
     """Mass, damping and stiffness of the hand over grip from taps.
 
@@ -53,7 +54,7 @@ def identify_hand(
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
     check_place(out)
     with terminal.console().status("fitting"):
-        runs = split_taps(load_measurements(files, layout(columns, units)), tap or ())
+        runs = split_taps(load_measurements(files, layout(columns, units, rate_Hz)), tap or ())
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)
         chain = fit_chain(taps, fit)

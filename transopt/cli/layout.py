@@ -1,12 +1,17 @@
 """What a command line states about files that do not state it themselves: their columns and units."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 if TYPE_CHECKING:
     from transopt.recordings.names import Layout
 
+LEAST_RATE_HZ = 0.01  # a logger's reading every hundred seconds
 COLUMNS_HELP = 'Names of the files\' columns, in order, "-" skips one: time_s,-,acceleration_g or time,force,acc.'
 UNITS_HELP = "Units of columns that state none: time=s,acc=g,force=N."
+RATE_HELP = "Sample rate of files that have no times, or none to go by."
+RateHz = Annotated[float | None, typer.Option("--rate-Hz", help=RATE_HELP, min=LEAST_RATE_HZ)]
 
 
 def split_columns(columns: str) -> list[str]:
@@ -14,7 +19,7 @@ def split_columns(columns: str) -> list[str]:
     return [name.strip() for name in columns.split(",") if name.strip()]
 
 
-def layout(columns: str, units: str) -> "Layout":
+def layout(columns: str, units: str, rate_Hz: float | None = None) -> "Layout":
     """How the files of a command are to be read.
 
     Raises
@@ -23,4 +28,4 @@ def layout(columns: str, units: str) -> "Layout":
     """
     from transopt.recordings.names import Layout, stated_units
 
-    return Layout(split_columns(columns), stated_units(units))
+    return Layout(split_columns(columns), stated_units(units), rate_Hz=rate_Hz)

@@ -58,14 +58,8 @@ def plant_fit(
     if not 0 <= delay_s <= LONGEST_DELAY_S:
         raise InputError(f"--delay-s {delay_s:g}: must be 0 to {LONGEST_DELAY_S:g} s")
     terminal.make_folder(out.parent)
-    measured = read_response(response, layout(columns, units), scale=scale)
-    of_file = next((name for name, each in inputs.items() if each.unit == measured.input_unit), None)
-    if None not in (driven_by, of_file) and driven_by != of_file:
-        raise InputError(
-            f"--input {driven_by}: {response} says that its response is to a {of_file}; leave --input out, or state "
-            f"--units magnitude=m/s^2/{inputs[str(driven_by)].unit}"
-        )
-    driven_by = driven_by or of_file or CURRENT_INPUT.name
+    measured = read_response(response, layout(columns, units), scale=scale, driven_by=driven_by or "")
+    driven_by = measured.driven_by or CURRENT_INPUT.name
     f = measured.frequencies_Hz
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)
     fit = fit_response(f, undelayed, order, inputs[driven_by], band_Hz)

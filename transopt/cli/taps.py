@@ -8,7 +8,7 @@ import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, split_columns
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, split_columns
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 OPTIONS = {
     "speed_m_s": "speed",
     "full_scale_m_s2": "full-scale",
+    "rate_Hz": "rate-Hz",
     "taps_by_file": "tap",
 }  # where the option's name is not the setting's
 
@@ -29,6 +30,7 @@ def taps(
         list[int] | None, typer.Option(help="Which tap of files with several, counted from 1; may be repeated.")
     ] = None,
     channel: Annotated[int | None, typer.Option(help="Channel of WAV files with several, counted from 1.")] = None,
+    rate_Hz: RateHz = None,
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
     full_scale: Annotated[float | None, typer.Option(help="Acceleration of WAV full scale, in m/s^2.")] = None,
     time_scale: Annotated[float, typer.Option(help="Similarity: time is stretched by this.")] = 1.0,
@@ -58,6 +60,7 @@ def taps(
             columns=split_columns(columns),
             units=stated_units(units),
             channel=channel,
+            rate_Hz=rate_Hz,
             taps_by_file={"*": tap} if tap else {},
             speed_m_s=speed,
             full_scale_m_s2=full_scale,

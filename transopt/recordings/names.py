@@ -2,64 +2,38 @@
 
 A name in a file is understood in one of three ways:
 
-- `acceleration_g`, a name of the project's own: quantity and unit in one word;
+- `acceleration_g`, quantity and unit in one word, as the project's own names are, or `acc_g`;
 - `acc [g]`, `time (ms)`, `Force/N`: a usual name of the quantity with its unit behind it;
 - `acc` with a unit that the user states (`--units acc=g`, or `units = { acc = "g" }` in a scene).
 
 A unit is never guessed: 9.81 lies between the two that are usual for an acceleration.
 """
 
-import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.recordings.units import Unit, known_units, parts, read_unit, remedy_of, with_input
 
 SKIPPED = "-"
+MOST_CHOICES = 3  # among columns of one quantity, which a message lists
 LONGEST_SHOWN = 300  # characters of all names together, which a message repeats
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
-_WITH_UNIT = re.compile(r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>[^\[\](){}]*)[\])}]|/\s*(?P<behind>\S+))")
-_G = STANDARD_GRAVITY_M_S2
-_TEMPERATURE = {"C": 1.0, "degC": 1.0, "°C": 1.0}
-# In the place of a factor: a magnitude of so many dB is 10^(dB / 20), re 1 m/s^2 per A or V.
-LEVEL = math.nan
-_PER_INPUT = {f"{a}/{u}": factor for a, factor in (("m/s^2", 1.0), ("m/s2", 1.0), ("g", _G)) for u in "AV"}
-# Quantity -> unit as instruments write it -> factor to SI. `_plain` spells a superscript or a dot as the table does.
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "acceleration": {
-        "m/s^2": 1.0,
-        "m/s2": 1.0,
-        "m/s/s": 1.0,
-        "m s-2": 1.0,
-        "m_s2": 1.0,
-        "g": _G,
-        "gn": _G,
-        "mg": 1e-3 * _G,
-    }
-    | {"mm/s^2": 1e-3, "mm/s2": 1e-3},
-    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "command": {"A": 1.0, "mA": 1e-3},
-    "voltage": {"V": 1.0, "mV": 1e-3},
-    "winding": _TEMPERATURE,
-    "housing": _TEMPERATURE,
-    "ambient": _TEMPERATURE,
-    "frequency": {"Hz": 1.0, "kHz": 1e3, "rad/s": 1 / (2 * math.pi)},
-    "magnitude": {**_PER_INPUT, "dB": LEVEL},
-    "real": _PER_INPUT,
-    "imaginary": _PER_INPUT,
-    "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
-}
+_WITH_UNIT = re.compile(
+    r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>([^\[\](){}]|\([^()]*\))*)[\])}]|/\s*(?P<behind>\S+))"
+)
+# One of three axes, as in accel_x or ay; an underscore is read as a blank.
+AXES = tuple(
+    f"{stem}{mark}{axis}" for stem in ("acceleration", "accel", "acc", "a") for mark in ("", " ") for axis in "xyz"
+)
 # Quantity -> what else it is called, in small letters.
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("t", "zeit", "times"),
-    "acceleration": ("acc", "accel", "a", "beschleunigung"),
+    "acceleration": ("acc", "accel", "a", "beschleunigung", *AXES),
     "position": ("pos", "displacement", "z"),
     "force": ("f", "hammer", "kraft"),
     "current": ("i", "strom"),
@@ -89,6 +63,25 @@ class Scalar:
     factor: float
     unit: str
     zero: bool = False
+
+
+class Meaning(NamedTuple):
+    """What a column of a file means.
+
+    Attributes
+    ----------
+    quantity : "acceleration" for example.
+    factor : from the file's unit to SI; `units.LEVEL` for a level in dB.
+    per : what a response is to, "current" or "voltage"; empty where nobody states it.
+    stated : the unit as user or file state it; empty where neither does.
+    note : that the user states another unit than the file, in one sentence; empty where both agree.
+    """
+
+    quantity: str
+    factor: float
+    per: str = ""
+    stated: str = ""
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -123,16 +116,18 @@ class Layout:
     Attributes
     ----------
     columns : names of the file's columns, "-" for one to skip. In text they replace the header row, in NPZ and MAT
-        they choose the variables; WAV ignores them.
+        they choose the variables.
     units : unit of a column, by its name or by its quantity.
-    full_scale_m_s2 : acceleration of full scale [m/s^2], needed by WAV and ignored by the others.
+    full_scale_m_s2 : acceleration of full scale of WAV files [m/s^2].
     channel : of a WAV file with several, counted from 1.
+    rate_Hz : sample rate of all files but WAV, which goes before what a column of times says.
     """
 
     columns: Sequence[str] = ()
     units: Mapping[str, str] | None = None
     full_scale_m_s2: float | None = None
     channel: int | None = None
+    rate_Hz: float | None = None
 
 
 def stated_units(text: str) -> dict[str, str]:
@@ -157,21 +152,9 @@ def split_names(line: str) -> list[str]:
     return [cell.strip() for cell in line.rstrip(";, \t").split(mark)]
 
 
-def _plain(unit: str) -> str:
-    """A unit without the signs that keyboards lack."""
-    plain = unit.strip().replace("²", "^2").replace("**", "^").replace("µ", "u").replace("μ", "u")
-    return plain.replace("⁻", "-").replace("·", " ").replace("*", " ")
-
-
-def factor_of(unit: str, quantity: str) -> float | None:
-    """What makes SI of a unit as instruments write it; None for a unit that this quantity does not have."""
-    table = UNITS[quantity]
-    return table.get(unit.strip(), table.get(_plain(unit)))
-
-
 def _quantity(base: str, words: Vocabulary) -> str | None:
     """The quantity that a name without unit means, None if none."""
-    small = base.strip().lower()
+    small = base.strip().lower().replace("_", " ")
     named = (q for q in words.quantities if small == q or small in ALIASES.get(q, ()))
     return next(named, None)
 
@@ -179,6 +162,11 @@ def _quantity(base: str, words: Vocabulary) -> str | None:
 def _quantity_of(name: str, words: Vocabulary) -> str | None:
     """The quantity that a column means by its name, with or without a unit; None if none."""
     return words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
+
+
+def means_time(name: str, words: Vocabulary) -> bool:
+    """Whether a column holds the times of the rows, with or without a unit."""
+    return _quantity_of(name, words) == "time"
 
 
 def looks_known(name: str, words: Vocabulary) -> bool:
@@ -196,23 +184,33 @@ def _apart(name: str) -> tuple[str, str | None]:
     """A name without its unit, and the unit."""
     found = _WITH_UNIT.fullmatch(name.strip())
     if found is None:
-        return name, None
+        return next(
+            filter(None, (_unit_in_word(name, at) for at, mark in enumerate(name) if mark == "_")), (name, None)
+        )
     return found["base"].replace("_", " ").strip(), (found["inside"] or found["behind"] or "").strip() or None
 
 
+def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
+    """Quantity and unit of a name like acc_g or pos_mm, parted at an underscore; None if they are none."""
+    base, unit = name[:at].strip(), name[at + 1 :].strip()
+    small = base.lower().replace("_", " ")
+    of = (quantity for quantity, names in ALIASES.items() if small in (quantity, *names))
+    return (base, unit) if any(read_unit(unit, quantity) for quantity in of) else None
+
+
 def _stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | None:
-    """The unit of a column, as a user or the file states it; None if neither does."""
-    base, stated = _apart(name)
-    return next((units[key] for key in (name, base, quantity) if key in units), stated)
+    """The unit of a column as a user states it; None if no user does."""
+    return next((units[key] for key in (name, _apart(name)[0], quantity) if key in units), None)
 
 
 def _lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
-    quantity = _quantity(_apart(name)[0], words)
-    return name not in words.columns and quantity is not None and _stated_unit(name, quantity, units) is None
+    base, label = _apart(name)
+    quantity = None if label or name in words.columns else _quantity(base, words)
+    return quantity is not None and _stated_unit(name, quantity, units) is None
 
 
-def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Sequence[str]) -> tuple[str, float]:
-    """Quantity and factor to SI of a column.
+def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Sequence[str]) -> Meaning:
+    """Quantity and unit of a column.
 
     Parameters
     ----------
@@ -227,28 +225,50 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Seque
     if quantity is None:
         known = ", ".join(words.columns)
         usual = "time [s], acc [g] and the like"
-        kept = "time_s,-,..."
-        if sum(map(len, names)) < LONGEST_SHOWN:
-            kept = ",".join(SKIPPED if _quantity_of(each, words) is None else each for each in names)
-        remedy = f"rename it, or skip it: --columns {shlex.quote(kept)} (in a scene recordings.columns)"
+        kept = [SKIPPED if _quantity_of(each, words) is None else each for each in names]
+        short = sum(map(len, names)) < LONGEST_SHOWN
+        skip = "rename it, or skip it"
+        if not (short and all(any(_quantity_of(each, words) == of for each in kept) for of in words.required)):
+            skip, kept = "name the columns in their order, - for one to skip", [*words.required, SKIPPED]
+        remedy = f"{skip}: --columns {shlex.quote(','.join(kept))} (in a scene recordings.columns)"
         raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
-    unit = _stated_unit(name, quantity, units)
-    if unit is None and name in words.columns:
-        return words.columns[name]
-    factor = UNITS[quantity].get(_plain(unit or ""))
-    if factor is None:
-        known = ", ".join(UNITS[quantity])
-        hint = (
-            "; divide a sensor's voltage by its sensitivity first" if _plain(unit or "") in UNITS["voltage"] else ""
-        )
-        raise InputError(f"column {quote(name)}: {quote(unit or '')} is no unit of {quantity}; known: {known}{hint}")
-    return quantity, factor
+    user, label = _stated_unit(name, quantity, units), _apart(name)[1] or ""
+    own: Unit | None
+    if name in words.columns:
+        own = Unit(words.columns[name][1])
+        label = label if _quantity(name, words) else name  # a name of the project's own, which has its unit
+    else:
+        own = read_unit(label, quantity)
+    if user is None and own is not None:
+        return Meaning(quantity, own.factor, own.per, label)
+    stated = with_input(user, label) if user else label
+    if read_unit(stated, quantity) is None:
+        known = ", ".join(known_units(quantity)) + remedy_of(stated)
+        raise InputError(f"column {quote(name)}: {quote(stated)} is no unit of {quantity}; known: {known}")
+    return settled(quantity, stated, own, label and f"column is {quote(name)}")
+
+
+def settled(quantity: str, stated: str, own: Unit | None, said: str) -> Meaning:
+    """What a column means by the unit that a user states, and a note where the file states another.
+
+    Parameters
+    ----------
+    stated : a unit of the quantity.
+    own, said : the file's unit, None where it is not known, and what the file says; empty where it says nothing.
+    """
+    unit = read_unit(stated, quantity)
+    assert unit is not None
+    # A file that states an acceleration alone says nothing against any input.
+    compared = unit if own is None or own.per else read_unit(parts(stated)[0], quantity)
+    agrees = own is not None and compared is not None and compared.means(own)
+    note = f"the file's {said}, --units says {stated}, which is taken" if said and not agrees else ""
+    return Meaning(quantity, unit.factor, unit.per, stated, note)
 
 
 def meanings(
     names: Sequence[str], words: Vocabulary, units: Mapping[str, str], found: Sequence[str] = ()
-) -> dict[str, tuple[str, float]]:
-    """Quantity and factor of all columns but the skipped ones.
+) -> dict[str, Meaning]:
+    """What all columns but the skipped ones mean.
 
     Parameters
     ----------
@@ -260,12 +280,13 @@ def meanings(
     """
     present = quote(", ".join(found or names))
     used = [name for name in names if name != SKIPPED]
+    _refuse_rivals(used, names, present, words)
     said, without = {}, [name for name in used if _lacks_unit(name, words, units)]
     if without:
         wanted = [_quantity(_apart(name)[0], words) or name for name in without]
-        stated = [f"{quantity}={next(iter(UNITS[quantity]))}" for quantity in wanted]
-        in_scene = ", ".join(f'{quantity} = "{next(iter(UNITS[quantity]))}"' for quantity in wanted)
-        known = "; ".join(f"{quantity} in {', '.join(UNITS[quantity])}" for quantity in wanted)
+        stated = [f"{quantity}={known_units(quantity)[0]}" for quantity in wanted]
+        in_scene = ", ".join(f'{quantity} = "{known_units(quantity)[0]}"' for quantity in wanted)
+        known = "; ".join(f"{quantity} in {', '.join(known_units(quantity))}" for quantity in wanted)
         raise InputError(
             f"no unit stated in the column{'s' * (len(without) > 1)} {quote(', '.join(without))}; state it, for "
             f"example --units {','.join(stated)} (in a scene recordings.units = {{ {in_scene} }}); known: {known}"
@@ -275,15 +296,31 @@ def meanings(
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
     for quantity in words.quantities:
-        count = sum(said[name][0] == quantity for name in used)
-        if count > 1 or (count == 0 and quantity in words.required):
+        if quantity in words.required and all(said[name].quantity != quantity for name in used):
             choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
-            raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")
+            rate = ", or state the sample rate, --rate-Hz 10000" if quantity == "time" else ""
+            raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}{rate}")
     own = {*said, *(_apart(name)[0] for name in said), *words.quantities}
     unused = [key for key in units if key not in own]
     if unused:
         raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
     return said
+
+
+def _refuse_rivals(used: Sequence[str], names: Sequence[str], present: str, words: Vocabulary) -> None:
+    """Refuse several columns of one quantity, as the three axes of a sensor, with the choices that there are."""
+    for quantity in words.quantities:
+        rivals = [at for at, name in enumerate(names) if name in used and _quantity_of(name, words) == quantity]
+        if len(rivals) > 1:
+            choices = [
+                ",".join(SKIPPED if at in rivals and at != kept else name for at, name in enumerate(names))
+                for kept in rivals[:MOST_CHOICES]
+            ]
+            listed = " or ".join(map(shlex.quote, choices)) if len(choices[0]) < LONGEST_SHOWN else "time_s,-,..."
+            raise InputError(
+                f"{len(rivals)} {quantity} columns in {present}: must be 1; choose one: --columns {listed} (in a "
+                "scene recordings.columns)"
+            )
 
 
 def quote(text: str) -> str:

@@ -111,7 +111,7 @@ def load_recording(path: Path, layout: Layout | None = None) -> Recording:
         sha256=table.sha256,
         speed_m_s=table.scalars.get("speed"),
         grip_N=table.scalars.get("grip"),
-        notes=tuple(filter(None, [table.missing])),
+        notes=tuple(filter(None, [table.missing, *table.notes])),
         # A command, which a simulated tap may have, is not part of a recording: nobody drives a real object.
         **{name: signal for name, signal in table.signals.items() if name != "command"},
     )

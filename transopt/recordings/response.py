@@ -7,6 +7,7 @@ instruments write them (`transopt.recordings.names`). A universal file holds the
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,8 +18,9 @@ from transopt.base.files import read_file
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.formats import MIN_SAMPLES, read_raw
-from transopt.recordings.names import LEVEL, Layout, Vocabulary, quote
+from transopt.recordings.formats import MIN_SAMPLES, RawTable, read_raw, refuse_idle
+from transopt.recordings.names import Layout, Meaning, Vocabulary, quote
+from transopt.recordings.units import INPUTS, LEVEL, RATIOS, parts
 from transopt.recordings.universal_file import read_universal_file
 
 UFF_SUFFIXES = (".unv", ".uff", ".u58")
@@ -53,19 +55,21 @@ class MeasuredResponse:
     ----------
     frequencies_Hz : (m,) increasing, above 0.
     response : (m,) complex acceleration over input [m/s^2 per A or V].
-    input_unit : "A" or "V" where the file states what the response is to; empty where it does not.
-    notes : what the file and the user state differently, one sentence each.
+    driven_by : "current" or "voltage" where file or user state what the response is to; empty where they do not.
+    notes : what a user should know about the units, one sentence each.
     """
 
     frequencies_Hz: FloatArray
     response: ComplexArray
-    input_unit: str = ""
+    driven_by: str = ""
     notes: tuple[str, ...] = ()
 
     __repr__ = brief
 
 
-def read_response(path: Path, layout: Layout | None = None, *, scale: float = 1.0) -> MeasuredResponse:
+def read_response(
+    path: Path, layout: Layout | None = None, *, scale: float = 1.0, driven_by: str = ""
+) -> MeasuredResponse:
     """Read one response; the format follows from the suffix.
 
     Parameters
@@ -73,25 +77,60 @@ def read_response(path: Path, layout: Layout | None = None, *, scale: float = 1.
     path : .csv, .txt, .dat, .npz, .mat (-v6 or -v7), .unv, .uff or .u58.
     layout : names and units of columns that the file does not state.
     scale : what the response is multiplied with to be in m/s^2 per A or V.
+    driven_by : what the user says that it is to, "current" or "voltage"; empty where that is left to the file.
 
     Raises
     ------
-    InputError : one line, file first, whatever is wrong.
+    InputError : one line, file first, whatever is wrong; an option that says nothing of a response, or that
+        contradicts the file.
     """
     data = read_file(path, MOST_RECORD_BYTES, "name a file with a measured frequency response")
+    layout = layout or Layout()
+    is_universal = path.suffix.lower() in UFF_SUFFIXES
     try:
         if not (math.isfinite(scale) and scale != 0):
             raise InputError(f"--scale {scale}: must be a number other than 0")
+        if path.suffix.lower() == ".wav":
+            raise InputError("a WAV file holds a signal, no frequency response; export the response as CSV")
+        if layout.rate_Hz is not None:
+            raise InputError(f"--rate-Hz {layout.rate_Hz:g}: a response has frequencies and no times; leave it out")
+        refuse_idle(layout, [path.suffix])
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the check
-            if path.suffix.lower() in UFF_SUFFIXES:
-                found = read_universal_file(data, layout or Layout())
-                checked = _checked(found.frequencies_Hz, scale * found.response)
-                return replace(checked, input_unit=found.input_unit, notes=found.notes)
-            frequencies_Hz, response = _of_table(path.suffix, data, layout or Layout())
-            return _checked(frequencies_Hz, scale * response)
+            raw = read_universal_file(data, layout) if is_universal else read_raw(path.suffix, data, layout, WORDS)
+            frequencies_Hz, response, said = _of_table(raw)
+            found = _checked(frequencies_Hz, scale * response)
+        _agreeing(said, ["magnitude"] if is_universal else [each.quantity for each in said.values()], driven_by)
     except InputError as error:
         file = str(path) if str(path).isprintable() else repr(str(path))
         raise InputError(f"{file}: {error}") from error
+    notes = [each.note for each in raw.meanings.values()]
+    # A level in dB has no unit that is converted: there the scale states what 0 dB stands for.
+    stated = next((each.stated for each in said.values() if each.stated and not math.isnan(each.factor)), "")
+    if stated and not math.isclose(abs(scale), 1.0):
+        notes.append(
+            f"{stated} is converted to m/s^2 per A or V, and --scale {scale:g} multiplies besides: leave it out if "
+            "it stands for the unit"
+        )
+    per = next(iter(said.values())).per
+    return replace(found, driven_by=driven_by or per, notes=tuple(dict.fromkeys(filter(None, notes))))
+
+
+def _agreeing(said: Mapping[str, Meaning], keys: Sequence[str], driven_by: str) -> None:
+    """Refuse a user's word about the input against the unit's.
+
+    Parameters
+    ----------
+    said : what the columns mean that have a unit of the response.
+    keys : what their unit is stated for by --units.
+    """
+    for each in said.values():
+        if driven_by and each.per and each.per != driven_by:
+            unit = f"{parts(each.stated)[0]}/{INPUTS[driven_by]}"
+            remedy = ",".join(f"{key}={unit}" for key in keys)
+            raise InputError(
+                f"--input {driven_by}: its unit {each.stated} says that the response is to a {each.per}; leave "
+                f"--input out, or state --units {remedy}"
+            )
 
 
 def _checked(frequencies_Hz: FloatArray, response: ComplexArray) -> MeasuredResponse:
@@ -114,9 +153,9 @@ def _checked(frequencies_Hz: FloatArray, response: ComplexArray) -> MeasuredResp
     return MeasuredResponse(f, G)
 
 
-def _of_table(suffix: str, data: bytes, layout: Layout) -> tuple[FloatArray, ComplexArray]:
-    raw = read_raw(suffix, data, layout, WORDS)
-    columns = {quantity: (raw.columns[name], factor) for name, (quantity, factor) in raw.meanings.items()}
+def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Meaning]]:
+    """Frequencies [Hz], response [m/s^2 per A or V], and what its columns with a unit of the response mean."""
+    columns = {each.quantity: (raw.columns[name], each.factor) for name, each in raw.meanings.items()}
     sizes = {name: values.size for name, values in raw.columns.items()}
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{name} {n}" for name, n in sizes.items())
@@ -127,11 +166,15 @@ def _of_table(suffix: str, data: bytes, layout: Layout) -> tuple[FloatArray, Com
             f"columns {quote(', '.join(raw.columns))}: a response has frequency_Hz and either magnitude (or "
             "magnitude_dB) and phase_deg (or phase_rad), or real and imaginary; name these by --columns, - skips one"
         )
+    said = {name: each for name, each in raw.meanings.items() if each.quantity in RATIOS}
+    if len({each.per for each in said.values()}) > 1:
+        listed = " and ".join(f"{name} in {each.stated or 'no stated unit'}" for name, each in said.items())
+        raise InputError(f"{listed}: state the unit of both by --units real=m/s^2/V,imaginary=m/s^2/V")
     values, factor = columns["frequency"]
     (one, by), (other, other_by) = columns[pair[0]], columns[pair[1]]
     if pair[0] == "real":
-        return values * factor, one * by + 1j * other * other_by
+        return values * factor, one * by + 1j * other * other_by, said
     magnitude = 10 ** (one / 20) if math.isnan(by) else one * by
     if magnitude.min() < 0:
         raise InputError("a magnitude is negative: is it in dB? name the column magnitude_dB")
-    return values * factor, magnitude * np.exp(1j * other * other_by)
+    return values * factor, magnitude * np.exp(1j * other * other_by), said

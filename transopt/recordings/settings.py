@@ -39,6 +39,7 @@ class Recordings(Section):
     units: Annotated[dict[str, Words], Field(max_length=MOST_COLUMNS)] = Field(default_factory=dict)
     full_scale_m_s2: Positive | None = None
     channel: Annotated[int, Field(ge=1, le=MOST_COLUMNS)] | None = None
+    rate_Hz: Annotated[float, Field(ge=20, le=1e9)] | None = None
     taps_by_file: Annotated[dict[str, list[Annotated[int, Field(ge=1)]]], Field(max_length=MOST_FILES)] = Field(
         default_factory=dict
     )
@@ -59,7 +60,7 @@ class Recordings(Section):
 
     def layout(self) -> Layout:
         """How the files are to be read."""
-        return Layout(self.columns, self.units, self.full_scale_m_s2, self.channel)
+        return Layout(self.columns, self.units, self.full_scale_m_s2, self.channel, self.rate_Hz)
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:

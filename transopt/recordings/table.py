@@ -44,6 +44,7 @@ class Table:
     sha256 : of the file's bytes.
     off_grid : how far time stamps lay off the uniform grid, rms, in steps.
     missing : what was interpolated, in one sentence; empty where no sample was missing.
+    notes : units that a user states against the file, one sentence each.
     """
 
     signals: Mapping[str, Signal]
@@ -51,6 +52,7 @@ class Table:
     sha256: str
     off_grid: float
     missing: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,8 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
         # A message is one line, a file's name need not be.
         file = str(path) if str(path).isprintable() else repr(str(path))
         raise InputError(f"{file}: {error}") from error
-    return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing)
+    notes = tuple(each.note for each in raw.meanings.values() if each.note)
+    return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
 
 
 def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Clock]:
@@ -116,7 +119,7 @@ def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Cl
         raise InputError(f"columns differ in length ({listed} samples); save them equally long")
     if size < MIN_SAMPLES:
         raise InputError(f"{size} samples, at least {MIN_SAMPLES} are needed; record a longer piece")
-    si = {table.meanings[name][0]: _to_si(name, values, table) for name, values in table.columns.items()}
+    si = {table.meanings[name].quantity: _to_si(name, values, table) for name, values in table.columns.items()}
     times = si.pop("time")
     clock = _clock(times, table.place, words.step_s)
     if not clock.uniform:
@@ -146,7 +149,7 @@ def _stamped_late(as_read: Mapping[str, FloatArray], moved: Mapping[str, FloatAr
 
 
 def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
-    converted = table.meanings[name][1] * values
+    converted = table.meanings[name].factor * values
     bad = np.flatnonzero(~(np.abs(converted) <= LARGEST))
     if bad.size:
         at = int(bad[0])
@@ -168,6 +171,15 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     if steps[at] <= 0:
         order = f"time {times[at + 1]:.15g} s does not increase, before it {times[at]:.15g} s"
         many = np.count_nonzero(steps <= 0) > _DISORDER * steps.size
+        begins = np.flatnonzero(steps > 0) + 1
+        if many and (steps >= 0).all() and begins.size > 1:
+            # The first and the last group may be cut short; between them every group has its full length.
+            rate_Hz = (begins[-1] - begins[0]) / (times[begins[-1]] - times[begins[0]])
+            raise InputError(
+                f"{place(at + 1)}: the times repeat, in groups of {np.diff(begins).mean():.3g} rows, as of a "
+                f"sensor's buffer; state the sample rate, --rate-Hz {rate_Hz:.5g} by the times of the groups (in a "
+                "scene recordings.rate_Hz)"
+            )
         remedy = "is another column the time's?" if many else "sort the rows and remove repeated ones"
         raise InputError(f"{place(at + 1)}: {order}; {remedy}")
     low, high = step_range_s

@@ -18,6 +18,7 @@ from transopt.base.filters import highpass, lowpass
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_FILES
+from transopt.recordings.formats import refuse_idle
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
@@ -69,13 +70,14 @@ def read_recordings(settings: Recordings) -> list[Recording]:
 
     Raises
     ------
-    InputError : a pattern that matches nothing, a file name in `speed_by_file_m_s` or `taps_by_file` that is not
-        among the files, or whatever a file itself is refused for.
+    InputError : a pattern that matches nothing, a setting that none of the files has a use for, a file name in
+        `speed_by_file_m_s` or `taps_by_file` that is not among the files, or whatever a file itself is refused for.
     """
     paths, by_file = _paths(settings), settings.speed_by_file_m_s
     for pattern in settings.taps_by_file:
         if not any(fnmatchcase(path.name, pattern) for path in paths):
             raise InputError(f"recordings.taps_by_file: {pattern!r} is not among the files; correct the name")
+    refuse_idle(settings.layout(), [path.suffix for path in paths])
     found = []
     for path in paths:
         whole = load_recording(path, settings.layout())

@@ -7,18 +7,39 @@ is read here with messages that name the field.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.shown import brief
-from transopt.base.signals import ComplexArray, FloatArray
+from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.recordings.names import Layout, factor_of, quote
+from transopt.recordings.formats import RawTable, encoding_of
+from transopt.recordings.names import Layout, Meaning, quote, settled
+from transopt.recordings.units import input_unit, parts, read_unit, remedy_of
 
-# What record 6 calls a frequency response, record 8 a frequency, and record 9 an acceleration or a general quantity.
-FREQUENCY_RESPONSE, FREQUENCY, ACCELERATION = 4, 18, (0, 1, 12)
+FREQUENCY_RESPONSE = 4  # function type of record 6
+# Specific data types of records 8 to 10. Of a general quantity exponents of length, force and temperature are stated.
+UNKNOWN, GENERAL, ACCELERATION, FREQUENCY = 0, 1, 12, 18
+TYPES = {
+    UNKNOWN: "",
+    2: "a stress",
+    3: "a strain",
+    5: "a temperature",
+    6: "a heat flux",
+    8: "a displacement",
+    9: "a reaction force",
+    11: "a velocity",
+    ACCELERATION: "an acceleration",
+    13: "an excitation force",
+    15: "a pressure",
+    16: "a mass",
+    17: "a time",
+    FREQUENCY: "a frequency",
+    19: "a speed of rotation",
+    20: "an order",
+}
+MAY_ACCELERATE = ("", TYPES[ACCELERATION], "length^1 force^0 temperature^0")
+SI, EXAMPLE = "m/s^2", "--units magnitude=g/V"
 MARK = "    -1"
 WIDTHS = {5: 13, 6: 20}  # ordinate type, complex of single or double precision -> characters of each number
 ABSCISSA_WIDTH = 13
@@ -28,27 +49,8 @@ UNIT_LABEL = slice(47, 67)  # columns of the unit's label in records 8 to 11
 NOT_STATED = ("", "NONE")
 
 
-@dataclass(frozen=True)
-class UniversalResponse:
-    """A frequency response as a universal file holds it.
-
-    Attributes
-    ----------
-    frequencies_Hz : (m,). response : (m,) complex [m/s^2 per A or V].
-    input_unit : "A" or "V", what the response is to; empty where neither the file nor the user says it.
-    notes : what labels and user state differently, one sentence each.
-    """
-
-    frequencies_Hz: FloatArray
-    response: ComplexArray
-    input_unit: str
-    notes: tuple[str, ...]
-
-    __repr__ = brief
-
-
-def read_universal_file(data: bytes, layout: Layout) -> UniversalResponse:
-    """The one frequency response among the datasets of a universal file.
+def read_universal_file(data: bytes, layout: Layout) -> RawTable:
+    """The one frequency response among the datasets of a universal file: columns frequency, real, imaginary.
 
     Parameters
     ----------
@@ -68,8 +70,9 @@ def read_universal_file(data: bytes, layout: Layout) -> UniversalResponse:
             f"--units {other[0]}={units[other[0]]}: a universal file has a magnitude and a frequency; write --units "
             "magnitude=g/V,frequency=Hz"
         )
-    text = _text(data)
-    lines = text.splitlines()
+    if b"\0" in data:
+        raise InputError("holds binary datasets; export dataset 58 in ASCII")
+    lines = data.decode(encoding_of(data)).splitlines()
     found = [block for kind, block in _datasets(lines) if kind == "58"]
     if any(kind.startswith("58b") for kind, _ in _datasets(lines)):
         raise InputError("holds a binary dataset 58b; export dataset 58 in ASCII")
@@ -85,21 +88,6 @@ def read_universal_file(data: bytes, layout: Layout) -> UniversalResponse:
     return _of_dataset(responses[0], units)
 
 
-def _text(data: bytes) -> str:
-    """The file's text; a label may hold a superscript in one of the usual encodings.
-
-    Raises
-    ------
-    InputError : bytes that no text holds.
-    """
-    if b"\0" in data:
-        raise InputError("holds binary datasets; export dataset 58 in ASCII")
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
 def _datasets(lines: list[str]) -> list[tuple[str, list[str]]]:
     """Number and lines of every dataset: they stand between two lines of -1."""
     marks = [k for k, line in enumerate(lines) if line.rstrip() == MARK]
@@ -109,9 +97,11 @@ def _datasets(lines: list[str]) -> list[tuple[str, list[str]]]:
     return [(block[0].split()[0] if block and block[0].split() else "", block[1:]) for block in inside]
 
 
-def _whole(block: Sequence[str], line: int, start: int, end: int, what: str) -> int:
-    """A whole number in columns of a line of a dataset."""
+def _whole(block: Sequence[str], line: int, start: int, end: int, what: str, empty: int | None = None) -> int:
+    """A whole number in columns of a line of a dataset; `empty` where they are blank, if blanks are allowed."""
     cell = block[line][start:end].strip() if line < len(block) else ""
+    if not cell and empty is not None and line < len(block):
+        return empty
     try:
         return int(cell)
     except ValueError:
@@ -120,8 +110,8 @@ def _whole(block: Sequence[str], line: int, start: int, end: int, what: str) -> 
         ) from None
 
 
-def _of_dataset(block: Sequence[str], units: Mapping[str, str]) -> UniversalResponse:
-    """One frequency response in SI, by the labels of its axes or by the user's units."""
+def _of_dataset(block: Sequence[str], units: Mapping[str, str]) -> RawTable:
+    """One frequency response, its units by the labels of its axes or by the user's word."""
     kind = _whole(block, 6, 0, 10, "ordinate type")
     points = _whole(block, 6, 10, 20, "number of points")
     even = _whole(block, 6, 20, 30, "spacing of the abscissa") == 1
@@ -129,82 +119,75 @@ def _of_dataset(block: Sequence[str], units: Mapping[str, str]) -> UniversalResp
         raise InputError(f"dataset 58: ordinate type {kind}, must be 5 or 6, complex: export real and imaginary part")
     if not 0 < points <= MOST_ROWS:
         raise InputError(f"dataset 58: {points} points, must be 1 to {MOST_ROWS}")
-    if _whole(block, 7, 0, 10, "kind of the abscissa") not in (0, FREQUENCY):
-        raise InputError("dataset 58: its abscissa is no frequency; export a frequency response")
-    if _whole(block, 8, 0, 10, "kind of the ordinate") not in ACCELERATION:
-        raise InputError("dataset 58: its ordinate is no acceleration (type 12); export the accelerance")
+    frequency, ratio = _frequency(block, units.get("frequency", "")), _ratio(block, units.get("magnitude", ""))
     widths = [*([] if even else [ABSCISSA_WIDTH]), WIDTHS[kind], WIDTHS[kind]]
     per_line = max(LINE_WIDTH // sum(widths), 1)
     cells = _cells(block[HEAD_LINES:], widths * per_line, points * len(widths)).reshape(points, -1)
     if even:
         start, step = (_number(block[6][at : at + 13], 7) for at in (30, 43))
-        frequencies = start + step * np.arange(points)
+        cells = np.column_stack([start + step * np.arange(points), cells])
+    meanings = {"frequency": frequency, "real": ratio, "imaginary": ratio._replace(quantity="imaginary")}
+    columns = {name: cells[:, at] for at, name in enumerate(meanings)}
+    return RawTable(columns, meanings, {}, lambda k: f"point {k + 1}")
+
+
+def _axis(block: Sequence[str], line: int, what: str) -> tuple[int, str, str]:
+    """Fields of one of the records 8 to 10, which describe an axis.
+
+    Returns
+    -------
+    Number of the type; label of the unit, empty where none is stated; what the type says, for messages. A general
+    quantity is described by its exponents of length, force and temperature, and by nothing if all are zero.
+    """
+    kind = _whole(block, line, 0, 10, f"type of the {what}", empty=UNKNOWN)
+    label = block[line][UNIT_LABEL].strip()
+    if kind == GENERAL:
+        powers = [_whole(block, line, at, at + 5, f"exponent of the {what}", empty=0) for at in (10, 15, 20)]
+        meaning = "length^{} force^{} temperature^{}".format(*powers) if any(powers) else ""
     else:
-        frequencies, cells = cells[:, 0], cells[:, 1:]
-    abscissa, ordinate, denominator = (_unit_label(block, line) for line in (7, 8, 9))
-    stated_Hz, stated = units.get("frequency"), units.get("magnitude")
-    to_Hz = _factor(stated_Hz or abscissa or "Hz", "frequency", "abscissa", "frequency=Hz")
-    # A unit of the acceleration alone, as g, leaves the input to the file's label.
-    factor, per = _ratio(stated or ordinate, denominator)
-    notes = []
-    if stated_Hz is not None and abscissa not in ("", stated_Hz):
-        notes.append(f"the file's label says {abscissa} for the abscissa, --units says {stated_Hz}, which is taken")
-    if stated is not None and (ordinate or denominator):
-        label = f"{ordinate}/{denominator}" if denominator else ordinate
-        if label != stated:
-            notes.append(f"the file's labels say {label}, --units says {stated}, which is taken")
-    response = factor * (cells[:, 0] + 1j * cells[:, 1])
-    return UniversalResponse(np.asarray(frequencies) * to_Hz, np.asarray(response), per, tuple(notes))
+        meaning = TYPES.get(kind, f"a quantity of type {kind}")
+    return kind, "" if label.upper() in NOT_STATED else label, meaning
 
 
-def _unit_label(block: Sequence[str], line: int) -> str:
-    """The unit of an axis: the second label of its record, behind four whole numbers; empty where none is stated."""
-    label = block[line][UNIT_LABEL].strip() if line < len(block) else ""
-    return "" if label.upper() in NOT_STATED else label
-
-
-def _factor(unit: str, quantity: str, what: str, example: str) -> float:
-    """What makes SI of a unit.
-
-    Raises
-    ------
-    InputError : a unit that is not known.
-    """
-    factor = factor_of(unit, quantity)
-    if factor is None:
+def _frequency(block: Sequence[str], user: str) -> Meaning:
+    """What the abscissa means, by the user's word or by its label."""
+    kind, label, _ = _axis(block, 7, "abscissa")
+    if kind not in (UNKNOWN, FREQUENCY):
+        raise InputError("dataset 58: its abscissa is no frequency; export a frequency response")
+    stated = user or label or "Hz"
+    if read_unit(stated, "frequency") is None:
         raise InputError(
-            f"dataset 58: its {what} is in {quote(unit)}, which is not known; state it by --units {example}"
+            f"dataset 58: its abscissa is in {quote(stated)}, which is not known; state it by --units frequency=Hz"
         )
-    return factor
+    said = f"label says {label} for the abscissa" if label else ""
+    return settled("frequency", stated, read_unit(label, "frequency"), said)
 
 
-def _ratio(ordinate: str, denominator: str) -> tuple[float, str]:
-    """Factor to m/s^2 per A or V, and which of the two; empty where nothing is said of the input.
-
-    Parameters
-    ----------
-    ordinate : unit of the acceleration, or of the whole ratio as in g/V. denominator : unit of the input.
+def _ratio(block: Sequence[str], user: str) -> Meaning:
+    """What ordinate over denominator means: the user's word goes before the labels, and these before the types.
 
     Raises
     ------
-    InputError : units that are not known, or an input that is neither a current nor a voltage.
+    InputError : units that are not known, an ordinate that is no acceleration, or a denominator that is no input.
     """
-    whole, mark, behind = ordinate.rpartition("/")
-    if mark and factor_of(behind, "current") is None and factor_of(behind, "voltage") is None:
-        whole = ""  # the stroke of m/s^2, or of a unit that is not known
-    acceleration, of_input = (whole, behind) if whole else (ordinate, denominator)
-    example = "magnitude=g/V"
-    factor = _factor(acceleration or "m/s^2", "acceleration", "ordinate", example)
-    if not of_input:
-        return factor, ""
-    for unit, quantity in (("A", "current"), ("V", "voltage")):
-        by = factor_of(of_input, quantity)
-        if by is not None:
-            return factor / by, unit
-    raise InputError(
-        f"dataset 58: its denominator is in {quote(of_input)}, neither a current nor a voltage; export the "
-        f"acceleration over the command, or state what it is by --units {example}"
-    )
+    kind, above, ordinate = _axis(block, 8, "ordinate")
+    _, below, denominator = _axis(block, 9, "denominator")
+    acceleration, of_input = parts(user)[0] or parts(above)[0], parts(user)[1] or parts(above)[1] or below
+    if kind not in (UNKNOWN, GENERAL, ACCELERATION) or not (acceleration or ordinate in MAY_ACCELERATE):
+        raise InputError(f"dataset 58: its ordinate is {ordinate}, no acceleration (type 12); export the accelerance")
+    acceleration = acceleration or SI
+    if read_unit(acceleration, "real") is None:
+        remedy = remedy_of(acceleration) or f"; state it by {EXAMPLE}"
+        raise InputError(f"dataset 58: its ordinate is in {quote(acceleration)}, which is not known{remedy}")
+    if input_unit(of_input) is None and (of_input or denominator):
+        found = f"in {quote(of_input)}" if of_input else f"{denominator} by its type"
+        raise InputError(
+            f"dataset 58: its denominator is {found}, neither a current nor a voltage; export the acceleration over "
+            f"the command, or state what it is by {EXAMPLE}"
+        )
+    label = f"{above or SI}/{below}" if below and not parts(above)[1] else above
+    stated = f"{acceleration}/{of_input}" if of_input else acceleration
+    return settled("real", stated, read_unit(label, "real"), f"labels say {label}" if label and user else "")
 
 
 def _cells(lines: Sequence[str], widths: Sequence[int], wanted: int) -> FloatArray:

@@ -9,6 +9,7 @@ import pytest
 import transopt as to
 from tests.benches.actuators import HEAD, LIMITS, file_scene, ten_states
 from tests.benches.commands import Outcome, Run, assert_refused
+from tests.transopt.recordings.test_response import G, S, W, table, uff
 
 F_HZ = np.linspace(10, 2000, 400)
 SAME = 1e-6  # of the limit, between designs of one device stated in three ways
@@ -117,6 +118,55 @@ def test_a_band_and_a_scale(fit: Callable[..., Outcome], run: Run) -> None:
     f = np.linspace(40, 390, 50)
     expected = 9.80665 * ten_states().response(f)
     np.testing.assert_allclose(found.response(f), expected, atol=0.05 * np.abs(expected).max())
+
+
+def in_g(name: str) -> None:
+    """A resonance at 150 Hz, in g per volt by its labels."""
+    found = np.asarray(G / 9.80665)
+    if name.endswith("uff"):
+        Path(name).write_text(uff(6, even=True, response=found, units=("Hz", "g", "V")))
+    else:
+        table(
+            Path(name),
+            "f [Hz],Mag [g/V],phase_deg",
+            np.abs(S.imag) / (2 * np.pi),
+            abs(found),
+            np.degrees(np.angle(found)),
+        )
+
+
+@pytest.mark.parametrize("name", ["r.uff", "r.csv"])
+class TestLabels:
+    def fitted(self, run: Run, name: str, *options: str) -> Outcome:
+        in_g(name)
+        return run("plant", "fit", name, "--order", "2", "--out", "plant.npz", *options)
+
+    def test_decide_the_input_and_the_gain_of_the_plant(self, run: Run, name: str) -> None:
+        for options in ((), BY_VOLTAGE):
+            outcome = self.fitted(run, name, *options)
+            assert outcome.code == 0, outcome.err
+            assert "--units says" not in outcome.out
+            with np.load("plant.npz") as file:
+                assert str(file["input"]) == "voltage"
+                found = to.StateSpace(*(file[matrix] for matrix in "ABCD"))
+            # 3.0 Q m/s^2 per volt at the resonance, which would be 9.81 times less if g were read as m/s^2.
+            assert abs(found.response(np.array([W / (2 * np.pi)]))[0]) == pytest.approx(24.0, rel=1e-3)
+
+    def test_against_the_users_word_are_refused_and_the_remedy_works(self, run: Run, name: str) -> None:
+        refused = self.fitted(run, name, "--input", "current")
+        assert_refused(refused, f"{name}: --input current: its unit g/V says that the response is to a voltage")
+        remedy = refused.err.strip().partition("state ")[2].split(" ")
+        assert remedy == ["--units", "magnitude=g/A"]
+        outcome = self.fitted(run, name, "--input", "current", *remedy)
+        assert outcome.code == 0, outcome.err
+        assert "--units says g/A, which is taken" in outcome.out
+        with np.load("plant.npz") as file:
+            assert str(file["input"]) == "current"
+
+    def test_and_a_scale_besides_are_said(self, run: Run, name: str) -> None:
+        outcome = self.fitted(run, name, "--scale", "9.80665")
+        assert outcome.code == 0, outcome.err
+        assert "g/V is converted to m/s^2 per A or V, and --scale 9.80665 multiplies besides" in outcome.out
 
 
 def test_refusals(fit: Callable[..., Outcome], run: Run) -> None:

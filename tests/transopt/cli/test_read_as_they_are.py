@@ -64,6 +64,61 @@ class TestTaps:
         assert_refused(run("taps", "two.wav", *options, "--channel", 3), "choose 1 to 2")
 
 
+def pulse() -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and an acceleration [m/s^2] that may be a tap's."""
+    times = np.arange(3000) * 1e-4
+    return times, 60 * np.sin(np.pi * np.clip(times - 0.1, 0, 4e-3) / 4e-3)
+
+
+class TestIdleOptions:
+    """An option that none of the files has a use for is refused, and what it proposes instead reads them."""
+
+    @pytest.fixture(autouse=True)
+    def files(self, run: Run) -> None:
+        times, values = pulse()
+        Path("x.wav").write_bytes(wav(values / 490.3))
+        Path("x.csv").write_text("time_s,acceleration_m_s2\n" + text(times, values))
+
+    @pytest.mark.parametrize(
+        ("file", "options", "said"),
+        [
+            (
+                "x.wav",
+                ("--columns", "time_s,acc"),
+                ("--columns time_s,acc", "no columns; leave it out", "--channel 1"),
+            ),
+            ("x.wav", ("--units", "acc=g"), ("--units acc=g", "no units; leave it out", "--full-scale 490.3")),
+            ("x.wav", ("--rate-Hz", 10000), ("--rate-Hz 10000", "a WAV file states its own; leave it out")),
+            ("x.csv", ("--channel", 2), ("--channel 2", "recordings.channel", "only a WAV file has channels; leave")),
+            ("x.csv", ("--full-scale", 490.3), ("--full-scale 490.3", "only a WAV file has a full scale; leave it")),
+        ],
+    )
+    def test_are_refused(self, run: Run, file: str, options: tuple[object, ...], said: tuple[str, ...]) -> None:
+        needed = ("--speed", 0.2, *(("--full-scale", 490.3) if file == "x.wav" else ()))
+        assert run("taps", file, *needed).code == 0
+        assert_refused(run("taps", file, *needed, *options), *said)
+
+    def test_are_used_where_one_of_the_files_has_a_use_for_them(self, run: Run) -> None:
+        outcome = run("taps", "x.csv", "x.wav", "--speed", 0.2, "--full-scale", 490.3, "--units", "acceleration=m/s2")
+        assert outcome.code == 0, outcome.err
+
+    def test_are_refused_in_a_scene(self, run: Run) -> None:
+        scene = problems.scene_path("own_taps").read_text()
+        lines = f'folder = "{Path().absolute()}"\nfiles = ["x.csv"]\nspeed_m_s = 0.3\nchannel = 2'
+        Path("s.toml").write_text(scene.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', lines))
+        assert_refused(run("solve", "s.toml"), "--channel 2 (in a scene recordings.channel)")
+
+
+def test_a_stated_rate_is_obeyed_and_stands_in_the_scene(run: Run) -> None:
+    times, values = pulse()
+    Path("x.csv").write_text("time_s,acceleration_m_s2\n" + text(np.zeros_like(times), values))
+    outcome = run("taps", "x.csv", "--speed", 0.2, "--rate-Hz", 10000, "--scene", "s.toml")
+    assert outcome.code == 0, outcome.err
+    assert "99." in outcome.out or "100." in outcome.out
+    assert "rate_Hz = 10000.0" in Path("s.toml").read_text()
+    assert_refused(run("taps", "x.csv", "--rate-Hz", 3), "--rate-Hz 3", "must be greater than or equal to 20")
+
+
 @pytest.mark.parametrize("command", ["amplifier", "device", "hand", "coil"])
 def test_identify_takes_columns_and_units(run: Run, command: str) -> None:
     Path("run.txt").write_text(
@@ -74,6 +129,12 @@ def test_identify_takes_columns_and_units(run: Run, command: str) -> None:
     outcome = run("identify", command, "run.txt", "--out", "M.json", "--units", "time=s,force=N,acc=g")
     assert outcome.code == 2  # read, and then refused for what a sweep or a tap has to be
     assert "unit" not in outcome.err
+    Path("bare.txt").write_text(text(np.ones(9), delimiter=" "))
+    bare = ("identify", command, "bare.txt", "--out", "M.json", "--columns", "acceleration_g")
+    assert_refused(run(*bare), "0 time columns", "--rate-Hz 10000")
+    outcome = run(*bare, "--rate-Hz", 10000)
+    assert outcome.code == 2
+    assert "time" not in outcome.err
     outcome = run("identify", command, "run.txt", "--out", "M.json", "--columns", "time_s,-,acceleration_g")
     assert outcome.code == 2
     assert "unit" not in outcome.err

@@ -16,6 +16,7 @@ from transopt.recordings.split import bounds
 from transopt.recordings.tap import PreparedTap, prepare, read_recordings
 
 IN_G = text(TIMES_S, TAP_M_S2 / G)
+QUOTED = "".join('"{}","{}"\n'.format(*row.replace(".", ";").split(",")) for row in IN_G.split()).replace(";", ",")
 
 
 # ---- names and units ---------------------------------------------------------------------------------------
@@ -42,6 +43,43 @@ def test_headers_of_instruments(tmp_path: Path, header: str, rows: str, suffix: 
     recording = load(tmp_path, f"{header}\n{rows}", suffix)
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
     assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "Sample rate: 10000 Hz\nDate: 05.03.2024\nOperator: lab\n\nTime (s),Acc (g)\n" + IN_G,
+        "Logger,X7\nRange,16\nRate,10000\nspeed_m_s,0.3\nt [s],a [g]\n" + IN_G,
+        "Logger;X7\nspeed_m_s;0,3;\nt [s];a [g]\n" + IN_G.replace(",", ";").replace(".", ","),
+        "3 channels, 2 of them off\n\ntime,acc\n[s],[g]\n\n" + IN_G,
+        "Scope\ntime,acc\nsec,M/S^2\n" + text(TIMES_S, TAP_M_S2),
+        "* made by a simulator\n% and another\n// and a third\ntime_s acceleration_g\n" + IN_G.replace(",", " "),
+        "Time [s]\tAcc [g]\n" + IN_G.replace(",", "\t").replace(".", ","),
+        "2 Hz\nTime [s]\tAcc [g]\n" + IN_G.replace(",", "\t").replace(".", ","),
+        '"Time (s)","Acc (g)"\n' + QUOTED,
+    ],
+)
+def test_what_scopes_and_loggers_write_above_the_numbers(tmp_path: Path, content: str) -> None:
+    recording = load(tmp_path, content)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+    assert recording.speed_m_s == (0.3 if "speed_m_s" in content else None)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "cp850", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("head", ["Zeit [µs];Beschleunigung [m/s²]", "# Prüfer: Öhler\nZeit/µs;a/m/s²"])
+def test_text_in_every_usual_encoding(tmp_path: Path, head: str, encoding: str) -> None:
+    """A micro sign is a capital letter with an accent in the wrong code page, and no unit."""
+    rows = text(1e6 * TIMES_S, TAP_M_S2, delimiter=";").replace(".", ",")
+    recording = load(tmp_path, f"{head}\n{rows}".encode(encoding))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "mac_roman"])
+def test_remarks_in_a_code_page_keep_nobody_from_reading(tmp_path: Path, encoding: str) -> None:
+    recording = load(tmp_path, f"# Prüfer: Öhler\ntime [s],acc [g]\n{IN_G}".encode(encoding))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
 
 
 def test_every_quantity_has_usual_names(tmp_path: Path) -> None:
@@ -87,7 +125,8 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
         ("time [s],Temp [C]", {}, "unknown column 'Temp [C]'; known: time_s"),
         ("time [s],a [g]", {"units": {"accel": "g"}}, "--units accel: no column of that name; the file has"),
         ("time [s],acc", {"units": {"acc": "g", "time": "V"}}, "column 'time [s]': 'V' is no unit of time"),
-        ("a [g],acc [g]", {}, "0 time columns"),
+        ("force [N],acc [g]", {}, "0 time columns"),
+        ("a [g],acc [g]", {}, "2 acceleration columns in 'a [g], acc [g]': must be 1; choose one: --columns"),
     ],
 )
 def test_names_and_units_that_cannot_be(tmp_path: Path, header: str, options: dict[str, object], words: str) -> None:
@@ -103,6 +142,142 @@ def test_the_refusal_of_a_column_of_ones_own_says_how_to_skip_it(tmp_path: Path)
     np.testing.assert_allclose(load(tmp_path, content, columns=columns).acceleration.values, TAP_M_S2, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [
+        ("t_s,ax_g,ay_g,az_g", {}),
+        ("Time [s],Acc X [g],Acc Y [g],Acc Z [g]", {}),
+        ("#time,accel_x,accel_y,accel_z", {"time": "s", "acceleration": "g"}),
+        ("t,acc_x,acc_y,acc_z", {"t": "s", "acc_z": "g"}),
+    ],
+)
+def test_one_of_three_axes_is_asked_for_by_columns_that_read_it(
+    tmp_path: Path, head: str, units: dict[str, str]
+) -> None:
+    rows = text(TIMES_S, np.ones(TIMES_S.size), np.full(TIMES_S.size, 2.0), TAP_M_S2 / G)
+    said = refusal(tmp_path, f"{head}\n{rows}", units=units)
+    assert said.startswith("3 acceleration columns in ")
+    choices = said.partition("choose one: --columns ")[2].partition(" (in a scene")[0].split(" or ")
+    assert len(choices) == 3
+    columns = choices[2].strip("'").split(",")
+    recording = load(tmp_path, f"{head}\n{rows}", columns=columns, units=units)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+@pytest.mark.parametrize("pack", [npz, mat])
+def test_one_of_three_variables_is_asked_for(tmp_path: Path, pack: object) -> None:
+    suffix = ".npz" if pack is npz else ".mat"
+    content = pack(t_ms=1e3 * TIMES_S, ax_g=TIMES_S, az_g=TAP_M_S2 / G)  # type: ignore[operator]
+    said = refusal(tmp_path, content, suffix)
+    assert "choose one: --columns t_ms,ax_g,- or t_ms,-,az_g" in said
+    recording = load(tmp_path, content, suffix, columns=["t_ms", "-", "az_g"])
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+# ---- times that are none -----------------------------------------------------------------------------------
+
+ROWS = [row.partition(",")[2] for row in IN_G.split()]
+FIFO = "time [s],acc [g]\n" + "".join(f"{(k // 32) * 32 * DT_S:.6f},{row}\n" for k, row in enumerate(ROWS))
+DATES = "Time,Acc (g)\n" + "".join(f"2024-03-05 14:11:02.{k:06d},{row}\n" for k, row in enumerate(ROWS))
+CLOCK = "Time;Acc (g)\n" + "".join(f"14:11:02,{k:06d};{row}\n".replace(".", ",") for k, row in enumerate(ROWS))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (
+            "acc [g]\n" + "\n".join(ROWS) + "\n",
+            "0 time columns in 'acc[g]': must be 1; name one time_s or time_ms, or",
+        ),
+        (FIFO, "row 3: the times repeat, in groups of 32 rows, as of a sensor's buffer; state the sample rate"),
+        (DATES, "row 2, column Time: '2024-03-05 14:11:02.000000' is a date or a time of day, no number; state"),
+        (CLOCK, "row 2, column Time: '14:11:02,000000' is a date or a time of day, no number; state the sample rate"),
+    ],
+)
+def test_a_rate_stands_for_times_that_say_nothing(tmp_path: Path, content: str, said: str) -> None:
+    message = refusal(tmp_path, content)
+    assert message.startswith(said)
+    proposed = float(message.partition("--rate-Hz ")[2].split(" ")[0])
+    assert proposed == pytest.approx(1 / DT_S, rel=1e-3)
+    recording = load(tmp_path, content, rate_Hz=proposed)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Sample rate: 10000 Hz",
+        "# Sampling Frequency (kHz): 10",
+        "Fs = 10 kHz",
+        "SampleRate,1e4",
+        "Sample rate;10,0 kHz",
+        "Delta_X\t0.0001",
+        "Increment,1.000000e-04",
+        "Sample interval [µs]: 100",
+        "Rate,10 kS/s",
+    ],
+)
+def test_a_rate_in_the_files_head_stands_for_times_that_are_not_there(tmp_path: Path, line: str) -> None:
+    recording = load(tmp_path, f"Logger X7\n{line}\nacc [g]\n" + "\n".join(ROWS))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+    assert recording.notes == (
+        f"no column of times; the sample rate of 10000 Hz is that of the file's line {' '.join(line.split())!r}",
+    )
+
+
+@pytest.mark.parametrize("lines", ["Rate: 100 Hz\nSample rate: 10000 Hz", "Rate: 10 MHz", "Rate: 0 Hz", "Frames: 9"])
+def test_rates_that_contradict_each_other_or_are_none_are_asked_for(tmp_path: Path, lines: str) -> None:
+    assert "0 time columns" in refusal(tmp_path, f"{lines}\nacc [g]\n" + "\n".join(ROWS))
+
+
+@pytest.mark.parametrize("pack", [npz, mat])
+def test_variables_without_times_have_a_rate(tmp_path: Path, pack: object) -> None:
+    suffix = ".npz" if pack is npz else ".mat"
+    content = pack(acceleration_m_s2=TAP_M_S2)  # type: ignore[operator]
+    assert "--rate-Hz 10000" in refusal(tmp_path, content, suffix)
+    recording = load(tmp_path, content, suffix, rate_Hz=10_000)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-12)
+
+
+def test_few_rows_that_stand_there_twice_are_no_buffers(tmp_path: Path) -> None:
+    rows = IN_G.splitlines()
+    assert "sort the rows and remove repeated ones" in refusal(
+        tmp_path, "\n".join(["time [s],acc [g]", *rows[:50], *rows[49:]])
+    )
+
+
+@pytest.mark.parametrize("delimiter", [",", ";"])
+@pytest.mark.parametrize("offset", [0, 3])
+def test_a_slower_channel_leaves_blanks_that_are_filled(tmp_path: Path, delimiter: str, offset: int) -> None:
+    positions = 1e3 * np.cos(40 * TIMES_S)
+    rows = [
+        row + delimiter + (f"{z:.12g}" if k % 10 == offset else "")
+        for k, (row, z) in enumerate(zip(IN_G.replace(",", delimiter).split(), positions, strict=True))
+    ]
+    recording = load(tmp_path, "\n".join([delimiter.join(["time [s]", "acc [g]", "pos [mm]"]), *rows]))
+    known = slice(offset, 190 + offset + 1)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2[known], atol=1e-9)
+    assert recording.acceleration.start_s == pytest.approx(offset * DT_S)
+    assert recording.position is not None
+    np.testing.assert_allclose(recording.position.values, 1e-3 * positions[known], atol=1e-6)
+    assert recording.notes == ("pos [mm] stands in one row of 10 only, and is interpolated between them",)
+
+
+@pytest.mark.parametrize("blank", [{5}, {5, 6, 7}, set(range(100, 200)), set(range(1, 200))])
+def test_blanks_that_are_not_regular_are_named(tmp_path: Path, blank: set[int]) -> None:
+    rows = [row.partition(",")[0] + "," if k in blank else row for k, row in enumerate(IN_G.split())]
+    message = refusal(tmp_path, "\n".join(["time [s],acc [g]", *rows]))
+    assert message.startswith(f"row {min(blank) + 2}, column acc [g]: '' is no number; correct it")
+
+
+def test_columns_that_are_proposed_hold_all_that_is_needed(tmp_path: Path) -> None:
+    said = refusal(tmp_path, f"x,y\n{IN_G}")
+    assert "name the columns in their order, - for one to skip: --columns time,acceleration,-" in said
+
+
 def test_columns_in_the_wrong_order(tmp_path: Path) -> None:
     """A time that goes back all the while is none; one that goes back once has rows out of order."""
     swapped = "\n".join(",".join(reversed(line.split(","))) for line in IN_G.splitlines())
@@ -116,6 +291,14 @@ def test_a_stated_unit_goes_before_that_of_the_file(tmp_path: Path) -> None:
     for key in ("acc", "acc [m/s^2]", "acceleration"):
         recording = load(tmp_path, f"time [s],acc [m/s^2]\n{IN_G}", units={key: "g"})
         np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+
+
+def test_a_stated_unit_against_that_of_the_file_is_noted(tmp_path: Path) -> None:
+    for name in ("acc [m/s^2]", "acceleration_m_s2"):
+        recording = load(tmp_path, f"time [s],{name}\n{IN_G}", units={"acceleration": "G"})
+        assert recording.notes == (f"the file's column is '{name}', --units says G, which is taken",)
+    recording = load(tmp_path, f"time [SEC],acc [g]\n{IN_G}", units={"acceleration": "G", "time": "seconds"})
+    assert recording.notes == ()
 
 
 def test_units_of_a_command_line() -> None:

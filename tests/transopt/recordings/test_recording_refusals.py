@@ -84,12 +84,14 @@ def test_unnamed_columns(tmp_path: Path) -> None:
     ("content", "words"),
     [
         (b"\x89PNG\xff\xfe\x00", "row 1: byte 0x89 is not UTF-8 text; save it as UTF-8"),
-        (csv().encode() + b"\xb5", "row 202: byte 0xb5 is not UTF-8"),
+        (csv().encode() + b"\xb5", "row 202: 1 cells, 2 columns"),
+        (csv().encode() + b"\xb5\1", "row 202: byte 0xb5 is not UTF-8"),
         ("\ufeff".encode() + b"time_s\n\xb5", "row 2: byte 0xb5 is not UTF-8"),
         (HEADER.encode() + b"0,\0\n", "row 2: byte 0x00 is not UTF-8"),
-        (csv().encode("utf-16"), "row 1: byte 0xff is not UTF-8"),
+        (csv().encode("utf-16")[:-1], "row 201: byte 0x0a is not UTF-8"),
         ("# nothing else\n", "no rows of numbers, at least 8 are needed"),
         (HEADER, "0 samples, at least 8 are needed"),
+        ("t:0:0", "unknown column"),
         (csv(TIMES_S[:7], TAP_M_S2[:7]), "7 samples, at least 8 are needed"),
         (csv() + "0.1,1,2\n", "row 202: 3 cells, 2 columns ('time_s, acceleration_m_s2'); correct"),
         (csv() + "0.1\n", "row 202: 1 cells, 2 columns"),
@@ -99,7 +101,7 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         (HEADER + "0,1\n1e-4,nan\n" + text(TIMES_S, TAP_M_S2), "row 3, column acceleration_m_s2: nan: must be"),
         (csv() + "-inf,1\n", "row 202, column time_s: -inf: must be finite"),
         (csv() + "1,1e300\n", "row 202, column acceleration_m_s2: 1e+300: must be finite and at most 1e+12"),
-        ("time_s,acceleration_mm_s2\n0,0\n", "unknown column 'acceleration_mm_s2'; known: time_s, time_ms, acc"),
+        ("time_s,acceleration_ft_s2\n0,0\n", "unknown column 'acceleration_ft_s2'; known: time_s, time_ms, acc"),
         ("time_s,time_ms\n0,0\n", "2 time columns in 'time_s, time_ms': must be 1"),
         ("time_s,time_s\n0,0\n", "2 time columns in 'time_s, time_s': must be 1"),
         ("time_s,force_N\n0,0\n", "0 acceleration columns in 'time_s, force_N': must be 1; name one acceleration"),
@@ -108,7 +110,8 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         (HEADER + "," * 70_000, "row 2: 70000 characters, at most 65536; put one sample in a row"),
         ("# " + "x" * 70_000, "row 1: 70002 characters, at most 65536"),
         (csv() + "1_0,2e\n", "row 202, column acceleration_m_s2: '2e' is no number"),
-        ("time_s\tacceleration_g\n0,1\t1,5\n", "row 2: 3 cells, 2 columns ('time_s, acceleration_g'); correct"),
+        ("time_s\tacceleration_g\n0,1\t1,5\n", "1 samples, at least 8 are needed"),
+        (HEADER + "0,1,5\n" + text(TIMES_S, TAP_M_S2), "row 2: 3 cells, 2 columns ('time_s, acceleration_m_s2')"),
     ],
 )
 def test_bad_text(tmp_path: Path, content: str | bytes, words: str) -> None:
@@ -166,8 +169,8 @@ def test_bad_header_values(tmp_path: Path, comments: str, words: str) -> None:
 
 
 def test_a_column_that_the_caller_misspells(tmp_path: Path) -> None:
-    message = refusal(tmp_path, VALID[".csv"], columns=["time_s", "acceleration_G"])
-    assert message.startswith("unknown column 'acceleration_G'; known: time_s")
+    message = refusal(tmp_path, VALID[".csv"], columns=["time_s", "acceleratoin_g"])
+    assert message.startswith("unknown column 'acceleratoin_g'; known: time_s")
 
 
 @pytest.mark.parametrize("suffix", PACKERS)
@@ -183,7 +186,7 @@ def test_a_column_that_the_caller_misspells(tmp_path: Path) -> None:
         ({"speed_m_s": TAP_M_S2}, "must be one number"),
         ({"speed_m_s": -1.0}, "speed_m_s = -1 m/s: must be > 0"),
         ({"grip_N": "firm"}, "variable grip_N is"),
-        ({"position_cm": TAP_M_S2}, "unknown column 'position_cm'; known: time_s"),
+        ({"posn_mm": TAP_M_S2}, "unknown column 'posn_mm'; known: time_s"),
     ],
 )
 def test_bad_variables(tmp_path: Path, suffix: str, changed: dict[str, Any], words: str) -> None:
@@ -193,7 +196,8 @@ def test_bad_variables(tmp_path: Path, suffix: str, changed: dict[str, Any], wor
 @pytest.mark.parametrize("suffix", PACKERS)
 def test_missing_variables(tmp_path: Path, suffix: str) -> None:
     message = refusal(tmp_path, PACKERS[suffix](a=TIMES_S, b=TAP_M_S2), suffix)
-    assert message == "0 time columns in 'a, b': must be 1; name one time_s or time_ms"
+    rate = "state the sample rate, --rate-Hz 10000"
+    assert message == f"0 time columns in 'a, b': must be 1; name one time_s or time_ms, or {rate}"
     message = refusal(tmp_path, VALID[suffix], suffix, columns=["time_ms", "acceleration_g"])
     assert message.startswith("no variable time_ms; found: 'time_s, acceleration_m_s2, speed_m_s, grip_N'")
 

@@ -69,6 +69,8 @@ def uff(
     response: ComplexArray,
     units: tuple[str, str, str] = ("Hz", "m/s^2", "V"),
     f_Hz: FloatArray = F_HZ,
+    denominator: int = 0,
+    exponents: tuple[str, str] = ("    0    0    0", "    0    0    0"),
 ) -> str:
     """Dataset 58 as its description has it, in columns (SDRC Universal File Format)."""
     width = {5: "13.5E", 6: "20.12E"}[kind]
@@ -85,8 +87,8 @@ def uff(
         f"{function:5d}{1:10d}{1:5d}{0:10d} {'jig':10s}{1:10d}{3:4d} {'coil':10s}{1:10d}{3:4d}",
         f"{kind:10d}{f_Hz.size:10d}{int(even):10d}{f_Hz[0]:13.5E}{step:13.5E}{0.0:13.5E}",
         f"{abscissa:10d}{0:5d}{0:5d}{0:5d} {'Frequency':20s} {units[0]:20s}",
-        f"{ordinate:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {units[1]:20s}",
-        f"{0:10d}{0:5d}{0:5d}{0:5d} {'Voltage':20s} {units[2]:20s}",
+        f"{ordinate:10d}{exponents[0]} {'Acceleration':20s} {units[1]:20s}",
+        f"{denominator:10d}{exponents[1]} {'Voltage':20s} {units[2]:20s}",
         f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}",
     ]
     return "\n".join(["    -1", *head, *lines, "    -1"]) + "\n"
@@ -119,7 +121,13 @@ ORDINATES = {
     "mm/s^2": 1e3,
     "NONE": 1.0,
 }
-INPUTS = {"A": (1.0, "A"), "mA": (1e3, "A"), "V": (1.0, "V"), "mV": (1e3, "V"), "NONE": (1.0, "")}
+INPUTS = {
+    "A": (1.0, "current"),
+    "mA": (1e3, "current"),
+    "V": (1.0, "voltage"),
+    "mV": (1e3, "voltage"),
+    "NONE": (1.0, ""),
+}
 
 
 @pytest.mark.parametrize("of_input", INPUTS)
@@ -128,7 +136,7 @@ INPUTS = {"A": (1.0, "A"), "mA": (1e3, "A"), "V": (1.0, "V"), "mV": (1e3, "V"), 
 def test_a_response_is_the_same_in_whatever_units_its_labels_say(
     abscissa: str, ordinate: str, of_input: str, tmp_path: Path
 ) -> None:
-    per, unit = INPUTS[of_input]
+    per, driven_by = INPUTS[of_input]
     text = uff(
         6,
         even=False,
@@ -140,7 +148,7 @@ def test_a_response_is_the_same_in_whatever_units_its_labels_say(
     found = read_response(tmp_path / "r.uff")
     np.testing.assert_allclose(found.frequencies_Hz, F_HZ, rtol=1e-5)
     np.testing.assert_allclose(found.response, G, rtol=1e-10)
-    assert (found.input_unit, found.notes) == (unit, ())
+    assert (found.driven_by, found.notes) == (driven_by, ())
 
 
 def test_a_ratio_may_stand_in_the_ordinate_alone_and_a_label_in_another_encoding(tmp_path: Path) -> None:
@@ -155,7 +163,7 @@ def test_the_users_units_go_before_the_labels_and_the_contradiction_is_named(tmp
     (tmp_path / "r.uff").write_text(uff(6, even=True, response=np.asarray(G / 9.80665)))
     found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g/A"}))
     np.testing.assert_allclose(found.response, G, rtol=1e-10)
-    assert found.input_unit == "A"
+    assert found.driven_by == "current"
     assert found.notes == ("the file's labels say m/s^2/V, --units says g/A, which is taken",)
 
 
@@ -186,11 +194,160 @@ def test_what_says_nothing_of_a_universal_file_is_refused(
         read_response(tmp_path / "r.uff", layout)
 
 
+NONE = ("Hz", "NONE", "NONE")
+FORCE = "    0    1    0"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            uff(6, even=True, response=G, units=NONE, denominator=13),
+            "its denominator is an excitation force by its ty",
+        ),
+        (uff(6, even=True, response=G, units=NONE, denominator=9), "its denominator is a reaction force by its type"),
+        (uff(6, even=True, response=G, units=NONE, denominator=12), "its denominator is an acceleration by its type"),
+        (
+            uff(6, even=True, response=G, units=NONE, denominator=99),
+            "its denominator is a quantity of type 99 by its",
+        ),
+        (
+            uff(6, even=True, response=G, units=NONE, denominator=1, exponents=("", FORCE)),
+            r"its denominator is length\^0 force\^1 temperature\^0 by its type, neither a current",
+        ),
+        (
+            uff(6, even=True, response=G, units=NONE, ordinate=1, exponents=(FORCE, "")),
+            r"its ordinate is length\^0 force\^1 temperature\^0, no acceleration \(type 12\)",
+        ),
+    ],
+)
+def test_types_and_exponents_say_what_labels_do_not(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_response(tmp_path / "r.uff")
+    found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g/V"}))
+    np.testing.assert_allclose(found.response, 9.80665 * G, rtol=1e-10)
+    assert found.driven_by == "voltage"
+
+
+@pytest.mark.parametrize("exponents", ["", "    0    0    0", "    1    0    0"])
+def test_a_general_ordinate_may_be_an_acceleration_and_a_label_goes_before_a_type(
+    exponents: str, tmp_path: Path
+) -> None:
+    """Lengths have the exponents of an acceleration, since time has none; blank fields say nothing."""
+    text = uff(6, even=True, response=G, ordinate=1, denominator=13, exponents=(f"{exponents:15s}", FORCE))
+    (tmp_path / "r.uff").write_text(text)
+    found = read_response(tmp_path / "r.uff")
+    np.testing.assert_allclose(found.response, G, rtol=1e-10)
+    assert found.driven_by == "voltage"
+
+
+def test_a_velocity_is_told_what_makes_an_acceleration_of_it(tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("Hz", "mm/s", "V")))
+    table(tmp_path / "r.csv", "f (Hz),Mag (mm/s/V),phase_deg", F_HZ, np.abs(G), DEGREES)
+    for name in ("r.uff", "r.csv"):
+        with pytest.raises(InputError, match=r"that is a velocity: multiply it by 2j pi f first"):
+            read_response(tmp_path / name)
+
+
+RATIOS = {"G/V": (9.80665, "voltage"), "(m/s²)/mV": (1e3, "voltage"), "m/sec^2 per Amp": (1.0, "current")}
+
+
+@pytest.mark.parametrize("unit", RATIOS)
+@pytest.mark.parametrize("f_Hz", [("HZ", 1.0), ("Hertz", 1.0), ("rad/sec", 2 * np.pi)])
+def test_labels_of_tables_say_what_the_response_is_to(unit: str, f_Hz: tuple[str, float], tmp_path: Path) -> None:
+    factor, driven_by = RATIOS[unit]
+    in_unit = G / factor
+    heads = {
+        f"Freq [{f_Hz[0]}];Mag [{unit}];Phase [Degrees]": (np.abs(in_unit), DEGREES),
+        f"Freq [{f_Hz[0]}];Re [{unit}];Im [{unit}]": (in_unit.real, in_unit.imag),
+    }
+    for head, columns in heads.items():
+        table(tmp_path / "r.csv", head, F_HZ * f_Hz[1], *columns, mark=";")
+        found = read_response(tmp_path / "r.csv")
+        np.testing.assert_allclose(found.frequencies_Hz, F_HZ, rtol=1e-12)
+        np.testing.assert_allclose(found.response, G, rtol=1e-12)
+        assert (found.driven_by, found.notes) == (driven_by, ())
+
+
+def test_units_that_mean_the_same_are_no_contradiction(tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G))
+    table(tmp_path / "r.csv", "f [Hz],Mag [m/s^2/V],phase_deg", F_HZ, np.abs(G), DEGREES)
+    for unit in ("m/s2/V", "M/S^2/VOLT", "m/s²", "mm/s^2/mV"):
+        for name in ("r.uff", "r.csv"):
+            found = read_response(tmp_path / name, Layout(units={"magnitude": unit, "frequency": "HERTZ"}))
+            np.testing.assert_allclose(found.response, G, rtol=1e-9)
+            assert (found.driven_by, found.notes) == ("voltage", ())
+
+
+def test_a_unit_that_the_user_states_against_the_label_of_a_table_is_named(tmp_path: Path) -> None:
+    table(tmp_path / "r.csv", "f [Hz],Mag [m/s^2/V],phase_deg", F_HZ, np.abs(G), DEGREES)
+    found = read_response(tmp_path / "r.csv", Layout(units={"Mag": "g/A"}))
+    np.testing.assert_allclose(found.response, 9.80665 * G, rtol=1e-12)
+    assert found.driven_by == "current"
+    assert found.notes == ("the file's column is 'Mag [m/s^2/V]', --units says g/A, which is taken",)
+
+
+def test_a_word_about_the_input_against_the_units_is_refused_with_what_settles_it(tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("Hz", "g", "V")))
+    table(tmp_path / "r.csv", "f [Hz],re [g/V],im [g/V]", F_HZ, G.real, G.imag)
+    for name in ("r.uff", "r.csv"):
+        with pytest.raises(InputError, match=r"--input current: its unit g/V says that .* to a voltage") as caught:
+            read_response(tmp_path / name, driven_by="current")
+        units = dict(pair.split("=") for pair in str(caught.value).partition("state --units ")[2].split(","))
+        found = read_response(tmp_path / name, Layout(units=units), driven_by="current")
+        assert found.driven_by == "current"
+        np.testing.assert_allclose(found.response, 9.80665 * G, rtol=1e-10)
+        assert read_response(tmp_path / name, driven_by="voltage").driven_by == "voltage"
+
+
+def test_parts_in_different_units_are_refused_with_what_settles_it(tmp_path: Path) -> None:
+    for other in ("im [g/A]", "imag"):
+        table(tmp_path / "r.csv", f"f [Hz],re [g/V],{other}", F_HZ, G.real, G.imag)
+        with pytest.raises(InputError, match="state the unit of both by --units real=m/s") as caught:
+            read_response(tmp_path / "r.csv")
+        units = dict(pair.split("=") for pair in str(caught.value).partition("by --units ")[2].split(","))
+        np.testing.assert_allclose(read_response(tmp_path / "r.csv", Layout(units=units)).response, G, rtol=1e-10)
+
+
+def test_a_scale_besides_a_unit_that_is_converted_is_named(tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=np.asarray(G / 9.80665), units=("Hz", "g", "V")))
+    found = read_response(tmp_path / "r.uff", scale=9.80665)
+    np.testing.assert_allclose(found.response, 9.80665 * G, rtol=1e-10)
+    assert found.notes == (
+        "g/V is converted to m/s^2 per A or V, and --scale 9.80665 multiplies besides: leave it out if it stands for "
+        "the unit",
+    )
+    assert read_response(tmp_path / "r.uff", scale=-1.0).notes == ()
+    # A level has no unit, and a column without one is what the scale is for.
+    for head, columns in {"magnitude_dB": (DB, DEGREES), "magnitude": (np.abs(G), DEGREES)}.items():
+        table(tmp_path / "r.csv", f"frequency_Hz,{head},phase_deg", F_HZ, *columns)
+        assert read_response(tmp_path / "r.csv", scale=9.80665).notes == ()
+
+
+@pytest.mark.parametrize("name", ["r.uff", "r.csv"])
+def test_what_only_sounds_have_is_refused_of_a_response(name: str, tmp_path: Path) -> None:
+    (tmp_path / "r.uff").write_text(uff(6, even=True, response=G))
+    table(tmp_path / "r.csv", "frequency_Hz,real,imag", F_HZ, G.real, G.imag)
+    with pytest.raises(InputError, match=rf"{name}: --channel 2 .*: only a WAV file has channels; leave it out"):
+        read_response(tmp_path / name, Layout(channel=2))
+    with pytest.raises(InputError, match=rf"{name}: --full-scale 9 .*: only a WAV file has a full scale; leave it"):
+        read_response(tmp_path / name, Layout(full_scale_m_s2=9.0))
+
+
+def test_a_sound_is_no_response(tmp_path: Path) -> None:
+    (tmp_path / "r.wav").write_bytes(b"RIFF")
+    with pytest.raises(
+        InputError, match=r"r\.wav: a WAV file holds a signal, no frequency response; export the resp"
+    ):
+        read_response(tmp_path / "r.wav")
+
+
 def test_a_unit_of_the_acceleration_alone_leaves_the_input_to_the_label(tmp_path: Path) -> None:
     (tmp_path / "r.uff").write_text(uff(6, even=True, response=G, units=("Hz", "furlong", "mV")))
     found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g"}))
     np.testing.assert_allclose(found.response, 9.80665e3 * G, rtol=1e-10)
-    assert found.input_unit == "V"
+    assert found.driven_by == "voltage"
 
 
 def test_the_units_that_a_refusal_asks_for_lead_to_a_response(tmp_path: Path) -> None:
@@ -210,7 +367,7 @@ def test_responses_as_people_bring_them(name: str) -> None:
         pytest.skip(f"{path.name}: the measured cases are not beside this checkout")
     found = read_response(path)
     assert abs(found.response[np.argmin(np.abs(found.frequencies_Hz - 150.0))]) == pytest.approx(32.0, rel=0.01)
-    assert found.input_unit == "V"
+    assert found.driven_by == "voltage"
 
 
 WHOLE = uff(6, even=True, response=G)
@@ -222,7 +379,7 @@ WHOLE = uff(6, even=True, response=G)
         (uff(6, even=True, response=G, function=1), "0 frequency responses in 1 datasets 58, must be one"),
         (WHOLE + WHOLE, "2 frequency responses in 2 datasets 58, must be one"),
         (uff(6, even=True, response=G, abscissa=17), "its abscissa is no frequency"),
-        (uff(6, even=True, response=G, ordinate=8), r"its ordinate is no acceleration \(type 12\); export the acc"),
+        (uff(6, even=True, response=G, ordinate=8), r"is a displacement, no acceleration \(type 12\); export"),
         ("\n".join([*WHOLE.splitlines()[:-4], "    -1"]), "88 numbers, its head promises 100; it is cut short"),
         (WHOLE.replace("         6        50", "         2        50"), "ordinate type 2, must be 5 or 6, complex"),
         (

@@ -1,0 +1,151 @@
+"""Units as instruments and people write them, and what makes SI of each: one table for all readers.
+
+A unit means what it says whatever signs, words or capitals spell it: m/s², M/S^2, m/sec**2 and m s-2 are one unit. A
+capital that changes the meaning counts: MV is no millivolt. A response has an acceleration over an input, g/V for
+example; its parts are looked up in the rows of the acceleration, the current and the voltage.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+
+# In the place of a factor: a magnitude of so many dB is 10^(dB / 20), re 1 m/s^2 per A or V.
+LEVEL = math.nan
+INPUTS: Mapping[str, str] = {"current": "A", "voltage": "V"}  # quantity that may drive an actuator -> its SI unit
+_CURRENT = {"A": 1.0, "mA": 1e-3, "uA": 1e-6}
+_TEMPERATURE = {"C": 1.0, "degC": 1.0, "°C": 1.0}
+# Quantity -> unit -> factor to SI; other spellings are found by `_plain`.
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "acceleration": {
+        "m/s^2": 1.0,
+        "g": STANDARD_GRAVITY_M_S2,
+        "gn": STANDARD_GRAVITY_M_S2,
+        "mg": 1e-3 * STANDARD_GRAVITY_M_S2,
+        "mm/s^2": 1e-3,
+        "cm/s^2": 1e-2,
+    },
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
+    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "current": _CURRENT,
+    "command": _CURRENT,
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+    "winding": _TEMPERATURE,
+    "housing": _TEMPERATURE,
+    "ambient": _TEMPERATURE,
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "rad/s": 1 / (2 * math.pi)},
+    "magnitude": {"dB": LEVEL},
+    "real": {},
+    "imaginary": {},
+    "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
+}
+RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
+_SIGNS = str.maketrans({"²": "2", "⁻": "-", "µ": "u", "μ": "u", "·": " ", "*": " ", "^": None})
+_WORD = re.compile(
+    r"(?<![a-z])(?P<prefix>milli|micro|nano|kilo|[munk])?"
+    r"(?P<stem>sec|volt|amp|hertz|newton|met|deg|rad|g)(?:onds?|eres?|ers?|res?|rees?|ians?|'?s)?(?![a-z])",
+    re.IGNORECASE,
+)
+_SYMBOLS = {"sec": "s", "volt": "V", "amp": "A", "hertz": "Hz", "newton": "N", "met": "m"}
+_PER_SECOND_TWICE = re.compile(r"(/s/s|[ _]?s-2|_s2)$", re.IGNORECASE)
+
+
+class Unit(NamedTuple):
+    """What a unit means.
+
+    Attributes
+    ----------
+    factor : to SI; `LEVEL` for a level in dB.
+    per : what a response is to, "current" or "voltage"; empty where the unit does not say it.
+    """
+
+    factor: float
+    per: str = ""
+
+    def means(self, other: "Unit") -> bool:
+        """Whether another unit is the same, however it is spelled."""
+        levels = math.isnan(self.factor), math.isnan(other.factor)
+        return self.per == other.per and (all(levels) or math.isclose(self.factor, other.factor))
+
+
+def _symbol(word: re.Match[str]) -> str:
+    prefix, stem = word["prefix"] or "", word["stem"].lower()
+    short = "u" if prefix.lower() == "micro" else prefix[:1]
+    return (short.lower() if len(prefix) > 1 or word[0].isupper() else short) + _SYMBOLS.get(stem, stem)
+
+
+def _plain(unit: str) -> str:
+    """One spelling of a unit's many: no superscripts, words or signs that keyboards lack."""
+    plain = " ".join(unit.replace("**", "").translate(_SIGNS).split())
+    return _PER_SECOND_TWICE.sub("/s2", _WORD.sub(_symbol, plain))
+
+
+_EXACT = {of: {_plain(unit): factor for unit, factor in table.items()} for of, table in UNITS.items()}
+_SMALL = {of: {unit.lower(): factor for unit, factor in table.items()} for of, table in _EXACT.items()}
+
+
+def _factor(unit: str, quantity: str) -> float | None:
+    """What makes SI of a unit; None for one that this quantity does not have."""
+    plain, exact = _plain(unit), _EXACT[quantity]
+    if plain in exact:
+        return exact[plain]
+    if plain[:1] == "M" and plain[1:] in exact:
+        return None  # mega, which small letters would make milli
+    return _SMALL[quantity].get(plain.lower())
+
+
+def parts(unit: str) -> tuple[str, str]:
+    """The unit of an acceleration and that of an input, of a unit like g/V; the second is empty where it has none."""
+    above, _, below = re.sub(r"\s+per\s+", "/", unit).rpartition("/")
+    if above and any(_factor(below, per) is not None for per in INPUTS):
+        return above.strip(" ()"), below
+    return unit, ""
+
+
+def input_unit(unit: str) -> Unit | None:
+    """What one over a unit of an input means in a response; None for a unit that is none of an input."""
+    factors = {per: _factor(unit, per) for per in INPUTS}
+    return next((Unit(1 / factor, per) for per, factor in factors.items() if factor is not None), None)
+
+
+def with_input(unit: str, other: str) -> str:
+    """A unit of an acceleration over the input that another unit has, where it has none itself."""
+    below = parts(other)[1]
+    is_bare = _factor(unit, "acceleration") is not None
+    return f"{unit}/{below}" if is_bare and below else unit
+
+
+def read_unit(unit: str, quantity: str) -> Unit | None:
+    """The meaning of a unit as instruments write it; None for one that this quantity does not have."""
+    factor = _factor(unit, quantity)
+    if factor is not None or quantity not in RATIOS:
+        return None if factor is None else Unit(factor)
+    above, below = parts(unit)
+    factor = _factor(above, "acceleration")
+    by = input_unit(below) if below else Unit(1.0)
+    return None if factor is None or by is None else Unit(factor * by.factor, by.per)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit of any quantity."""
+    return any(read_unit(text, quantity) is not None for quantity in UNITS)
+
+
+def remedy_of(unit: str) -> str:
+    """What to do with a column in a unit of another quantity than the wanted one; empty where that is not known."""
+    above = parts(unit)[0]
+    if _factor(unit, "voltage") is not None:
+        return "; divide a sensor's voltage by its sensitivity first"
+    if _factor(above, "velocity") is not None:
+        return "; that is a velocity: multiply it by 2j pi f first, an acceleration's response is wanted"
+    return ""
+
+
+def known_units(quantity: str) -> list[str]:
+    """Units of a quantity, for messages; the first is that in SI."""
+    ratios = [f"{unit}/{per}" for unit in ("m/s^2", "g", "mm/s^2") for per in INPUTS.values()]
+    return (ratios if quantity in RATIOS else []) + list(UNITS[quantity])
