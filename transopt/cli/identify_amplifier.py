@@ -33,8 +33,8 @@ def identify_amplifier(
     """
     from transopt.base.plotting import save_figure
     from transopt.identify.amplifier import fit_amplifier
-    from transopt.identify.figures.amplifier import amplifier_figure
     from transopt.identify.measurement import load_measurements
+    from transopt.report.amplifier_fit import amplifier_figure
     from transopt.scene.model_file import save_part
 
     check_place(out)

@@ -51,8 +51,8 @@ def identify_coil(
 
     from transopt.base.plotting import save_figure
     from transopt.identify.coil import fit_coil, heat_record
-    from transopt.identify.figures.coil import coil_figure
     from transopt.identify.measurement import load_measurement
+    from transopt.report.coil_fit import coil_figure
     from transopt.scene.model_file import save_part
 
     check_place(out)

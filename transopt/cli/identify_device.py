@@ -57,8 +57,8 @@ def identify_device(
     from transopt.base.plotting import save_figure
     from transopt.identify.device.identify import identify
     from transopt.identify.device.result import Kind, device_part
-    from transopt.identify.figures.device import device_figure
     from transopt.identify.measurement import load_measurements
+    from transopt.report.device_fit import device_figure
     from transopt.scene.model_file import save_part
 
     console = terminal.console()

@@ -41,11 +41,11 @@ def identify_hand(
     from pydantic import ValidationError
 
     from transopt.base.plotting import save_figure
-    from transopt.identify.figures.hand import hand_figure
     from transopt.identify.hand.chain import fit_chain
     from transopt.identify.hand.lines import fit_hand
     from transopt.identify.hand.tap import usable_taps
     from transopt.identify.measurement import load_measurements, split_taps
+    from transopt.report.hand_fit import hand_figure
     from transopt.scene.fitted import complaint
     from transopt.scene.model_file import save_part
 

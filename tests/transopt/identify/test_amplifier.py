@@ -28,8 +28,8 @@ from transopt.identify.amplifier import (
     sampled_response,
     simulate_current,
 )
-from transopt.identify.figures.amplifier import amplifier_figure, prefilter_response
 from transopt.identify.spectrum import Trial, estimate_transfer
+from transopt.report.amplifier_fit import amplifier_figure, prefilter_response
 from transopt.scene.model_file import load_model
 
 FINE = 100  # steps of a microsecond in a servo period
