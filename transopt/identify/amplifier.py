@@ -10,11 +10,14 @@ from scipy import optimize, special
 from transopt.base.errors import InputError
 from transopt.base.recursions import filtered
 from transopt.base.signals import ComplexArray, FloatArray
+from transopt.identify import checks
 from transopt.identify.checks import COHERENT, Fault, Finding, check_bins
 from transopt.identify.condensed import Condensed
 from transopt.identify.likelihood import Likelihood, Maximum
-from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, transfer
+from transopt.identify.measurement import Measurement, sources
+from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, estimate_transfer, transfer
 from transopt.plant.discretise import split_delay
+from transopt.scene.model_parts import AmplifierPart
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 LEAST_BINS = 12
@@ -96,7 +99,7 @@ class AmplifierFit:
         """(m,) of the fit, from command samples to samples of the current."""
         return self.gain * sampled_response(frequencies_Hz, self.pole_Hz, self.delay_s, self.dt_s)
 
-    def shortcomings(self) -> list[str]:
+    def shortfalls(self) -> list[str]:
         """What keeps the fit from being one to design with, each with what to record again; empty if nothing does."""
         found = []
         low, high = self.intervals["pole_Hz"]
@@ -122,12 +125,31 @@ class AmplifierFit:
 
     def verdict(self) -> str:
         """One sentence for the model file and for the user: fit to design with, or why not."""
-        shortcomings = self.shortcomings()
-        if shortcomings:
-            return "not fit to design with: " + "; ".join(shortcomings)
+        shortfalls = self.shortfalls()
+        if shortfalls:
+            return "not fit to design with: " + "; ".join(shortfalls)
         low, high = self.estimate.frequencies_Hz[[0, -1]]
         misses = f"by at most {self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg beyond its noise"
         return f"one pole and a pure delay miss the current {misses}, {low:.3g} to {high:.4g} Hz; fit to design with"
+
+    def part(self, runs: Sequence[Measurement]) -> AmplifierPart:
+        """What the model file states of a fit to these runs."""
+        low, high = self.intervals["delay_s"]
+        half_s = 0.5 * self.dt_s
+        return AmplifierPart.model_validate(
+            {
+                "pole_Hz": self.pole_Hz,
+                "delay_s": self.delay_s,
+                "delay_with_hold_s": self.delay_with_hold_s,
+                "gain": self.gain,
+                "intervals": {**self.intervals, "delay_with_hold_s": (low + half_s, high + half_s)},
+                "parameters": ["pole_Hz", "delay_s"],
+                "covariance": self.covariance[:2, :2].tolist(),
+                "verdict": self.verdict(),
+                "shortfalls": self.shortfalls(),
+                "sources": sources(runs),
+            }
+        )
 
 
 Shape = Callable[[FloatArray, float, float, float], tuple[ComplexArray, ComplexArray]]
@@ -309,6 +331,38 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         trial_gains=_gains(plain.data, sampled_response(plain.data.frequencies_Hz, pole, delay, dt_s)),
         dt_s=dt_s,
     )
+
+
+def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
+    """Trials from command to current, and what is wrong with them that is not fatal.
+
+    Raises
+    ------
+    InputError : a finding that is.
+    """
+    signals = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
+    findings = checks.refuse(
+        finding for run in runs for finding in checks.check_measurement(run, ("command", "current"))
+    )
+    trials = [Trial(run.name, command, current) for run, command, current in signals]
+    checks.refuse(checks.check_rates(trials))
+    # Each by itself, so that the message names the file.
+    each = [estimate_transfer([trial]) for trial in trials]
+    checks.refuse(check_alike([trial.name for trial in trials], each))
+    for trial, alone in zip(trials, each, strict=True):
+        checks.refuse(
+            checks.check_sign(
+                trial.name,
+                alone,
+                "from command to current",
+                "swap the leads of the current sensor or correct its sign, and record again",
+            )
+        )
+    together = estimate_transfer(trials)
+    low_Hz = float(together.frequencies_Hz[0])
+    findings += checks.refuse(checks.check_cycles("all files", trials, together, low_Hz))
+    findings += checks.low_coherence("all files", together)
+    return trials, findings
 
 
 def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> list[Finding]:

@@ -16,8 +16,9 @@ from scipy import optimize, special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.measurement import Measurement
+from transopt.identify.measurement import Measurement, sources
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel, effective_square
+from transopt.scene.model_parts import CoilPart
 
 NAMES = ("R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s")
 LEVEL = 0.95
@@ -424,3 +425,36 @@ def _guess(record: HeatRecord) -> FloatArray:
     slow = max(record.powered_s / 4, 10 * record.dt_s)
     temperatures = [cold] if record.ambient_C is None else [cold, cold]
     return np.concatenate([np.log([0.2 * total, 0.8 * total, slow / 30, slow]), temperatures])
+
+
+def verdict(fit: CoilFit, nominal: CoilModel) -> str:
+    """In plain words: what the coil's model may be used for, or why not."""
+    short = fit.shortfalls()
+    if short:
+        return f"not to be relied upon: {'; '.join(short)}"
+    # The identified coil in the scene's surroundings, to be compared with the datasheet.
+    continuous_A = replace(fit.coil, ambient_C=nominal.ambient_C).continuous_current_A()
+    ripple = (
+        ""
+        if fit.record.ripple_A == PWM_RIPPLE_A
+        else f"; fitted with {fit.record.ripple_A:g} A of ripple, a design counts {PWM_RIPPLE_A:g} A"
+    )
+    return (
+        f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "
+        f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C{ripple}"
+    )
+
+
+def coil_part(fit: CoilFit, run: Measurement, nominal: CoilModel) -> CoilPart:
+    """What the model file states."""
+    return CoilPart.model_validate(
+        {
+            **{name: getattr(fit.coil, name) for name in NAMES},
+            "intervals": dict(zip(NAMES, fit.intervals.tolist(), strict=True)),
+            "parameters": list(NAMES),
+            "covariance": fit.covariance.tolist(),
+            "verdict": verdict(fit, nominal),
+            "shortfalls": fit.shortfalls(),
+            "sources": sources([run]),
+        }
+    )

@@ -10,16 +10,18 @@ that scatter by 5 to 10 % from tap to tap. These intervals do not cover that.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import linalg, optimize, signal, stats
 
 from transopt.base.signals import FloatArray
-from transopt.identify.hand.lines import LEVEL, HandFit
+from transopt.identify.hand.lines import COEFFICIENTS, LEVEL, HandFit, grip_groups
 from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
+from transopt.identify.measurement import Measurement, sources
 from transopt.plant.hand import LinearInGrip
+from transopt.scene.model_parts import HandPart
 
 OF_HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
 NAMES = ("stylus_mass_kg", *(f"hand.{name}.{part}" for name in OF_HAND for part in ("constant", "per_newton")))
@@ -87,6 +89,19 @@ class ChainFit:
             )
         agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
         return f"{text}; {agreeing} of {len(self.starts)} starts end in the same optimum"
+
+    def content(self) -> dict[str, object]:
+        """The fourth-order hand as the model file keeps it."""
+        return {
+            "stylus_mass_kg": self.stylus_mass_kg,
+            "hand": {name: asdict(line) for name, line in self.lines.items()},
+            "intervals": dict(zip(NAMES, self.intervals.tolist(), strict=True)),
+            "parameters": list(NAMES),
+            "covariance": self.covariance.tolist(),
+            "undetermined": self.undetermined,
+            "nrmse": self.unexplained,
+            "verdict": self.word(),
+        }
 
 
 @dataclass(frozen=True)
@@ -309,3 +324,29 @@ def _maps(ends: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     to_lines = linalg.block_diag(alone, *[line] * len(OF_HAND))
     to_middle = linalg.block_diag(alone, *[middle] * len(OF_HAND))
     return np.asarray(to_lines), np.asarray(to_middle)
+
+
+def hand_part(fit: HandFit, chain: ChainFit, runs: Sequence[Measurement]) -> HandPart:
+    """What the model file states.
+
+    Raises
+    ------
+    pydantic.ValidationError : no passive hand.
+    """
+    grips = [float(fit.grips_N[group].mean()) for group in grip_groups(fit.grips_N)]
+    grips[0], grips[-1] = float(fit.grips_N.min()), float(fit.grips_N.max())
+    bounds = [pair for line in fit.lines for pair in line.intervals.tolist()]
+    lines = {line.quantity: asdict(line.line) for line in fit.lines}
+    return HandPart.model_validate(
+        {
+            **lines,
+            "intervals": dict(zip(COEFFICIENTS, bounds, strict=True)),
+            "parameters": list(COEFFICIENTS),
+            "covariance": fit.covariance.tolist(),
+            "grips_N": grips,
+            "verdict": fit.verdict(),
+            "shortfalls": fit.shortfalls(),
+            "sources": sources(runs),
+            "fourth_order": chain.content(),
+        }
+    )
