@@ -24,7 +24,6 @@ LEAST_BINS = 12
 POLE_RANGE = 1e-3, 10.0  # of the servo's rate: poles outside leave no trace in the samples
 LATEST_TICKS = 20.0  # of delay
 GAIN_RANGE = 1e6
-MOST_STEPS = 200
 COARSE = 4  # bins, of which one says where to begin
 RESTED = 10.0  # time constants after which a current rests
 ROUNDED = 1e-6  # of a response: rounding, and the polynomial across a bin
@@ -239,11 +238,9 @@ def fit_pole(data: Condensed, shape: Shape = sampled, start: tuple[float, float]
         gain = -float(moved @ silent) / float(moved @ moved)
         rough.append((gain * float(moved @ silent), np.array([np.log(pole), ticks, gain])))
     rough.sort(key=lambda one: one[0])
-    free = np.ones(3, dtype=bool)
-    found = [likelihood.search(begun, bounds[0], bounds[1], free, MOST_STEPS) for _, begun in rough[:STARTS]]
-    best, _ = min(found, key=lambda one: one[1])
+    best, _ = likelihood.searches([begun for _, begun in rough[:STARTS]], *bounds)[0]
     # A delay of zero is at its bound and as well known as any other.
-    return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, free)
+    return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, np.ones(3, dtype=bool))
 
 
 def _share(good: NDArray[np.bool_]) -> str:

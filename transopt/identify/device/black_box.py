@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.device.chain_search import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
+from transopt.identify.squares import Squares
 from transopt.identify.vector_fit import vector_fit
 from transopt.plant.state_space import StateSpace
 
@@ -162,7 +162,7 @@ def _start(poles: ComplexArray) -> FloatArray:
     return np.asarray(np.log(np.stack([w, np.maximum(a, 2 * NUDGE * w)], axis=1)).ravel())
 
 
-class _Projected:
+class _Projected(Squares):
     """Residuals over the poles alone, the output always the best one for them (variable projection).
 
     The Jacobian is Kaufman's (1975): that at fixed output, less what the output can make up for. Poles and output
@@ -170,9 +170,9 @@ class _Projected:
     """
 
     def __init__(self, one: GripResponse, instrument: Instrument, sections: _Sections) -> None:
+        super().__init__(self._over_poles)
         self._one, self._instrument, self._sections = one, instrument, sections
-        self._at = np.zeros(0)
-        self._last = (np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+        self.narrowest = _Narrowest(one.estimate.frequencies_Hz)
 
     def _stacked(self, unknowns: FloatArray, slopes: tuple[Slope, ...]) -> tuple[FloatArray, FloatArray]:
         """Weighted response (2 m,) and its slopes (2 m, p), real parts first."""
@@ -181,23 +181,25 @@ class _Projected:
         value, by_unknown = value / self._one.deviation, (by_unknown / self._one.deviation).T
         return np.concatenate([value.real, value.imag]), np.vstack([by_unknown.real, by_unknown.imag])
 
-    def at(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (2 m,), Jacobian (2 m, order), all unknowns (order + outputs,)."""
-        if not np.array_equal(self._at, poles):
-            sections, e = self._sections, self._one.estimate
-            wanted = e.response / self._one.deviation
-            measured = np.concatenate([wanted.real, wanted.imag])
-            unknowns = np.concatenate([poles, np.zeros(sections.outputs)])
-            _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
-            norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-            axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
-            resolved = size > RANK * size[0]
-            axes, size, along = axes[:, resolved], size[resolved], along[resolved]
-            unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
-            value, slopes = self._stacked(unknowns, sections.pole_slopes(unknowns))
-            self._at = poles.copy()
-            self._last = value - measured, slopes - axes @ (axes.T @ slopes), unknowns
-        return self._last
+    def whole(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """All unknowns (order + outputs,), what was measured (2 m,), and axes (2 m, r) of what an output can make."""
+        sections = self._sections
+        wanted = self._one.estimate.response / self._one.deviation
+        measured = np.concatenate([wanted.real, wanted.imag])
+        unknowns = np.concatenate([self.narrowest.widened(poles), np.zeros(sections.outputs)])
+        _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
+        norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+        axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
+        resolved = size > RANK * size[0]
+        axes, size, along = axes[:, resolved], size[resolved], along[resolved]
+        unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
+        return unknowns, measured, axes
+
+    def _over_poles(self, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (2 m,) and Jacobian (2 m, order)."""
+        unknowns, measured, axes = self.whole(poles)
+        value, slopes = self._stacked(unknowns, self._sections.pole_slopes(unknowns))
+        return value - measured, self.narrowest.through(poles, slopes - axes @ (axes.T @ slopes))
 
 
 class _Narrowest:
@@ -234,26 +236,11 @@ def _polished(
     one: GripResponse, instrument: Instrument, sections: _Sections, poles: ComplexArray
 ) -> tuple[StateSpace, float]:
     """Poles and output from least squares on the exact sampled response: plant, sum of squares."""
-    projected, narrowest = _Projected(one, instrument, sections), _Narrowest(one.estimate.frequencies_Hz)
-    start = narrowest.widened(_start(poles))
-    low, high = start - np.log(REACH), start + np.log(REACH)
-
-    def bounded(unknowns: FloatArray) -> FloatArray:
-        return narrowest.widened(np.clip(unknowns, low, high))
-
-    def value(unknowns: FloatArray) -> FloatArray:
-        return projected.at(bounded(unknowns))[0]
-
-    def slope(unknowns: FloatArray) -> FloatArray:
-        inside = np.clip(unknowns, low, high)
-        jacobian = narrowest.through(inside, projected.at(narrowest.widened(inside))[1])
-        return np.where((unknowns < low) | (unknowns > high), 0.0, jacobian)
-
-    # MINPACK: the factorisations of scipy's own methods take ten times as long when their threads meet busy cores.
-    found = optimize.least_squares(
-        value, start, jac=slope, method="lm", ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_STEPS
-    )
-    return sections.plant(projected.at(bounded(found.x))[2]), 2 * float(found.cost)
+    projected = _Projected(one, instrument, sections)
+    start = projected.narrowest.widened(_start(poles))
+    reach = np.log(REACH)
+    found, cost = projected.search(start, start - reach, start + reach, most=MOST_STEPS, tolerance=TOLERANCE)
+    return sections.plant(projected.whole(found)[0]), cost
 
 
 def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:

@@ -14,12 +14,13 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg, optimize, signal, stats
+from scipy import linalg, signal, stats
 
 from transopt.base.signals import FloatArray
 from transopt.identify.hand.lines import COEFFICIENTS, LEVEL, HandFit, grip_groups
 from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
 from transopt.identify.measurement import Measurement, sources
+from transopt.identify.squares import Squares, by_differences, inverse
 from transopt.plant.hand import LinearInGrip
 from transopt.scene.model_parts import HandPart
 
@@ -30,7 +31,6 @@ DETERMINED = 0.25  # half width of the interval at the middle grip, relative
 MISSED = 0.05  # NRMSE of the acceleration above which more than noise and scatter of hands is to be feared
 ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
-_STEP = 1e-6  # relative, of differences
 _OVERSAMPLED = 5
 _TOLERANCE, _TRIES = 1e-6, 30
 _LEAST_KG = 1e-3
@@ -52,7 +52,7 @@ class ChainFit:
     uncertain : name of the stylus mass and of each line -> half width of its interval at the middle grip, relative.
     entangled : pairs whose values at the middle grip are correlated by more than `ENTANGLED`.
     unexplained : median over the taps of |a - model| / |a|.
-    starts : costs reached from each start, the best first.
+    starts : sums of squares reached from each start, the best first.
     """
 
     stylus_mass_kg: float
@@ -161,11 +161,9 @@ class _Session:
         )
         return ((simulated.reshape(P, T, -1) - self.acceleration) * self.weight)[..., :: self.every]
 
-    def jacobian(self, theta: FloatArray, scale: FloatArray) -> FloatArray:
-        """(T n / every, 11), by forward differences in one batch."""
-        step = _STEP * np.maximum(np.abs(theta), 1e-3 * scale)
-        residuals = self.residuals(np.vstack([theta, theta + np.diag(step)])).reshape(theta.size + 1, -1)
-        return np.asarray(((residuals[1:] - residuals[0]) / step[:, None]).T)
+    def squares(self, scale: FloatArray) -> Squares:
+        """The sum of squares of parameters in units of `scale` (11,)."""
+        return Squares(by_differences(lambda sets: self.residuals(sets * scale).reshape(len(sets), -1)))
 
 
 def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: FloatArray) -> FloatArray:
@@ -239,9 +237,13 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, s
     guess = _guess(hand, ends)
     random = np.random.default_rng(seed)
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
-    tried = sorted((_solve(part, guess * factor, guess) for factor in factors), key=lambda found: float(found.cost))
-    best = _solve(session, tried[0].x, guess)
-    return _with_uncertainty(session, best.x, guess, tuple(float(found.cost) for found in tried))
+    # No parameter is negative at either end.
+    least = np.concatenate([_LEAST_KG / guess[:3], np.zeros(guess.size - 3)])
+    bounds = least, np.full(guess.size, np.inf)
+    tried = part.squares(guess).searches(factors, *bounds, most=_TRIES, tolerance=_TOLERANCE)
+    squares = session.squares(guess)
+    best, _ = squares.search(tried[0][0], *bounds, most=_TRIES, tolerance=_TOLERANCE)
+    return _with_uncertainty(session, squares.evaluate(best), best * guess, guess, tuple(cost for _, cost in tried))
 
 
 def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
@@ -257,37 +259,24 @@ def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
     return np.concatenate([np.array([stylus]), (1 - _STYLUS_SHARE) * mass, np.array(skin), stiffness, damping])
 
 
-def _solve(session: _Session, start: FloatArray, scale: FloatArray) -> optimize.OptimizeResult:
-    """Least squares from one start, no parameter negative at either end."""
-    least = np.zeros(start.size)
-    least[:3] = _LEAST_KG
+def _with_uncertainty(
+    session: _Session,
+    at: tuple[FloatArray, FloatArray],
+    theta: FloatArray,
+    scale: FloatArray,
+    costs: tuple[float, ...],
+) -> ChainFit:
+    """The fit of an optimum theta (11,), with covariance, intervals, and what the taps leave open.
 
-    def residuals(theta: FloatArray) -> FloatArray:
-        return np.asarray(session.residuals(theta[None])[0].ravel())
-
-    def jacobian(theta: FloatArray) -> FloatArray:
-        return session.jacobian(theta, scale)
-
-    return optimize.least_squares(
-        residuals,
-        start,
-        jac=jacobian,
-        bounds=(least, np.inf),
-        x_scale=scale,
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        max_nfev=_TRIES,
-    )
-
-
-def _with_uncertainty(session: _Session, theta: FloatArray, scale: FloatArray, costs: tuple[float, ...]) -> ChainFit:
-    """The fit of an optimum theta (11,), with covariance, intervals, and what the taps leave open."""
+    Parameters
+    ----------
+    at : residuals there and their Jacobian by theta in units of `scale`.
+    """
     T, p = session.grips_N.size, theta.size
-    residuals = session.residuals(theta[None])[0]
-    J = session.jacobian(theta, scale) * scale
+    residuals, J = at[0].reshape(T, -1), at[1]
     # One score per tap: what is left of a tap whose hand was another is alike all over it.
     scores = np.einsum("tnp,tn->tp", J.reshape(T, -1, p), residuals)
-    bread = np.linalg.pinv(J.T @ J)
+    bread = inverse(J)
     covariance = np.outer(scale, scale) * (bread @ (scores.T @ scores) @ bread) * T / (T - p)
     to_lines, to_middle = _maps(session.ends_N)
     found = to_lines @ theta
