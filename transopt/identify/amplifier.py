@@ -11,7 +11,7 @@ from transopt.base.errors import InputError
 from transopt.base.recursions import filtered
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify import checks
-from transopt.identify.checks import COHERENT, Fault, Finding, check_bins
+from transopt.identify.checks import COHERENT, Check, Finding, check_bins
 from transopt.identify.condensed import Condensed
 from transopt.identify.likelihood import Likelihood, Maximum
 from transopt.identify.measurement import Measurement, sources
@@ -347,14 +347,7 @@ def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
     each = [estimate_transfer([trial]) for trial in trials]
     checks.refuse(check_alike([trial.name for trial in trials], each))
     for trial, alone in zip(trials, each, strict=True):
-        checks.refuse(
-            checks.check_sign(
-                trial.name,
-                alone,
-                "from command to current",
-                "swap the leads of the current sensor or correct its sign, and record again",
-            )
-        )
+        checks.refuse(checks.check_sign(trial.name, alone))
     together = estimate_transfer(trials)
     low_Hz = float(together.frequencies_Hz[0])
     findings += checks.refuse(checks.check_cycles("all files", trials, together, low_Hz))
@@ -371,7 +364,6 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     ----------
     estimates : of each trial alone, from command to current.
     """
-    again = "check the current monitor and record again"
     found, delays, gains = [], [], []
     for name, one in zip(names, estimates, strict=True):
         good = one.coherence >= COHERENT
@@ -379,8 +371,7 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
             found += check_bins(name, one, LEAST_BINS)
             continue
         if np.count_nonzero(good) < LEAST_BINS:
-            text = f"the current does not follow the command: {_share(good)}; {again}"
-            found.append(Finding(Fault.INCOHERENT, name, text, True))
+            found.append(Check.CURRENT_ALONE.at(name, share=_share(good)))
             continue
         w, phase = 2 * np.pi * one.frequencies_Hz[good], np.unwrap(np.angle(one.response[good]))
         delays.append((name, float(-np.polynomial.Polynomial.fit(w, phase, 1).convert().coef[1] / one.dt_s)))
@@ -390,13 +381,9 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     usual_delay, usual_gain = (float(np.median([value for _, value in each])) for each in (delays, gains))
     for (name, delay), (_, gain) in zip(delays, gains, strict=True):
         if abs(np.log(gain / usual_gain)) > np.log(APART_GAIN):
-            text = (
-                f"the gain from command to current is {gain / usual_gain:.3g} times that of the other files; {again}"
-            )
-            found.append(Finding(Fault.CURRENT_SCALE, name, text, True))
+            found.append(Check.GAIN_APART.at(name, ratio=gain / usual_gain))
         elif abs(delay - usual_delay) > APART_TICKS:
-            text = f"the current comes {delay - usual_delay:+.2f} samples later than in the other files"
-            found.append(Finding(Fault.SHIFTED, name, f"{text}; read both at the same tick and record again", True))
+            found.append(Check.DELAY_APART.at(name, samples=delay - usual_delay))
     return found
 
 
