@@ -10,8 +10,18 @@ from scipy import optimize, special
 from transopt.base.errors import InputError
 from transopt.base.recursions import filtered
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify import checks
-from transopt.identify.checks import COHERENT, Check, Finding, check_bins
+from transopt.identify.checks import (
+    COHERENT,
+    Check,
+    Finding,
+    check_bins,
+    check_cycles,
+    check_measurement,
+    check_rates,
+    check_sign,
+    low_coherence,
+    refuse,
+)
 from transopt.identify.condensed import Condensed
 from transopt.identify.likelihood import Likelihood, Maximum
 from transopt.identify.measurement import Measurement, sources
@@ -338,20 +348,18 @@ def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
     InputError : a finding that is.
     """
     signals = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
-    findings = checks.refuse(
-        finding for run in runs for finding in checks.check_measurement(run, ("command", "current"))
-    )
+    findings = refuse(finding for run in runs for finding in check_measurement(run, ("command", "current")))
     trials = [Trial(run.name, command, current) for run, command, current in signals]
-    checks.refuse(checks.check_rates(trials))
+    refuse(check_rates(trials))
     # Each by itself, so that the message names the file.
     each = [estimate_transfer([trial]) for trial in trials]
-    checks.refuse(check_alike([trial.name for trial in trials], each))
+    refuse(check_alike([trial.name for trial in trials], each))
     for trial, alone in zip(trials, each, strict=True):
-        checks.refuse(checks.check_sign(trial.name, alone))
+        refuse(check_sign(trial.name, alone))
     together = estimate_transfer(trials)
     low_Hz = float(together.frequencies_Hz[0])
-    findings += checks.refuse(checks.check_cycles("all files", trials, together, low_Hz))
-    findings += checks.low_coherence("all files", together)
+    findings += refuse(check_cycles("all files", trials, together, low_Hz))
+    findings += low_coherence("all files", together)
     return trials, findings
 
 
