@@ -13,7 +13,6 @@ from scipy import optimize
 from transopt.base.signals import FloatArray
 
 TOLERANCE = 1e-10
-RELEASES = 20  # of unknowns that a search has left at a bound, though a better point lies inside
 STEP = 1e-6  # of differences, relative to the scale of an unknown
 
 Found = tuple[FloatArray, float]
@@ -47,6 +46,7 @@ class Squares:
         *,
         most: int = 200,
         tolerance: float = TOLERANCE,
+        releases: int = 0,
     ) -> Found:
         """The least sum within the bounds that a start leads to.
 
@@ -55,10 +55,11 @@ class Squares:
         free : (p,) what is sought; the rest stays as it starts.
         most : evaluations.
         tolerance : relative, of the sum and of the unknowns.
+        releases : how often unknowns may leave a bound at which they stayed though a better point lies inside.
         """
         free = np.ones(start.size, dtype=bool) if free is None else free
         point, total = self._unconstrained(start, low, high, free, most, tolerance)
-        for _ in range(RELEASES):
+        for _ in range(releases):
             residuals, slopes = self.evaluate(point)
             size = np.linalg.norm(slopes, axis=0) * float(np.linalg.norm(residuals))
             downhill = -(slopes.T @ residuals) / np.maximum(size, np.finfo(float).tiny)
@@ -116,9 +117,10 @@ class Squares:
         *,
         most: int = 200,
         tolerance: float = TOLERANCE,
+        releases: int = 0,
     ) -> list[Found]:
         """Searches from several starts, the least sum first."""
-        found = [self.search(start, low, high, most=most, tolerance=tolerance) for start in starts]
+        found = [self.search(start, low, high, most=most, tolerance=tolerance, releases=releases) for start in starts]
         return sorted(found, key=lambda one: one[1])
 
 

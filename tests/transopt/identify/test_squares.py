@@ -13,7 +13,7 @@ def test_a_linear_problem_ends_where_a_method_for_bounds_does(seed: int) -> None
     random = np.random.default_rng(seed)
     A, b = random.standard_normal((30, 6)), 3 * random.standard_normal(30)
     low, high = np.full(6, -0.2), np.full(6, 0.3)
-    found, total = Squares(lambda u: (A @ u - b, A)).search(random.uniform(-0.2, 0.3, 6), low, high)
+    found, total = Squares(lambda u: (A @ u - b, A)).search(random.uniform(-0.2, 0.3, 6), low, high, releases=20)
     right = lsq_linear(A, b, (low, high), tol=1e-14)
     assert found == pytest.approx(right.x, abs=1e-4)
     assert total == pytest.approx(2 * right.cost, rel=1e-8)
@@ -30,7 +30,9 @@ def test_what_is_not_free_stays_and_what_was_clipped_comes_back() -> None:
     assert found[1] == 0.5
     # On the way from here an unknown is thrown out of the bounds, within which the minimum lies.
     for start in ([-1.2, 1.0], [4.0, -4.0], [0.0, 1.4]):
-        found, total = squares.search(np.array(start), np.array([-1.5, 0.9]), np.array([4.0, 1.5]), most=400)
+        found, total = squares.search(
+            np.array(start), np.array([-1.5, 0.9]), np.array([4.0, 1.5]), most=400, releases=20
+        )
         assert found == pytest.approx([1.0, 1.0], abs=1e-5)
         assert total < 1e-10
 

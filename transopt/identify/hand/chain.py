@@ -35,6 +35,7 @@ ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
 _OVERSAMPLED = 5
 _TOLERANCE, _TRIES = 1e-6, 30
+_RELEASES = 20  # of parameters that reached zero on the way
 _LEAST_KG = 1e-3
 _LEAST_GUESS = (0.01, 1.0, 10.0)  # kg, N s/m, N/m of the whole hand, where the second order shows none
 _SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # where the starts are drawn around
@@ -224,9 +225,9 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, s
     least = np.zeros(guess.size)
     least[[0, 1, 1 + len(HAND)]] = _LEAST_KG  # the stylus, and the hand's mass at both ends
     bounds = least / guess, np.full(guess.size, np.inf)
-    tried = part.squares(guess).searches(factors, *bounds, most=_TRIES, tolerance=_TOLERANCE)
+    tried = part.squares(guess).searches(factors, *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
     squares = session.squares(guess)
-    best, _ = squares.search(tried[0][0], *bounds, most=_TRIES, tolerance=_TOLERANCE)
+    best, _ = squares.search(tried[0][0], *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
     return _with_uncertainty(session, squares.evaluate(best), best * guess, guess, tuple(cost for _, cost in tried))
 
 
