@@ -2,9 +2,17 @@
 
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from transopt.scene.fitted import ModelPart
 
 
 def check_place(out: Path) -> None:
@@ -17,6 +25,35 @@ def check_place(out: Path) -> None:
     if out.suffix.lower() != ".json":
         raise InputError(f"--out {out}: a model file ends in .json")
     terminal.make_folder(out.parent)
+
+
+def tell(*lines: "str | Table", style: str | None = None) -> None:
+    """Print lines and tables as they are, however narrow the terminal."""
+    console = terminal.console()
+    for line in lines:
+        if isinstance(line, str):
+            console.print(line, style=style, highlight=False, soft_wrap=True)
+        else:
+            console.print(line)
+
+
+def finish(out: Path, figure: Path, name: str, part: "ModelPart", scene: str | None = None) -> None:
+    """Say what was written, the verdict on it, and what comes next.
+
+    Parameters
+    ----------
+    name, part : of the model file.
+    scene : see `next_step`.
+
+    Raises
+    ------
+    typer.Exit : the part falls short of what a design needs.
+    """
+    tell(f"{out}, {figure.name}")
+    tell(f"{name}: {part.verdict}", style="red" if part.shortfalls else None)
+    if part.shortfalls:
+        raise typer.Exit(1)
+    tell(next_step(out, scene))
 
 
 def next_step(out: Path, scene: str | None = None) -> str:

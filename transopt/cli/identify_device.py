@@ -10,18 +10,17 @@ import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.identified_file import check_place, next_step, tell
 from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from rich.console import Console
 
     from transopt.identify.device.chain import DriveChain
     from transopt.identify.device.identify import Settings
-    from transopt.identify.device.result import DeviceResult
     from transopt.identify.device.verdict import Taps
     from transopt.scene.model_parts import DevicePart
     from transopt.scene.scene import Scene
@@ -58,8 +57,8 @@ def identify_device(
     from transopt.base.plotting import save_figure
     from transopt.identify.device.identify import identify
     from transopt.identify.device.result import Kind, device_part
-    from transopt.identify.figures.device import device_figure
     from transopt.identify.measurement import load_measurements
+    from transopt.report import device_fit
     from transopt.scene.model_file import save_part
 
     console = terminal.console()
@@ -74,21 +73,19 @@ def identify_device(
         part = device_part(result)
         save_part(out, "device", part)
         picture = out.with_name(f"{out.stem}_device.png")
-        save_figure(device_figure(result), picture)
+        save_figure(device_fit.device_figure(result), picture)
         step("figure")
-    _show(console, result)
-    console.print(f"{out}, {picture.name}", highlight=False, soft_wrap=True)
+    device_fit.show(console, result)
+    tell(f"{out}, {picture.name}")
     if result.chosen.kind is Kind.DRIVE:
-        console.print(
+        tell(
             f"taken for {settings.nominal.force_per_current_N_A:.4g} N/A, which sweeps cannot tell "
             "(--force-per-current): masses, springs and dampers are in proportion to it, what a current makes the "
-            "stylus do is not",
-            highlight=False,
-            soft_wrap=True,
+            "stylus do is not"
         )
     if result.short:
         raise typer.Exit(1)
-    console.print(next_step(out, scene), highlight=False, soft_wrap=True)
+    tell(next_step(out, scene))
 
 
 @contextmanager
@@ -200,55 +197,3 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
         )
 
     return designed
-
-
-def _show(console: "Console", result: "DeviceResult") -> None:
-    """Tables and the verdict."""
-    from rich.table import Column, Table
-
-    from transopt.identify.device.advice import intervals
-    from transopt.identify.device.chain import unit_of
-    from transopt.identify.device.result import Kind
-    from transopt.identify.device.validation import called
-
-    if result.chosen.kind is Kind.DRIVE and result.chain is not None:
-        names, values, covariance = result.chain.stated()
-        span = intervals(names, values, covariance)
-        # Names are told apart by their ends: fold them on a narrow terminal, never cut them.
-        table = Table(Column("parameter", overflow="fold"), "value", "95 % interval", "unit", title="drive chain")
-        for name, value in zip(names, values, strict=True):
-            low, high = span[name]
-            table.add_row(name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit_of(name))
-        console.print(table)
-    elif result.black_box is not None:
-        console.print(f"state space of order {result.black_box.order} at each grip")
-    table = Table("grip", "trials", "held-out NRMSE %", "unknown to the model %", "residual", "hand of its own")
-    recorded, between = result.chosen.recorded, result.chosen.between
-    residual = dict(zip([grip.grip_N for grip in result.grips], result.residuals, strict=True))
-    own = {one.grip_N: one.own_scatter for one in result.own_hands if result.chosen.kind is Kind.DRIVE}
-    trials = {grip.grip_N: len(grip.fitted) for grip in result.grips}
-
-    def number(values: "Mapping[float, float]", grip: float, factor: float = 1.0) -> str:
-        return f"{factor * values[grip]:.2g}" if grip in values and values[grip] == values[grip] else "-"
-
-    for grip in sorted({*recorded, *between}):
-        errors = number(recorded, grip, 100), number(between, grip, 100)
-        table.add_row(called(grip), str(trials.get(grip, 0)), *errors, number(residual, grip), number(own, grip))
-    console.print(table)
-    console.print(
-        "unknown to the model: NRMSE at this grip of a fit without it. residual: mean square over the noise's, 1 for "
-        "a model that is right; hand of its own: the same with a hand fitted to this grip alone",
-        style="dim",
-        highlight=False,
-        soft_wrap=True,
-    )
-    if result.other is not None and recorded:
-        ours, theirs = 100 * result.chosen.off, 100 * result.other.off
-        console.print(f"{result.chosen.kind} chosen: response {ours:.2g} % off, {result.other.kind} {theirs:.2g} %")
-    for finding in result.findings:
-        console.print(f"note: {finding}", soft_wrap=True)
-    for text in result.advice:
-        console.print(f"record again: {text}", soft_wrap=True)
-    console.print(f"verdict: {result.verdict}", soft_wrap=True)
-    for text in result.short:
-        console.print(f"short: {text}", soft_wrap=True)

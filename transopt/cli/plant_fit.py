@@ -43,10 +43,10 @@ def plant_fit(
 
     from transopt.base.plotting import save_figure
     from transopt.base.sizes import LONGEST_DELAY_S
-    from transopt.identify.figures.response import response_figure
     from transopt.identify.response_fit import fit_response
     from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
     from transopt.recordings.response import read_response
+    from transopt.report.response_fit import response_figure
     from transopt.scene.plant_file import save_plant
 
     console = terminal.console()

@@ -5,5 +5,5 @@ name in place of masses, springs and dampers of its own (model = "MODEL.json"). 
 
     measurement -> checks -> spectrum -> amplifier | device | hand | coil -> validation -> model file
 
-Each arrow is a function that takes and returns values. `figures` draws what each of the four has found.
+Each arrow is a function that takes and returns values. `transopt.report` draws what each of the four has found.
 """

@@ -10,18 +10,30 @@ from scipy import optimize, special
 from transopt.base.errors import InputError
 from transopt.base.recursions import filtered
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.checks import COHERENT, Fault, Finding, check_bins
+from transopt.identify.checks import (
+    COHERENT,
+    Check,
+    Finding,
+    check_bins,
+    check_cycles,
+    check_measurement,
+    check_rates,
+    check_sign,
+    low_coherence,
+    refuse,
+)
 from transopt.identify.condensed import Condensed
 from transopt.identify.likelihood import Likelihood, Maximum
-from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, transfer
+from transopt.identify.measurement import Measurement, sources
+from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, estimate_transfer, transfer
 from transopt.plant.discretise import split_delay
+from transopt.scene.model_parts import AmplifierPart
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 LEAST_BINS = 12
 POLE_RANGE = 1e-3, 10.0  # of the servo's rate: poles outside leave no trace in the samples
 LATEST_TICKS = 20.0  # of delay
 GAIN_RANGE = 1e6
-MOST_STEPS = 200
 COARSE = 4  # bins, of which one says where to begin
 RESTED = 10.0  # time constants after which a current rests
 ROUNDED = 1e-6  # of a response: rounding, and the polynomial across a bin
@@ -96,7 +108,7 @@ class AmplifierFit:
         """(m,) of the fit, from command samples to samples of the current."""
         return self.gain * sampled_response(frequencies_Hz, self.pole_Hz, self.delay_s, self.dt_s)
 
-    def shortcomings(self) -> list[str]:
+    def shortfalls(self) -> list[str]:
         """What keeps the fit from being one to design with, each with what to record again; empty if nothing does."""
         found = []
         low, high = self.intervals["pole_Hz"]
@@ -122,12 +134,31 @@ class AmplifierFit:
 
     def verdict(self) -> str:
         """One sentence for the model file and for the user: fit to design with, or why not."""
-        shortcomings = self.shortcomings()
-        if shortcomings:
-            return "not fit to design with: " + "; ".join(shortcomings)
+        shortfalls = self.shortfalls()
+        if shortfalls:
+            return "not fit to design with: " + "; ".join(shortfalls)
         low, high = self.estimate.frequencies_Hz[[0, -1]]
         misses = f"by at most {self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg beyond its noise"
         return f"one pole and a pure delay miss the current {misses}, {low:.3g} to {high:.4g} Hz; fit to design with"
+
+    def part(self, runs: Sequence[Measurement]) -> AmplifierPart:
+        """What the model file states of a fit to these runs."""
+        low, high = self.intervals["delay_s"]
+        half_s = 0.5 * self.dt_s
+        return AmplifierPart.model_validate(
+            {
+                "pole_Hz": self.pole_Hz,
+                "delay_s": self.delay_s,
+                "delay_with_hold_s": self.delay_with_hold_s,
+                "gain": self.gain,
+                "intervals": {**self.intervals, "delay_with_hold_s": (low + half_s, high + half_s)},
+                "parameters": ["pole_Hz", "delay_s"],
+                "covariance": self.covariance[:2, :2].tolist(),
+                "verdict": self.verdict(),
+                "shortfalls": self.shortfalls(),
+                "sources": sources(runs),
+            }
+        )
 
 
 Shape = Callable[[FloatArray, float, float, float], tuple[ComplexArray, ComplexArray]]
@@ -217,11 +248,9 @@ def fit_pole(data: Condensed, shape: Shape = sampled, start: tuple[float, float]
         gain = -float(moved @ silent) / float(moved @ moved)
         rough.append((gain * float(moved @ silent), np.array([np.log(pole), ticks, gain])))
     rough.sort(key=lambda one: one[0])
-    free = np.ones(3, dtype=bool)
-    found = [likelihood.search(begun, bounds[0], bounds[1], free, MOST_STEPS) for _, begun in rough[:STARTS]]
-    best, _ = min(found, key=lambda one: one[1])
+    best, _ = likelihood.searches([begun for _, begun in rough[:STARTS]], *bounds)[0]
     # A delay of zero is at its bound and as well known as any other.
-    return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, free)
+    return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, np.ones(3, dtype=bool))
 
 
 def _share(good: NDArray[np.bool_]) -> str:
@@ -311,6 +340,29 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
     )
 
 
+def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
+    """Trials from command to current, and what is wrong with them that is not fatal.
+
+    Raises
+    ------
+    InputError : a finding that is.
+    """
+    signals = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
+    findings = refuse(finding for run in runs for finding in check_measurement(run, ("command", "current")))
+    trials = [Trial(run.name, command, current) for run, command, current in signals]
+    refuse(check_rates(trials))
+    # Each by itself, so that the message names the file.
+    each = [estimate_transfer([trial]) for trial in trials]
+    refuse(check_alike([trial.name for trial in trials], each))
+    for trial, alone in zip(trials, each, strict=True):
+        refuse(check_sign(trial.name, alone))
+    together = estimate_transfer(trials)
+    low_Hz = float(together.frequencies_Hz[0])
+    findings += refuse(check_cycles("all files", trials, together, low_Hz))
+    findings += low_coherence("all files", together)
+    return trials, findings
+
+
 def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> list[Finding]:
     """Trials by themselves: those whose current does not follow the command, or not as in the other ones.
 
@@ -320,7 +372,6 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     ----------
     estimates : of each trial alone, from command to current.
     """
-    again = "check the current monitor and record again"
     found, delays, gains = [], [], []
     for name, one in zip(names, estimates, strict=True):
         good = one.coherence >= COHERENT
@@ -328,8 +379,7 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
             found += check_bins(name, one, LEAST_BINS)
             continue
         if np.count_nonzero(good) < LEAST_BINS:
-            text = f"the current does not follow the command: {_share(good)}; {again}"
-            found.append(Finding(Fault.INCOHERENT, name, text, True))
+            found.append(Check.CURRENT_ALONE.at(name, share=_share(good)))
             continue
         w, phase = 2 * np.pi * one.frequencies_Hz[good], np.unwrap(np.angle(one.response[good]))
         delays.append((name, float(-np.polynomial.Polynomial.fit(w, phase, 1).convert().coef[1] / one.dt_s)))
@@ -339,13 +389,9 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     usual_delay, usual_gain = (float(np.median([value for _, value in each])) for each in (delays, gains))
     for (name, delay), (_, gain) in zip(delays, gains, strict=True):
         if abs(np.log(gain / usual_gain)) > np.log(APART_GAIN):
-            text = (
-                f"the gain from command to current is {gain / usual_gain:.3g} times that of the other files; {again}"
-            )
-            found.append(Finding(Fault.CURRENT_SCALE, name, text, True))
+            found.append(Check.GAIN_APART.at(name, ratio=gain / usual_gain))
         elif abs(delay - usual_delay) > APART_TICKS:
-            text = f"the current comes {delay - usual_delay:+.2f} samples later than in the other files"
-            found.append(Finding(Fault.SHIFTED, name, f"{text}; read both at the same tick and record again", True))
+            found.append(Check.DELAY_APART.at(name, samples=delay - usual_delay))
     return found
 
 

@@ -6,7 +6,7 @@ passed on to the user beside the result.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum, StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move a
 COHERENT = 0.8
 RATE_TOLERANCE = 1e-4
 LEAST_STRETCH = 3  # bins
+FATAL, TOLD = True, False  # whether a finding refuses the records
 GRIP_STEP_N = 0.25  # trials whose grips are closer than that are of one grip
 
 
@@ -75,6 +76,97 @@ class Finding:
         return f"{self.where}: {self.fault}: {self.text}"
 
 
+class Check(Enum):
+    """Every check of records: the fault it finds, whether no fit may follow, its limit, and what it says.
+
+    A text has what was measured, the limit and the remedy.
+    """
+
+    # fmt: off
+    JITTER_NOTED = Fault.JITTER, TOLD, JITTER_NOTED, (
+        "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
+        "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us")
+    JITTERED = Fault.JITTER, FATAL, JITTER_LIMIT, (
+        "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
+        "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us; must be at most {limit:g}; sample by the servo's"
+        " timer and record again")
+    MISSING = Fault.MISSING, TOLD, None, "{missing}"
+    STILL = Fault.NO_EXCITATION, FATAL, None, "{quantity} stays at {value:g} {unit}; check {what} and record again"
+    SATURATED = Fault.SATURATED, FATAL, None, (
+        "{count} samples at the {side} value {value:.4g} {unit}, first at {first_s:.4g} s; lower amplitude or "
+        "offset and record again")
+    CLIPPED = Fault.CLIPPED, FATAL, None, (
+        "{quantity}: {count} samples at the {side} value {value:.4g} {unit}, first at {first_s:.4g} s; lower the "
+        "amplitude, or take a sensor of wider range, and record again")
+    CUT_SHORT = Fault.CUT_SHORT, TOLD, END_PART, (
+        "{quantity} ends {last:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}; record "
+        "until everything rests")
+    RATES = Fault.RATES, FATAL, None, (
+        "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
+    FEW_CYCLES = Fault.TOO_FEW_CYCLES, TOLD, LEAST_CYCLES, (
+        "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
+        "{longer}add trials from {low_Hz:.3g} Hz on")
+    HARDLY_ANY_CYCLES = Fault.TOO_FEW_CYCLES, FATAL, LEAST_CYCLES, (
+        "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
+        "{longer}add trials from {low_Hz:.3g} Hz on")
+    FEW_BINS = Fault.TOO_FEW_CYCLES, FATAL, None, (
+        "resolves {bins} bands of frequency, at least {least} are needed; sweep longer and wider")
+    INCOHERENT = Fault.INCOHERENT, TOLD, COHERENT, (
+        "{coherence:.2f} at {first_Hz:.3g} to {last_Hz:.3g} Hz, must be {limit:g}; record again there, longer or "
+        "with more current")
+    CURRENT_ALONE = Fault.INCOHERENT, FATAL, None, (
+        "the current does not follow the command: {share}; check the current monitor and record again")
+    CURRENT_UNLIKE = Fault.INCOHERENT, FATAL, None, (
+        "the measured current does not follow the command; check the current monitor, and record again")
+    COMMAND_TURNED = Fault.POLARITY, FATAL, None, (
+        "from command to current: phase {phase_deg:.0f} deg at {at_Hz:.3g} Hz, must be near 0; swap the leads of "
+        "the current sensor or correct its sign, and record again")
+    CURRENT_TURNED = Fault.POLARITY, FATAL, None, (
+        "current_A is opposite to command_A; turn the sign of the one that is not positive when pushing out")
+    NOT_PASSIVE = Fault.POLARITY, FATAL, None, (
+        "the phase from current to acceleration at {low_Hz:g} to {high_Hz:g} Hz is that of a passive device turned "
+        "by 180 deg; turn the accelerometer or swap the motor's leads (positive current pushes out), and record "
+        "again")
+    ANSWERS_TURNED = Fault.POLARITY, FATAL, None, (
+        "acceleration answers the current the other way than in {others}; turn the accelerometer or the current's "
+        "sign in this file, or record it again")
+    UNIT = Fault.UNITS, FATAL, None, (
+        "acceleration is {ratio:.3g} times that of {against}, {which}; is the column in {unit} but named {column}? "
+        "Correct its name")
+    GAIN_APART = Fault.CURRENT_SCALE, FATAL, None, (
+        "the gain from command to current is {ratio:.3g} times that of the other files; check the current monitor "
+        "and record again")
+    CURRENT_SCALE = Fault.CURRENT_SCALE, FATAL, None, (
+        "current_A is {gain:.3g} times what the amplifier makes of command_A; are both in A?")
+    DELAY_APART = Fault.SHIFTED, FATAL, None, (
+        "the current comes {samples:+.2f} samples later than in the other files; read both at the same tick and "
+        "record again")
+    CURRENT_SHIFTED = Fault.SHIFTED, TOLD, None, (
+        "current_A comes {samples} samples {way} than the known amplifier makes it of command_A; read command, "
+        "current and acceleration at the same tick, or identify this amplifier into --out first")
+    DELAYED = Fault.SHIFTED, TOLD, None, (
+        "comes {late_ms:.4g} ms ({samples} samples) later than any device answers: taken out of all files as a pure"
+        " delay of its channel; about a sample of it may be left in the masses: record current and acceleration on "
+        "one clock")
+    BANDWIDTH = Fault.BANDWIDTH, TOLD, None, (
+        "taken as ideal, so that its delay goes into the masses; add # accelerometer_Hz: 2500, or what it has")
+    NO_GRIP = Fault.MISSING_GRIP, FATAL, None, "no grip stated; add # grip_N: 3 (0 if nobody holds it)"
+    FEW_TRIALS = Fault.MISSING_GRIP, TOLD, LEAST_TRIALS, (
+        "{trials} trial, at least {limit:g} are needed; record another one of the other polarity")
+    ONE_POLARITY = Fault.MISSING_GRIP, TOLD, None, (
+        "all trials have one polarity, so that distortion of even order stays; record reversed ones too")
+    GRIP_OUTSIDE = Fault.MISSING_GRIP, TOLD, None, (
+        "grip {grip_N:.3g} N, sweeps at {recorded} N: not judged; record sweeps there")
+    # fmt: on
+
+    def __init__(self, fault: Fault, fatal: bool, limit: float | None, text: str) -> None:
+        self.fault, self.fatal, self.limit, self.text = fault, fatal, limit, text
+
+    def at(self, where: str, **measured: object) -> Finding:
+        """What it finds in a file, at a grip or in a band."""
+        return Finding(self.fault, where, self.text.format(limit=self.limit, **measured), self.fatal)
+
+
 def refuse(findings: Iterable[Finding]) -> list[Finding]:
     """The findings that are not fatal.
 
@@ -99,25 +191,17 @@ def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Findi
     """
     found = []
     if run.off_grid > JITTER_NOTED:
-        found.append(_jitter(run, quantities))
+        dt_s = next(x.dt_s for q in quantities if (x := getattr(run, q)) is not None)
+        late_us = 1e6 * run.off_grid * dt_s
+        check = Check.JITTERED if run.off_grid > JITTER_LIMIT else Check.JITTER_NOTED
+        found.append(check.at(run.name, steps=run.off_grid, phase_deg=360e-3 * late_us, late_us=late_us))
     if run.missing:
-        found.append(Finding(Fault.MISSING, run.name, run.missing, False))
+        found.append(Check.MISSING.at(run.name, missing=run.missing))
     for quantity in quantities:
         x = getattr(run, quantity)
         if x is not None:
             found += _signal(run.name, quantity, x, limited=run.held_out and quantity != "acceleration")
     return found
-
-
-def _jitter(run: Measurement, quantities: Sequence[str]) -> Finding:
-    """Time stamps off the uniform grid, and what that does to phases and delays."""
-    dt_s = next(x.dt_s for q in quantities if (x := getattr(run, q)) is not None)
-    late_us = 1e6 * run.off_grid * dt_s
-    fatal = run.off_grid > JITTER_LIMIT
-    effect = f"phases are off by {360e-6 * late_us * 1000:.2g} deg at 1 kHz, delays by {late_us:.2g} us"
-    remedy = f"must be at most {JITTER_LIMIT:g}; sample by the servo's timer and record again"
-    text = f"time stamps {run.off_grid:.2g} steps (rms) off the uniform grid, resampled to it: {effect}"
-    return Finding(Fault.JITTER, run.name, f"{text}; {remedy}" if fatal else text, fatal)
 
 
 def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Finding]:
@@ -128,27 +212,19 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
     unit = "A" if quantity in {"command", "current"} else "m/s^2" if quantity == "acceleration" else "SI"
     values = x.values
     if np.ptp(values) == 0:
-        where = "the cable and the channel" if quantity != "command" else "what the device was told"
-        text = f"{quantity} stays at {values[0]:g} {unit}; check {where} and record again"
-        return [Finding(Fault.NO_EXCITATION, name, text, True)]
+        what = "the cable and the channel" if quantity != "command" else "what the device was told"
+        return [Check.STILL.at(name, quantity=quantity, value=values[0], unit=unit, what=what)]
     found = []
     for side, at in ((1.0, "highest"), (-1.0, "lowest")):
         flat = flat_extreme(side * values)
         if flat.size and not limited:
-            level = f"{flat.size} samples at the {at} value {values[flat[0]]:.4g} {unit}, first at"
-            moment = f"{x.start_s + flat[0] * x.dt_s:.4g} s"
-            if quantity == "command":
-                text = f"{level} {moment}; lower amplitude or offset and record again"
-                found.append(Finding(Fault.SATURATED, name, text, True))
-            else:
-                remedy = "lower the amplitude, or take a sensor of wider range, and record again"
-                found.append(Finding(Fault.CLIPPED, name, f"{quantity}: {level} {moment}; {remedy}", True))
+            check, first_s = Check.SATURATED if quantity == "command" else Check.CLIPPED, x.start_s + flat[0] * x.dt_s
+            extreme = {"count": flat.size, "side": at, "value": values[flat[0]], "unit": unit, "first_s": first_s}
+            found.append(check.at(name, quantity=quantity, **extreme))
     centred = values - np.median(values[:END_SAMPLES])
     last, peak = float(np.abs(centred[-END_SAMPLES:]).max()), float(np.abs(centred).max())
     if quantity != "command" and last > END_PART * peak:
-        text = f"{quantity} ends {last:.3g} {unit} off its rest, {100 * last / peak:.0f} % of its peak"
-        remedy = f"must be below {100 * END_PART:.0f} %; record until everything rests"
-        found.append(Finding(Fault.CUT_SHORT, name, f"{text}, {remedy}", False))
+        found.append(Check.CUT_SHORT.at(name, quantity=quantity, last=last, unit=unit, part=last / peak))
     return found
 
 
@@ -175,9 +251,8 @@ def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
 def check_rates(trials: Sequence[Trial]) -> list[Finding]:
     """Every trial at the rate of the first."""
     rate, first = trials[0].input.rate_Hz, trials[0].name
-    remedy = "must be one rate; record all trials at the servo's"
     return [
-        Finding(Fault.RATES, trial.name, f"{trial.input.rate_Hz:.6g} Hz, {first} {rate:.6g} Hz: {remedy}", True)
+        Check.RATES.at(trial.name, rate_Hz=trial.input.rate_Hz, first=first, wanted_Hz=rate)
         for trial in trials
         if not np.isclose(trial.input.rate_Hz, rate, rtol=RATE_TOLERANCE, atol=0)
     ]
@@ -212,26 +287,25 @@ def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate
         return []
     worst, up_to = float(cycles[few].min()), float(estimate.frequencies_Hz[few].max())
     longer = f"sweep {np.ceil(10 * LEAST_CYCLES / worst) / 10:.1f} times as long, or " if worst > LEAST_WORTH else ""
-    limit = f"must be at least {LEAST_CYCLES:g}; {longer}add trials from {low_Hz:.3g} Hz on"
-    text = f"{worst:.2g} cycles per octave below {up_to:.3g} Hz in {len(trials)} trials, {limit}"
-    return [Finding(Fault.TOO_FEW_CYCLES, where, text, bool(np.mean(few[inside]) > 0.5))]
+    check = Check.HARDLY_ANY_CYCLES if np.mean(few[inside]) > 0.5 else Check.FEW_CYCLES
+    trial = {"trials": len(trials), "longer": longer, "low_Hz": low_Hz}
+    return [check.at(where, cycles=worst, up_to_Hz=up_to, **trial)]
 
 
-def check_sign(where: str, estimate: TransferEstimate, what: str, remedy: str) -> list[Finding]:
-    """A gain that must be positive at low frequencies: fatal where the response points the other way."""
+def check_sign(where: str, estimate: TransferEstimate) -> list[Finding]:
+    """The gain from command to current: fatal where the response points the other way at low frequencies."""
     low = estimate.frequencies_Hz <= 4 * estimate.frequencies_Hz[0]
     mean = complex(np.mean(estimate.response[low]))
     if mean.real >= 0:
         return []
-    phase = f"phase {np.degrees(np.angle(mean)):.0f} deg at {estimate.frequencies_Hz[0]:.3g} Hz, must be near 0"
-    return [Finding(Fault.POLARITY, where, f"{what}: {phase}; {remedy}", True)]
+    phase_deg = float(np.degrees(np.angle(mean)))
+    return [Check.COMMAND_TURNED.at(where, phase_deg=phase_deg, at_Hz=estimate.frequencies_Hz[0])]
 
 
 def check_bins(where: str, estimate: TransferEstimate, least: int) -> list[Finding]:
     """A response of too few bins for any fit."""
     bins = estimate.frequencies_Hz.size
-    text = f"resolves {bins} bands of frequency, at least {least} are needed; sweep longer and wider"
-    return [Finding(Fault.TOO_FEW_CYCLES, where, text, True)] if bins < least else []
+    return [Check.FEW_BINS.at(where, bins=bins, least=least)] if bins < least else []
 
 
 def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -248,9 +322,8 @@ def low_coherence(where: str, estimate: TransferEstimate) -> list[Finding]:
         inside = low & (f >= first) & (f <= last)
         if np.count_nonzero(inside) < LEAST_STRETCH:
             continue  # a bin or two are the luck of the noise
-        text = f"{estimate.coherence[inside].min():.2f} at {first:.3g} to {last:.3g} Hz, must be {COHERENT:g}"
-        remedy = "record again there, longer or with more current"
-        found.append(Finding(Fault.INCOHERENT, where, f"{text}; {remedy}", False))
+        lowest = estimate.coherence[inside].min()
+        found.append(Check.INCOHERENT.at(where, coherence=lowest, first_Hz=first, last_Hz=last))
     return found
 
 
@@ -277,24 +350,18 @@ def passive_misfit(estimate: TransferEstimate, sign: float) -> float:
 def check_passive(where: str, estimate: TransferEstimate) -> list[Finding]:
     """Polarity from current to acceleration: a passive device answers the reversed record worse, not better."""
     as_recorded, reversed_ = passive_misfit(estimate, 1.0), passive_misfit(estimate, -1.0)
-    if not reversed_ < AGAINST * as_recorded:
-        return []
-    band = f"{PASSIVE_BAND_HZ[0]:g} to {PASSIVE_BAND_HZ[1]:g} Hz"
-    text = f"the phase from current to acceleration at {band} is that of a passive device turned by 180 deg"
-    remedy = "turn the accelerometer or swap the motor's leads (positive current pushes out), and record again"
-    return [Finding(Fault.POLARITY, where, f"{text}; {remedy}", True)]
+    low_Hz, high_Hz = PASSIVE_BAND_HZ
+    return [Check.NOT_PASSIVE.at(where, low_Hz=low_Hz, high_Hz=high_Hz)] if reversed_ < AGAINST * as_recorded else []
 
 
 def check_unit(where: str, ratio: float, against: str) -> list[Finding]:
     """Acceleration `ratio` times that of `against`: in the wrong unit where this is near 9.81 or its inverse."""
-    for factor, which, is_, called in (
+    for factor, which, unit, column in (
         (STANDARD_GRAVITY_M_S2, "9.81", "m/s^2", "acceleration_g"),
         (1 / STANDARD_GRAVITY_M_S2, "9.81 inverted", "g", "acceleration_m_s2"),
     ):
         if abs(np.log(ratio / factor)) < np.log1p(GRAVITY_TOLERANCE):
-            text = f"acceleration is {ratio:.3g} times that of {against}, {which}"
-            remedy = f"is the column in {is_} but named {called}? Correct its name"
-            return [Finding(Fault.UNITS, where, f"{text}; {remedy}", True)]
+            return [Check.UNIT.at(where, ratio=ratio, against=against, which=which, unit=unit, column=column)]
     return []
 
 
@@ -334,19 +401,13 @@ def within(grip_N: float, recorded_N: Iterable[float]) -> bool:
 
 def check_grips(runs: Sequence[Measurement]) -> list[Finding]:
     """Every file states its grip, every grip has trials enough, of either polarity."""
-    found = [
-        Finding(Fault.MISSING_GRIP, run.name, "no grip stated; add # grip_N: 3 (0 if nobody holds it)", True)
-        for run in runs
-        if run.grip_N is None
-    ]
+    found = [Check.NO_GRIP.at(run.name) for run in runs if run.grip_N is None]
     for grip, group in by_grip(runs).items():
         where = f"grip {grip:.3g} N"
         if len(group) < LEAST_TRIALS:
-            text = f"{len(group)} trial, at least {LEAST_TRIALS} are needed; record another one of the other polarity"
-            found.append(Finding(Fault.MISSING_GRIP, where, text, False))
+            found.append(Check.FEW_TRIALS.at(where, trials=len(group)))
         elif len({polarity(run) for run in group} - {0}) == 1:
-            text = "all trials have one polarity, so that distortion of even order stays; record reversed ones too"
-            found.append(Finding(Fault.MISSING_GRIP, where, text, False))
+            found.append(Check.ONE_POLARITY.at(where))
     return found
 
 

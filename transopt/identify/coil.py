@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.measurement import Measurement
+from transopt.identify.measurement import Measurement, sources
+from transopt.identify.squares import Squares, by_differences, inverse
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel, effective_square
+from transopt.scene.model_parts import CoilPart
 
 NAMES = ("R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s")
 LEVEL = 0.95
@@ -38,6 +40,7 @@ _CHANGE = 0.1  # of the largest heating
 _LEAST_NOISE_K = 1e-3
 _FAR = np.log(100.0)  # from the guess
 MOST_RIPPLE_A = 0.5
+TEMPERATURE_K = 10.0  # unit of the unknown temperatures, so that all unknowns are of one size
 _WIDE_K = 50.0  # around the first reading, for start temperatures
 
 
@@ -105,7 +108,7 @@ class CoilFit:
     intervals : (4, 2) 95 % of `NAMES`.
     covariance : (4, 4) of `NAMES`.
     misfit : rms of residuals over the sensors' noise, 1 where the model explains all.
-    starts : costs from each start, the best first.
+    starts : sums of squares from each start, the best first.
     winding_C, housing_C : (n,) of the model at the record's rows.
     """
 
@@ -296,10 +299,14 @@ class _Steps:
         return cls(np.add.reduceat(heat, edges[:-1]) / np.diff(edges), record.dt_s * np.diff(edges), edges)
 
 
-class _Misfit:
-    """Weighted residuals of a record for theta: logarithms of `NAMES`, then temperatures."""
+class _Misfit(Squares):
+    """Weighted residuals of a record.
+
+    The unknowns are the logarithms of `NAMES`, then temperatures in units of `TEMPERATURE_K`.
+    """
 
     def __init__(self, record: HeatRecord) -> None:
+        super().__init__(by_differences(lambda sets: np.array([self._residuals(one) for one in sets])))
         self.record, self.steps = record, _Steps.of(record)
         self._channels = [
             (which, channel, self._means(channel))
@@ -339,11 +346,12 @@ class _Misfit:
 
     def _temperatures(self, theta: FloatArray) -> tuple[float, float, float]:
         if self.record.ambient_C is None:
-            cold = float(theta[4])
+            cold = TEMPERATURE_K * float(theta[4])
             return cold, cold, cold
-        return self.record.ambient_C, float(theta[4]), float(theta[5])
+        winding, housing = (TEMPERATURE_K * theta[4:]).tolist()
+        return self.record.ambient_C, winding, housing
 
-    def __call__(self, theta: FloatArray) -> FloatArray:
+    def _residuals(self, theta: FloatArray) -> FloatArray:
         courses = self.coil(theta).simulate(self.steps.heating_A2[None], self.steps.lengths_s)
         parts = []
         for which, channel, (weight, mean, place) in self._channels:
@@ -370,28 +378,16 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
     """
     misfit = _Misfit(record)
     guess = _guess(record)
-    reach = np.concatenate([np.full(4, _FAR), np.full(guess.size - 4, _WIDE_K)])
+    reach = np.concatenate([np.full(4, _FAR), np.full(guess.size - 4, _WIDE_K / TEMPERATURE_K)])
     random = np.random.default_rng(seed)
-    shifts = np.log(3.0) * random.uniform(-1, 1, (starts, 4))
+    shifts = np.pad(np.log(3.0) * random.uniform(-1, 1, (starts, 4)), ((0, 0), (0, guess.size - 4)))
     shifts[0] = 0.0
-    solved = []
-    for shift in shifts:
-        start = guess + np.concatenate([shift, np.zeros(guess.size - 4)])
-        solved.append(
-            optimize.least_squares(
-                misfit,
-                start,
-                bounds=(guess - reach, guess + reach),
-                x_scale=np.concatenate([np.ones(4), np.full(guess.size - 4, 10.0)]),
-                max_nfev=60,
-            )
-        )
-    solved.sort(key=lambda found: float(found.cost))
-    theta, J = solved[0].x, np.asarray(solved[0].jac)
+    solved = misfit.searches(guess + shifts, guess - reach, guess + reach, most=60)
+    theta, least = solved[0]
     free = max(misfit.informed - theta.size, 1)
-    excess = float(2 * solved[0].cost / free)
+    excess = least / free
     # Noise that is not white shows as misfit, and widens the intervals.
-    covariance = np.linalg.pinv(J.T @ J) * max(excess, 1.0)
+    covariance = inverse(misfit.evaluate(theta)[1]) * max(excess, 1.0)
     half = float(special.stdtrit(free, (1 + LEVEL) / 2)) * np.sqrt(np.diagonal(covariance)[:4])
     values = np.exp(theta[:4])
     with np.errstate(over="ignore"):  # a parameter that the record does not determine
@@ -405,14 +401,14 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
         intervals=intervals,
         covariance=np.outer(values, values) * covariance[:4, :4],
         misfit=float(np.sqrt(excess)),
-        starts=tuple(float(found.cost) for found in solved),
+        starts=tuple(cost for _, cost in solved),
         winding_C=winding[0],
         housing_C=housing[0],
     )
 
 
 def _guess(record: HeatRecord) -> FloatArray:
-    """(5,) or (6,) where to start, right to a factor of ten.
+    """(5,) or (6,) unknowns to start at, right to a factor of ten.
 
     Most of the rise is taken for the housing's, and a quarter of the heating time for its time constant.
     """
@@ -422,5 +418,39 @@ def _guess(record: HeatRecord) -> FloatArray:
     power = record.R_ohm * (1 + COPPER_PER_K * (hot - RESISTANCE_REFERENCE_C)) * float(record.heating_A2.max())
     total = record.rise_K / power
     slow = max(record.powered_s / 4, 10 * record.dt_s)
+    cold /= TEMPERATURE_K
     temperatures = [cold] if record.ambient_C is None else [cold, cold]
     return np.concatenate([np.log([0.2 * total, 0.8 * total, slow / 30, slow]), temperatures])
+
+
+def verdict(fit: CoilFit, nominal: CoilModel) -> str:
+    """In plain words: what the coil's model may be used for, or why not."""
+    short = fit.shortfalls()
+    if short:
+        return f"not to be relied upon: {'; '.join(short)}"
+    # The identified coil in the scene's surroundings, to be compared with the datasheet.
+    continuous_A = replace(fit.coil, ambient_C=nominal.ambient_C).continuous_current_A()
+    ripple = (
+        ""
+        if fit.record.ripple_A == PWM_RIPPLE_A
+        else f"; fitted with {fit.record.ripple_A:g} A of ripple, a design counts {PWM_RIPPLE_A:g} A"
+    )
+    return (
+        f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "
+        f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C{ripple}"
+    )
+
+
+def coil_part(fit: CoilFit, run: Measurement, nominal: CoilModel) -> CoilPart:
+    """What the model file states."""
+    return CoilPart.model_validate(
+        {
+            **{name: getattr(fit.coil, name) for name in NAMES},
+            "intervals": dict(zip(NAMES, fit.intervals.tolist(), strict=True)),
+            "parameters": list(NAMES),
+            "covariance": fit.covariance.tolist(),
+            "verdict": verdict(fit, nominal),
+            "shortfalls": fit.shortfalls(),
+            "sources": sources([run]),
+        }
+    )

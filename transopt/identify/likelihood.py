@@ -16,12 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.condensed import Condensed
+from transopt.identify.squares import Squares, inverse
 
-TOLERANCE = 1e-10
 LEAST_TRIALS = 3  # of all grips together, whose differences mean something
 
 Model = Callable[[FloatArray, int, FloatArray], tuple[ComplexArray, ComplexArray]]
@@ -67,14 +66,15 @@ class Maximum:
         return float(sum(squares.sum() for squares in self.chi_square))
 
 
-class Likelihood:
-    """Sum of squares of all groups, and its Jacobian; keeps the last point.
+class Likelihood(Squares):
+    """Sum of squares of all groups.
 
     `loose` adds a relative error to every response, so that one sharp peak does not rule a search; `step` takes each
     step-th bin.
     """
 
     def __init__(self, groups: Sequence[Condensed], model: Model, *, loose: float = 0.0, step: int = 1) -> None:
+        super().__init__(self._all)
         self._model = model
         self.groups = [group.some(slice(step // 2, None, step)) if step > 1 else group for group in groups]
         self._roots, self._wanted = [], []
@@ -85,7 +85,6 @@ class Likelihood:
                 roots = roots / np.sqrt(1 + loose**2 * weight.max(axis=2))[:, :, None, None]
             self._roots.append(roots)
             self._wanted.append(np.einsum("obij,obj->obi", roots, values))
-        self._at, self._last = np.zeros(0), (np.zeros(0), np.zeros((0, 0)))
 
     @property
     def points(self) -> tuple[NDArray[np.int_], ...]:
@@ -98,55 +97,22 @@ class Likelihood:
         value, slope = self._model(unknowns, j, self.groups[j].frequencies_Hz.ravel())
         return value.reshape(-1, *shape), slope.reshape(slope.shape[0], -1, *shape)
 
-    def evaluate(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _all(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (n,) and Jacobian (n, p), group by group, real parts before imaginary ones in each."""
-        if not np.array_equal(self._at, unknowns):
-            residuals, jacobians = [], []
-            for j, (roots, wanted) in enumerate(zip(self._roots, self._wanted, strict=True)):
-                value, slope = self._responses(unknowns, j)
-                error = np.einsum("obij,obj->obi", roots, value) - wanted
-                moved = np.einsum("obij,pobj->pobi", roots, slope, optimize=True).reshape(slope.shape[0], -1).T
-                residuals += [error.real.ravel(), error.imag.ravel()]
-                jacobians += [moved.real, moved.imag]
-            self._at, self._last = unknowns.copy(), (np.concatenate(residuals), np.concatenate(jacobians))
-        return self._last
-
-    def search(
-        self, start: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_], most: int
-    ) -> tuple[FloatArray, float]:
-        """(p,) where the sum of squares is least within the bounds, begun at `start`; and that sum."""
-
-        def whole(part: FloatArray) -> FloatArray:
-            full = start.copy()
-            full[free] = np.clip(part, low[free], high[free])
-            return full
-
-        def value(part: FloatArray) -> FloatArray:
-            return self.evaluate(whole(part))[0]
-
-        def jacobian(part: FloatArray) -> FloatArray:
-            outside = (part < low[free]) | (part > high[free])
-            return np.where(outside, 0.0, self.evaluate(whole(part))[1][:, free])
-
-        # MINPACK with clipped unknowns: the factorisations of scipy's bounded methods take ten times as long when
-        # their threads meet busy cores.
-        found = optimize.least_squares(
-            value,
-            start[free],
-            jac=jacobian,
-            method="lm",
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-            gtol=TOLERANCE,
-            max_nfev=most,
-        )
-        return whole(found.x), 2 * float(found.cost)
+        residuals, jacobians = [], []
+        for j, (roots, wanted) in enumerate(zip(self._roots, self._wanted, strict=True)):
+            value, slope = self._responses(unknowns, j)
+            error = np.einsum("obij,obj->obi", roots, value) - wanted
+            moved = np.einsum("obij,pobj->pobi", roots, slope, optimize=True).reshape(slope.shape[0], -1).T
+            residuals += [error.real.ravel(), error.imag.ravel()]
+            jacobians += [moved.real, moved.imag]
+        return np.concatenate(residuals), np.concatenate(jacobians)
 
     def maximum(
         self, start: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_], most: int = 200
     ) -> Maximum:
         """The best unknowns near `start`, with their covariance."""
-        unknowns, _ = self.search(start, low, high, free, most)
+        unknowns, _ = self.search(start, low, high, free, most=most)
         return self.around(unknowns, low, high, free)
 
     def around(self, unknowns: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_]) -> Maximum:
@@ -160,9 +126,9 @@ class Likelihood:
             chi_square.append((residuals[first : first + 2 * size].reshape(shape) ** 2).sum(axis=(0, 2)))
             first += 2 * size
         inside = free & ~bounded
-        inverse = _inverse(jacobian[:, inside])
+        covariance = inverse(jacobian[:, inside])
         between = np.ones(unknowns.size)
-        between[inside] = self._between(unknowns, inverse, inside)
+        between[inside] = self._between(unknowns, covariance, inside)
         found = Maximum(
             unknowns=unknowns,
             covariance=np.zeros((unknowns.size, unknowns.size)),
@@ -173,11 +139,11 @@ class Likelihood:
             between=between,
         )
         spread = np.sqrt(np.maximum(max(found.scatter, 1.0), between[inside]))
-        found.covariance[np.ix_(inside, inside)] = spread[:, None] * inverse * spread
+        found.covariance[np.ix_(inside, inside)] = spread[:, None] * covariance * spread
         found.covariance[bounded, bounded] = ((high - low)[bounded] / 4) ** 2  # all that was searched
         return found
 
-    def _between(self, unknowns: FloatArray, inverse: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
+    def _between(self, unknowns: FloatArray, covariance: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
         """(free,) observed variance of each unknown by the trials' scores, over that by the noise within them."""
         moves = []
         for j, group in enumerate(self.groups):
@@ -188,17 +154,7 @@ class Likelihood:
             K = score.shape[0]
             if K > 1:
                 # Apart from what the trials have in common, which the scatter counts.
-                moves.append((score - score.mean(axis=0)) @ inverse * np.sqrt(K / (K - 1)))
+                moves.append((score - score.mean(axis=0)) @ covariance * np.sqrt(K / (K - 1)))
         if sum(map(len, moves)) < LEAST_TRIALS:
             return np.ones(int(inside.sum()))
-        return np.asarray((np.concatenate(moves) ** 2).sum(axis=0) / np.diag(inverse))
-
-
-def _inverse(jacobian: FloatArray) -> FloatArray:
-    """Inverse of J^T J. A pseudo-inverse would call what has no information certain; a floor calls it wide open."""
-    norm = np.linalg.norm(jacobian, axis=0)
-    norm = np.where(norm > 0, norm, 1.0)
-    scaled = jacobian / norm
-    size, axes = np.linalg.eigh(scaled.T @ scaled)
-    spread = 1 / np.maximum(size, np.finfo(float).eps * size.max(initial=0.0) + np.finfo(float).tiny)
-    return np.asarray((axes * spread) @ axes.T / np.outer(norm, norm))
+        return np.asarray((np.concatenate(moves) ** 2).sum(axis=0) / np.diag(covariance))

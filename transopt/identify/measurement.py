@@ -134,6 +134,14 @@ def load_measurements(
     return runs
 
 
+def sources(runs: Sequence[Measurement]) -> list[dict[str, str]]:
+    """The files of runs as a model file names them; a file with several runs is one source."""
+    return [
+        {"file": source, "sha256": sha256}
+        for source, sha256 in dict.fromkeys((run.source, run.sha256) for run in runs)
+    ]
+
+
 def split_taps(runs: Sequence[Measurement], wanted: Sequence[int] = ()) -> list[Measurement]:
     """The taps of runs whose surface force was recorded: one run each, also where a file holds several in a row.
 

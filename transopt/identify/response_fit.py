@@ -13,19 +13,17 @@ wherever that costs next to no misfit.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.vector_fit import fractions, vector_fit
+from transopt.identify.black_box import at_rest, fractions, least_width, vector_fit
 from transopt.plant.state_space import Input, StateSpace
 
 HIGHEST_ORDER = 40
 MOST_MISFIT = 0.05  # above it a fit is no base of a design
 COSTS_NOTHING = 1.1  # times the misfit without them, up to which the zeros at s = 0 are taken
 EXACT = 1e-6  # a misfit as small needs no comparison
-RESOLVED = 0.5  # of the distance between points: no resonance may be narrower, since nothing was measured within
 
 
 @dataclass(frozen=True)
@@ -102,10 +100,10 @@ def fit_response(
     top = 2 * np.pi * float(f[-1])
     s = np.asarray(2j * np.pi * f / top, dtype=np.complex128)
     poles = _resolved(vector_fit(s, G / largest, np.ones(f.size), order, direct=True), f, top)
-    free, held = (_nearest(s, G / largest, poles, at_rest=zeros and order > 1) for zeros in (False, True))
+    free, held = (_nearest(s, G / largest, poles, rests=zeros and order > 1) for zeros in (False, True))
     misfits = [_misfit(s, G / largest, poles, row) for row in (free, held)]
-    at_rest = order > 1 and bool(misfits[1] <= max(COSTS_NOTHING * misfits[0], EXACT))
-    row = held if at_rest else free
+    rests = order > 1 and bool(misfits[1] <= max(COSTS_NOTHING * misfits[0], EXACT))
+    row = held if rests else free
     _, A, b = fractions(s, poles)
     plant = StateSpace(
         A=top * A,
@@ -122,35 +120,28 @@ def fit_response(
         misfit=float(np.linalg.norm(off) / np.linalg.norm(G)),
         worst_Hz=float(f[off.argmax()]),
         worst=float(off.max()) / largest,
-        at_rest=at_rest,
+        at_rest=rests,
     )
 
 
 def _resolved(poles: ComplexArray, frequencies_Hz: FloatArray, top: float) -> ComplexArray:
     """The poles with no resonance narrower than the points can show: a width of -2 Re p [rad/s]."""
-    width = RESOLVED * np.interp(np.abs(poles) * top / (2 * np.pi), frequencies_Hz, np.gradient(frequencies_Hz))
-    least = np.pi * width / top
+    least = np.exp(least_width(frequencies_Hz)(np.log(np.abs(poles) * top))) / (2 * top)
     return np.asarray(np.where(poles.imag == 0, poles.real, np.minimum(poles.real, -least)) + 1j * poles.imag)
 
 
-def _nearest(s: ComplexArray, target: ComplexArray, poles: ComplexArray, *, at_rest: bool) -> FloatArray:
+def _nearest(s: ComplexArray, target: ComplexArray, poles: ComplexArray, *, rests: bool) -> FloatArray:
     """(n + 1,) coefficients of the fractions, then the constant, by least squares.
 
-    With `at_rest` the value and the slope at s = 0, both linear in the coefficients, are kept at zero.
+    With `rests` the value and the slope at s = 0 are kept at zero.
     """
     basis, A, b = fractions(s, poles)
     columns = np.hstack([basis, np.ones((s.size, 1))])
     system, wanted = np.vstack([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
-    free = np.eye(poles.size + 1)
-    if at_rest:
-        # (s I - A)^-1 b = -A^-1 b - s A^-2 b - ...
-        value = -np.linalg.solve(A, b)
-        slope = np.linalg.solve(A, value)
-        rows = np.array([np.append(value, 1.0), np.append(slope, 0.0)])
-        free = linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True))
-    reduced = system @ free
+    kept = at_rest(A, b) if rests else np.eye(poles.size + 1)
+    reduced = system @ kept
     norm = np.maximum(np.linalg.norm(reduced, axis=0), np.finfo(float).tiny)
-    return np.asarray(free @ (np.linalg.lstsq(reduced / norm, wanted, rcond=None)[0] / norm))
+    return np.asarray(kept @ (np.linalg.lstsq(reduced / norm, wanted, rcond=None)[0] / norm))
 
 
 def _misfit(s: ComplexArray, target: ComplexArray, poles: ComplexArray, row: FloatArray) -> float:

@@ -28,8 +28,8 @@ from transopt.identify.amplifier import (
     sampled_response,
     simulate_current,
 )
-from transopt.identify.figures.amplifier import amplifier_figure, prefilter_response
 from transopt.identify.spectrum import Trial, estimate_transfer
+from transopt.report.amplifier_fit import amplifier_figure, prefilter_response
 from transopt.scene.model_file import load_model
 
 FINE = 100  # steps of a microsecond in a servo period
@@ -98,7 +98,7 @@ def test_without_noise_everything_is_recovered(pole_Hz: float, delay_s: float) -
     assert fit.delay_with_hold_s == fit.delay_s + 0.5 * DT_S
     assert not fit.crossover.shows
     assert fit.misfit_dB < 0.01
-    assert fit.shortcomings() == []
+    assert fit.shortfalls() == []
 
 
 SETS = {
@@ -131,7 +131,7 @@ def test_pole_and_delay_at_realistic_noise_over_many_seeds(name: str, fits: Fits
     for fit in fits(name):
         assert fit.pole_Hz == pytest.approx(POLE_HZ, rel=0.02)
         assert fit.delay_s == pytest.approx(DELAY_S, abs=3e-6)
-        assert fit.shortcomings() == []
+        assert fit.shortfalls() == []
     assert np.mean([fit.pole_Hz for fit in fits(name)]) == pytest.approx(POLE_HZ, rel=1e-3)
     assert np.mean([fit.delay_s for fit in fits(name)]) == pytest.approx(DELAY_S, abs=1e-7)
 
@@ -194,7 +194,7 @@ def test_an_amplifier_that_is_no_single_pole_is_told() -> None:
     resonant = amplifier_trial(1, crossover_A=0.0)
     echo = resonant.output.values + 0.4 * np.roll(resonant.output.values, 20)
     fit = fit_amplifier([Trial("echo", resonant.input, Signal(0.0, DT_S, echo))])
-    found = fit.shortcomings()
+    found = fit.shortfalls()
     assert any("the amplifier has further dynamics" in line for line in found)
     assert fit.verdict().startswith("not fit to design with: ")
 

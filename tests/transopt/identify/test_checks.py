@@ -171,10 +171,12 @@ def test_jitter_says_what_it_does(tmp_path: Path, columns: dict, jitter: float, 
 def test_a_current_sensor_the_wrong_way_round() -> None:
     trial = amplifier_trial(1)
     turned = Trial("turned", trial.input, trial.output.scaled(-1.0))
-    found = checks.check_sign("turned", estimate_transfer([turned]), "from command to current", "swap the leads")
+    found = checks.check_sign("turned", estimate_transfer([turned]))
     message = only(found, Fault.POLARITY, fatal=True)
     assert "turned: wrong polarity: from command to current: phase" in message
-    assert message.endswith("must be near 0; swap the leads")
+    assert message.endswith(
+        "must be near 0; swap the leads of the current sensor or correct its sign, and record again"
+    )
 
 
 @pytest.mark.parametrize("grip_N", [0.0, 1.0, 5.0])

@@ -1,25 +1,21 @@
-"""A stable real state space of stated order per grip, for devices that are no drive chain.
+"""Black boxes by grip: their poles and outputs by least squares on the exact sampled response.
 
-Poles come from vector fitting (Gustavsen & Semlyen 1999), then poles and output together from least squares on the
-exact sampled response. The model is a sum of sections of second order with the denominator s^2 + a s + w^2, a and w
-above 0: stable and real whatever the numbers are, and a pair of poles may meet on the real axis and part again.
-
-What physics asks: a held device stays where it is under a constant current, so its acceleration has two zeros at
-s = 0. The output is therefore a position y = C x, with C B = 0, and y'' = C A^2 x + C A B i. A free device
-accelerates, and its output is y'' = C x + D i.
+The model is a sum of sections of second order with the denominator s^2 + a s + w^2, a and w above 0: stable and real
+whatever the numbers are, and a pair of poles may meet on the real axis and part again. A held device stays where it
+is under a constant current; a free one accelerates.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
+from transopt.identify.black_box import at_rest, least_width, vector_fit
 from transopt.identify.device.chain_search import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
-from transopt.identify.vector_fit import vector_fit
+from transopt.identify.squares import Squares
 from transopt.plant.state_space import StateSpace
 
 ORDERS = (2, 4, 6, 8, 10)  # tried in turn where none is stated, as long as the criterion falls
@@ -34,7 +30,6 @@ REACH = 1e3  # poles stay within this factor of their start
 MOST_STEPS = 60
 TOLERANCE = 1e-6
 RANK = 1e-12
-RESOLVED = 0.5  # of the distance between bins: no resonance may be narrower, since nothing was measured within
 NUDGE = 1e-3  # least damping ratio that a relocated pole starts with
 
 
@@ -93,7 +88,7 @@ class _Sections:
     def __init__(self, order: int, held: bool) -> None:
         self.order, self.held = order, held
         self.poles = order  # as many unknowns
-        self.outputs = order - 1 if held else order + 1
+        self.outputs = order + 1
 
     def matrices(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A and B of the sections."""
@@ -103,33 +98,15 @@ class _Sections:
             B[2 * j + 1, 0] = w
         return A, B
 
-    def _outputs(self, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(outputs, n) and (outputs,) C and D of y'' for each unknown of the output being one, the others zero.
-
-        Held: positions with C B = 0, each of the section's size over w^2.
-        """
-        if not self.held:
-            return np.vstack([np.eye(self.order), np.zeros(self.order)]), np.eye(self.order + 1)[-1]
-        position = self._positions(B)
-        return position @ A @ A, (position @ A @ B)[:, 0]
-
-    @staticmethod
-    def _positions(B: FloatArray) -> FloatArray:
-        """(n - 1, n) rows that B does not move: the first states of the sections, and differences of the second."""
-        n = B.size
-        rows = [np.eye(n)[j] / B[j + 1, 0] ** 2 for j in range(0, n, 2)]
-        for j in range(3, n, 2):
-            row = np.zeros(n)
-            row[1], row[j] = B[j, 0], -B[1, 0]
-            rows.append(row / (B[1, 0] * B[j, 0] * max(B[1, 0], B[j, 0])))
-        return np.array(rows)
+    def _outputs(self, A: FloatArray, B: FloatArray) -> FloatArray:
+        """(outputs, n + 1) rows of C and D for each unknown of the output being one, the others zero."""
+        return at_rest(A, B[:, 0]) if self.held else np.eye(self.outputs)
 
     def plant(self, unknowns: FloatArray) -> StateSpace:
         """The state space of poles and outputs."""
         A, B = self.matrices(unknowns)
-        rows, direct = self._outputs(A, B)
-        output = unknowns[self.poles :]
-        return StateSpace(A, B, (output @ rows)[None, :], np.array([[output @ direct]]))
+        row = unknowns[self.poles :] @ self._outputs(A, B)
+        return StateSpace(A, B, row[None, :-1], row[None, -1:])
 
     def pole_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
         """Slopes by log w and log a of the sections: central differences of these small matrices."""
@@ -145,10 +122,7 @@ class _Sections:
         """Slopes by the output's coefficients, which enter linearly."""
         A, B = self.matrices(unknowns)
         none_A, none_B = np.zeros_like(A), np.zeros_like(B)
-        rows, direct = self._outputs(A, B)
-        return tuple(
-            Slope(none_A, none_B, row[None, :], np.array([[d]])) for row, d in zip(rows, direct, strict=True)
-        )
+        return tuple(Slope(none_A, none_B, row[None, :-1], row[None, -1:]) for row in self._outputs(A, B))
 
 
 def _start(poles: ComplexArray) -> FloatArray:
@@ -162,7 +136,7 @@ def _start(poles: ComplexArray) -> FloatArray:
     return np.asarray(np.log(np.stack([w, np.maximum(a, 2 * NUDGE * w)], axis=1)).ravel())
 
 
-class _Projected:
+class _Projected(Squares):
     """Residuals over the poles alone, the output always the best one for them (variable projection).
 
     The Jacobian is Kaufman's (1975): that at fixed output, less what the output can make up for. Poles and output
@@ -170,9 +144,9 @@ class _Projected:
     """
 
     def __init__(self, one: GripResponse, instrument: Instrument, sections: _Sections) -> None:
+        super().__init__(self._over_poles)
         self._one, self._instrument, self._sections = one, instrument, sections
-        self._at = np.zeros(0)
-        self._last = (np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+        self.narrowest = _Narrowest(one.estimate.frequencies_Hz)
 
     def _stacked(self, unknowns: FloatArray, slopes: tuple[Slope, ...]) -> tuple[FloatArray, FloatArray]:
         """Weighted response (2 m,) and its slopes (2 m, p), real parts first."""
@@ -181,38 +155,32 @@ class _Projected:
         value, by_unknown = value / self._one.deviation, (by_unknown / self._one.deviation).T
         return np.concatenate([value.real, value.imag]), np.vstack([by_unknown.real, by_unknown.imag])
 
-    def at(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (2 m,), Jacobian (2 m, order), all unknowns (order + outputs,)."""
-        if not np.array_equal(self._at, poles):
-            sections, e = self._sections, self._one.estimate
-            wanted = e.response / self._one.deviation
-            measured = np.concatenate([wanted.real, wanted.imag])
-            unknowns = np.concatenate([poles, np.zeros(sections.outputs)])
-            _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
-            norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-            axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
-            resolved = size > RANK * size[0]
-            axes, size, along = axes[:, resolved], size[resolved], along[resolved]
-            unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
-            value, slopes = self._stacked(unknowns, sections.pole_slopes(unknowns))
-            self._at = poles.copy()
-            self._last = value - measured, slopes - axes @ (axes.T @ slopes), unknowns
-        return self._last
+    def whole(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """All unknowns (order + outputs,), what was measured (2 m,), and axes (2 m, r) of what an output can make."""
+        sections = self._sections
+        wanted = self._one.estimate.response / self._one.deviation
+        measured = np.concatenate([wanted.real, wanted.imag])
+        unknowns = np.concatenate([self.narrowest.widened(poles), np.zeros(sections.outputs)])
+        _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
+        norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+        axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
+        resolved = size > RANK * size[0]
+        axes, size, along = axes[:, resolved], size[resolved], along[resolved]
+        unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
+        return unknowns, measured, axes
+
+    def _over_poles(self, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (2 m,) and Jacobian (2 m, order)."""
+        unknowns, measured, axes = self.whole(poles)
+        value, slopes = self._stacked(unknowns, self._sections.pole_slopes(unknowns))
+        return value - measured, self.narrowest.through(poles, slopes - axes @ (axes.T @ slopes))
 
 
 class _Narrowest:
-    """Keeps resonances as wide as what was measured can resolve.
-
-    Between two bins a pole of next to no damping and a zero beside it cost nothing and explain a little noise; a
-    design would play into them.
-    """
+    """Keeps resonances as wide as what was measured can resolve."""
 
     def __init__(self, frequencies_Hz: FloatArray) -> None:
-        self._log_w = np.log(2 * np.pi * frequencies_Hz)
-        self._log_a = np.log(2 * np.pi * RESOLVED * np.gradient(frequencies_Hz))
-
-    def _least(self, log_w: FloatArray) -> FloatArray:
-        return np.asarray(np.interp(log_w, self._log_w, self._log_a))
+        self._least = least_width(frequencies_Hz)
 
     def widened(self, poles: FloatArray) -> FloatArray:
         """(order,) log w and log a of the sections, with log a at least that of the distance between bins."""
@@ -234,26 +202,11 @@ def _polished(
     one: GripResponse, instrument: Instrument, sections: _Sections, poles: ComplexArray
 ) -> tuple[StateSpace, float]:
     """Poles and output from least squares on the exact sampled response: plant, sum of squares."""
-    projected, narrowest = _Projected(one, instrument, sections), _Narrowest(one.estimate.frequencies_Hz)
-    start = narrowest.widened(_start(poles))
-    low, high = start - np.log(REACH), start + np.log(REACH)
-
-    def bounded(unknowns: FloatArray) -> FloatArray:
-        return narrowest.widened(np.clip(unknowns, low, high))
-
-    def value(unknowns: FloatArray) -> FloatArray:
-        return projected.at(bounded(unknowns))[0]
-
-    def slope(unknowns: FloatArray) -> FloatArray:
-        inside = np.clip(unknowns, low, high)
-        jacobian = narrowest.through(inside, projected.at(narrowest.widened(inside))[1])
-        return np.where((unknowns < low) | (unknowns > high), 0.0, jacobian)
-
-    # MINPACK: the factorisations of scipy's own methods take ten times as long when their threads meet busy cores.
-    found = optimize.least_squares(
-        value, start, jac=slope, method="lm", ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_STEPS
-    )
-    return sections.plant(projected.at(bounded(found.x))[2]), 2 * float(found.cost)
+    projected = _Projected(one, instrument, sections)
+    start = projected.narrowest.widened(_start(poles))
+    reach = np.log(REACH)
+    found, cost = projected.search(start, start - reach, start + reach, most=MOST_STEPS, tolerance=TOLERANCE)
+    return sections.plant(projected.whole(found)[0]), cost
 
 
 def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:

@@ -7,6 +7,7 @@ hand.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from transopt.base.signals import FloatArray
 from transopt.identify.device.response import Slope
@@ -117,9 +118,11 @@ class Coordinates:
     Attributes
     ----------
     held_N : recorded grips above 0, increasing.
+    shared : names of the parameters that are alike at all grips.
     """
 
     held_N: tuple[float, ...]
+    shared: tuple[str, ...] = SHARED
 
     @property
     def ends_N(self) -> tuple[float, ...]:
@@ -129,12 +132,12 @@ class Coordinates:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return len(SHARED) + len(HAND) * len(self.ends_N)
+        return len(self.shared) + len(HAND) * len(self.ends_N)
 
     @property
     def names(self) -> tuple[str, ...]:
         """(size,) of the unknowns."""
-        return (*SHARED, *(f"hand.{name} at {grip:g} N" for grip in self.ends_N for name in HAND))
+        return (*self.shared, *(f"hand.{name} at {grip:g} N" for grip in self.ends_N for name in HAND))
 
     def shares(self, grip_N: float) -> FloatArray:
         """(ends,) weight of each end in the hand at a grip."""
@@ -163,18 +166,23 @@ class Coordinates:
         hand = (self._hand() @ ends).T if self.ends_N else np.zeros((0, 2))
         return DriveChain(force_per_current_N_A, values[: len(SHARED)], hand)
 
+    def at(self, grip_N: float) -> FloatArray:
+        """(n + 5, size) from the values at the ends to the n shared parameters and the hand's at a held grip."""
+        hand = np.kron(self.shares(grip_N), np.eye(len(HAND)))
+        return np.asarray(linalg.block_diag(np.eye(len(self.shared)), hand))
+
+    def lines(self) -> tuple[tuple[str, ...], FloatArray]:
+        """Names of the q numbers that a model file states, and (q, size) from the values at the ends to them."""
+        parts = ("constant", "per_newton")[: len(self.ends_N)]
+        names = (*self.shared, *(f"hand.{name}.{part}" for name in HAND for part in parts))
+        each = self._hand()[: len(parts)]
+        hand = np.einsum("ab,pe->apeb", np.eye(len(HAND)), each).reshape(
+            len(HAND) * len(parts), len(HAND) * len(self.ends_N)
+        )
+        return names, np.asarray(linalg.block_diag(np.eye(len(self.shared)), hand))
+
     def stated(self, unknowns: FloatArray) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
         """Names and values (q,) as a model file states them, and d value / d unknown (q, size)."""
-        values, n, h = np.exp(unknowns), len(SHARED), len(HAND)
-        names, rows = list(SHARED), list(np.diag(values)[:n])
-        transform = self._hand()
-        parts = ("constant", "per_newton") if len(self.ends_N) == 2 else ("constant",)[: len(self.ends_N)]
-        for j, name in enumerate(HAND):
-            for part, weights in zip(parts, transform, strict=False):
-                row = np.zeros(self.size)
-                row[n + j :: h] = weights * values[n + j :: h]
-                names.append(f"hand.{name}.{part}")
-                rows.append(row)
-        matrix = np.array(rows)
-        # Every stated value is linear in the values at the ends, so its row, over all unknowns, sums to it.
-        return tuple(names), matrix.sum(axis=1), matrix
+        names, lines = self.lines()
+        matrix = lines * np.exp(unknowns)
+        return names, matrix.sum(axis=1), matrix

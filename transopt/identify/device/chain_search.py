@@ -144,7 +144,7 @@ class ChainSearch:
 
     def coarse(self, start: FloatArray) -> tuple[FloatArray, float]:
         """Point that the search from a start leads to, and its sum of squares."""
-        return self.likelihood.search(start, *self.bounds(start), self._free, 60)
+        return self.likelihood.search(start, *self.bounds(start), self._free, most=60)
 
     def maximum(self, start: FloatArray) -> Maximum:
         """The best unknowns near a start."""

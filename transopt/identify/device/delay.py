@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft
 
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.checks import Fault, Finding
+from transopt.identify.checks import Check, Finding
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import felt_current
 from transopt.identify.measurement import Measurement
@@ -80,9 +80,4 @@ def without_delay(runs: Sequence[Measurement], samples: int) -> list[Measurement
 
 def finding(samples: int, dt_s: float) -> Finding:
     """What was done, for the user."""
-    text = (
-        f"comes {1e3 * samples * dt_s:.4g} ms ({samples} samples) later than any device answers: taken out of all "
-        "files as a pure delay of its channel; about a sample of it may be left in the masses: record current and "
-        "acceleration on one clock"
-    )
-    return Finding(Fault.SHIFTED, "acceleration", text, False)
+    return Check.DELAYED.at("acceleration", late_ms=1e3 * samples * dt_s, samples=samples)

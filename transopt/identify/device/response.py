@@ -54,18 +54,18 @@ class Slope:
     D: FloatArray
 
 
-def _flow(matrices: FloatArray) -> FloatArray:
-    """(1 + p, n, n) exp(M) of the first matrix and its derivatives along the others, scaled Taylor and squared.
+def flow(matrices: FloatArray) -> FloatArray:
+    """(..., 1 + p, n, n) exp(M) of the first matrices and its derivatives along the others.
 
-    scipy.linalg.expm and expm_frechet take milliseconds each when their threads meet busy cores. The series is summed
-    in powers of M^3, which takes half as many products (Paterson & Stockmeyer 1973).
+    A scaled Taylor series, squared: scipy.linalg.expm and expm_frechet take milliseconds each when their threads meet
+    busy cores. It is summed in powers of M^3, which takes half as many products (Paterson & Stockmeyer 1973).
     """
-    norm = float(np.abs(matrices[0]).sum(axis=0).max())
+    norm = float(np.abs(matrices[..., 0, :, :]).sum(axis=-2).max())
     squarings = max(int(np.ceil(np.log2(max(4 * norm, 1e-300)))), 0)
-    M, dM = matrices[0] / 2.0**squarings, matrices[1:] / 2.0**squarings
+    M, dM = matrices[..., :1, :, :] / 2.0**squarings, matrices[..., 1:, :, :] / 2.0**squarings
     square, d_square = M @ M, dM @ M + M @ dM
     cube, d_cube = square @ M, d_square @ M + square @ dM
-    one = np.eye(M.shape[0])
+    one = np.eye(M.shape[-1])
     value, d_value = one / factorial(TAYLOR_DEGREE), np.zeros_like(dM)
     for degree in range(TAYLOR_DEGREE - 3, -1, -3):
         first, second, third = (1 / factorial(degree + more) for more in range(3))
@@ -74,7 +74,7 @@ def _flow(matrices: FloatArray) -> FloatArray:
     for _ in range(squarings):
         d_value = value @ d_value + d_value @ value
         value = value @ value
-    return np.concatenate([value[None], d_value])
+    return np.concatenate([value, d_value], axis=-3)
 
 
 def _generator(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, instrument: Instrument) -> FloatArray:
@@ -140,8 +140,8 @@ def _sampled(
 
     dt = instrument.dt_s
     _, late = split_delay(0.0 if amplifier is None else amplifier.delay_s, dt)
-    whole = _flow(M * dt)
-    rest = _flow(M * (dt - late)) if late else whole.copy()
+    whole = flow(M * dt)
+    rest = flow(M * (dt - late)) if late else whole.copy()
     for j, name in enumerate(moved, parts):
         if name == "amplifier_delay":
             rest[j] = -M[0] @ rest[0]

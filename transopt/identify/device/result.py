@@ -15,6 +15,7 @@ from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import Grip
 from transopt.identify.device.validation import Model, Transient, together
 from transopt.identify.device.verdict import verdict
+from transopt.identify.measurement import sources
 from transopt.scene.model_error import ModelError, Predicted
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 
@@ -114,16 +115,18 @@ class DeviceResult:
 
 def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
     """The chosen model as a model file holds it."""
-    sources = [
-        {"file": run.source, "sha256": run.sha256} for grip in result.grips for run in (*grip.fitted, *grip.kept)
-    ]
+    runs = [run for grip in result.grips for run in (*grip.fitted, *grip.kept)]
     nrmse = {f"{grip:.6g}": error for grip, error in result.chosen.recorded.items() if np.isfinite(error)}
-    common: dict[str, Any] = {"grips_N": [grip.grip_N for grip in result.grips], "nrmse": nrmse, "sources": sources}
-    common["verdict"] = "; ".join([result.verdict, *result.short])
-    common["shortfalls"] = list(result.short)
-    common["causes"] = list(result.causes)
-    common["error"] = result.error.model_dump()
-    common["predicted"] = None if result.predicted is None else result.predicted.model_dump()
+    common: dict[str, Any] = {
+        "grips_N": [grip.grip_N for grip in result.grips],
+        "nrmse": nrmse,
+        "sources": sources(runs),
+        "verdict": "; ".join([result.verdict, *result.short]),
+        "shortfalls": list(result.short),
+        "causes": list(result.causes),
+        "error": result.error.model_dump(),
+        "predicted": None if result.predicted is None else result.predicted.model_dump(),
+    }
     if result.chosen.kind is Kind.STATE_SPACE:
         assert result.black_box is not None
         matrices = {

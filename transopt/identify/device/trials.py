@@ -12,7 +12,7 @@ from transopt.identify.amplifier import fit_pole, simulate_current
 from transopt.identify.checks import (
     COHERENT,
     GRIP_STEP_N,
-    Fault,
+    Check,
     Finding,
     by_grip,
     check_bins,
@@ -144,19 +144,14 @@ def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> l
     best = int(np.argmax(np.abs(lags)))
     gain, lag = float(lags[best]) / power, best - MOST_LAG
     if not abs(gain) * np.sqrt(power) > ALIKE * float(np.linalg.norm(measured)):
-        text = "the measured current does not follow the command; check the current monitor, and record again"
-        return [Finding(Fault.INCOHERENT, run.name, text, True)]
+        return [Check.CURRENT_UNLIKE.at(run.name)]
     if gain < 0:
-        text = "current_A is opposite to command_A; turn the sign of the one that is not positive when pushing out"
-        return [Finding(Fault.POLARITY, run.name, text, True)]
+        return [Check.CURRENT_TURNED.at(run.name)]
     if abs(np.log(gain)) > np.log(MOST_GAIN):
-        text = f"current_A is {gain:.3g} times what the amplifier makes of command_A; are both in A?"
-        return [Finding(Fault.CURRENT_SCALE, run.name, text, True)]
+        return [Check.CURRENT_SCALE.at(run.name, gain=gain)]
     if lag == 0:
         return []
-    late = f"{abs(lag)} samples {'later' if lag > 0 else 'earlier'} than the known amplifier makes it"
-    remedy = "read command, current and acceleration at the same tick, or identify this amplifier into --out first"
-    return [Finding(Fault.SHIFTED, run.name, f"current_A comes {late} of command_A; {remedy}", False)]
+    return [Check.CURRENT_SHIFTED.at(run.name, samples=abs(lag), way="later" if lag > 0 else "earlier")]
 
 
 def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -> list[Finding]:
@@ -178,11 +173,7 @@ def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -
 
 def _unlike(name: str, turned: bool, ratio: float, others: str) -> list[Finding]:
     """A file whose acceleration answers the current the other way than `others` do, or `ratio` times as strongly."""
-    found = []
-    if turned:
-        text = f"acceleration answers the current the other way than in {others}"
-        remedy = "turn the accelerometer or the current's sign in this file, or record it again"
-        found.append(Finding(Fault.POLARITY, name, f"{text}; {remedy}", True))
+    found = [Check.ANSWERS_TURNED.at(name, others=others)] if turned else []
     return found + check_unit(name, ratio, others)
 
 
@@ -249,8 +240,7 @@ def sort_trials(
     found += refuse(f for f in check_grips(transients) if f.fatal)
     instrument = instrument_of(together, amplifier)
     if instrument.accelerometer_Hz is None:
-        text = "taken as ideal, so that its delay goes into the masses; add # accelerometer_Hz: 2500, or what it has"
-        found.append(Finding(Fault.BANDWIDTH, "accelerometer_Hz", text, False))
+        found.append(Check.BANDWIDTH.at("accelerometer_Hz"))
     groups, grips = by_grip(runs), []
     apart = [run for run in transients if _recorded_at(run, list(groups)) is None]
     found += [finding for run in apart for finding in _outside(run, list(groups))]
@@ -357,8 +347,7 @@ def _outside(run: Measurement, recorded_N: Sequence[float]) -> list[Finding]:
     if run.grip_N > 0 and within(run.grip_N, recorded_N):
         return []
     listed = ", ".join(f"{grip:.3g}" for grip in recorded_N)
-    text = f"grip {run.grip_N:.3g} N, sweeps at {listed} N: not judged; record sweeps there"
-    return [Finding(Fault.MISSING_GRIP, run.name, text, False)]
+    return [Check.GRIP_OUTSIDE.at(run.name, grip_N=run.grip_N, recorded=listed)]
 
 
 def _band_Hz(grip_N: float) -> tuple[float, float]:

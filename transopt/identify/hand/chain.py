@@ -10,30 +10,34 @@ that scatter by 5 to 10 % from tap to tap. These intervals do not cover that.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg, optimize, signal, stats
+from scipy import signal, stats
 
 from transopt.base.signals import FloatArray
-from transopt.identify.hand.lines import LEVEL, HandFit
+from transopt.identify.device.chain import HAND, Coordinates
+from transopt.identify.device.response import flow
+from transopt.identify.hand.lines import COEFFICIENTS, LEVEL, HandFit, grip_groups
 from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
+from transopt.identify.measurement import Measurement, sources
+from transopt.identify.squares import Squares, by_differences, inverse
 from transopt.plant.hand import LinearInGrip
+from transopt.scene.model_parts import HandPart
 
-OF_HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
-NAMES = ("stylus_mass_kg", *(f"hand.{name}.{part}" for name in OF_HAND for part in ("constant", "per_newton")))
+SHARED = ("stylus_mass_kg",)
+NAMES = (*SHARED, *(f"hand.{name}.{part}" for name in HAND for part in ("constant", "per_newton")))
 STARTS = 6
 DETERMINED = 0.25  # half width of the interval at the middle grip, relative
 MISSED = 0.05  # NRMSE of the acceleration above which more than noise and scatter of hands is to be feared
 ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
-_STEP = 1e-6  # relative, of differences
 _OVERSAMPLED = 5
 _TOLERANCE, _TRIES = 1e-6, 30
+_RELEASES = 20  # of parameters that reached zero on the way
 _LEAST_KG = 1e-3
 _LEAST_GUESS = (0.01, 1.0, 10.0)  # kg, N s/m, N/m of the whole hand, where the second order shows none
-_TAYLOR_NORM, _TAYLOR_ORDER = 0.5, 12  # the remainder is below 0.5^13 / 13! = 2e-14
 _SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # where the starts are drawn around
 
 
@@ -44,13 +48,13 @@ class ChainFit:
     Attributes
     ----------
     stylus_mass_kg : of whatever moves rigidly with the accelerometer.
-    lines : name of `OF_HAND` -> its line over grip.
+    lines : name of `HAND` -> its line over grip.
     grips_N : lowest and highest recorded.
     intervals : (11, 2) 95 %, covariance : (11, 11), both of `NAMES`.
     uncertain : name of the stylus mass and of each line -> half width of its interval at the middle grip, relative.
     entangled : pairs whose values at the middle grip are correlated by more than `ENTANGLED`.
     unexplained : median over the taps of |a - model| / |a|.
-    starts : costs reached from each start, the best first.
+    starts : sums of squares reached from each start, the best first.
     """
 
     stylus_mass_kg: float
@@ -88,6 +92,19 @@ class ChainFit:
         agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
         return f"{text}; {agreeing} of {len(self.starts)} starts end in the same optimum"
 
+    def content(self) -> dict[str, object]:
+        """The fourth-order hand as the model file keeps it."""
+        return {
+            "stylus_mass_kg": self.stylus_mass_kg,
+            "hand": {name: asdict(line) for name, line in self.lines.items()},
+            "intervals": dict(zip(NAMES, self.intervals.tolist(), strict=True)),
+            "parameters": list(NAMES),
+            "covariance": self.covariance.tolist(),
+            "undetermined": self.undetermined,
+            "nrmse": self.unexplained,
+            "verdict": self.word(),
+        }
+
 
 @dataclass(frozen=True)
 class _Session:
@@ -99,7 +116,7 @@ class _Session:
     weight : (T, n) such that each tap counts by its relative error.
     dt_s : (T,) sampling periods.
     grips_N : (T,).
-    ends_N : lowest and highest grip, at which the lines are stated.
+    coordinates : the unknowns, at the lowest and the highest grip.
     """
 
     force: FloatArray
@@ -107,11 +124,11 @@ class _Session:
     weight: FloatArray
     dt_s: FloatArray
     grips_N: FloatArray
-    ends_N: tuple[float, float]
+    coordinates: Coordinates
 
     @classmethod
-    def of(cls, taps: Sequence[HandTap], ends_N: tuple[float, float]) -> "_Session":
-        """The taps of a session, with lines stated at both `ends_N`."""
+    def of(cls, taps: Sequence[HandTap], coordinates: Coordinates) -> "_Session":
+        """The taps of a session."""
         n = max(tap.force_N.size for tap in taps)
         force, acceleration, weight = (np.zeros((len(taps), n)) for _ in range(3))
         for j, tap in enumerate(taps):
@@ -119,13 +136,12 @@ class _Session:
             force[j, :size], acceleration[j, :size] = tap.force_N, tap.acceleration_m_s2
             weight[j, :size] = 1 / np.linalg.norm(tap.acceleration_m_s2)
         dt, grips = (np.array([getattr(tap, name) for tap in taps]) for name in ("dt_s", "grip_N"))
-        return cls(force, acceleration, weight, dt, grips, ends_N)
+        return cls(force, acceleration, weight, dt, grips, coordinates)
 
     @cached_property
-    def share(self) -> FloatArray:
-        """(T,) how far each grip is from the lowest (0) to the highest (1)."""
-        low, high = self.ends_N
-        return (self.grips_N - low) / (high - low)
+    def at_taps(self) -> FloatArray:
+        """(T, 6, 11) from the values at the ends to the parameters of each tap."""
+        return np.array([self.coordinates.at(grip) for grip in self.grips_N.tolist()])
 
     @cached_property
     def every(self) -> int:
@@ -133,24 +149,20 @@ class _Session:
         return max(1, int(1 / (float(self.dt_s.max()) * _OVERSAMPLED * LOWPASS_HZ)))
 
     def residuals(self, theta: FloatArray) -> FloatArray:
-        """(P, T, n / every) weighted residuals for parameters (P, 11): the stylus mass, each line at both ends."""
-        ends = theta[:, 1:].reshape(-1, len(OF_HAND), 2)
-        lines = ends[:, :, :1] * (1 - self.share) + ends[:, :, 1:] * self.share  # (P, 5, T)
-        stylus = np.broadcast_to(theta[:, :1], lines[:, 0].shape)
-        P, T = stylus.shape
+        """(P, T, n / every) weighted residuals for the values at the ends (P, 11)."""
+        P, T = len(theta), self.grips_N.size
+        stylus, *hand = np.einsum("tqe,pe->qpt", self.at_taps, theta).reshape(1 + len(HAND), -1)
         simulated = _simulate(
-            stylus.ravel(),
-            lines.transpose(1, 0, 2).reshape(len(OF_HAND), -1),
+            stylus,
+            np.array(hand),
             np.tile(self.dt_s, P),
             np.tile(self.force, (P, 1)),
         )
         return ((simulated.reshape(P, T, -1) - self.acceleration) * self.weight)[..., :: self.every]
 
-    def jacobian(self, theta: FloatArray, scale: FloatArray) -> FloatArray:
-        """(T n / every, 11), by forward differences in one batch."""
-        step = _STEP * np.maximum(np.abs(theta), 1e-3 * scale)
-        residuals = self.residuals(np.vstack([theta, theta + np.diag(step)])).reshape(theta.size + 1, -1)
-        return np.asarray(((residuals[1:] - residuals[0]) / step[:, None]).T)
+    def squares(self, scale: FloatArray) -> Squares:
+        """The sum of squares of parameters in units of `scale` (11,)."""
+        return Squares(by_differences(lambda sets: self.residuals(sets * scale).reshape(len(sets), -1)))
 
 
 def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: FloatArray) -> FloatArray:
@@ -159,7 +171,7 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     Parameters
     ----------
     stylus : (L,) mass.
-    hand : (5, L) in the order of `OF_HAND`.
+    hand : (5, L) in the order of `HAND`.
     dt_s : (L,).
     """
     mass, skin_k, skin_b, arm_k, arm_b = hand
@@ -167,12 +179,12 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     # States: deviation of the stylus, of the hand mass, their velocities; then the force and its slope. In units of
     # the step all entries are small, though stiffness over mass is not.
     step = dt_s[:, None]
-    flow = np.zeros((L, 6, 6))
-    flow[:, 0, 2] = flow[:, 1, 3] = flow[:, 4, 5] = 1.0
+    matrices = np.zeros((L, 6, 6))
+    matrices[:, 0, 2] = matrices[:, 1, 3] = matrices[:, 4, 5] = 1.0
     stylus_row = np.stack([-skin_k, skin_k, -skin_b / dt_s, skin_b / dt_s, np.ones(L)], axis=1) / stylus[:, None]
     hand_row = np.stack([skin_k, -skin_k - arm_k, skin_b / dt_s, (-skin_b - arm_b) / dt_s], axis=1) / mass[:, None]
-    flow[:, 2, :5], flow[:, 3, :4] = step**2 * stylus_row, step**2 * hand_row
-    hold = _exponentials(flow)
+    matrices[:, 2, :5], matrices[:, 3, :4] = step**2 * stylus_row, step**2 * hand_row
+    hold = flow(matrices[:, None])[:, 0]
     transition, to_force, to_slope = hold[:, :4, :4], hold[:, :4, 4], hold[:, :4, 5]
     # Rows C A^k by doubling, and from them the response to a hat of one sample.
     rows = stylus_row[:, None, :4]
@@ -190,22 +202,6 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     return np.asarray(found - after * force[:, :1])
 
 
-def _exponentials(flow: FloatArray) -> FloatArray:
-    """(L, m, m) matrix exponentials by scaling, Taylor and squaring, to rounding.
-
-    scipy.linalg.expm takes the matrices one by one, 50 us to 10 ms each; a fit needs 10^5 of them.
-    """
-    halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(flow).sum(axis=2).max()), 1e-300) / _TAYLOR_NORM))))
-    scaled = flow / 2.0**halvings
-    term = found = np.broadcast_to(np.eye(flow.shape[-1]), flow.shape)
-    for order in range(1, _TAYLOR_ORDER + 1):
-        term = term @ scaled / order
-        found = found + term
-    for _ in range(halvings):
-        found = found @ found
-    return np.asarray(found)
-
-
 def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, seed: int = 0) -> ChainFit:
     """Stylus mass and five lines over grip from all taps together.
 
@@ -217,20 +213,26 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, s
     seed : of their draw.
     """
     ends = (float(hand.grips_N.min()), float(hand.grips_N.max()))
-    session = _Session.of(taps, ends)
+    coordinates = Coordinates(ends, SHARED)
+    session = _Session.of(taps, coordinates)
     order = np.argsort(hand.grips_N)
     few = order[np.unique(np.linspace(0, order.size - 1, _FEW).round().astype(int))]
-    part = _Session.of([taps[j] for j in few], ends)
+    part = _Session.of([taps[j] for j in few], coordinates)
     guess = _guess(hand, ends)
     random = np.random.default_rng(seed)
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
-    tried = sorted((_solve(part, guess * factor, guess) for factor in factors), key=lambda found: float(found.cost))
-    best = _solve(session, tried[0].x, guess)
-    return _with_uncertainty(session, best.x, guess, tuple(float(found.cost) for found in tried))
+    # No parameter is negative at either end.
+    least = np.zeros(guess.size)
+    least[[0, 1, 1 + len(HAND)]] = _LEAST_KG  # the stylus, and the hand's mass at both ends
+    bounds = least / guess, np.full(guess.size, np.inf)
+    tried = part.squares(guess).searches(factors, *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
+    squares = session.squares(guess)
+    best, _ = squares.search(tried[0][0], *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
+    return _with_uncertainty(session, squares.evaluate(best), best * guess, guess, tuple(cost for _, cost in tried))
 
 
 def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
-    """(11,) stylus mass and each line at both ends, from mass, damper and spring of the second-order hand."""
+    """(11,) stylus mass and the hand's values at both ends, from mass, damper and spring of the second-order hand."""
     mass, damping, stiffness = (
         np.array([max(line.line.at(grip), 0.1 * float(np.median(line.at_taps)), least) for grip in ends])
         for line, least in zip(hand.lines, _LEAST_GUESS, strict=True)
@@ -238,50 +240,38 @@ def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
     stylus = _STYLUS_SHARE * mass.mean()
     skin_k = stylus * (2 * np.pi * _SKIN_HZ) ** 2
     skin_b = 2 * _SKIN_DAMPING * np.sqrt(skin_k * stylus)
-    skin = [skin_k, skin_k, skin_b, skin_b]
-    return np.concatenate([np.array([stylus]), (1 - _STYLUS_SHARE) * mass, np.array(skin), stiffness, damping])
+    ends_of_hand = zip((1 - _STYLUS_SHARE) * mass, stiffness, damping, strict=True)
+    return np.array([stylus, *(value for m, k, b in ends_of_hand for value in (m, skin_k, skin_b, k, b))])
 
 
-def _solve(session: _Session, start: FloatArray, scale: FloatArray) -> optimize.OptimizeResult:
-    """Least squares from one start, no parameter negative at either end."""
-    least = np.zeros(start.size)
-    least[:3] = _LEAST_KG
+def _with_uncertainty(
+    session: _Session,
+    at: tuple[FloatArray, FloatArray],
+    theta: FloatArray,
+    scale: FloatArray,
+    costs: tuple[float, ...],
+) -> ChainFit:
+    """The fit of an optimum theta (11,), with covariance, intervals, and what the taps leave open.
 
-    def residuals(theta: FloatArray) -> FloatArray:
-        return np.asarray(session.residuals(theta[None])[0].ravel())
-
-    def jacobian(theta: FloatArray) -> FloatArray:
-        return session.jacobian(theta, scale)
-
-    return optimize.least_squares(
-        residuals,
-        start,
-        jac=jacobian,
-        bounds=(least, np.inf),
-        x_scale=scale,
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        max_nfev=_TRIES,
-    )
-
-
-def _with_uncertainty(session: _Session, theta: FloatArray, scale: FloatArray, costs: tuple[float, ...]) -> ChainFit:
-    """The fit of an optimum theta (11,), with covariance, intervals, and what the taps leave open."""
+    Parameters
+    ----------
+    at : residuals there and their Jacobian by theta in units of `scale`.
+    """
     T, p = session.grips_N.size, theta.size
-    residuals = session.residuals(theta[None])[0]
-    J = session.jacobian(theta, scale) * scale
+    residuals, J = at[0].reshape(T, -1), at[1]
     # One score per tap: what is left of a tap whose hand was another is alike all over it.
     scores = np.einsum("tnp,tn->tp", J.reshape(T, -1, p), residuals)
-    bread = np.linalg.pinv(J.T @ J)
+    bread = inverse(J)
     covariance = np.outer(scale, scale) * (bread @ (scores.T @ scores) @ bread) * T / (T - p)
-    to_lines, to_middle = _maps(session.ends_N)
+    ends_N = session.coordinates.held_N
+    (_, to_lines), to_middle = session.coordinates.lines(), session.coordinates.at(float(np.mean(ends_N)))
     found = to_lines @ theta
     of_lines = to_lines @ covariance @ to_lines.T
     t = float(stats.t.ppf((1 + LEVEL) / 2, T - p))
     half = t * np.sqrt(np.diagonal(of_lines))
     middle, of_middle = to_middle @ theta, to_middle @ covariance @ to_middle.T
     deviation = np.sqrt(np.diagonal(of_middle))
-    names = ("stylus_mass_kg", *(f"hand.{name}" for name in OF_HAND))
+    names = (*SHARED, *(f"hand.{name}" for name in HAND))
     with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that ended at zero is not determined
         uncertain = np.where(middle > 0, t * deviation / middle, np.inf)
         correlation = np.nan_to_num(of_middle / np.outer(deviation, deviation))
@@ -290,8 +280,8 @@ def _with_uncertainty(session: _Session, theta: FloatArray, scale: FloatArray, c
     ]
     return ChainFit(
         stylus_mass_kg=float(found[0]),
-        lines={name: LinearInGrip(*found[1 + 2 * j : 3 + 2 * j].tolist()) for j, name in enumerate(OF_HAND)},
-        grips_N=session.ends_N,
+        lines={name: LinearInGrip(*found[1 + 2 * j : 3 + 2 * j].tolist()) for j, name in enumerate(HAND)},
+        grips_N=(ends_N[0], ends_N[-1]),
         intervals=np.stack([found - half, found + half], axis=1),
         covariance=(of_lines + of_lines.T) / 2,
         uncertain=dict(zip(names, uncertain.tolist(), strict=True)),
@@ -301,11 +291,27 @@ def _with_uncertainty(session: _Session, theta: FloatArray, scale: FloatArray, c
     )
 
 
-def _maps(ends: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-    """(11, 11) from values at both ends to constants and slopes, (6, 11) to the values halfway."""
-    low, high = ends
-    line = np.array([[high, -low], [-1.0, 1.0]]) / (high - low)
-    alone, middle = np.eye(1), np.array([[0.5, 0.5]])
-    to_lines = linalg.block_diag(alone, *[line] * len(OF_HAND))
-    to_middle = linalg.block_diag(alone, *[middle] * len(OF_HAND))
-    return np.asarray(to_lines), np.asarray(to_middle)
+def hand_part(fit: HandFit, chain: ChainFit, runs: Sequence[Measurement]) -> HandPart:
+    """What the model file states.
+
+    Raises
+    ------
+    pydantic.ValidationError : no passive hand.
+    """
+    grips = [float(fit.grips_N[group].mean()) for group in grip_groups(fit.grips_N)]
+    grips[0], grips[-1] = float(fit.grips_N.min()), float(fit.grips_N.max())
+    bounds = [pair for line in fit.lines for pair in line.intervals.tolist()]
+    lines = {line.quantity: asdict(line.line) for line in fit.lines}
+    return HandPart.model_validate(
+        {
+            **lines,
+            "intervals": dict(zip(COEFFICIENTS, bounds, strict=True)),
+            "parameters": list(COEFFICIENTS),
+            "covariance": fit.covariance.tolist(),
+            "grips_N": grips,
+            "verdict": fit.verdict(),
+            "shortfalls": fit.shortfalls(),
+            "sources": sources(runs),
+            "fourth_order": chain.content(),
+        }
+    )

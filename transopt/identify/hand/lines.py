@@ -115,6 +115,18 @@ class HandFit:
                 )
         return found
 
+    def verdict(self) -> str:
+        """In plain words: what the model may be used for, or why not."""
+        short = self.shortfalls()
+        if short:
+            return f"not to be relied upon: {'; '.join(short)}"
+        low, high = self.grips_N.min(), self.grips_N.max()
+        return (
+            f"supports designs with a second_order hand from {low:.2g} to {high:.2g} N: mass, damping and stiffness "
+            f"follow grip as lines, {100 * self.unexplained:.1f} % of the surface force is left unexplained "
+            f"({len(self.fits)} taps)"
+        )
+
     def _farthest(self, line: GripLine) -> float:
         """Mean grip of the group whose mean lies farthest from the line."""
         groups = grip_groups(self.grips_N)

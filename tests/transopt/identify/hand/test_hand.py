@@ -25,7 +25,8 @@ from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.hand.chain import NAMES, OF_HAND, _simulate, fit_chain
+from transopt.identify.device.chain import HAND
+from transopt.identify.hand.chain import NAMES, _simulate, fit_chain
 from transopt.identify.hand.lines import LEAST_TRIALS, HandFit, fit_hand
 from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
 from transopt.identify.measurement import Measurement
@@ -224,14 +225,14 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     assert "see the fourth order" in shortfalls[0]
     fit = fit_chain(found, second, starts=3)
     assert fit.stylus_mass_kg == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.01)
-    for name, tolerance in zip(OF_HAND, (0.02, 0.02, 0.02, 0.1, 0.03), strict=True):
+    for name, tolerance in zip(HAND, (0.02, 0.02, 0.02, 0.1, 0.03), strict=True):
         assert fit.lines[name].at(5.5) == pytest.approx(getattr(FOURTH_ORDER_HAND, name).at(5.5), rel=tolerance)
     assert not fit.undetermined
     assert "3 of 3 starts" in fit.word()
     assert "wrong structure" not in fit.word()
     assert "missed by 12 %" in replace(fit, unexplained=0.12).word()
     truth = [FOURTH_ORDER_STYLUS_KG]
-    for name in OF_HAND:
+    for name in HAND:
         truth += [getattr(FOURTH_ORDER_HAND, name).constant, getattr(FOURTH_ORDER_HAND, name).per_newton]
     inside = (fit.intervals[:, 0] <= truth) & (fit.intervals[:, 1] >= truth)
     assert inside.sum() >= len(NAMES) - 2
@@ -315,7 +316,7 @@ def test_a_few_bad_trials_are_left_out_many_are_refused(trials: Trials) -> None:
 
 
 def test_the_figure_is_three_panels(hand: HandFit, tmp_path: Path) -> None:
-    from transopt.identify.figures.hand import hand_figure
+    from transopt.report.hand_fit import hand_figure
 
     figure = hand_figure(hand)
     assert [axes.get_ylabel() for axes in figure.axes] == ["mass [kg]", "damping [N s/m]", "stiffness [N/m]"]

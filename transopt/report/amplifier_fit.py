@@ -1,14 +1,17 @@
-"""Figure of an identified amplifier, like the seed's Fig. 6."""
+"""How an identified amplifier is shown: its tables, and a figure like the seed's Fig. 6."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
+from rich.table import Table
 
 from transopt.base.plotting import LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.amplifier import AmplifierFit
-from transopt.identify.spectrum import TransferEstimate
+from transopt.identify.spectrum import TransferEstimate, Trial
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients
 
 POINTS = 400
@@ -73,3 +76,57 @@ def _line(magnitude: Axes, phase: Axes, f: FloatArray, response: ComplexArray, c
     """A fit."""
     magnitude.plot(f, 20 * np.log10(np.abs(response)), color=colour, linewidth=1.1, label=label)
     phase.plot(f, np.degrees(np.unwrap(np.angle(response))), color=colour, linewidth=1.1)
+
+
+def trial_table(fit: AmplifierFit, trials: Sequence[Trial]) -> Table:
+    """What each file played, and the gain that a linear model sees in it."""
+    table = Table(title="trials, command to current")
+    table.add_column("file")
+    for heading in ("length [s]", "rate [Hz]", "peak [A]", "middle [A]", "gain with crossover"):
+        table.add_column(heading, justify="right")
+    for trial, gain in zip(trials, fit.trial_gains, strict=True):
+        command = trial.input
+        numbers = (command.values.size * command.dt_s, command.rate_Hz, np.abs(command.values).max())
+        table.add_row(
+            trial.name, *(f"{number:.6g}" for number in numbers), f"{np.median(command.values):.2f}", f"{gain:.4f}"
+        )
+    return table
+
+
+def value_table(fit: AmplifierFit) -> Table:
+    """Values with their 95 % intervals; below them what a continuous fit of the same response would say."""
+    table = Table(title="amplifier")
+    table.add_column("quantity")
+    for heading in ("value", "95 % interval"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    late = (fit.delay_s, fit.intervals["delay_s"], 1e6)
+    rows = [
+        ("pole", fit.pole_Hz, fit.intervals["pole_Hz"], 1.0, 0.0, "Hz", ".1f"),
+        ("delay beyond the hold", *late, 0.0, "us", ".2f"),
+        ("delay with the hold's half sample", *late, 5e5 * fit.dt_s, "us", ".2f"),
+        ("gain", fit.gain, fit.intervals["gain"], 1.0, 0.0, "", ".4f"),
+    ]
+    for name, value, interval, factor, more, unit, form in rows:
+        found, low, high = (format(factor * number + more, form) for number in (value, *interval))
+        table.add_row(name, found, f"{low} to {high}", unit)
+    crossover = fit.crossover
+    if crossover.shows:
+        h, half = 1e3 * crossover.half_width_A, 1.96e3 * crossover.deviation_A
+        table.add_row("crossover, half-width", f"{h:.2f}", f"{h - half:.2f} to {h + half:.2f}", "mA")
+    table.add_section()
+    continuous = f"{fit.continuous_pole_Hz:.0f} Hz and {1e6 * fit.continuous_delay_s:.1f} us"
+    table.add_row("without hold and sampling in the model", continuous, "", "")
+    return table
+
+
+def crossover_line(fit: AmplifierFit) -> str:
+    """Whether the amplifier's dead band shows."""
+    crossover = fit.crossover
+    if crossover.shows:
+        h = crossover.half_width_A
+        # First harmonic of what a dead band takes off a sine of 1 A: 4 h / pi.
+        lost = f"commands within {1e3 * h:.3g} mA of zero are lost, {400 * h / np.pi:.2g} % of a sine of 1 A"
+        return f"crossover: {lost}; taken off before the fit, so that pole and delay are free of it"
+    seen = f"none above {4e3 * crossover.deviation_A:.2g} mA" if crossover.deviation_A > 0 else "not to be seen"
+    return f"crossover: {seen}"

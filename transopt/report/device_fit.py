@@ -1,7 +1,10 @@
-"""The figure of an identified device: the responses of all grips, as in the seed's Fig. 7, and beside them for each
-grip what the model is off by and one recorded motion that was kept out of the fit, measured and predicted.
+"""How an identified device is shown: its tables and verdict, and a figure.
+
+The figure has the responses of all grips, as in the seed's Fig. 7, and beside them for each grip what the model is
+off by and one recorded motion that was kept out of the fit, measured and predicted.
 """
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -10,10 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLocator
+from rich.console import Console
+from rich.table import Column, Table
 
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, draw_minor_ticks_at_once, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
-from transopt.identify.device.result import Candidate, DeviceResult
+from transopt.identify.device.advice import intervals
+from transopt.identify.device.chain import unit_of
+from transopt.identify.device.result import Candidate, DeviceResult, Kind
 from transopt.identify.device.trials import Grip
 from transopt.identify.device.validation import Transient, called, modelled
 
@@ -146,3 +153,48 @@ def _say(axes: Axes, at: float, side: Literal["center", "right"], words: str, si
     """Words at the top of a panel, on paper of their own."""
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
     axes.annotate(words, (at, 0.95), xycoords="axes fraction", ha=side, va="top", fontsize=size, bbox=paper)
+
+
+def show(console: Console, result: DeviceResult) -> None:
+    """Tables and the verdict."""
+    if result.chosen.kind is Kind.DRIVE and result.chain is not None:
+        names, values, covariance = result.chain.stated()
+        span = intervals(names, values, covariance)
+        # Names are told apart by their ends: fold them on a narrow terminal, never cut them.
+        table = Table(Column("parameter", overflow="fold"), "value", "95 % interval", "unit", title="drive chain")
+        for name, value in zip(names, values, strict=True):
+            low, high = span[name]
+            table.add_row(name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit_of(name))
+        console.print(table)
+    elif result.black_box is not None:
+        console.print(f"state space of order {result.black_box.order} at each grip")
+    table = Table("grip", "trials", "held-out NRMSE %", "unknown to the model %", "residual", "hand of its own")
+    recorded, between = result.chosen.recorded, result.chosen.between
+    residual = dict(zip([grip.grip_N for grip in result.grips], result.residuals, strict=True))
+    own = {one.grip_N: one.own_scatter for one in result.own_hands if result.chosen.kind is Kind.DRIVE}
+    trials = {grip.grip_N: len(grip.fitted) for grip in result.grips}
+
+    def number(values: Mapping[float, float], grip: float, factor: float = 1.0) -> str:
+        return f"{factor * values[grip]:.2g}" if grip in values and values[grip] == values[grip] else "-"
+
+    for grip in sorted({*recorded, *between}):
+        errors = number(recorded, grip, 100), number(between, grip, 100)
+        table.add_row(called(grip), str(trials.get(grip, 0)), *errors, number(residual, grip), number(own, grip))
+    console.print(table)
+    console.print(
+        "unknown to the model: NRMSE at this grip of a fit without it. residual: mean square over the noise's, 1 for "
+        "a model that is right; hand of its own: the same with a hand fitted to this grip alone",
+        style="dim",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if result.other is not None and recorded:
+        ours, theirs = 100 * result.chosen.off, 100 * result.other.off
+        console.print(f"{result.chosen.kind} chosen: response {ours:.2g} % off, {result.other.kind} {theirs:.2g} %")
+    for finding in result.findings:
+        console.print(f"note: {finding}", soft_wrap=True)
+    for text in result.advice:
+        console.print(f"record again: {text}", soft_wrap=True)
+    console.print(f"verdict: {result.verdict}", soft_wrap=True)
+    for text in result.short:
+        console.print(f"short: {text}", soft_wrap=True)

@@ -1,12 +1,20 @@
-"""A heating record with its model: temperatures, what the model misses, current."""
+"""How an identified coil is shown: its values, and the heating record with what the model makes of it."""
 
 import numpy as np
 from matplotlib.figure import Figure
+from rich.table import Table
 
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
-from transopt.identify.coil import CoilFit
+from transopt.identify.coil import NAMES, CoilFit
 
 _MOST_POINTS = 4000
+UNITS = {"R_wh_K_W": "K/W", "R_ha_K_W": "K/W", "tau_w_s": "s", "tau_h_s": "s"}
+MEANING = {
+    "R_wh_K_W": "winding over housing",
+    "R_ha_K_W": "housing over ambient",
+    "tau_w_s": "winding",
+    "tau_h_s": "housing",
+}
 
 
 def coil_figure(fit: CoilFit) -> Figure:
@@ -37,3 +45,23 @@ def coil_figure(fit: CoilFit) -> Figure:
     below.set_xlabel("time [min]", fontsize=LABEL_PT)
     above.legend(fontsize=SMALL_PT, frameon=False, markerscale=4)
     return figure
+
+
+def value_table(fit: CoilFit) -> Table:
+    """Values with their 95 % intervals."""
+    table = Table(title=f"coil of {fit.record.R_ohm:g} ohm at 25 C")
+    for heading in ("quantity", "of"):
+        table.add_column(heading)
+    for heading in ("value", "95 %"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    for name, (low, high) in zip(NAMES, fit.intervals, strict=True):
+        table.add_row(name, MEANING[name], f"{getattr(fit.coil, name):.4g}", f"{low:.4g} .. {high:.4g}", UNITS[name])
+    return table
+
+
+def noise_line(fit: CoilFit) -> str:
+    """Which temperatures were fitted, and how near the model comes to them."""
+    channels = "the winding" if fit.record.housing is None else "winding and housing"
+    noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
+    return f"from {channels}, {noise}"

@@ -1,1 +1,0 @@
-"""Figures of what was identified: one file for each of amplifier, device, hand and coil."""
