@@ -43,7 +43,7 @@ def reference_of(scene: Scene, speed_m_s: float) -> Reference:
 
 def _problem(case: Case, rate_Hz: float) -> TransientProblem:
     scene = at_rate(case.scene, rate_Hz)
-    return Context(scene).posed_as(reference_of(scene, case.speed_m_s, case.grip_N).problem)
+    return Context(scene).posed_as(reference_of(scene, case.speed_m_s), case.grip_N).problem
 
 
 def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATES_Hz) -> list[Row]:

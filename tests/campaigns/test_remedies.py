@@ -21,26 +21,22 @@ from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
 from typing import Annotated, Any
 
-import numpy as np
 import pytest
 import typer
 
 import problems
 from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
-from problems.stress.judge import played
 from tests.campaigns.harness import Jobs, JsonFile, Seed, long_form, words_of, write_json
 from transopt.base.errors import InputError
 from transopt.base.writing import table
 from transopt.design.build import build_library
 from transopt.design.context import Context
 from transopt.design.design import design
+from transopt.design.entry import Entry
 from transopt.design.explain import Remedy, what_would_do
-from transopt.design.optimum import optimum
 from transopt.design.remedy import Values, remedies
 from transopt.problem.answer import Status
-from transopt.proof.admit import admit
-from transopt.proof.designed import Designed
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
 from transopt.solvers.options import SolverOptions
@@ -96,12 +92,10 @@ def read(sentence: str) -> list[dict[str, float | None]]:
     ]
 
 
-def _stands(case: StressCase, values: Values | None) -> tuple[Status, list[str], Designed]:
+def _stands(case: StressCase, values: Values | None) -> Entry:
     """How a case ends with other numbers, by the ordinary way."""
-    designed = optimum(case.problem(values), SolverOptions())
-    command = designed.solution.command
-    run = played(designed.problem, np.nan_to_num(command, nan=0.0, posinf=0.0, neginf=0.0))
-    return *admit(designed, run), designed
+    (entry,) = design([case.posed(values)])
+    return entry
 
 
 def _checked(refusal: Refusal, said: Sequence[Remedy], sentence: str, ends: Callable[[Values], str]) -> Refusal:
@@ -123,23 +117,22 @@ def of_case(place: Place) -> list[Refusal]:
     case = place.case
     assert case is not None
     try:
-        status, said, designed = _stands(case, None)
+        entry = _stands(case, None)
     except InputError:
         return []
-    if status is Status.OPTIMAL:
+    if entry.admitted:
         return []
     start = time.perf_counter()
-    run = played(designed.problem, np.nan_to_num(designed.solution.command, nan=0.0, posinf=0.0, neginf=0.0))
-    own = remedies(case, designed.problem, run, status, SolverOptions())
-    sentence = what_would_do(own)
-    found = Refusal(place.name, status.name, "; ".join([*said, sentence]), seconds=time.perf_counter() - start)
+    own = remedies(case, entry, SolverOptions())
+    sentence, took_s = what_would_do(own), time.perf_counter() - start
+    found = Refusal(place.name, entry.status.name, "; ".join([*entry.shortfalls, sentence]), seconds=took_s)
 
     def ends(values: Values) -> str:
         try:
-            status, said, _ = _stands(case, values)
+            again = _stands(case, values)
         except InputError as error:
             return str(error)
-        return "" if status is Status.OPTIMAL else f"{status.name}: {'; '.join(said)}"
+        return "" if again.admitted else f"{again.status.name}: {'; '.join(again.shortfalls)}"
 
     return [_checked(found, own, sentence, ends)]
 

@@ -21,7 +21,7 @@ from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinemen
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.columns import EntryTable
-from transopt.library.library import PLANT, Library, further_arrays, multiplier_arrays
+from transopt.library.library import ARRAYS, PLANT, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import in_file_form, shared_left_out, temperature_is_in
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.limits import needed_outputs
@@ -219,9 +219,6 @@ def assemble(
     """
     scene = context.scene
 
-    def over_grid(value: Callable[[Entry], Any]) -> Any:
-        return np.array([[value(entry) for entry in row] for row in entries])
-
     plants = [entry.problem.stage.plant for entry in entries[0]]
     spreads = [[device.plant for device in entry.problem.spread] for entry in entries[0]]
 
@@ -236,10 +233,6 @@ def assemble(
         speeds_m_s=np.asarray(scene.axes.speeds_m_s),
         targets=np.array(scene.axes.targets or [""] * len(references), dtype=np.str_),
         grips_N=np.asarray(scene.grid.grips_N),
-        command=over_grid(lambda e: e.solution.command),
-        transient_command=over_grid(lambda e: e.transient_command),
-        plant_input=over_grid(lambda e: e.plant_input),
-        acceleration_m_s2=over_grid(lambda e: e.predicted_m_s2),
         reference_m_s2=np.stack([r.motor_m_s2 for r in references]),
         reference_raw_m_s2=np.stack([r.raw_m_s2 for r in references]),
         reference_before_m_s2=np.stack([r.before_m_s2 for r in references]),
@@ -249,43 +242,20 @@ def assemble(
         nominal_velocity_m_s=np.stack([r.nominal_velocity_m_s for r in references]),
         nominal_position_at_ticks_m=at_ticks[:, : scene.time.stages],
         nominal_after_at_ticks_m=at_ticks[:, scene.time.stages :],
-        nrmse=over_grid(lambda e: e.nrmse),
-        nrmse_after=over_grid(lambda e: e.played.nrmse_after),
-        peak_after_m_s2=over_grid(lambda e: e.played.error_peak_after_m_s2),
-        intensity=over_grid(lambda e: e.problem.intensity),
-        energy_dB=over_grid(lambda e: e.energy_dB if scene.weights.objective == "intensity" else 0.0),
-        floor=over_grid(lambda e: e.floor),
-        nrmse_seed=over_grid(lambda e: (e.baselines.seed, e.baselines.seed_steady)),
-        nrmse_clipped=over_grid(lambda e: (e.baselines.clipped, e.baselines.clipped_steady)),
-        peak_input=over_grid(lambda e: e.played.peak_input),
-        peak_temperature_C=over_grid(lambda e: e.played.winding_C),
-        objective=over_grid(lambda e: e.certificate.objective),
-        primal_violation=over_grid(lambda e: e.certificate.primal_violation),
-        dual_residual=over_grid(lambda e: e.certificate.dual_residual),
-        duality_gap=over_grid(lambda e: e.certificate.duality_gap),
-        lower_bound=over_grid(lambda e: e.certificate.lower_bound),
-        solve_time_s=over_grid(lambda e: e.solution.solve_time_s),
-        status=over_grid(lambda e: e.status.value),
-        binding=over_grid(lambda e: e.binding),
+        **{
+            name: np.array(
+                [[array.made(entry) for entry in row] for row in entries], dtype=None if array.is_text else float
+            )
+            for name, array in ARRAYS.items()
+            if array.made is not None
+        },
         multipliers_of=multiplier_arrays(
             [[entry.solution.multipliers for entry in row] for row in entries],
             further_arrays(meta, len(spreads[0])),
         ),
-        current_sign=over_grid(lambda e: e.solution.multipliers.slope),
-        mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
         correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
-        # A linear plant has no such figures.
-        linear_command=over_grid(
-            lambda e: np.zeros(scene.time.stages) if e.linear_command is None else e.linear_command
-        ),
-        nrmse_promised=over_grid(lambda e: 0.0 if e.linear_played is None else e.linear_promised),
-        nrmse_linear=over_grid(lambda e: 0.0 if e.linear_played is None else e.linear_nrmse),
-        substeps=over_grid(
-            lambda e: 0.0 if e.designed.nonlinear is None else float(e.designed.nonlinear.stage.substeps)
-        ),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
-        spread_share=over_grid(lambda e: e.problem.shared[1:]),
         meta=meta,
     )
 

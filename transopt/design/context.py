@@ -2,12 +2,11 @@
 
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Generic, TypeVar
 
-from transopt.base.axes import Axes
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear import NonlinearCoil
@@ -96,6 +95,7 @@ class Context:
         self.scene, self._given = scene, references
         self.stages: Kept[StageModel] = Kept(KEPT_STAGES) if stages is None else stages
         self._between: Kept[Reference] = Kept(KEPT_BETWEEN)
+        self._devices: dict[float, tuple[StageModel, tuple[StageModel, ...]]] = {}
 
     @classmethod
     def recorded(cls, scene: Scene, recordings: Sequence[Recording]) -> "Context":
@@ -139,11 +139,17 @@ class Context:
 
     def stage(self, grip_N: float) -> StageModel:
         """The device of one grip as the scene's problem needs it."""
-        return self._stage(self._linear, grip_N)
+        return self._of_grip(grip_N)[0]
 
     def spread(self, grip_N: float) -> tuple[StageModel, ...]:
         """Further devices that the commands of one grip shall serve."""
-        return tuple(self._stage(of, grip) for of, grip in self._linear.spread(grip_N))
+        return self._of_grip(grip_N)[1]
+
+    def _of_grip(self, grip_N: float) -> tuple[StageModel, tuple[StageModel, ...]]:
+        if grip_N not in self._devices:
+            own = self._stage(self._linear, grip_N)
+            self._devices[grip_N] = own, tuple(self._stage(of, grip) for of, grip in self._linear.spread(grip_N))
+        return self._devices[grip_N]
 
     def _stage(self, of: Scene, grip_N: float) -> StageModel:
         posing = self.posing
@@ -178,18 +184,6 @@ class Context:
             repeatability=reference.repeatability,
             plant=self.plant,
         )
-
-    def all(self) -> Iterator[Posed]:
-        """Every entry of the scene, speeds outermost."""
-        for speed, name in self.rows:
-            for grip in self.scene.grid.grips_N:
-                yield self.posed(speed, grip, name)
-
-    @property
-    def rows(self) -> list[tuple[float, str]]:
-        """Speed and name of what each row of a library is for."""
-        axes: Axes = self.scene.axes
-        return list(zip(axes.speeds_m_s, axes.targets or ("",) * len(axes.speeds_m_s), strict=True))
 
 
 def wanted_of(reference: Reference) -> Wanted:

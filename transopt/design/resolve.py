@@ -11,9 +11,13 @@ from transopt.base.signals import FloatArray
 from transopt.design.context import Posed
 from transopt.design.design import design
 from transopt.design.entry import Entry
-from transopt.library.library import MULTIPLIERS, Library, further_arrays, multiplier_arrays
+from transopt.library.library import ARRAYS, MULTIPLIERS, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
 from transopt.solvers.options import SolverOptions
+
+KEPT = ("nrmse_seed", "nrmse_clipped")  # the other methods know nothing of a correction
+# What an entry that is solved again brings along.
+OF_ENTRIES = {name: array.made for name, array in ARRAYS.items() if array.made is not None and name not in KEPT}
 
 
 def resolve(
@@ -45,9 +49,10 @@ def resolve(
         raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
     options = SolverOptions() if options is None else options
     scene = library.scene()
-    has_energy = scene.weights.objective == "intensity"
     further = further_arrays(library.meta, library.spread_A.shape[1])
-    arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *further)}
+    arrays = {
+        name: np.array(library.array(name)) for name in (*OF_ENTRIES, *MULTIPLIERS, *further, "correction_m_s2")
+    }
     nv, ng, _ = library.command.shape
     left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
     kept: dict[tuple[int, int], str] = {}
@@ -64,33 +69,10 @@ def resolve(
             if not entry.admitted:
                 kept[iv, ig] = entry.shortfalls[0]
                 continue
-            proof, played = entry.certificate, entry.played
-            _put(
-                arrays,
-                (iv, ig),
-                _multipliers(entry, further)
-                | {
-                    "command": entry.solution.command,
-                    "transient_command": entry.transient_command,
-                    "plant_input": entry.plant_input,
-                    "acceleration_m_s2": entry.predicted_m_s2,
-                    "nrmse": entry.nrmse,
-                    "nrmse_after": played.nrmse_after,
-                    "peak_after_m_s2": played.error_peak_after_m_s2,
-                    "energy_dB": entry.energy_dB if has_energy else 0.0,
-                    "floor": entry.floor,
-                    "peak_input": played.peak_input,
-                    "peak_temperature_C": played.winding_C,
-                    "objective": proof.objective,
-                    "primal_violation": proof.primal_violation,
-                    "dual_residual": proof.dual_residual,
-                    "duality_gap": proof.duality_gap,
-                    "lower_bound": proof.lower_bound,
-                    "solve_time_s": entry.solution.solve_time_s,
-                    "binding": entry.binding,
-                    "correction_m_s2": corrections_m_s2[iv, ig],
-                },
-            )
+            of_scene = entry.stating(objective=scene.weights.objective)
+            found = {name: made(of_scene) for name, made in OF_ENTRIES.items()}
+            found |= _multipliers(entry, further) | {"correction_m_s2": corrections_m_s2[iv, ig]}
+            _put(arrays, (iv, ig), found)
             left_out[iv][ig] = entry.left_out
     thermal = library.problem(0, 0).thermal
     warm = any(temperature_is_in(entry) for row in left_out for entry in row)
@@ -105,36 +87,9 @@ def resolve(
     return replace(library, **arrays, multipliers_of=multipliers, meta=meta), kept
 
 
-_CHANGED = (
-    "command",
-    "transient_command",
-    "plant_input",
-    "acceleration_m_s2",
-    "nrmse",
-    "nrmse_after",
-    "peak_after_m_s2",
-    "energy_dB",
-    "floor",
-    "peak_input",
-    "peak_temperature_C",
-    "objective",
-    "primal_violation",
-    "dual_residual",
-    "duality_gap",
-    "lower_bound",
-    "solve_time_s",
-    "binding",
-    "correction_m_s2",
-    *MULTIPLIERS,
-    "current_sign",
-    "mu_end",
-)
-
-
 def _multipliers(entry: Entry, further: Sequence[str]) -> dict[str, Any]:
     found = entry.solution.multipliers
-    arrays = {name: array[0, 0] for name, array in multiplier_arrays([[found]], further).items()}
-    return {**arrays, "current_sign": found.slope, "mu_end": found.hand_over}
+    return {name: array[0, 0] for name, array in multiplier_arrays([[found]], further).items()}
 
 
 def _put(arrays: dict[str, Any], place: tuple[int, int], values: dict[str, Any]) -> None:

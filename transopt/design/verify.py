@@ -8,7 +8,7 @@ from transopt.base.threads import one_blas_thread
 from transopt.design.batch import Batch
 from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
-from transopt.library.library import Library
+from transopt.library.library import ARRAYS, Library
 from transopt.library.nonlinear import as_on_linear, nonlinear_problem
 from transopt.library.nonlinear_proven import certificate_of, of_the_others, shortfall
 from transopt.library.proven import contradictions, rivals_misstated
@@ -155,16 +155,11 @@ def _stored_contradictions(library: Library, iv: int, ig: int, entry: Entry, eff
     effect : of the entry's command.
     """
     problem, played, certificate = entry.problem, entry.played, entry.certificate
-    claims = {
-        "nrmse": played.nrmse,
-        "nrmse_after": played.nrmse_after,
-        "peak_after_m_s2": played.error_peak_after_m_s2,
-        "peak_input": played.peak_input,
-        "peak_temperature_C": played.winding_C,
-    }
     found = []
-    for name, value in claims.items():
-        stored = float(getattr(library, name)[iv, ig])
+    for name, array in ARRAYS.items():
+        if array.made is None or not array.replayed:
+            continue
+        stored, value = float(getattr(library, name)[iv, ig]), array.made(entry)
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{library.in_file(name)} says {stored:.8g}, recomputed {value:.8g}")
     found += contradictions(library, iv, ig, effect, certificate, entry.floor, of_bound=Certificate.GAP_TOLERANCE)

@@ -5,6 +5,7 @@ declarations, so that an array is added or changed in one place.
 """
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, get_type_hints
 
@@ -33,6 +34,9 @@ class Array:
         `after_s` (which files of schema 1 do not state) or `intensity` as the objective; empty for an array that is
         always there. Without it the array is zero or empty, or of no device or instant.
     before : its name in files of schemas 1 and 2, which know no input but a current; empty where it is the same.
+    made : its value for one entry (`transopt.design.entry.Entry`), from which a library is assembled and by which an
+        entry that is solved again takes its place; None for what is not of single entries.
+    replayed : whether `verify` makes it again from a replay of the file's own command, to compare.
     """
 
     shape: str
@@ -42,6 +46,8 @@ class Array:
     may_be_nan: bool = False
     needs: str = ""
     before: str = ""
+    made: Callable[[Any], Any] | None = None
+    replayed: bool = False
 
     @property
     def type_word(self) -> str:

@@ -79,16 +79,39 @@ class Library:
         FloatArray, Array("g", "N", "grip forces of the grid, rising; the only one is 0 for a free device")
     ]
     command: Annotated[
-        FloatArray, Array("vgN", INPUT, "total command c_k, issued at -lead + k dt and held", before="command_A")
+        FloatArray,
+        Array(
+            "vgN",
+            INPUT,
+            "total command c_k, issued at -lead + k dt and held",
+            before="command_A",
+            made=lambda entry: entry.solution.command,
+        ),
     ]
     transient_command: Annotated[
         FloatArray,
-        Array("vgN", INPUT, "the command without the wall's predicted feedback", before="transient_command_A"),
+        Array(
+            "vgN",
+            INPUT,
+            "the command without the wall's predicted feedback",
+            before="transient_command_A",
+            made=lambda entry: entry.transient_command,
+        ),
     ]
     plant_input: Annotated[
-        FloatArray, Array("vgN", INPUT, "what drives the plant at the switching instants", before="current_A")
+        FloatArray,
+        Array(
+            "vgN",
+            INPUT,
+            "what drives the plant at the switching instants",
+            before="current_A",
+            made=lambda entry: entry.plant_input,
+        ),
     ]
-    acceleration_m_s2: Annotated[FloatArray, Array("vgN", "m/s^2", "y'' of the stylus there, as predicted")]
+    acceleration_m_s2: Annotated[
+        FloatArray,
+        Array("vgN", "m/s^2", "y'' of the stylus there, as predicted", made=lambda entry: entry.predicted_m_s2),
+    ]
     reference_m_s2: Annotated[FloatArray, Array("vN", "m/s^2", "r = H r_raw, the motor's share of the recorded tap")]
     reference_raw_m_s2: Annotated[
         FloatArray, Array("vN", "m/s^2", "r_raw, the recorded tap scaled to the grid speed")
@@ -112,52 +135,200 @@ class Library:
     nominal_after_at_ticks_m: Annotated[
         FloatArray, Array("vM", "m", "z_nom at the M ticks that follow", needs="after_s")
     ]
-    nrmse: Annotated[FloatArray, Array("vg", "", "sqrt((lost + sum (y'' - r)^2) / E) after replay")]
-    nrmse_after: Annotated[FloatArray, Array("vg", "", "sqrt(sum (y'' - r)^2 / E) after the window", needs="after_s")]
-    peak_after_m_s2: Annotated[FloatArray, Array("vg", "m/s^2", "largest |y'' - r| there", needs="after_s")]
-    intensity: Annotated[FloatArray, Array("vg", "", "lam, price of the energy that y'' lacks", needs="intensity")]
-    energy_dB: Annotated[
-        FloatArray, Array("vg", "dB", "energy of y'' in the window over that of r", needs="intensity")
+    nrmse: Annotated[
+        FloatArray,
+        Array(
+            "vg", "", "sqrt((lost + sum (y'' - r)^2) / E) after replay", made=lambda entry: entry.nrmse, replayed=True
+        ),
     ]
-    floor: Annotated[FloatArray, Array("vg", "", "the same of the optimum without limits")]
+    nrmse_after: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "sqrt(sum (y'' - r)^2 / E) after the window",
+            needs="after_s",
+            made=lambda entry: entry.played.nrmse_after,
+            replayed=True,
+        ),
+    ]
+    peak_after_m_s2: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "m/s^2",
+            "largest |y'' - r| there",
+            needs="after_s",
+            made=lambda entry: entry.played.error_peak_after_m_s2,
+            replayed=True,
+        ),
+    ]
+    intensity: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "lam, price of the energy that y'' lacks",
+            needs="intensity",
+            made=lambda entry: entry.problem.intensity,
+        ),
+    ]
+    energy_dB: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "dB",
+            "energy of y'' in the window over that of r",
+            needs="intensity",
+            made=lambda entry: entry.energy_dB if entry.objective == "intensity" else 0.0,
+        ),
+    ]
+    floor: Annotated[
+        FloatArray, Array("vg", "", "the same of the optimum without limits", made=lambda entry: entry.floor)
+    ]
     nrmse_seed: Annotated[
         FloatArray,
-        Array("vg2", "", "of the seed's clipped inversion, at transient and steady limit", may_be_nan=True),
+        Array(
+            "vg2",
+            "",
+            "of the seed's clipped inversion, at transient and steady limit",
+            may_be_nan=True,
+            made=lambda entry: (entry.baselines.seed, entry.baselines.seed_steady),
+        ),
     ]
     nrmse_clipped: Annotated[
-        FloatArray, Array("vg2", "", "of the optimum without limits, clipped at both likewise", may_be_nan=True)
+        FloatArray,
+        Array(
+            "vg2",
+            "",
+            "of the optimum without limits, clipped at both likewise",
+            may_be_nan=True,
+            made=lambda entry: (entry.baselines.clipped, entry.baselines.clipped_steady),
+        ),
     ]
     linear_command: Annotated[
-        FloatArray, Array("vgN", INPUT, "command of the design for the plant as it is at rest", needs="nonlinear")
+        FloatArray,
+        Array(
+            "vgN",
+            INPUT,
+            "command of the design for the plant as it is at rest",
+            needs="nonlinear",
+            made=lambda entry: (
+                np.zeros(entry.problem.grid.stages) if entry.linear_command is None else entry.linear_command
+            ),
+        ),
     ]
     nrmse_promised: Annotated[
-        FloatArray, Array("vg", "", "of that command on the plant as it is at rest", needs="nonlinear")
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "of that command on the plant as it is at rest",
+            needs="nonlinear",
+            made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_promised,
+        ),
     ]
     nrmse_linear: Annotated[
         FloatArray,
-        Array("vg", "", "of that command on the nonlinear plant after replay", may_be_nan=True, needs="nonlinear"),
+        Array(
+            "vg",
+            "",
+            "of that command on the nonlinear plant after replay",
+            may_be_nan=True,
+            needs="nonlinear",
+            made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_nrmse,
+        ),
     ]
     substeps: Annotated[
-        FloatArray, Array("vg", "", "steps of the nonlinear stage in a servo period, 1 to 32", needs="nonlinear")
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "steps of the nonlinear stage in a servo period, 1 to 32",
+            needs="nonlinear",
+            made=lambda entry: 0.0 if entry.designed.nonlinear is None else entry.designed.nonlinear.stage.substeps,
+        ),
     ]
-    peak_input: Annotated[FloatArray, Array("vg", INPUT, "largest size of it in the replay", before="peak_current_A")]
+    peak_input: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            INPUT,
+            "largest size of it in the replay",
+            before="peak_current_A",
+            made=lambda entry: entry.played.peak_input,
+            replayed=True,
+        ),
+    ]
     peak_temperature_C: Annotated[
-        FloatArray, Array("vg", "C", "hottest winding of the replay, NaN without a motor's data", may_be_nan=True)
+        FloatArray,
+        Array(
+            "vg",
+            "C",
+            "hottest winding of the replay, NaN without a motor's data",
+            may_be_nan=True,
+            made=lambda entry: entry.played.winding_C,
+            replayed=True,
+        ),
     ]
-    objective: Annotated[FloatArray, Array("vg", "", "J of the command")]
-    primal_violation: Annotated[FloatArray, Array("vg", "", "largest excess over a limit, in A, V or K")]
-    dual_residual: Annotated[FloatArray, Array("vg", "1/A", "largest reduced gradient of the Lagrangian")]
-    duality_gap: Annotated[FloatArray, Array("vg", "", "bound on J - optimum")]
-    lower_bound: Annotated[FloatArray, Array("vg", "", "rigorous bound on the optimum from below")]
-    solve_time_s: Annotated[FloatArray, Array("vg", "s", "wall time of the solve")]
-    status: Annotated[NDArray[np.str_], Array("vg", "", "how the entry ended", is_text=True)]
-    binding: Annotated[NDArray[np.str_], Array("vg", "", "the limits that bind, and when", is_text=True)]
+    objective: Annotated[
+        FloatArray, Array("vg", "", "J of the command", made=lambda entry: entry.certificate.objective)
+    ]
+    primal_violation: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "largest excess over a limit, in A, V or K",
+            made=lambda entry: entry.certificate.primal_violation,
+        ),
+    ]
+    dual_residual: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "1/A",
+            "largest reduced gradient of the Lagrangian",
+            made=lambda entry: entry.certificate.dual_residual,
+        ),
+    ]
+    duality_gap: Annotated[
+        FloatArray, Array("vg", "", "bound on J - optimum", made=lambda entry: entry.certificate.duality_gap)
+    ]
+    lower_bound: Annotated[
+        FloatArray,
+        Array("vg", "", "rigorous bound on the optimum from below", made=lambda entry: entry.certificate.lower_bound),
+    ]
+    solve_time_s: Annotated[
+        FloatArray, Array("vg", "s", "wall time of the solve", made=lambda entry: entry.solution.solve_time_s)
+    ]
+    status: Annotated[
+        NDArray[np.str_], Array("vg", "", "how the entry ended", is_text=True, made=lambda entry: entry.status.value)
+    ]
+    binding: Annotated[
+        NDArray[np.str_],
+        Array("vg", "", "the limits that bind, and when", is_text=True, made=lambda entry: entry.binding),
+    ]
     multipliers_of: Mapping[str, FloatArray]
     current_sign: Annotated[
         FloatArray,
-        Array("vgN", "", "slope of |mean i| over each period, by which ripple heats", needs="temperature_C"),
+        Array(
+            "vgN",
+            "",
+            "slope of |mean i| over each period, by which ripple heats",
+            needs="temperature_C",
+            made=lambda entry: entry.solution.multipliers.slope,
+        ),
     ]
-    mu_end: Annotated[FloatArray, Array("vgh", "1/A", "multiplier of the hand-over, of either sign")]
+    mu_end: Annotated[
+        FloatArray,
+        Array(
+            "vgh",
+            "1/A",
+            "multiplier of the hand-over, of either sign",
+            made=lambda entry: entry.solution.multipliers.hand_over,
+        ),
+    ]
     plant_A: Annotated[FloatArray, Array("gnn", "", "dx/dt = A x + B i of the device at each grip")]
     plant_B: Annotated[FloatArray, Array("gn1", "", "its B")]
     plant_C: Annotated[FloatArray, Array("g1n", "", "y'' = C x + D i")]
@@ -176,7 +347,13 @@ class Library:
     spread_Ce: Annotated[FloatArray, Array("gs1n", "", "their Ce", needs="spread")]
     spread_share: Annotated[
         FloatArray,
-        Array("vgs", "", "their shares in J, of the worst device's saddle point; the rest is the own", needs="worst"),
+        Array(
+            "vgs",
+            "",
+            "their shares in J, of the worst device's saddle point; the rest is the own",
+            needs="worst",
+            made=lambda entry: entry.problem.shared[1:],
+        ),
     ]
     meta: dict[str, Any]
 

@@ -104,3 +104,13 @@ def test_baselines_and_prices_only_where_wanted(scene: Scene, taps: list[Recordi
             assert name in same or alone == pytest.approx(value, rel=1e-9, nan_ok=True)
         elif name not in same:
             assert alone == value
+
+
+def test_other_methods_are_told_at_the_limit_of_their_own_point(scene: Scene, taps: list[Recording]) -> None:
+    points: list[Changes] = [{"limits.current_A": A} for A in (2.0, 3.5)]
+    together = run_task(replace(task(scene, taps, points, [0.4]), rivals=True))
+    for outcome, point in zip(together, points, strict=True):
+        [alone] = run_task(replace(task(scene, taps, [point], [0.4]), rivals=True))
+        assert outcome.nrmse_clipped == pytest.approx(alone.nrmse_clipped, rel=1e-9)
+        assert outcome.nrmse_seed == pytest.approx(alone.nrmse_seed, rel=1e-9)
+    assert together[0].nrmse_clipped > 1.2 * together[1].nrmse_clipped

@@ -15,7 +15,7 @@ from transopt.problem.limits.limit import SIDES
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, binding_limits, certify, movement_bound, reduced_gradient
 from transopt.solvers import unlimited
-from transopt.solvers.choose import solve
+from transopt.solvers.choose import check_name, solve
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
 from transopt.solvers.statement import state
@@ -269,7 +269,7 @@ def test_binding_names_limit_sign_and_time(saturated: tuple[TransientProblem, So
 
 def test_options_are_checked() -> None:
     with pytest.raises(InputError, match="--solver osqp: unknown; choose one of riccati, casadi-piqp, casadi-ipopt"):
-        solve.__globals__["check_name"]("osqp")
+        check_name("osqp")
     with pytest.raises(InputError, match=r"--solver-tolerance 2: must be between 0 and 1"):
         SolverOptions(tolerance=2.0)
 
