@@ -16,7 +16,9 @@ from transopt.design.batch import Baselines, Batch
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.price import Price, binding, prices
-from transopt.library.columns import NAN, PAIR, EntryTable
+from transopt.library.arrays import AFTER
+from transopt.library.columns import COLUMNS, NAN, PAIR, EntryTable
+from transopt.library.library import ARRAYS
 from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.limits import kinds_of
@@ -291,7 +293,13 @@ class Entry:
 
     def value(self, column: str) -> Any:
         """What the entry has in a column of `transopt.library.columns.COLUMNS`."""
-        return VALUES[column](self)
+        stored = COLUMNS[column].array
+        if not stored:
+            return VALUES[column](self)
+        array = ARRAYS[stored]
+        if array.made is None or (array.needs == AFTER and self.problem.grid.after_stages == 0):
+            return COLUMNS[column].unknown
+        return array.made(self)
 
     @property
     def refusal(self) -> str:
@@ -331,8 +339,10 @@ class Entry:
 
     @property
     def energy_dB(self) -> float:
-        """Energy of the tap within the window over the recorded one's."""
-        return energy_dB(self.problem, self.solution.command)
+        """Energy of y'' over that of r within the window, as the error filter hears it [dB]; 0 where r is zero."""
+        if self.problem.reference_is_zero:
+            return 0.0
+        return self.problem.tracking.energy_dB(self.problem.accelerations(self.solution.command))
 
     @property
     def weighted_nrmse(self) -> float:
@@ -378,38 +388,15 @@ class Entry:
         return verdict(self.nrmse, floor, self.repeatability, self.levels)
 
 
-def _after(value: Callable[[Replay], float]) -> Callable[[Entry], float]:
-    """A figure after the waveform, which a scene need not look at."""
-    return lambda entry: value(entry.played) if entry.problem.grid.after_stages > 0 else NAN
-
-
-# What an entry has in the columns of `transopt.library.columns.COLUMNS`.
+# What an entry has in the columns of `transopt.library.columns.COLUMNS` that no file holds.
 VALUES: dict[str, Callable[[Entry], Any]] = {
-    "nrmse": lambda entry: entry.nrmse,
-    "floor": lambda entry: entry.floor,
-    "after": _after(lambda played: played.nrmse_after),
-    "after_peak": _after(lambda played: played.error_peak_after_m_s2),
-    "seed": lambda entry: (entry.baselines.seed, entry.baselines.seed_steady),
-    "clipped": lambda entry: (entry.baselines.clipped, entry.baselines.clipped_steady),
     "linear": lambda entry: PAIR if entry.linear_played is None else (entry.linear_promised, entry.linear_nrmse),
     "linear_after": lambda entry: NAN if entry.linear_played is None else entry.linear_played.nrmse_after,
     "repeats": lambda entry: entry.repeatability,
-    "peak": lambda entry: entry.played.peak_input,
-    "winding": lambda entry: entry.played.winding_C,
-    "violation": lambda entry: entry.certificate.primal_violation,
     "gap": lambda entry: entry.certificate.relative_gap,
-    "ms": lambda entry: entry.solution.solve_time_s,
-    "binding": lambda entry: entry.binding,
     "result": lambda entry: "; ".join([entry.status.value, *entry.shortfalls]),
     "verdict": lambda entry: entry.verdict,
 }
-
-
-def energy_dB(problem: TransientProblem, command: FloatArray) -> float:
-    """Energy of y'' over that of r within the window, as the error filter hears it [dB]; 0 where r is zero."""
-    if problem.reference_is_zero:
-        return 0.0
-    return problem.tracking.energy_dB(problem.accelerations(command))
 
 
 def not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 HASH_FIELD = "content_sha256"
+AFTER = "after_s"  # what an array after the waveform needs; where it is 0 nothing is looked at there
 NEUTRAL = 3  # from this schema on arrays are named for any input, not for a current
 
 

@@ -65,12 +65,15 @@ class Column:
         what is tracked.
     unknown : the value of an entry of which it is not known. A column of words is set to the left, one of numbers to
         the right and is empty for a refused entry.
+    array : of `Library` in which the column stands, and whose declaration says how it is made of an entry
+        (`Array.made`); empty for one that no file holds.
     """
 
     head: str
     show: Callable[[Any], str]
     meaning: str = ""
     unknown: Any = NAN
+    array: str = ""
 
     @property
     def is_number(self) -> bool:
@@ -94,18 +97,24 @@ def _pair(values: tuple[float, float]) -> str:
 
 # In the order in which tables show them.
 COLUMNS = {
-    "nrmse": Column("NRMSE %", percent, "|a - r| / |r| after replay, r {target}"),
-    "floor": Column("floor %", percent, "the same problem without its limits"),
-    "after": Column("after %", percent, "|a - r| when the waveform is over, relative to the same |r|"),
-    "after_peak": Column(
-        "after g", lambda m_s2: fixed(m_s2, 3, 1 / STANDARD_GRAVITY_M_S2), "the largest |a - r| there"
+    "nrmse": Column("NRMSE %", percent, "|a - r| / |r| after replay, r {target}", array="nrmse"),
+    "floor": Column("floor %", percent, "the same problem without its limits", array="floor"),
+    "after": Column(
+        "after %", percent, "|a - r| when the waveform is over, relative to the same |r|", array="nrmse_after"
     ),
-    "seed": Column("seed % {at}", _pair, "clipped frequency-domain inversion", PAIR),
+    "after_peak": Column(
+        "after g",
+        lambda m_s2: fixed(m_s2, 3, 1 / STANDARD_GRAVITY_M_S2),
+        "the largest |a - r| there",
+        array="peak_after_m_s2",
+    ),
+    "seed": Column("seed % {at}", _pair, "clipped frequency-domain inversion", PAIR, "nrmse_seed"),
     "clipped": Column(
         "clipped % {at}",
         _pair,
         "the unlimited optimum, its {input} clipped (both keep {input} and command limits only)",
         PAIR,
+        "nrmse_clipped",
     ),
     "linear": Column(
         "linear % promised / played",
@@ -115,17 +124,17 @@ COLUMNS = {
     ),
     "linear_after": Column("after, linear %", percent),
     "repeats": Column("repeats %", percent, "NRMSE of the recordings to their mean"),
-    "peak": Column("peak {unit}", lambda value: fixed(value, 3)),
-    "winding": Column("winding C", lambda value: fixed(value, 2)),
+    "peak": Column("peak {unit}", lambda value: fixed(value, 3), array="peak_input"),
+    "winding": Column("winding C", lambda value: fixed(value, 2), array="peak_temperature_C"),
     "largest_multiplier": Column(
         "largest multiplier",
         lambda said: said if isinstance(said, str) else UNKNOWN,
         "per A, V or K of the limit that binds hardest",
     ),
-    "violation": Column("violation {unit}", power),
+    "violation": Column("violation {unit}", power, array="primal_violation"),
     "gap": Column("gap", power, "of the certificate, relative to max(J, 1e-3)"),
-    "ms": Column("ms", lambda seconds: fixed(seconds, 1, 1e3), "of the solver"),
-    "binding": Column("what binds", str, unknown=""),
+    "ms": Column("ms", lambda seconds: fixed(seconds, 1, 1e3), "of the solver", array="solve_time_s"),
+    "binding": Column("what binds", str, unknown="", array="binding"),
     "result": Column("result", str, unknown=""),
     "verdict": Column(
         "verdict",

@@ -16,8 +16,8 @@ from transopt.base.files import whole_file
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
-from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared, stored_names
-from transopt.library.columns import NAN, EntryTable, TableRow
+from transopt.library.arrays import AFTER, HASH_FIELD, Array, absent, content_hash, declared, stored_names
+from transopt.library.columns import COLUMNS, NAN, EntryTable, TableRow
 from transopt.library.place import Place, Waveform, finite, interpolation_weights
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
@@ -117,13 +117,13 @@ class Library:
         FloatArray, Array("vN", "m/s^2", "r_raw, the recorded tap scaled to the grid speed")
     ]
     reference_before_m_s2: Annotated[
-        FloatArray, Array("vL", "m/s^2", "r from contact to the first command that acts", needs="after_s")
+        FloatArray, Array("vL", "m/s^2", "r from contact to the first command that acts", needs=AFTER)
     ]
     reference_after_m_s2: Annotated[
-        FloatArray, Array("vM", "m/s^2", "r after the last command, from tau_N on", needs="after_s")
+        FloatArray, Array("vM", "m/s^2", "r after the last command, from tau_N on", needs=AFTER)
     ]
     reference_raw_after_m_s2: Annotated[
-        FloatArray, Array("vM", "m/s^2", "r_raw there, 0 where the recording has ended", needs="after_s")
+        FloatArray, Array("vM", "m/s^2", "r_raw there, 0 where the recording has ended", needs=AFTER)
     ]
     nominal_position_m: Annotated[
         FloatArray, Array("vN", "m", "the hand's own motion z_nom at the switching instants")
@@ -132,9 +132,7 @@ class Library:
     nominal_position_at_ticks_m: Annotated[
         FloatArray, Array("vN", "m", "z_nom at the ticks, where encoders are read")
     ]
-    nominal_after_at_ticks_m: Annotated[
-        FloatArray, Array("vM", "m", "z_nom at the M ticks that follow", needs="after_s")
-    ]
+    nominal_after_at_ticks_m: Annotated[FloatArray, Array("vM", "m", "z_nom at the M ticks that follow", needs=AFTER)]
     nrmse: Annotated[
         FloatArray,
         Array(
@@ -147,7 +145,7 @@ class Library:
             "vg",
             "",
             "sqrt(sum (y'' - r)^2 / E) after the window",
-            needs="after_s",
+            needs=AFTER,
             made=lambda entry: entry.played.nrmse_after,
             replayed=True,
         ),
@@ -158,7 +156,7 @@ class Library:
             "vg",
             "m/s^2",
             "largest |y'' - r| there",
-            needs="after_s",
+            needs=AFTER,
             made=lambda entry: entry.played.error_peak_after_m_s2,
             replayed=True,
         ),
@@ -426,27 +424,17 @@ class Library:
 
     def row(self, iv: int, ig: int) -> TableRow:
         """What tables show of an entry."""
-        looked = self.reference_after_m_s2.shape[1] > 0
-        gap = self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE)
-        figures = {
-            "nrmse": self.nrmse[iv, ig],
-            "floor": self.floor[iv, ig],
-            "after": self.nrmse_after[iv, ig] if looked else NAN,
-            "after_peak": self.peak_after_m_s2[iv, ig] if looked else NAN,
-            "repeats": self._repeatability(iv),
-            "peak": self.peak_input[iv, ig],
-            "winding": self.peak_temperature_C[iv, ig],
-            "violation": self.primal_violation[iv, ig],
-            "gap": gap,
-            "ms": self.solve_time_s[iv, ig],
-        }
-        pairs = {
-            "seed": self.nrmse_seed[iv, ig],
-            "clipped": self.nrmse_clipped[iv, ig],
+        found: dict[str, Any] = {
             "linear": (self.nrmse_promised[iv, ig], self.nrmse_linear[iv, ig]),
+            "repeats": self._repeatability(iv),
+            "gap": self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE),
+            "verdict": self.verdict(iv, ig),
         }
-        words = {"binding": str(self.binding[iv, ig]), "verdict": self.verdict(iv, ig)}
-        return TableRow(self.axes.cells(iv, ig), {**figures, **pairs, **words})
+        looked = self.reference_after_m_s2.shape[1] > 0
+        for name, column in COLUMNS.items():
+            if column.array and (looked or ARRAYS[column.array].needs != AFTER):
+                found[name] = getattr(self, column.array)[iv, ig]
+        return TableRow(self.axes.cells(iv, ig), found)
 
     def verdict(self, iv: int, ig: int) -> str:
         """How good an entry is, see `transopt.problem.answer.verdict`.
