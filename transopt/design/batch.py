@@ -75,6 +75,7 @@ class Batch:
         """Make replays and errors of the rivals in one simulation, where no wall stands between them."""
         first, M = self.designed[0], len(self.designed)
         if first.nonlinear is not None or first.problem.wall is not None:
+            _ = self.replays, self.rivals
             return
         commands = np.concatenate([self._transients, self._rival_commands])
         together = accurate(first.problem.stage, first.problem.grid, commands, None)
