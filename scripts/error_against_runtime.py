@@ -44,7 +44,7 @@ PERIOD_STEPS = 8  # in the progress bar
 
 
 def of_interest(method: Method, quick: bool) -> Method:
-    """With `quick` a method's default and high-accuracy setting alone; of Opti, slow to set up, only the default."""
+    """Keep, if `quick`, a method's default and high-accuracy setting; of Opti, slow to set up, only the default."""
     if not quick:
         return method
     wanted = {Level.DEFAULT, Level.POINT} if method.name == "opti-ipopt" else {Level.DEFAULT, Level.HIGH, Level.POINT}

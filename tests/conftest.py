@@ -259,7 +259,7 @@ def desk(library: Library, monkeypatch: pytest.MonkeyPatch) -> Desk:
 
 @pytest.fixture
 def ready(play: Run, desk: Desk) -> Iterator[Desk]:
-    """With the library, its check taken for passed."""
+    """Yield a desk that holds the library, its check taken for passed."""
     assert play("upload", "library.npz", *PORT).code == 0
     desk.pass_check(payload(Path("library.npz")).configuration)
     yield desk

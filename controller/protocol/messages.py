@@ -213,7 +213,7 @@ class Start(Packed):
 
 @message(Kind.SURFACE)
 class Surface(Packed):
-    """Where the surface is, in counts of the encoder after its direction; not while PLAYING or in FAULT.
+    """Tell where the surface is, in counts of the encoder after its direction; not while PLAYING or in FAULT.
 
     In place of the configuration's `surface_counts` until the next CONFIGURE_COMMIT; the evidence stays.
     """

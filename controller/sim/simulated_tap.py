@@ -67,7 +67,7 @@ def strike_real(
     duration_s: float,
     dt_s: float,
 ) -> Struck:
-    """The same stylus, undriven, strikes a real object at z = 0 (seed Fig. 1); the mild user goes on."""
+    """Let the undriven stylus strike a real object at z = 0 (seed Fig. 1); the mild user goes on."""
     approach = 100
     simulator = Simulator(
         device,
@@ -118,7 +118,7 @@ def tap_simulator(
 
 
 def object_simulator(target: SimulatedTaps, device: TrueDevice, tap: SimulatedTap, dt_s: float) -> Simulator:
-    """The same, on the way to a real object at the surface; the mild user goes on."""
+    """Put the device into a mild user's hand, on the way to a real object at the surface; the user goes on."""
     user = TapUser(tap.speed_m_s, tap.grip_N, _contact_s(tap, dt_s))
     wrong, steps = tap.imperfections, STEPS_AT_CONTACT
     return Simulator(device, user, dt_s, imperfections=wrong, seed=tap.seed, target=target, steps=steps)

@@ -42,7 +42,7 @@ def tap_of(library: Library, device: TrueDevice, tap: SimulatedTap) -> Motion:
     """On the surface that a library renders; `device` is the true one, before the tap's imperfections."""
     grid = library.time_grid()
     simulator, _ = tap_simulator(library, tap, device)
-    # As long as the library looks at it: the hand stops when its motion is over.
+    # The hand goes on for as long as the library looks at it: it stops when its motion is over.
     after_s = max(AFTER_S, grid.after_stages * grid.dt_s)
     return Motion(simulator, tap.grip_N, approach_ticks(tap.speed_m_s, grid.dt_s), grid.end_s + after_s)
 

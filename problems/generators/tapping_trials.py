@@ -124,7 +124,7 @@ def second_order_hands(grips_N: FloatArray, random: np.random.Generator, spread:
 
 
 def fourth_order_hands(grips_N: FloatArray, random: np.random.Generator, spread: Spread) -> list[StateSpace]:
-    """The same with the seed's Fig. 4b: a stylus of one mass always, skin, hand mass and arm scattered."""
+    """Draw one hand per tap by the seed's Fig. 4b: a stylus of one mass always, skin, hand mass and arm scattered."""
     hand = FOURTH_ORDER_HAND
     mass = _scattered(hand.mass_kg, grips_N, random, spread.mass)
     skin_k = _scattered(hand.skin_stiffness_N_m, grips_N, random, spread.stiffness)

@@ -132,7 +132,7 @@ def drawn(seed: int, index: int) -> StressCase:
 
 
 def _several(draw: _Draw, case: StressCase) -> StressCase:
-    """The same for several devices, now and then, with random numbers of its own."""
+    """Turn a case into one for several devices now and then, with random numbers of its own."""
     if not draw.perhaps(0.15) or case.surface is not None or case.horizon.stages > MOST_FOR_SEVERAL:
         return case
     worst = draw.perhaps(0.5)
@@ -161,7 +161,7 @@ def _actuator(draw: _Draw) -> Actuator:
 
 
 def _beyond(draw: _Draw, horizon: Horizon, demand: Demand) -> tuple[Horizon, Demand]:
-    """The same with what lies around the window, and with a price on intensity or an intensity to search for.
+    """Add what lies around the window, and a price on intensity or an intensity to search for.
 
     It has random numbers of its own, so that a case is otherwise what it is without.
     """

@@ -221,7 +221,7 @@ def fixed_solver(case: Case) -> SolverOptions:
 
 
 def discretisations() -> list[Method]:
-    """The same problem with its stage approximated, by one solver; the command is judged through the exact stage."""
+    """Approximate the problem's stage by each rule, for one solver; the exact stage judges the command."""
 
     def method(name: str) -> Method:
         def prepare(case: Case, setting: Setting) -> Prepared:

@@ -162,7 +162,7 @@ def _osqp(qp: QP, setting: Setting) -> Solve:
 
 
 def condensed(qp: QP) -> dict[str, FloatArray]:
-    """The same problem in the F free commands alone, in their unit: H (F, F), f (F,), A (N - 1, F) of the currents at
+    """State the QP in its F free commands alone, in their unit: H (F, F), f (F,), A (N - 1, F) of the currents at
     tau_1 to tau_(N-1), and bounds of the commands followed by those of the currents.
     """
     N, all_instants = qp.stages, qp.reference_m_s2.size

@@ -56,7 +56,7 @@ def states(problem: TransientProblem) -> FloatArray:
 
 
 def responses(problem: TransientProblem, device: StageModel | None = None) -> Responses:
-    """By one matrix exponential of plant and amplifier pole, and Toeplitz matrices of the impulse responses.
+    """Compute Toeplitz matrices of impulse responses by one matrix exponential of plant and amplifier pole.
 
     Parameters
     ----------

@@ -40,12 +40,12 @@ class Hand:
 
     @property
     def place_m(self) -> float:
-        """Where it will be at rest."""
+        """The hand will be at rest at this place."""
         return self._places[-1]
 
     @property
     def free_s(self) -> float:
-        """When it will be."""
+        """The hand will be at rest from this instant on."""
         return self._times[-1]
 
     def go(self, now_s: float, *knots: tuple[float, float]) -> None:
@@ -208,12 +208,12 @@ class Desk(Cable):
         return Device(self if isinstance(port, str) else port, session=Session(self._tokens))
 
     def pass_check(self, configuration: bytes) -> None:
-        """As if this configuration, which comes into force, had passed the bring-up check."""
+        """Bring this configuration into force as if it had passed the bring-up check."""
         with self.connect() as device:
             device.configure(configuration)
 
     def put(self, monkeypatch: pytest.MonkeyPatch) -> "Desk":
-        """Where the commands find it, under any name of a port."""
+        """Put the desk where the commands find it, under any name of a port."""
         monkeypatch.setattr(port_commands, "open_device", self.connect)
         monkeypatch.setattr(port_commands, "ConsolePerson", lambda: self)
         return self

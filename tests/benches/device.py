@@ -92,7 +92,7 @@ def reframed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
 
 
 class World(Rehearsal[CoreDevice]):
-    """With the compiled device; the stylus hangs 5 mm above the surface, in a hand, unless `readings` says else."""
+    """The compiled device rehearses, its stylus in a hand 5 mm above the surface unless `readings` say otherwise."""
 
     def __init__(
         self,

@@ -16,7 +16,7 @@ from transopt.base.signals import FloatArray
 
 @dataclass(frozen=True)
 class Actuator:
-    """By the numbers of a scene's `[model]`; f0 and Q are those of the mass against the case."""
+    """The actuator has the numbers of a scene's `[model]`; f0 and Q are those of the mass against the case."""
 
     resonance_Hz: float
     quality: float

@@ -82,7 +82,7 @@ def _at(content: dict[str, Any], name: str) -> float:
 
 
 def state_space_device(*, nrmse: float = 0.01, grips_N: list[float] = GRIPS_N) -> StateSpaceDevice:
-    """The same device as a black box of one model per grip."""
+    """State the device of the default scene as a black box of one model per grip."""
     scene = problems.load("wood_on_foam")
     plants = [scene.plant(grip) for grip in grips_N]
     matrices = {name: [getattr(plant, name).tolist() for plant in plants] for name in "ABCD"}
@@ -146,7 +146,7 @@ def scene_on(folder: Path, text: str, parts: Parts, *changes: tuple[str, str], m
 
 
 def built(scene: Scene, taps: list[Recording]) -> Build:
-    """With those of the default scene's taps that its speeds have."""
+    """Build a scene's library from those of the default scene's taps that have one of its speeds."""
     speeds = scene.grid.speeds_m_s
     return build_library(
         scene, [tap for tap in taps if min(abs((tap.speed_m_s or 0) / v - 1) for v in speeds) < 0.15]

@@ -92,7 +92,7 @@ class Wires:
 
 @dataclass(frozen=True)
 class Sensing:
-    """Of the sensors: encoder count and what it reads at the surface, noise, gravity along the accelerometer."""
+    """The sensors have an encoder count, a reading at the surface, noise, and gravity along the accelerometer."""
 
     count_m: float = 24.5e-6
     surface_counts: int = 0

@@ -91,7 +91,7 @@ def _become(command: Sequence[str], folder: Path, outputs: Sequence[Path]) -> No
 
 
 def run_afresh(command: Sequence[str], folder: Path) -> Seen:
-    """The same as a user starts it: an interpreter of its own, here in the plain C locale."""
+    """Run a command as a user starts it: in an interpreter of its own, here in the plain C locale."""
     program = f"import sys; sys.argv = {list(command)!r}; import {MAINS[command[0]]} as m; m.main()"
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONIOENCODING", "LANG")} | PLAIN
     before = resource.getrusage(resource.RUSAGE_CHILDREN)

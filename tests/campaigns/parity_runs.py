@@ -117,7 +117,7 @@ def draw_wishes(random: Random, state: State) -> tuple[int, float]:
 
 
 def falsified(random: Random, readings: Readings) -> Readings:
-    """The same with one reading wrong, in one of the ways that make faults."""
+    """Make one of the readings wrong, in one of the ways that make faults."""
     counts = readings.encoder_counts
     kinds: tuple[Callable[[], dict[str, Any]], ...] = (
         lambda: {"emergency_stop": True},

@@ -158,7 +158,7 @@ def excitation(table: Table) -> None:
 
 
 def bring_up(table: Table) -> None:
-    """As in the check: pulses alone and in pairs, evidence, a surface, a trial arm with its own limit of the gain."""
+    """Bring up as the check does: single and paired pulses, evidence, a surface, a trial arm with a gain limit."""
     table.connected().session.configure(CONFIGURATION)
     table.session.upload(IMAGE)
     table.asked().run(0.02).session.pulse(0.05, 50)

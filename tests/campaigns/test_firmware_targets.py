@@ -73,7 +73,7 @@ class Target:
 
 
 def _capacities(samples: int, speeds: int, grips: int, records: int) -> tuple[str, ...]:
-    """Of src/transopt_port.h, which the hash of a conversation tells from all others."""
+    """Set the capacities of src/transopt_port.h, which the hash of a conversation tells from all others."""
     return (
         f"-DTD_MAX_LIBRARY_SAMPLES={samples}",
         f"-DTD_MAX_SPEEDS={speeds}",

@@ -126,7 +126,7 @@ def pushed(name: str, random: np.random.Generator, dt_s: float) -> tuple[Course,
 
 
 def steady(speed_m_s: float, random: np.random.Generator, dt_s: float) -> tuple[Course, float]:
-    """The same of an approach at one speed, under 2 m/s^2 to either side, that began long before; its contact [s]."""
+    """Draw a course at one speed, under 2 m/s^2 to either side, that began long before, and give its contact [s]."""
     contact_s, hand_m_s2 = 0.05 + random.uniform(0, dt_s), 2.0 * random.choice([-1, 1])
 
     def z(t: FloatArray) -> FloatArray:
@@ -149,7 +149,7 @@ def of_rest(name: str, settings: Settings, taps: int, random: np.random.Generato
 
 
 def of_steady(speed_m_s: float, settings: Settings, taps: int, random: np.random.Generator) -> tuple[FloatArray, int]:
-    """The same of steady approaches."""
+    """Give the errors of the contact's instant [s] of the steady taps that play, and how many do not."""
     errors, unplayed = [], 0
     for _ in range(taps):
         z, contact_s = steady(speed_m_s, random, settings.dt_s)

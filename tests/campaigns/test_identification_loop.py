@@ -158,7 +158,7 @@ def recorded_scene(name: str, folder: Path) -> Path:
 
 
 def with_model(scene: Path, model: Path) -> Path:
-    """The same scene with amplifier and device as they were identified."""
+    """Write the scene again with amplifier and device as they were identified."""
     path = scene.with_name(f"{scene.stem}_{model.stem}.toml")
     path.write_text(f'model_file = "{model.name}"\n{scene.read_text(encoding="utf-8")}', encoding="utf-8")
     return path

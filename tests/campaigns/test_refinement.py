@@ -125,7 +125,7 @@ class NodeErrors:
 
     @property
     def worse(self) -> float:
-        """By how much it became worse at most, by either measure."""
+        """Give by how much the error rose at most, by either measure."""
         return max(self.after - self.before, self.whole_after - self.whole_before)
 
 
@@ -174,7 +174,7 @@ class BuiltIn:
         )
         settings = Settings.of(library, amplifier_tolerance=self._wrong.mismatch)
         one = play_tap(library, Servo(settings, bank(library)), tap, device=self._device)
-        # Its steps are of two lengths, of which the spline makes one.
+        # The trace has steps of two lengths, which the spline turns into one.
         step = float(np.median(np.diff(one.times_s)))
         times = np.arange(one.times_s[0], one.times_s[-1], step)
         return Signal(float(times[0]), step, CubicSpline(one.times_s, one.acceleration_m_s2)(times))
@@ -240,7 +240,7 @@ class OtherMake:
         return Signal(-BEFORE_S - library.time_grid().lead_s, motion.dt_s, motion.acceleration_m_s2)
 
     def known(self, library: Library) -> list[float]:
-        """Of a linear device only: nobody solves for friction here."""
+        """An optimum is known for a linear device only: nobody solves for friction here."""
         return [float("nan")] * library.nrmse.size
 
 

@@ -99,7 +99,7 @@ def _stands(case: StressCase, values: Values | None) -> Entry:
 
 
 def _checked(refusal: Refusal, said: Sequence[Remedy], sentence: str, ends: Callable[[Values], str]) -> Refusal:
-    """With every remedy tried that is stated as solved; `ends` says how an entry does with its numbers."""
+    """Try every remedy that is stated as solved; `ends` says how an entry does with its numbers."""
     stated = [remedy for remedy in said if remedy.solved]
     refusal.stated = len(stated)
     printed = read(sentence)

@@ -137,5 +137,5 @@ def test_a_large_library_arrives(line: Line) -> None:
     result = measure(line, images(2), 1)
     assert result.complete
     assert result.bytes > 400_000
-    # Where frames get lost some are sent again; where none do, the host's own patience decides.
+    # Some frames are sent again where some get lost; where none do, the host's own patience decides.
     assert result.sent > (1.05 if line.most_s is None else 0.99)

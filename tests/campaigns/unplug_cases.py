@@ -115,7 +115,7 @@ class Judged:
         output = self._core.step(readings)
         self._hand.command_A, self.state = output.command_A, output.state
         self._hold(readings.tick, output)
-        # As a float32, in which commands are told.
+        # Commands are told as float32, so the history holds them in that precision.
         command_A = float(np.float32(output.command_A))
         self.history[readings.tick] = (readings.encoder_counts, command_A, output.state.value)
         self._tick = readings.tick + 1
@@ -305,7 +305,7 @@ class Case:
         if out.rows > out.told_rows or (out.kind != "host killed" and out.rows != out.told_rows):
             out.breaches.append(f"recording: {out.rows} lines of {out.told_rows} records")
 
-    # The same host once more, or another.
+    # A host connects once more: the one that was there before, or another.
 
     def _again(self) -> None:
         world, out = self._world, self.outcome

@@ -86,7 +86,7 @@ class Line:
 
     @property
     def active(self) -> bool:
-        """By the newest record."""
+        """Tell by the newest record whether the device is active."""
         records = self.records
         return bool(records) and STATES[records[max(records)].state] in ACTIVE
 

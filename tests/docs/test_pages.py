@@ -28,7 +28,7 @@ from transopt.scene.model_parts import CoilPart, DriveDevice, HandPart
 STAMP = re.compile(r"^\*`.*\*$", re.MULTILINE)  # names a commit, at which its command was another one perhaps
 OUTPUT = {"text", "bibtex"}
 RUN = {"sh", "python", "toml", "c"}  # by tests/docs/test_blocks.py, or a comment before the fence says why not
-# By Sphinx, which executes the cells; what is included is a file that a test runs.
+# Sphinx builds these, and executes the cells; what is included is a file that a test runs.
 BUILT = {"{toctree}", "{include}", "{literalinclude}", "{code-cell}"}
 COMMANDS = {
     "transopt": "transopt.cli.main",

@@ -17,7 +17,7 @@ from transopt.recordings.tap import read_recordings
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings, strike
 
-# Its recordings are not part of the package; test_build.py solves it where they are at hand.
+# The recordings of this scene are not part of the package; test_build.py solves it where they are at hand.
 ELSEWHERE = {"measured_impacts"}
 SCENES = [name for name in problems.scene_names() if name not in ELSEWHERE]
 MOTORS = sorted((problems.FOLDER / "motors").glob("*.toml"))

@@ -63,7 +63,7 @@ def test_what_this_processor_has_not_is_skipped_by_name(old: suite_anywhere.Prob
 
 
 def test_a_warning_of_numpy_stands_in_the_way(old: suite_anywhere.Probed) -> None:
-    """Of a name that it does not know, as another version may not."""
+    """The warning is of a feature's name that numpy does not know, as another version may not."""
     unknown = suite_anywhere.Environment("unknown", {"NPY_DISABLE_CPU_FEATURES": "NO_SUCH_FEATURE"})
     assert "NO_SUCH_FEATURE" in suite_anywhere.obstacle(unknown, old)
 

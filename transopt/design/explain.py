@@ -126,7 +126,7 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
 
 
 def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverOptions) -> list[str]:
-    """Where the linear program finds nothing: whether a solver proves that no command keeps all linear limits.
+    """Ask a solver to prove that no command keeps all linear limits, where the linear program has found nothing.
 
     What the optimum without any limit takes tells how far it is from them.
     """

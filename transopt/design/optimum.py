@@ -147,7 +147,7 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
     rounding = float(by_command @ (problem.command_bound + np.abs(answer.command)))
     weight = problem.movement.weight
     if weight > 0:
-        # As in `movement_bound`, of errors that do not depend on each other: error j is in j + 1 of the sums.
+        # Errors that do not depend on each other are bounded as in `movement_bound`: error j is in j + 1 of the sums.
         rounding = min(rounding, float(np.arange(1, by_command.size + 1) @ by_command**2) / (4 * weight))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
         return ""

@@ -99,7 +99,7 @@ def with_remedies(
 
 
 def _in_place_of_beta(scene: Scene, remedy: Remedy) -> Remedy:
-    """The same for a scene that states its limit on the current by beta, which then has to go."""
+    """Let a remedy that states the limit on the current also drop beta, by which the scene states that limit."""
     if scene.limits.beta is None or f"limits.{CurrentLimit.key}" not in remedy.values or BETA in remedy.values:
         return remedy
     return replace(remedy, changes=(*remedy.changes, Change(BETA, None, "")))

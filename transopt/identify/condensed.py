@@ -200,7 +200,7 @@ def _lines(
     starts = starts[(count.sum(axis=1) > LEAST_SURPLUS) & np.all(count > 0, axis=1)]
 
     def spectra(signals: Sequence[FloatArray]) -> ComplexArray:
-        """Of noise of one variance whatever the length; scipy keeps its plan for a length, which may be a prime."""
+        """Noise has one variance in the spectra at every length; scipy keeps its plan for a length, prime or not."""
         each = zip(signals, numbers, lengths, strict=True)
         return np.concatenate([fft.rfft(one)[:, lines].T / np.sqrt(length) for one, lines, length in each])[order]
 

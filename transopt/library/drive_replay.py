@@ -65,7 +65,7 @@ class PlayedDrive:
 
 
 def _within(grid: TimeGrid, driver: Driver) -> tuple[NDArray[np.intp], FloatArray]:
-    """Of each of the design's N + M instants the driver's sample that is held there, and the share of its period.
+    """Give, for each of the design's N + M instants, the driver's sample held then and the share of its period past.
 
     The driver's first sample acts from tau_0 on. An instant at a switch comes just after it, as in the design.
     """

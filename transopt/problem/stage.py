@@ -159,7 +159,7 @@ class LinearStage:
         return self.input_scale * by_state, self.input_scale * by_movement
 
     def scaled(self, input_scale: float, unit_m_s2: float) -> "LinearStage":
-        """That of an input scale and a unit of the tracked outputs, from the one for which both are 1.
+        """Convert the stage whose scales are both 1 to an input scale and a unit of the tracked outputs.
 
         All states grow with the input, so their matrix A is the same in units of it.
         """

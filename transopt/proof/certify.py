@@ -168,7 +168,7 @@ def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multip
 
 
 def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = None) -> Iterator[Box]:
-    """The same of what is known of the command already; of all limits, or only those of one name."""
+    """Yield every limit, or only those of one name, with what a command whose effect is known does to it."""
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
         if only in (None, limit.name):

@@ -32,7 +32,7 @@ def reduced_gradient(effect: NonlinearEffect, multipliers: Multipliers) -> Float
 
 
 def with_hand_over(effect: NonlinearEffect, multipliers: Multipliers) -> Multipliers:
-    """The same multipliers with those of the hand-over, which follow from all others: they cancel its gradient."""
+    """Add the hand-over's multipliers to the others, from which they follow: they cancel the gradient there."""
     silent = replace(multipliers, hand_over=np.zeros_like(multipliers.hand_over))
     if not effect.finite:
         return silent

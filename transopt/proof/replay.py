@@ -118,7 +118,7 @@ def errors_of(simulated: Accurate, grid: TimeGrid, targets: Sequence[Target]) ->
 def largest_reached(
     runs: Sequence[Trajectory], limits: Sequence[Limits], devices: tuple[StageModel, ...], grid: TimeGrid
 ) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """Of each command, by limit: the largest size of the values that it watches, and the largest up to tau_(N-1).
+    """Give, for each command and limit, the largest size of the values it watches, in all and up to tau_(N-1).
 
     Parameters
     ----------

@@ -23,8 +23,9 @@ from transopt.scene.scene import Scene
 KINDS = ("inertial", "voice_coil", "shaker")
 RATES_HZ = {"inertial": 48e3, "voice_coil": 10e3, "shaker": 10e3}  # of audio drivers, and of servo amplifiers
 FREQUENCY_HZ = 100.0  # of the first target where no sharp resonance suggests one
-# Of the first target, and of the waveform that also brakes it. A whole number: a burst of 1.5 cycles has a mean,
-# which nothing on a spring can make: of an LRA the least error was 17 % with it, and 3 % with 2.
+# The first target is a burst of CYCLES periods; the waveform, which also brakes it, lasts WINDOW_CYCLES of them.
+# CYCLES is a whole number: a burst of 1.5 cycles has a mean, which nothing on a spring can make. The least error of
+# an LRA was 17 % with 1.5 cycles, and 3 % with 2.
 CYCLES, WINDOW_CYCLES = 2.0, 5.0
 SHARE = 0.25  # of what a sine at the peak input makes in the long run: a burst ends before the resonance has built up
 LONGEST_STROKE_M = 0.1  # of the longest shakers 50 mm from rest to the stop

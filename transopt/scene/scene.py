@@ -467,7 +467,7 @@ class Scene(Section):
         return Wall(force_per_current_N_A=self.drive_at_tip().force_per_current_N_A, **self.feedback.model_dump())
 
     def circuit(self) -> Circuit | None:
-        """None where the drive is stated at the tip. In SI the back-EMF per m/s is the force per ampere."""
+        """Give the circuit; None if the drive is stated at the tip. In SI, back-EMF per m/s is force per ampere."""
         if self.motor is None:
             return self.model.circuit() if isinstance(self.model, PlantKind) and self.driven_by.unit == "A" else None
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
@@ -515,7 +515,7 @@ class Scene(Section):
         return self.model.known_winding if isinstance(self.model, PlantKind) else None
 
     def coil(self) -> CoilModel | None:
-        """None where the drive is stated at the tip: no motor, no temperature; nor where a voltage is the input."""
+        """Give the coil; None if the drive is stated at the tip (no motor, no temperature) or takes a voltage."""
         circuit, winding = self.circuit(), self._winding
         if circuit is None or winding is None:
             return None

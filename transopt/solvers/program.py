@@ -360,7 +360,7 @@ class Size:
 
 @lru_cache(maxsize=16)
 def _size(shape: Shape) -> Size:
-    """That of a long program follows from two short ones: all stages between the first and the hand-over are alike.
+    """Two short programs give the size of a long one: all stages between the first and the hand-over are alike.
 
     To state a long one takes CasADi seconds, in which no signal is answered.
     """

@@ -301,7 +301,7 @@ def served(patient: None) -> Iterator[CompiledDevice]:
 
 
 def test_what_is_recorded_over_a_port_is_the_device(play: Run, served: CompiledDevice) -> None:
-    """Its transfer function, from the files alone: signs, units and instants are right."""
+    """The files alone give the device's transfer function: signs, units and instants are right."""
     options = ("--out", "rec", "--low", 10, "--high", 1500, "--seconds", 0.5, "--trials", 2, "--grips", 3)
     outcome = play("record", "sweep", "--port", served.name, *options, "--gain", 1)
     assert outcome.code == 0, outcome.out + outcome.err

@@ -123,7 +123,7 @@ def test_the_host_session_brings_the_core_up_and_arms_it(flags: tuple[str, ...],
 
 
 def test_without_a_compiler_the_core_that_was_installed_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of its usual size only: another size is compiled or refused."""
+    """The installed core has its usual size only: another size is compiled or refused."""
     if not core_device.INSTALLED.exists():
         pytest.skip("the package was installed without a compiler")
     monkeypatch.setenv("CC", "no-such-compiler")

@@ -136,8 +136,8 @@ def test_pieces_of_a_run_are_the_run() -> None:
 
 def test_temperatures_agree_over_minutes() -> None:
     worst = heat_differences_K(10.0, 0)
-    # The same products, sums and quotients of the same doubles in the same order, never fused: the same bits on any
-    # processor.
+    # The core in double forms the same products, sums and quotients as the host, in the same order and never fused:
+    # the bits are the same on any processor.
     assert worst[DOUBLE] == 0.0
     assert worst[FLOAT] <= 1e-3
 

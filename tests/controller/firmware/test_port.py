@@ -123,7 +123,7 @@ class Teensy:
         return bool(self._c.stub_pin(ENABLE))
 
     def output(self) -> int:
-        """Of 4096; whichever output this build has."""
+        """Give the output as a level of 4096, whichever output this build has."""
         word = int(self._c.stub_dac())
         return word & 0xFFF if word else int(self._c.stub_pwm(22))
 

@@ -76,7 +76,7 @@ def test_the_trial_tap_and_its_speed() -> None:
 
 @pytest.mark.parametrize(("encoder", "accelerometer"), [(1.0, 1.0), (-1.0, 1.0), (3.0, 1.0), (1.0, -0.5)])
 def test_a_shake_tells_the_ratio_of_two_sensors(encoder: float, accelerometer: float) -> None:
-    """With a coarse encoder, noise, gravity, and a tremor beside the shake."""
+    """The ratio is found with a coarse encoder, noise, gravity, and a tremor beside the shake."""
     random, times = np.random.default_rng(2), np.arange(0, 2.5, DT_S)
     path = 5e-3 * np.sin(2 * np.pi * 3 * times) + 1e-4 * np.sin(2 * np.pi * 7 * times)
     felt = np.gradient(np.gradient(path, DT_S), DT_S) + 9.81 + 0.5 * random.standard_normal(times.size)

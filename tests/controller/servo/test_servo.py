@@ -56,7 +56,7 @@ def test_phase_is_exact_resampling_of_the_held_commands(
     charge = np.concatenate([[0.0], np.cumsum(samples)])
     ticks = np.arange(len(bench.outputs) + 1)
     wanted = np.diff(np.interp(ticks, due + np.arange(601), charge))
-    # Where the last reading moved the contact by a little, the first part of the first period is lost.
+    # The first part of the first period is lost where the last reading moved the contact by a little.
     wanted[:started] = 0.0
     np.testing.assert_allclose(bench.commands(), wanted, atol=1e-9)
 

@@ -41,7 +41,7 @@ CONTACT_TICKS = 500
 
 
 def still(held_N: float = 3.0) -> StillHand:
-    """Where the wall is."""
+    """Let the hand hold still where the wall is."""
     return StillHand(held_N, height_m=0.0)
 
 
@@ -106,7 +106,7 @@ class TestAgainstReplay:
         np.testing.assert_allclose(trace.acceleration_m_s2[k], now, rtol=0, atol=1e-8 * np.abs(now).max())
 
     def test_intention_moving_straight_is_the_frame(self, scene: Scene) -> None:
-        """The same command does the same to a resting and to a moving hand: nothing is tied to the ground."""
+        """One command does the same to a resting and to a moving hand: nothing is tied to the ground."""
         command = np.sin(np.arange(200) / 7)
         resting = play(Simulator(device_of(scene), still(3.0), DT, trace=True), command)
         moving = play(Simulator(device_of(scene), TapUser(0.3, 3.0, 10e-3), DT, trace=True), command)
@@ -118,7 +118,7 @@ class TestExponential:
     @pytest.mark.parametrize("name", ["wood_on_foam", "stiff_drive", "free_stylus", "second_order"])
     @pytest.mark.parametrize("step_s", [1e-12, 3.4e-5, 1e-3])
     def test_agrees_with_sixty_digits(self, name: str, step_s: float) -> None:
-        """Of mpmath: scipy's own errs by 1e-8 on some processors."""
+        """The sixty digits are those of mpmath: scipy's own exponential errs by 1e-8 on some processors."""
         scene = problems.load(name)
         X = rates(device_of(scene), None, 2500.0, scene.grid.grips_N[0]) * step_s
         with mpmath.workdps(60):

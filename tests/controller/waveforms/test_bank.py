@@ -122,7 +122,7 @@ def test_fixed_width_pulse_is_the_best_rectangle_and_scales_with_speed(library: 
 def test_momentum_cancellation_has_the_impulse_of_the_moving_mass(library: Library, inertia_A_s2_m: float) -> None:
     command = predecessors.momentum_cancellation(library, inertia_A_s2_m)
     np.testing.assert_allclose(command.sum(axis=1) * 1e-4, inertia_A_s2_m * library.speeds_m_s, rtol=1e-12)
-    # As quickly as possible: at the limit from the contact on, but for the last tick.
+    # The impulse is given as quickly as possible: at the limit from the contact on, but for the last tick.
     for row in command:
         on = row[row != 0]
         assert np.all(on[:-1] == library.meta["limits"]["current_A"])

@@ -37,7 +37,7 @@ def test_help_once(line: str, code: int, terminal: Terminal) -> None:
 
 @pytest.mark.parametrize(("module", "name"), [("transopt", "transopt"), ("controller", "transopt-play")])
 def test_python_runs_them_as_modules(module: str, name: str) -> None:
-    """As one does where the folder of commands is not on the path; usage and errors name the command all the same."""
+    """One does so where the folder of commands is not on the path; usage and errors name the command all the same."""
     line = [sys.executable, "-m", module, "--nosuch"]
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
@@ -61,7 +61,7 @@ def test_help_comes_at_once(module: str) -> None:
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 @pytest.mark.parametrize("swallowed", [False, True], ids=["", "swallowed"])
 def test_asked_to_end_it_ends(number: signal.Signals, code: int, swallowed: bool) -> None:
-    """With all tidied up, or, where a library swallows what the signal raises and goes on, all the same."""
+    """A process ends with all tidied up, or, where a library swallows what the signal raises, all the same."""
     program = (
         "import os, time\n"
         "from transopt.base.terminal import run\n"

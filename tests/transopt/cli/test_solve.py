@@ -198,7 +198,7 @@ class TestLostStart:
         return path
 
     def test_a_delay_beyond_the_lead(self, run: Run) -> None:
-        """As an independent program has it: 30.6 and 46.3 %. What a window alone shows is 20.5 and 37 %."""
+        """An independent program finds 30.6 and 46.3 %. What a window alone shows is 20.5 and 37 %."""
         outcome = run("solve", self.late("1e-3", "3e-4"), "--out", "late", "--no-figures")
         assert outcome.code == 0
         report = json.loads(Path("late/report.json").read_text())

@@ -179,7 +179,7 @@ class TestCommandLine:
     def test_one_row_that_falls_short_is_told(
         self, run: Run, scene_file: Path, monkeypatch: pytest.MonkeyPatch, status: Status | None, code: int
     ) -> None:
-        """None: an exception, which becomes a DEFECT."""
+        """A status of None stands for an exception, which becomes a DEFECT."""
         real, calls = entries.admit, []
 
         def second_differs(*given: Any) -> Any:

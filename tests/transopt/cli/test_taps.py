@@ -116,5 +116,5 @@ class TestTaps:
 
 
 def test_a_pattern_that_matches_nothing(run: Run, tmp_path: Path) -> None:
-    """As a shell hands it on where it finds no file either."""
+    """A shell hands the pattern on as it stands where it finds no file either."""
     assert_refused(run("taps", tmp_path / "rgi" / "tap_*.csv"), "tap_*.csv: matches no file: check the names")

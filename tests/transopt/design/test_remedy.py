@@ -61,7 +61,7 @@ class TestWords:
 
 
 class TestSearch:
-    """With a judge in the place of the solver."""
+    """A judge takes the place of the solver."""
 
     def found(
         self, monkeypatch: pytest.MonkeyPatch, case: StressCase, judged: Callable[[Values], bool]

@@ -118,7 +118,7 @@ def repeated(name: str, seeds: int) -> list[AmplifierFit]:
 
 @pytest.fixture(params=[SEEDS, pytest.param(LONG_SEEDS, marks=pytest.mark.long)])
 def fits(request: pytest.FixtureRequest) -> Callable[[str], list[AmplifierFit]]:
-    """Of so many repeated experiments: a few by default, the full number with `-m long`."""
+    """Fit so many repeated experiments: a few by default, the full number with `-m long`."""
     return lambda name: repeated(name, request.param)
 
 

@@ -57,7 +57,7 @@ def make_library(library: Library) -> Make:
 
 
 def content_hash(library: Library, folder: Path) -> str:
-    """As it stands in library.npz."""
+    """Give the content hash as it stands in library.npz."""
     library.save(folder / "hash.npz")
     with np.load(folder / "hash.npz") as file:
         return str(file["content_sha256"])

@@ -30,7 +30,7 @@ def saved(library: Library, tmp_path: Path) -> Path:
 
 
 def rewrite(path: Path, *, drop: str | None = None, **changed: object) -> None:
-    """The same file with arrays changed or dropped, the old hash kept."""
+    """Write the file again with arrays changed or dropped, and keep the old hash."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if name != drop}
     np.savez(path, **{**arrays, **changed})

@@ -138,7 +138,7 @@ def test_commands_refuse_what_is_not_proven(
 
 @pytest.mark.parametrize("limit", ["stroke_m = 6e-4", "velocity_m_s = 3.0", ""])
 def test_a_mass_in_a_case_is_the_device_of_its_scene(limit: str, tmp_path: Path) -> None:
-    """Its position follows no nominal motion, which the file says whether or not a limit looks at it."""
+    """The device's position follows no nominal motion, which the file says whether or not a limit looks at it."""
     scene = Scene.model_validate(tomllib.loads(CLICKS.replace("stroke_m = 6e-4", limit)))
     solve(scene).save(tmp_path / "library.npz")
     plant = load_proven(tmp_path / "library.npz").plant(0)

@@ -30,7 +30,7 @@ def figures() -> TradeFigures:
 
 
 def extreme_s(n: int) -> float:
-    """Where the n-th extreme lies: tan(w t) = w tau."""
+    """The n-th extreme lies where tan(w t) = w tau."""
     return float((np.arctan(OMEGA * TAU_S) + n * np.pi) / OMEGA)
 
 

@@ -111,7 +111,7 @@ class Bench:
         return np.array([y[2], y[3], force / self.m, case, electric])
 
     def acceleration_m_s2(self, y: np.ndarray, u: float) -> float:
-        """Of the moving part where the ground holds the other, else of the case, away from the moving part."""
+        """Take the moving part where the ground holds the other, else the case, away from the moving part."""
         slope = self.slope(y, u)
         return float(slope[2] if self.M is None else -slope[3])
 

@@ -105,7 +105,7 @@ class TestLaw:
 
 
 def rebuilt(problem: TransientProblem, amplifier: Amplifier | None) -> TransientProblem:
-    """The same walled entry through another amplifier."""
+    """Pose the walled entry again, through another amplifier."""
     stage = discretise(problem.stage.plant, amplifier, DT_S, position=True)
     grid = replace(problem.grid, delay_s=0.0 if amplifier is None else amplifier.delay_s)
     limits = problem.limits if amplifier is not None else problem.limits.without("command")

@@ -26,7 +26,7 @@ def assert_same(one: LinearStage, other: LinearStage) -> None:
 
 
 def alone(problem: TransientProblem) -> TransientProblem:
-    """The same with a device that nothing was computed of before."""
+    """Copy the problem, with devices of which nothing was computed before."""
     return replace(problem, stage=replace(problem.stage), spread=tuple(replace(device) for device in problem.spread))
 
 

@@ -165,7 +165,7 @@ def multipliers_at(m: Multipliers, part: str) -> np.ndarray:
 
 
 def with_multipliers(m: Multipliers, part: str, array: np.ndarray) -> Multipliers:
-    """The same with another array in the place of `multipliers_at`."""
+    """Put another array in the place of the one that `multipliers_at` gives."""
     row, _, side = part.partition(" ")
     if not side:
         return replace(m, **{part: array})

@@ -282,7 +282,7 @@ class TestBesideTheWindow:
         modes = np.exp(-w * (t - t[0]))[:, None] * np.stack([np.cos(w * (t - t[0])), np.sin(w * (t - t[0]))], axis=1)
         weights, *_ = np.linalg.lstsq(modes, r, rcond=None)
         np.testing.assert_allclose(modes @ weights, r, atol=1e-4 * np.abs(r).max())
-        # As long as the recording lasts it is as if it went on.
+        # The reference is as if the recording went on, as long as it lasts.
         whole = self.reference(LASTING, pulse())
         recorded = after_s < ends_s - 1e-3  # the low-pass sees 1 ms ahead
         np.testing.assert_allclose(found.after_m_s2[recorded], whole.after_m_s2[recorded], atol=1e-3)
@@ -309,7 +309,7 @@ class TestBesideTheWindow:
         if not lost:
             assert found.target.lost_share == 0
             return
-        # The same instants within the window of a waveform that starts so much earlier.
+        # A waveform that starts so much earlier has the same instants within its window.
         early = self.reference(TimeGrid(1e-4, 300, lead_s + lost * 1e-4, delay_s), pulse())
         np.testing.assert_allclose(found.before_m_s2, early.motor_m_s2[:lost], atol=1e-9)
         assert found.target.energy_m2_s4 >= float(early.motor_m_s2 @ early.motor_m_s2) * (1 - 1e-9)
@@ -339,7 +339,7 @@ class TestSoftPulses:
     @pytest.mark.parametrize("noise", [0.0, 0.1])
     @pytest.mark.parametrize("toe_s", [3e-3, 8e-3])
     def test_contact_is_where_the_pulse_begins(self, toe_s: float, noise: float) -> None:
-        """Its energy is played: none of it lies before tau_0."""
+        """The energy of the pulse is played: none of it lies before tau_0."""
         recording = self.soft(toe_s, noise)
         steep = find_onset(recording.acceleration)
         tap = prepare(recording, SETTINGS)

@@ -104,7 +104,7 @@ def test_dataset_58(kind: int, digits: float, even: bool, tmp_path: Path) -> Non
 
 
 def test_numbers_of_fixed_width_may_touch(tmp_path: Path) -> None:
-    # As compilers write it that give every exponent three digits.
+    # Some compilers give every exponent three digits, so that the numbers touch.
     text = re.sub(r" (-?\d\.\d{5}E[+-])(\d\d)", r"\g<1>0\g<2>", uff(5, even=True, response=np.asarray(-G)))
     assert "E+000-" in text
     (tmp_path / "r.uff").write_text(text)

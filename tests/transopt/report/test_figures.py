@@ -223,7 +223,7 @@ class TestMethods:
         assert_apart(figure.axes[0].get_xticklabels())
 
     def test_speeds_of_many_digits_do_not_collide(self, build: Build) -> None:
-        """Of a single grip, whose stripes are as narrow as an entry, and of three."""
+        """Labels stay apart at a single grip, whose stripes are as narrow as an entry, and at three."""
         for grips in (1, 3):
             long = [[e.stating(speed_m_s=e.speed_m_s + 0.0034) for e in row[:grips]] for row in build.entries]
             figure = method_figure(replace(build, entries=long))

@@ -32,7 +32,7 @@ def tapping() -> Build:
 
 class TestPrices:
     def test_a_row_for_each_limit_that_binds(self, tapping: Build) -> None:
-        """As in the sentence of the price: where it stands, a step more, and from where on it would not bind."""
+        """A row says what the price's sentence does: the limit, a step more, and from where on it would not bind."""
         (entry,) = tapping.all_entries()
         rows = [
             line

@@ -16,7 +16,7 @@ SPEEDS_M_S = np.array([0.1, 0.25, 0.4])
 
 @pytest.fixture(params=["wood_on_foam", "hard_metal"])
 def scene(request: pytest.FixtureRequest) -> Scene:
-    """Of a body that stays in contact, and of one from which the stylus rebounds."""
+    """One scene strikes a body that stays in contact, the other a body from which the stylus rebounds."""
     return load_scene(request.param).striking()
 
 
@@ -65,7 +65,7 @@ def test_they_obey_the_laws_of_motion(scene: Scene) -> None:
         )
         forces = [force(state, t, speed) for state, t in zip(exact.y.T, times, strict=True)]
         wanted = plant.C[0] @ exact.y[:n] + plant.D[0, 0] * np.array(forces)
-        # Where a contact begins or ends the force has a bend, on which a fixed step of fourth order falls back.
+        # The force has a bend where a contact begins or ends, on which a fixed step of fourth order falls back.
         assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()
 
 

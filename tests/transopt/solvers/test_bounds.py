@@ -38,7 +38,7 @@ def drawn(seed: int) -> TransientProblem:
 
 
 def answers(seeds: range) -> list[tuple[TransientProblem, np.ndarray, Certificate, list[float]]]:
-    """Of those whose temperature binds: problem, command, certificate, and every bound that there is."""
+    """Give problem, command, certificate and every bound that there is, of the optima whose temperature binds."""
     found = []
     for seed in seeds:
         problem = drawn(seed)

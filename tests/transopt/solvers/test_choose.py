@@ -19,12 +19,12 @@ FALLBACKS = ("casadi-piqp", "casadi-ipopt")
 
 
 def dies(*_: object) -> None:
-    """As native code that writes outside its memory."""
+    """End the process, as native code does that writes outside its memory."""
     os._exit(134)
 
 
 def waits(*_: object) -> None:
-    """As native code that searches for ever."""
+    """Wait for ever, as native code does that finds no end to its search."""
     threading.Event().wait()
 
 

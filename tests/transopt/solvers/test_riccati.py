@@ -172,7 +172,7 @@ class TestTheLastInstant:
 
     @staticmethod
     def bounded(given: Stages, at: int, most: float) -> Stages:
-        """With the first of the states below `most` at one stage, in a row behind the others."""
+        """Keep the first of the states below `most` at one stage, by a row behind the others."""
         arrays, n = dict(given.arrays), given.sizes["states"]
         wide = np.full((given.sizes["stages"] + 1, 1), np.inf)
         arrays["lower"] = np.concatenate([arrays["lower"], -wide], axis=1)
@@ -185,7 +185,7 @@ class TestTheLastInstant:
 
     @staticmethod
     def longer(given: Stages) -> Stages:
-        """The same problem with one more stage at its end, where nothing moves and nothing is weighed."""
+        """Add a stage at the end of the problem, where nothing moves and nothing is weighed."""
         arrays, sizes = dict(given.arrays), given.sizes | {"stages": given.sizes["stages"] + 1}
         arrays |= {name: np.append(arrays[name], 0.0) for name in ("weight", "reference", "rule_offset")}
         arrays["rule_gain"] = np.concatenate([arrays["rule_gain"], arrays["rule_gain"][-1:]])
@@ -346,7 +346,7 @@ class TestAbsence:
         assert "own solver is not built" in build_markdown(build)
 
     def test_one_of_another_version_is_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Its arrays may mean something else; before there was a number to ask for, none had one."""
+        """Arrays of another version may mean something else; the earliest versions have no number to ask for."""
         monkeypatch.setattr(
             extension.ct, "PyDLL", lambda path: SimpleNamespace(tr_interface=lambda: extension.INTERFACE - 1)
         )

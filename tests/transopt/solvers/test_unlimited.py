@@ -240,7 +240,7 @@ class TestCompiledPass:
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
 def test_a_gap_that_is_only_rounding_asks_no_other_method(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its first bound may be above what the pass may leave; the one by the movement's curvature is far below."""
+    """The first bound may be above what the pass may leave; that by the movement's curvature is far below."""
     problem = drawn(2, 727).problem()
 
     def asked(_: TransientProblem) -> Solution:

@@ -25,7 +25,7 @@ def service(small: Scene) -> Service:
 
 @pytest.fixture
 def address(small: Scene) -> Iterator[str]:
-    """Of a page that is served while the test runs."""
+    """Yield the address of a page that is served while the test runs."""
     for name in ("starlette", "uvicorn", "websockets", "plotly"):
         pytest.importorskip(name, reason=MISSING)
     from transopt.web.serve import Page

@@ -126,7 +126,7 @@ def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> I
 
 
 def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> list[Finding]:
-    """Where both were recorded: a current in another unit, the wrong way round, or not read when the command was.
+    """Check a recorded current against the command: another unit, the wrong way round, read at another instant.
 
     A shift of whole ticks between current and acceleration looks like a device of other masses, which a record with
     the same shift cannot tell from the true one: only the command can.

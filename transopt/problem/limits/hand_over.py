@@ -34,7 +34,7 @@ def rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, Flo
 
 
 def rows_after(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """The same of the commands after the window, where it goes on: (M, n) and (M,)."""
+    """State the hand-over of the commands after the window, where it goes on, as `rows` does: (M, n) and (M,)."""
     N, M = problem.grid.stages, problem.grid.after_stages
     return _rows(problem, stage, np.arange(N, N + M))
 

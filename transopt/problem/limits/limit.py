@@ -63,7 +63,7 @@ class Row:
     device: int = 0
 
     def of_device(self, device: int) -> "Row":
-        """The same of another device of a spread, with multipliers of its own; 0 is the entry's own, as it stands."""
+        """Return the row for a device of the spread, with its own multipliers; device 0 is the entry's, unchanged."""
         if device == 0:
             return self
         said = f"{self.condition} of device {device} of the spread".lstrip()
@@ -347,7 +347,7 @@ class Limit(ABC):
         return ""
 
     def needed(self, problem: Posed) -> tuple[Self, Mapping[str, str]]:
-        """The same limit without those of its rows that no admissible command can reach: part -> why it is left out.
+        """Drop the rows that no admissible command can reach; the mapping says of each part why it is left out.
 
         Asked only of a limit that might bind.
         """

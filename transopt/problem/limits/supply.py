@@ -103,7 +103,7 @@ class SupplyLimit(Limit):
         if circuit is None or amplifier is None:
             return None
         ends: tuple[CopperEnd, ...] = (CopperEnd(COLD, circuit, None),)
-        # None where a library is read that keeps its rail at R as stated; a scene does not say, and has both ends.
+        # The key is None in a library that keeps its rail at R as stated; a scene lacks it, and gets both ends.
         if coil is not None and asked.get(COPPER, ()) is not None:
             cold_C, hot_C = coldest_and_hottest_C(coil, setting.budget)
             ends = (CopperEnd(COLD, circuit.at(cold_C), cold_C),)

@@ -88,7 +88,7 @@ class TemperatureLimit(Limit):
         return {"thermal.headroom_K": True, **{f"thermal.{key}": False for key in cooler}}
 
     def wider(self, factor: float) -> Self:
-        """With kelvins in proportion to what is left of them."""
+        """Raise the limit in proportion to the largest headroom that is left, taken as at least 1 K."""
         return self.raised((factor - 1) * max(float(self.model.headroom_K.max()), 1.0))
 
     def raised(self, by: float) -> Self:
@@ -106,7 +106,7 @@ class TemperatureLimit(Limit):
 
     @property
     def kept_back(self) -> float:
-        """Of taps for ever: the steady state adds up what a current that changes its sign within a period heats."""
+        """Taps for ever need a margin: their steady state sums the heat of currents that reverse within a period."""
         return 0.0 if self.period_s is None else steady_margin_K(self.coil, self.budget)
 
     @property

@@ -68,7 +68,7 @@ def _fixed(stage: LinearStage, M: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _walled(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """The same where the commands are what the wall asks for."""
+    """Compute what `_fixed` does, but where the commands are what the wall asks for."""
     M, n = problem.grid.after_stages, stage.units.size
     gains, offsets = hand_over.rows_after(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)

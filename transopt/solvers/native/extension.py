@@ -144,7 +144,7 @@ class Answer(NamedTuple):
 
     @property
     def relative_gap(self) -> float:
-        """Of max(J, 1e-3); inf for what is no number."""
+        """The gap counts relative to max(J, 1e-3), and is inf where that is no number."""
         relative = self.gap / max(self.objective, 1.0)
         return relative if np.isfinite(relative) else np.inf
 

@@ -20,7 +20,7 @@ Respond = Callable[..., GripResponse]
 
 @pytest.fixture(scope="session")
 def pattern() -> GripResponse:
-    """Of four sweeps at 3 N, from the command to current and acceleration."""
+    """Give the response of four sweeps at 3 N, from the command to current and acceleration."""
     return sort_trials(Rig().sweeps((3.0,)), [], AMPLIFIER, None).grips[0].response
 
 

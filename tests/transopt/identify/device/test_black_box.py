@@ -48,7 +48,7 @@ def test_the_order_is_found_where_none_is_stated(respond: Respond) -> None:
 def test_whatever_the_order_the_model_is_stable_real_and_stands_still_under_a_constant_current(
     order: int, respond: Respond
 ) -> None:
-    # With noise of which no pole to spare is put so far below the band that a double cannot show the zeros.
+    # In this noise no pole to spare is put so far below the band that a double cannot show the zeros.
     plant = fit_black_box([respond(DEFAULT.plant(3.0), 3.0, random=1)], INSTRUMENT, order).plants[0]
     assert plant.A.dtype == float
     assert np.all(np.linalg.eigvals(plant.A).real < 0)

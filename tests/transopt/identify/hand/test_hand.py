@@ -161,7 +161,7 @@ def test_the_lines_of_the_seed_come_back_from_81_trials(hand: HandFit) -> None:
     truth = np.array([0.215, -0.00328, 6.713, 0.369, 75.65, 14.72])
     deviation = np.sqrt(np.diagonal(hand.covariance))
     assert np.all(np.abs(found - truth) < 3 * deviation)
-    # As precise as hands that scatter allow: 5 % and 10 % over 81 taps.
+    # The lines are as precise as hands that scatter allow: 5 % and 10 % over 81 taps.
     assert deviation[0] < 0.02 * 0.215
     assert deviation[5] < 0.08 * 14.72
     assert not hand.shortfalls()

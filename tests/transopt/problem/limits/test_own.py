@@ -42,7 +42,7 @@ def test_a_linear_one_is_recognised_and_solved_by_the_compiled_method(tmp_path: 
     assert "joint_force 3 N" in entry.binding
     assert [price.limit for price in entry.prices].count("joint_force") == 1
     problem, command = entry.problem, entry.solution.command
-    # The same by a dense solve, the states from the plant's own matrices.
+    # A dense solve finds the same, with the states from the plant's own matrices.
     force = dense.states(problem) @ np.array([6e4, 0, 0, 8, -8, 0, 0])
     _, J = dense.optimum(problem, force[:-1], np.full(150, -3.0), np.full(150, 3.0))
     assert entry.certificate.objective == pytest.approx(J, abs=1e-6 * max(J, OBJECTIVE_SCALE))

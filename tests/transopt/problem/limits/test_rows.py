@@ -167,7 +167,7 @@ class TestValues:
 
 class TestTransposed:
     def test_the_reduced_gradient_is_the_derivative_of_the_lagrangian(self, problem: TransientProblem) -> None:
-        """Of the linear limits: J and the values are at most quadratic, so central differences are exact."""
+        """All limits are linear here: J and the values are at most quadratic, so central differences are exact."""
         problem = problem.without("temperature")
         random, N = np.random.default_rng(4), problem.grid.stages
         command, multipliers = drawn_command(problem), Multipliers.zero(problem)

@@ -48,7 +48,7 @@ def varied(scene: Scene, pole_Hz: float, supply_V: float, **thermal: float) -> S
 
 @pytest.fixture(scope="module")
 def problems(scene: Scene, references: list[Reference]) -> dict[Case, TransientProblem]:
-    """By rail, pole, speed and grip."""
+    """Pose one problem for each rail, pole, speed and grip."""
     by_speed = {reference.speed_m_s: reference for reference in references}
     found = {}
     for volts, pole, (speed, grip) in product(RAILS_V, POLES_Hz, ENTRIES):
@@ -58,7 +58,7 @@ def problems(scene: Scene, references: list[Reference]) -> dict[Case, TransientP
 
 
 def at_one_end(problem: TransientProblem, end: int) -> TransientProblem:
-    """With the rail kept for cold (0) or for hot (1) copper alone."""
+    """Keep the rail for cold (0) or for hot (1) copper alone."""
     supply = supply_of(problem)
     return problem.replaced(replace(supply, ends=(supply.ends[end],)))
 
@@ -199,7 +199,7 @@ class TestLibrary:
     def test_one_that_does_not_say_keeps_the_rail_at_the_stated_resistance(
         self, low: Library, tmp_path: Path
     ) -> None:
-        """As files have it that were written before there were two ends: solved, proven and verified as they are."""
+        """Files from before there were two ends do not name them; they are solved, proven and verified unchanged."""
         limits = {key: value for key, value in low.meta["limits"].items() if key != "supply_copper_C"}
         plain = replace(low, meta={**low.meta, "limits": limits})
         nothing = np.zeros(low.command.shape[2])

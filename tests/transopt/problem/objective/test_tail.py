@@ -147,7 +147,7 @@ class TestTail:
 
 @pytest.fixture(scope="module")
 def problem(walled: WalledMaker) -> TransientProblem:
-    """Of an entry over a wall."""
+    """Pose the problem of an entry over a wall, with a tap that lasts beyond the window."""
     return lasting(walled(500.0, 0.2).without("temperature"))
 
 
