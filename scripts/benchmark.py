@@ -78,6 +78,7 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
     hot = replace(saturated, limits=limits_of(*saturated.limits.without(winding.name), winding))
     unsaturated = [
         unlimited_solver("riccati-pass", "judged by its gradient", unlimited.solve, free),
+        unlimited_solver("riccati-pass, CasADi", "in its virtual machine", unlimited.solve_in_casadi, free),
         unlimited_solver("sparse-kkt", "pattern reused", unlimited.solve_sparse_kkt, free),
         project_solver(free, "casadi-piqp"),
     ]

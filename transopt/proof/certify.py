@@ -237,20 +237,6 @@ def _reduced_gradient(
     return np.asarray(by_tracking + problem.movement.gradient(command) + by_command)
 
 
-def hand_over_multipliers(effect: Effect) -> Multipliers:
-    """Multipliers of no limit, and those of the hand-over under which no gradient by its commands is left.
-
-    A hand-over command is felt by later ones only, so each sweep settles all that answer nothing still unsettled.
-    """
-    problem = effect.problem
-    found, free = Multipliers.zero(problem), problem.free_stages
-    lag = problem.hand_over_samples if problem.wall is None else problem.wall.wall.latency_ticks + 1
-    for _ in range(-(-problem.hand_over_samples // lag)):
-        left = reduced_gradient(effect, found)[free:]
-        found = replace(found, hand_over=found.hand_over - left)
-    return found
-
-
 def gradient_rounding(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> FloatArray:
     """(N,) what rounding makes of the reduced gradient of the Lagrangian [1/A].
 

@@ -20,7 +20,8 @@ from transopt.base import apart
 from transopt.base.signals import FloatArray
 from transopt.problem.limits.limit import Row
 from transopt.problem.problem import TransientProblem
-from transopt.solvers.program import pattern, state_program
+from transopt.solvers.program import state_program
+from transopt.solvers.sparse_kkt import pattern
 from transopt.solvers.statement import Statement, state, variable
 
 SLACK = 1e-9  # relative, of limits that are as good as met

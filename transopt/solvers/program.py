@@ -324,13 +324,6 @@ def state_program(shape: Shape) -> Program:
     return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data is None, qp_data)
 
 
-@lru_cache(maxsize=16)
-def pattern(shape: Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Row indices and column starts of a matrix of `qp_data`; reading them off takes longer than a solve."""
-    sparsity = state_program(shape).qp_data.sparsity_out(name)
-    return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
-
-
 def program_shape(problem: TransientProblem) -> Shape:
     thermal, stage = problem.thermal, linear_stage(problem)
     rows = [row for row in stated_rows(problem, stage) if not row.single]

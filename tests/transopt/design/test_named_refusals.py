@@ -79,7 +79,7 @@ def test_walls_under_small_currents_are_solved_or_refused_by_the_hand_over(
         (31337, 4772, "certified"),  # one thermal node: its bound was above its value
         (555, 68, "certified"),
         (71, 28, "certified"),
-        (424242, 1984, "certified"),  # an unlimited optimum that only a damped system finds
+        (424242, 1984, "certified"),  # an unlimited optimum that only strong damping finds
         (8675309, 1298, "certified"),  # the wall's ticks settle after seven solves
         (8675309, 1887, "certified"),  # a last digit too hot
     ],

@@ -1,16 +1,14 @@
-"""The unlimited optimum: the Riccati pass against other solvers and the sparse system, on extreme devices."""
+"""The unlimited optimum: the Riccati pass against dense least squares, against solvers, on extreme devices."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-import scipy
 
 from problems.stress.draw import drawn
 from tests.benches.limits import with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
+from transopt.base.signals import FloatArray
 from transopt.design.optimum import ROUNDED
 from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import Motion, discretise
@@ -21,11 +19,71 @@ from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify, gradient_rounding
-from transopt.solvers import unlimited
+from transopt.solvers import lq_pass, unlimited
 from transopt.solvers.choose import solve
+from transopt.solvers.lq_pass import Gains, Pass, Tracking
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.stage_data import without_limits
+
+
+def random_tracking(stages: int, ny: int, rule_stages: int) -> Tracking:
+    random = np.random.default_rng(stages + 10 * ny)
+    n = 4
+    A = random.standard_normal((n, n))
+    return Tracking(
+        A=A / np.abs(np.linalg.eigvals(A)).max(),
+        B=random.standard_normal(n),
+        C=random.standard_normal((ny, n)),
+        D=random.standard_normal(ny),
+        reference=random.standard_normal((stages, ny)),
+        weights=random.uniform(0, 2, (stages, ny)),
+        movement_weights=random.uniform(0.1, 2, stages),
+        rule_gains=0.5 * random.standard_normal((rule_stages, n)),
+        rule_offsets=random.standard_normal(rule_stages),
+        end_gain=random.standard_normal((3, n)),
+        end_target=random.standard_normal(3),
+    )
+
+
+def rolled_out(data: Tracking, free: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Movement (N,), error (N, ny) and error at the end (m,), stage by stage as the statement reads."""
+    z = np.zeros(data.B.size)
+    movement, error = np.empty(data.movement_weights.size), np.empty_like(data.reference)
+    for k in range(movement.size):
+        j = k - data.free_stages
+        movement[k] = free[k] if j < 0 else data.rule_gains[j] @ z + data.rule_offsets[j]
+        error[k] = data.C @ z + data.D * movement[k] - data.reference[k]
+        z = data.A @ z + data.B * movement[k]
+    return movement, error, data.end_gain @ z - data.end_target
+
+
+def residuals(data: Tracking, free: FloatArray) -> FloatArray:
+    """The objective is the sum of their squares; affine in the free movement."""
+    movement, error, end_error = rolled_out(data, free)
+    weighted = (np.sqrt(data.weights) * error).ravel()
+    return np.concatenate([weighted, np.sqrt(data.movement_weights) * movement, end_error])
+
+
+SIZES = [(stages, ny, rule) for ny in (1, 2, 3) for stages, rule in ((2, 1), (5, 0), (9, 3), (24, 4), (25, 25))]
+
+
+@pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
+def test_pass_is_the_dense_least_squares_solution(stages: int, ny: int, rule_stages: int) -> None:
+    """Several outputs, feed-through, weights that change, an affine rule at the end."""
+    data = random_tracking(stages, ny, rule_stages)
+    free = data.free_stages
+    at_zero = residuals(data, np.zeros(free))
+    jacobian = np.array([residuals(data, step) - at_zero for step in np.eye(free)]).reshape(free, at_zero.size).T
+    best = np.linalg.lstsq(jacobian, -at_zero)[0]
+
+    run = Pass(data)
+    found = run.improved(run.at_rest(), run.factored())
+    movement, error, end_error = rolled_out(data, best)
+    np.testing.assert_allclose(found.movement, movement, atol=1e-11)
+    np.testing.assert_allclose(found.error, error, atol=1e-11)
+    np.testing.assert_allclose(found.end_error, end_error, atol=1e-11)
+    assert np.abs(run.gradient(found)).max(initial=0.0) < 1e-11
 
 
 @pytest.mark.parametrize("ideal", [False, True])
@@ -125,68 +183,64 @@ def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) ->
     assert not answer.command[problem.free_stages :].any()
 
 
-class TestWithoutTheCompiledPass:
-    """The sparse KKT system alone: singular ones, and what its answer is judged by."""
+class TestWhenThePassFallsShort:
+    """Gains that are wrong, as rounding could leave them: the gradient notices."""
+
+    @staticmethod
+    def spoil(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
+        exact = lq_pass.Pass.factored
+
+        def spoilt(run: Pass) -> Gains:
+            gains = exact(run)
+            return Gains(gains.feedback, factor * gains.inverse_factor)
+
+        monkeypatch.setattr(lq_pass.Pass, "factored", spoilt)
+
+    def test_a_small_error_is_refined_away(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem = make_problem(0.2, 3.0)
+        wanted = unlimited.solve(problem).command
+        self.spoil(monkeypatch, 1 + 1e-5)
+        answer = unlimited.solve_in_casadi(problem)
+        assert answer.message == "Riccati pass, refined"
+        assert certify(problem, answer.command, answer.multipliers).dual_residual < 1e-14
+        np.testing.assert_allclose(answer.command, wanted, atol=1e-10)
+
+    @pytest.mark.parametrize("factor", [2.0, float("nan")])
+    def test_a_large_one_is_left_to_the_sparse_system(
+        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch, factor: float
+    ) -> None:
+        problem = make_problem(0.2, 3.0)
+        self.spoil(monkeypatch, factor)
+        answer = unlimited.solve_in_casadi(problem)
+        assert answer.message == "sparse KKT system"
+        assert answer.status is Status.OPTIMAL
+        proof = certify(problem, answer.command, answer.multipliers)
+        assert proof.accepted
+        assert proof.dual_residual < 1e-14
 
     def test_where_any_command_is_optimal_none_is_the_answer(self, make_problem: ProblemMaker) -> None:
-        """Without weights the sparse system is singular; rest is as good as any command, and proven."""
+        """Without weights pass and sparse system would break down; rest is as good as any command, and proven."""
         problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
-        answer = unlimited.solve_sparse_kkt(problem)
+        answer = unlimited.solve_in_casadi(problem)
         assert not answer.command.any()
         assert certify(problem, answer.command, answer.multipliers).accepted
 
-    def test_a_tap_of_zero_is_answered_by_rest(self, make_problem: ProblemMaker) -> None:
-        problem = make_problem(0.2, 3.0, stages=30)
-        problem = replace(problem, rho=0.0, target=Target(np.zeros(30)))
-        answer = unlimited.solve_sparse_kkt(problem)
-        assert not answer.command.any()
-        assert answer.status is Status.OPTIMAL
 
-    def test_a_singular_system_is_damped(self) -> None:
-        """Weights of zero leave movements open, and no factorisation exists without damping."""
-        problem = drawn(424242, 1984).problem()
-        answer = unlimited.solve_sparse_kkt(problem)
-        assert answer.message == "sparse KKT system, damped"
-        assert answer.status is Status.OPTIMAL
-        free = problem.without(*problem.nonlinear)
-        assert certify(free, answer.command, answer.multipliers).relative_gap < unlimited.GAP
-
-    def test_a_spoilt_factorisation_is_refined_or_refused(
-        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """Wrong factors, as rounding could leave them: the gradient of the certificate notices."""
-        problem, exact = make_problem(0.2, 3.0), scipy.sparse.linalg.splu
-        wanted = unlimited.solve(problem).command
-
-        def spoil(factor: float) -> None:
-            def spoilt(matrix: Any) -> SimpleNamespace:
-                factors = exact(matrix)
-                return SimpleNamespace(solve=lambda right: factor * factors.solve(right))
-
-            monkeypatch.setattr(unlimited.scipy.sparse.linalg, "splu", spoilt)
-
-        spoil(1 + 1e-5)
-        answer = unlimited.solve_sparse_kkt(problem)
-        np.testing.assert_allclose(answer.command, wanted, atol=1e-9)
-        spoil(float("nan"))
-        assert unlimited.solve_sparse_kkt(problem).status is Status.NUMERICAL_FAILURE
-
-
-def test_without_the_extension_the_sparse_system_runs_apart_and_gives_the_same(
+def test_the_other_passes_run_apart_and_give_the_same(
     make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = make_problem(0.2, 3.0)
     monkeypatch.setattr(extension, "available", False)
-    np.testing.assert_array_equal(unlimited.solve(problem).command, unlimited.solve_sparse_kkt(problem).command)
+    np.testing.assert_array_equal(unlimited.solve(problem).command, unlimited.solve_in_casadi(problem).command)
 
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
 class TestCompiledPass:
-    """The pass of the extension against the sparse KKT system, and its cached gains."""
+    """The pass of the extension against the one in CasADi's virtual machine, and its cached gains."""
 
     @staticmethod
     def difference(problem: TransientProblem) -> float:
-        own, other = unlimited.solve(problem), unlimited.solve_sparse_kkt(problem)
+        own, other = unlimited.solve(problem), unlimited.solve_in_casadi(problem)
         assert own.message == "Riccati pass"
         np.testing.assert_allclose(
             own.multipliers.hand_over,
