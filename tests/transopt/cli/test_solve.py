@@ -94,6 +94,16 @@ class TestSolve:
         assert run("solve", quick_scene, "--out", "here", "--no-figures").code == 0
         assert {file.name for file in Path("here").iterdir()} == {"library.npz", "report.md", "report.json"}
 
+    def test_the_full_report_says_what_intensity_costs(self, run: Run) -> None:
+        one = WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.4]").replace("[1.0, 3.0, 5.0]", "[5.0]")
+        Path("one.toml").write_text(one)
+        for report, there in (("brief", False), ("full", True)):
+            out = Path(report)
+            assert run("solve", "one.toml", "--report", report, "--no-figures", "--out", out).code == 0
+            (entry,) = json.loads((out / "report.json").read_text())["entries"]
+            assert entry["prices"]
+            assert (entry["trade_off"] is not None) is there
+
     @pytest.mark.parametrize("columns", [80, 100])
     def test_narrow_terminals_keep_whole_words(
         self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, columns: int
@@ -126,6 +136,7 @@ class TestSolve:
                 ["--solver osqp", "riccati, casadi-piqp, casadi-ipopt"],
             ),
             (["wood_on_foam", "--solver-tolerance", "0"], ["--solver-tolerance 0", "between 0 and 1"]),
+            (["wood_on_foam", "--report", "long"], ["--report long", "brief or full"]),
             (["wood_on_foam", "--grid-tolerance", "0"], ["--grid-tolerance 0", "between 0 and 1"]),
             (["wood_on_foam", "--grid-tolerance", "0.02", "--grid-cap", "11"], ["--grid-cap 11", "12 entries"]),
         ],

@@ -13,6 +13,7 @@ from problems.stress.judge import played
 from tests.benches.limits import with_limit
 from tests.benches.places import IMPACTS
 from tests.conftest import ProblemMaker
+from transopt.design import entry as entries_room
 from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
@@ -26,6 +27,7 @@ from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
+from transopt.report.markdown import build_markdown
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve, solve_certified
@@ -384,3 +386,27 @@ def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, t
     assert list(doubts(library)) == []
     louder = replace(library, energy_dB=library.energy_dB + 0.1)
     assert any("energy_dB says" in doubt for doubt in doubts(louder))
+
+
+def test_what_few_readers_ask_for_is_made_when_it_is_read(
+    scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, priced = entries_room.prices, []
+
+    def counted(*given: object, **named: object) -> object:
+        priced.append(1)
+        return real(*given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(entries_room, "prices", counted)
+    built = build_library(with_values(scene, {"grid.grips_N": [3.0, 5.0]}), taps)
+    assert priced == []
+    brief = build_markdown(built, full=False)
+    assert len(priced) == 1
+    assert "## Waveform and intensity" not in brief
+    worst = max(built.all_entries(), key=lambda entry: entry.nrmse - entry.floor)
+    assert worst.prices
+    assert worst.prices[0].stated in brief
+    assert len(priced) == 1
+    full = build_markdown(built)
+    assert len(priced) == len(list(built.all_entries()))
+    assert "## Waveform and intensity" in full
