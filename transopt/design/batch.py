@@ -35,6 +35,7 @@ class Batch:
     steady_input : what the actuator stands for ever, at which the other methods are looked at besides [A or V].
     told : targets against which errors are told; by default what each problem tracks.
     transients : (M, N) what is played beside the wall's feedback; by default what the commands leave of it.
+    with_rivals : whether the other methods are going to be read too, which then share the simulation.
     """
 
     def __init__(
@@ -44,8 +45,10 @@ class Batch:
         steady_input: float,
         told: Sequence[Target] | None = None,
         transients: FloatArray | None = None,
+        *,
+        with_rivals: bool = False,
     ) -> None:
-        self._stated = transients
+        self._stated, self._with_rivals = transients, with_rivals
         self.designed, self._coil, self._steady_input = designed, coil, steady_input
         self.told = [each.problem.target for each in designed] if told is None else told
 
@@ -54,7 +57,7 @@ class Batch:
         """Each command, through the wall if there is one."""
         if self.designed[0].nonlinear is not None:
             return [both[1] for both in self._on_nonlinear_plant]
-        return self._replayed(None)
+        return self._replayed(self._together.of(slice(len(self.designed))) if self._share else None)
 
     @cached_property
     def linear_replays(self) -> list[Replay]:
@@ -68,19 +71,21 @@ class Batch:
         if first.nonlinear is not None:
             errors = np.array([self._errors_on_nonlinear_plant(each) for each in self.designed]).T
             return _baselines(errors)
-        commands = self._rival_commands
-        return _baselines(replayed_errors(first.problem.stage, first.problem.grid, commands, self._rival_targets))
+        grid, targets = first.problem.grid, [*self.told] * 4
+        if self._share:
+            return _baselines(errors_of(self._together.of(slice(len(self.designed), None)), grid, targets))
+        return _baselines(replayed_errors(first.problem.stage, grid, self._rival_commands, targets))
 
-    def play_with_rivals(self) -> None:
-        """Make replays and errors of the rivals in one simulation, where no wall stands between them."""
-        first, M = self.designed[0], len(self.designed)
-        if first.nonlinear is not None or first.problem.wall is not None:
-            _ = self.replays, self.rivals
-            return
-        commands = np.concatenate([self._transients, self._rival_commands])
-        together = accurate(first.problem.stage, first.problem.grid, commands, None)
-        self.replays = self._replayed(together.of(slice(M)))
-        self.rivals = _baselines(errors_of(together.of(slice(M, None)), first.problem.grid, self._rival_targets))
+    @property
+    def _share(self) -> bool:
+        """Whether one simulation plays answers and rivals: the rivals know no wall."""
+        return self._with_rivals and self.designed[0].problem.wall is None
+
+    @cached_property
+    def _together(self) -> Accurate:
+        """Simulation of the answers, and of the rivals behind them."""
+        problem = self.designed[0].problem
+        return accurate(problem.stage, problem.grid, np.concatenate([self._transients, self._rival_commands]), None)
 
     @property
     def _transients(self) -> FloatArray:
@@ -126,10 +131,6 @@ class Batch:
     def _rival_commands(self) -> FloatArray:
         """(4 M, N) commands of the two other methods, in the order of `Baselines`, each of all answers."""
         return _rivals_of(self.designed, self._steady_input)
-
-    @property
-    def _rival_targets(self) -> list[Target]:
-        return [*self.told] * 4
 
     def _errors_on_nonlinear_plant(self, designed: Designed) -> list[float]:
         assert designed.nonlinear is not None

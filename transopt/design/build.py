@@ -15,7 +15,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.base.writing import percent
 from transopt.design.context import Context
-from transopt.design.design import RIVALS, design
+from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
 from transopt.design.scene_entry import with_remedies
@@ -188,8 +188,9 @@ def build_library(
         context = Context(scene, references)
     columns: list[list[Entry]] = []
     for grip in scene.grid.grips_N:
-        columns.append(design([context.posed_as(each, grip) for each in references], [RIVALS], options=options))
-        progress(len(references))
+        columns.append(design([context.posed_as(each, grip) for each in references], rivals=True, options=options))
+        # An entry is replayed here, before its progress is told.
+        progress(len([entry.played for entry in columns[-1]]))
     entries = [[column[i] for column in columns] for i in range(len(references))]
     if not scene.nonlinear:
         entries = with_remedies(context, entries, references, options)

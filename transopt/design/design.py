@@ -10,14 +10,12 @@ from transopt.design.intensity import best
 from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
 
-RIVALS = "rivals"  # the column of the two other methods
-
 
 @one_blas_thread()
 def design(
     problems: Sequence[Posed],
-    columns: Sequence[str] = (),
     *,
+    rivals: bool = False,
     options: SolverOptions | None = None,
     failed: Callable[[Posed, Exception], None] | None = None,
 ) -> list[Entry]:
@@ -29,7 +27,7 @@ def design(
     Parameters
     ----------
     problems : in any order.
-    columns : what is going to be read of all entries: "rivals", which then share the simulation of the replays.
+    rivals : whether the errors of the other methods are going to be read of all, which then share the simulation.
     options : solver and its tolerance.
     failed : told of a problem whose solution ended in an exception; its entry is then left out. Without it the
         exception is raised.
@@ -54,9 +52,7 @@ def design(
     for numbers in together.values():
         first = problems[numbers[0]]
         told = [problems[n].told or solved[n].problem.target for n in numbers]
-        batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, told)
-        if RIVALS in columns:
-            batch.play_with_rivals()
+        batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, told, with_rivals=rivals)
         for index, n in enumerate(numbers):
             posed = problems[n]
             place = (posed.speed_m_s, posed.grip_N, posed.target)

@@ -29,6 +29,7 @@ from transopt.proof.admit import admit
 from transopt.proof.certify import Box, binding_limits, boxes
 from transopt.proof.designed import Attained, Designed
 from transopt.proof.replay import Replay
+from transopt.solvers import unlimited
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import Size, size
 
@@ -146,7 +147,11 @@ class Entry:
         """NRMSE of the optimum without limits."""
         if self.told is self.problem.target:
             return self.designed.floor
-        return self.told.nrmse(self.problem.stage.rollout(self.designed.unlimited_command)[0])
+        free = self.designed.unlimited_command
+        if self.problem.intensity > 0:
+            # A price on intensity moves that optimum; the floor is that of the waveform alone.
+            free = unlimited.solve(self.problem.without_intensity()).command
+        return self.told.nrmse(self.problem.stage.rollout(free)[0])
 
     @property
     def free_peak(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.threads import one_blas_thread
 from transopt.design.context import KEPT_STAGES, Context, Kept, Posed, as_text
-from transopt.design.design import RIVALS, design
+from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.plant.discretise import StageModel
 from transopt.problem.limits import KINDS
@@ -240,7 +240,7 @@ def _run(task: Task) -> list[Outcome]:
     def tell(which: Posed, error: Exception) -> None:
         failed[id(which)] = error
 
-    entries = iter(design(posed, [RIVALS] if task.rivals else [], options=task.options, failed=tell))
+    entries = iter(design(posed, rivals=task.rivals, options=task.options, failed=tell))
     for (place, item), one in zip(items, posed, strict=True):
         if id(one) in failed:
             outcomes[place] = _ended(task, item, failed[id(one)])

@@ -18,7 +18,7 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.limit import tolerated
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
-from transopt.proof.certify import Effect
+from transopt.proof.certify import Effect, certify
 from transopt.proof.designed import Designed
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove
@@ -73,17 +73,19 @@ def _again(library: Library, iv: int, ig: int, stage: StageModel, plant: Nonline
     accepted = Status.OPTIMAL if plant is None else Status.STATIONARY
     status = Status.OPTIMAL if claimed == accepted.value else Status.NOT_CERTIFIED
     answer = Solution(status, command, multipliers, "", claimed, 0, float(library.solve_time_s[iv, ig]))
-    nonlinear, linear = None, None
     if plant is None:
         effect = Effect(problem, command)
-        proof = prove(problem, command, multipliers, options, effect=effect)
-    else:
-        nonlinear = nonlinear_problem(library, iv, ig, plant)
-        on_plant = nonlinear.effect(command)
-        effect, proof = as_on_linear(on_plant), certificate_of(library, iv, ig, on_plant)
-        its_own = Solution(Status.OPTIMAL, library.linear_command[iv, ig], Multipliers.zero(problem), "", "", 0, 0.0)
-        linear = _bare(problem, its_own, proof, effect)
-    return replace(_bare(problem, answer, proof, effect), nonlinear=nonlinear, linear=linear)
+        return _bare(problem, answer, prove(problem, command, multipliers, options, effect=effect), effect)
+    nonlinear = nonlinear_problem(library, iv, ig, plant)
+    on_plant = nonlinear.effect(command)
+    found = _bare(problem, answer, certificate_of(library, iv, ig, on_plant), as_on_linear(on_plant))
+    # The file has no multipliers of the linear design, so that its certificate proves no more than its limits.
+    none, at_rest = Multipliers.zero(problem), Effect(problem, library.linear_command[iv, ig])
+    proof = certify(problem, at_rest.command, none, effect=at_rest)
+    stated = Solution(Status.NOT_CERTIFIED, at_rest.command, none, "", "", 0, 0.0)
+    return replace(
+        found, nonlinear=nonlinear, linear=replace(found, solution=stated, certificate=proof, effect=at_rest)
+    )
 
 
 def _bare(problem: TransientProblem, answer: Solution, proof: Certificate, effect: Effect) -> Designed:

@@ -10,6 +10,7 @@ from transopt.report.publish import LEFTOVERS, files_of, publish
 def write_report(build: Build, folder: str | Path, *, figures: bool = True, full: bool = False) -> list[Path]:
     """Write what `transopt solve` writes: `library.npz`, `report.md`, `report.json` and the figures, all or none.
 
+    Of a scene with `[model.nonlinear]` it is what `transopt.report.nonlinear.write_nonlinear` says.
     Of a build with refused entries it is `refused.md` and `refused.json`, and an earlier library stays.
 
     Parameters
@@ -25,6 +26,11 @@ def write_report(build: Build, folder: str | Path, *, figures: bool = True, full
     ------
     InputError : the folder cannot be written.
     """
+    if build.scene.nonlinear:
+        # Only a nonlinear plant needs this import.
+        from transopt.report.nonlinear import write_nonlinear
+
+        return write_nonlinear(build, folder, figures=figures)
     folder = Path(folder)
     make_folder(folder)
     files = files_of(build, figures=figures, full=full)

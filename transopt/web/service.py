@@ -18,7 +18,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.build import build_library
 from transopt.design.context import KEPT_STAGES, Context, Kept, Posed
-from transopt.design.design import RIVALS, design
+from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.explain import what_would_do
 from transopt.design.remedy import remedies
@@ -293,7 +293,7 @@ class Service:
     @one_blas_thread()
     def entry(self, index: int) -> Entry:
         """One tap as an entry of a library: solved, certified, replayed, priced, or refused with its reason."""
-        (found,) = design([self._posed(self.places[index])], [RIVALS], options=self.options)
+        (found,) = design([self._posed(self.places[index])], rivals=True, options=self.options)
         return found
 
     @one_blas_thread()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+import transopt as to
 from controller.host.payload import payload
 from controller.record.played import before_pole, through_pole
 from controller.refine.figure import refine_figure
@@ -34,6 +35,7 @@ from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.library.online import Online
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers import riccati
 
@@ -178,6 +180,15 @@ class TestResolve:
         assert loaded.peak_input.max() <= loaded.meta["limits"]["current_A"] + 1e-6
         np.testing.assert_array_equal(loaded.command[0, 1], small.command[0, 1])
         assert loaded.at(0.2, 3.0).command == pytest.approx(loaded.command[0, 0])
+
+    def test_a_tap_with_a_price_on_intensity_keeps_the_floor_of_its_waveform(self, scene: Scene) -> None:
+        louder = {"weights.objective": "intensity", "grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
+        priced = to.solve(with_values(scene, louder))
+        assert priced.intensity[0, 0] > 0.1
+        refined, kept = resolve(priced, {(0, 0): 0.002 * priced.reference_m_s2[0]}, {"rounds": []})
+        assert not kept
+        assert refined.floor[0, 0] == pytest.approx(priced.floor[0, 0], abs=2e-3)
+        assert [entry.shortfalls for entry in verify_library(refined)] == [[]]
 
     @pytest.mark.skipif(not riccati.available, reason="the solver's extension is not built")
     def test_a_tap_solved_anew_asks_for_the_same(self, small: Library, scene: Scene) -> None:

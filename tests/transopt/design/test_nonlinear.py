@@ -54,6 +54,11 @@ class TestDesign:
         assert "linear % promised / played" in design._repr_html_()
         assert not design.entries[0][0].linear_leaves
 
+    def test_its_report_is_that_of_the_command(self, design: Build, tmp_path: Path) -> None:
+        names = {path.name for path in to.write_report(design, tmp_path, figures=False)}
+        assert names == {"library.npz", "nonlinear.md", "nonlinear.json", "nonlinear.csv"}
+        assert "stationary" in (tmp_path / "nonlinear.md").read_text()
+
     def test_is_of_the_public_face(self) -> None:
         assert to.design_nonlinear is design_nonlinear
 

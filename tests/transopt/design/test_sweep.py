@@ -114,3 +114,16 @@ def test_other_methods_are_told_at_the_limit_of_their_own_point(scene: Scene, ta
         assert outcome.nrmse_clipped == pytest.approx(alone.nrmse_clipped, rel=1e-9)
         assert outcome.nrmse_seed == pytest.approx(alone.nrmse_seed, rel=1e-9)
     assert together[0].nrmse_clipped > 1.2 * together[1].nrmse_clipped
+
+
+@pytest.mark.parametrize("rivals", [False, True])
+def test_a_replay_that_breaks_is_told_in_its_rows(
+    scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch, rivals: bool
+) -> None:
+    def breaks(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("no step")
+
+    for name in ("accurate", "replay"):
+        monkeypatch.setattr(f"transopt.design.batch.{name}", breaks)
+    found = run_task(replace(task(scene, taps, [{}], [0.3, 0.4]), rivals=rivals))
+    assert [(each.status, each.reason) for each in found] == [(DEFECT, "ZeroDivisionError: no step")] * 2
