@@ -25,6 +25,19 @@ from transopt.recordings.tap import PreparedTap, check_usable, prepare
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
 
+# Fields of a reference that are courses over time, blended alike.
+COURSES = (
+    "recorded_m_s2",
+    "recorded_before_m_s2",
+    "recorded_after_m_s2",
+    "free_m_s2",
+    "free_before_m_s2",
+    "free_after_m_s2",
+    "nominal_position_m",
+    "nominal_velocity_m_s",
+    "nominal_position_at_ticks_m",
+)
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -33,11 +46,10 @@ class Reference:
     Attributes
     ----------
     speed_m_s : incoming speed.
-    raw_m_s2 : (N,) r_raw, the recorded acceleration.
-    motor_m_s2 : (N,) r = H r_raw.
-    before_m_s2 : (L,) r from contact on at the instants before tau_0, which no command can reach.
-    after_m_s2, raw_after_m_s2 : (M,) r and r_raw at the instants after the window. Where the recording has ended,
-        r_raw is zero and r the free response of H, which goes on.
+    recorded_m_s2, recorded_before_m_s2, recorded_after_m_s2 : (N,), (L,), (M,) r, the recorded acceleration, at the
+        switching instants of the window, at those from contact on that come before tau_0 and no command can reach,
+        and at those after the window; zero where the recording has ended.
+    free_m_s2, free_before_m_s2, free_after_m_s2 : (N,), (L,), (M,) a_free, how the stylus accelerates without current.
     nominal_position_m : (N,) z_nom.
     nominal_velocity_m_s : (N,) its derivative.
     nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks t_k, where the encoder is read.
@@ -53,11 +65,12 @@ class Reference:
     """
 
     speed_m_s: float
-    raw_m_s2: FloatArray
-    motor_m_s2: FloatArray
-    before_m_s2: FloatArray
-    after_m_s2: FloatArray
-    raw_after_m_s2: FloatArray
+    recorded_m_s2: FloatArray
+    recorded_before_m_s2: FloatArray
+    recorded_after_m_s2: FloatArray
+    free_m_s2: FloatArray
+    free_before_m_s2: FloatArray
+    free_after_m_s2: FloatArray
     nominal_position_m: FloatArray
     nominal_velocity_m_s: FloatArray
     nominal_position_at_ticks_m: FloatArray
@@ -76,7 +89,14 @@ class Reference:
     @property
     def target(self) -> Target:
         """What the device has to do at this speed."""
-        return Target(self.motor_m_s2, self.after_m_s2, self.before_m_s2)
+        return Target(
+            self.recorded_m_s2 - self.free_m_s2,
+            self.recorded_after_m_s2 - self.free_after_m_s2,
+            self.recorded_before_m_s2 - self.free_before_m_s2,
+            self.free_m_s2,
+            self.free_after_m_s2,
+            self.free_before_m_s2,
+        )
 
     @property
     def ends_s(self) -> float:
@@ -92,11 +112,6 @@ class Reference:
     def scalings(self) -> FloatArray:
         """(n,) by which each recorded acceleration was multiplied in all."""
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
-
-    @property
-    def user_share(self) -> float:
-        """|r_raw - r| / |r_raw|: the part of the tap that is the user's own motion."""
-        return nrmse(self.motor_m_s2, self.raw_m_s2)
 
 
 def _fine_times(grid: TimeGrid, end_s: float) -> FloatArray:
@@ -208,7 +223,7 @@ def build_reference(
     velocity += -speed_m_s - velocity[contact]
     position = _integral(velocity, raw.dt_s)
     position -= position[contact]
-    courses = np.stack([raw.values, motor.values, position, velocity])
+    courses = np.stack([raw.values, user, position, velocity])
 
     # One spline through it all for all instants, which are told apart again afterwards.
     instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)
@@ -216,11 +231,12 @@ def build_reference(
     window, after, before, ticks = np.split(sampled_at, np.cumsum([each.size for each in instants])[:-1], axis=1)
     return Reference(
         speed_m_s=speed_m_s,
-        raw_m_s2=window[0],
-        motor_m_s2=window[1],
-        before_m_s2=before[1],
-        after_m_s2=after[1],
-        raw_after_m_s2=after[0],
+        recorded_m_s2=window[0],
+        recorded_before_m_s2=before[0],
+        recorded_after_m_s2=after[0],
+        free_m_s2=window[1],
+        free_before_m_s2=before[1],
+        free_after_m_s2=after[1],
         nominal_position_m=window[2],
         nominal_velocity_m_s=window[3],
         nominal_position_at_ticks_m=ticks[2],
@@ -326,14 +342,7 @@ def between(references: Sequence[Reference], speed_m_s: float) -> Reference:
 
     return Reference(
         speed_m_s=speed_m_s,
-        raw_m_s2=shape(slow.raw_m_s2, fast.raw_m_s2),
-        motor_m_s2=shape(slow.motor_m_s2, fast.motor_m_s2),
-        before_m_s2=shape(slow.before_m_s2, fast.before_m_s2),
-        after_m_s2=shape(slow.after_m_s2, fast.after_m_s2),
-        raw_after_m_s2=shape(slow.raw_after_m_s2, fast.raw_after_m_s2),
-        nominal_position_m=shape(slow.nominal_position_m, fast.nominal_position_m),
-        nominal_velocity_m_s=shape(slow.nominal_velocity_m_s, fast.nominal_velocity_m_s),
-        nominal_position_at_ticks_m=shape(slow.nominal_position_at_ticks_m, fast.nominal_position_at_ticks_m),
+        **{name: shape(getattr(slow, name), getattr(fast, name)) for name in COURSES},
         repeatability=float(np.maximum(slow.repeatability, fast.repeatability)),
         repeatability_unaligned=float(np.maximum(slow.repeatability_unaligned, fast.repeatability_unaligned)),
         taps=slow.taps + fast.taps,

@@ -137,14 +137,16 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
         return values
 
     now, after = at(grid.switching_times_s), at(grid.after_times_s)
+    before = at(grid.before_times_s)
     nothing, fine = np.zeros(grid.stages), np.linspace(0.0, ends_s, FINE)
     return Reference(
         speed_m_s=0.0,
-        raw_m_s2=now,
-        motor_m_s2=now,
-        before_m_s2=at(grid.before_times_s),
-        after_m_s2=after,
-        raw_after_m_s2=after,
+        recorded_m_s2=now,
+        recorded_before_m_s2=before,
+        recorded_after_m_s2=after,
+        free_m_s2=nothing,
+        free_before_m_s2=np.zeros_like(before),
+        free_after_m_s2=np.zeros_like(after),
         nominal_position_m=nothing,
         nominal_velocity_m_s=nothing,
         nominal_position_at_ticks_m=np.zeros(grid.stages + grid.after_stages),

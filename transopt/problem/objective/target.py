@@ -28,11 +28,16 @@ class Target:
     window_m_s2 : (N,) r at the switching instants tau_0 to tau_(N-1).
     after_m_s2 : (M,) r at tau_N to tau_(N+M-1).
     before_m_s2 : (L,) r at the instants from contact on that come before tau_0.
+    free_window_m_s2, free_after_m_s2, free_before_m_s2 : a_free at the same instants, how the stylus accelerates
+        without current; of no element where it does not.
     """
 
     window_m_s2: FloatArray
     after_m_s2: FloatArray = field(default_factory=_none)
     before_m_s2: FloatArray = field(default_factory=_none)
+    free_window_m_s2: FloatArray = field(default_factory=_none)
+    free_after_m_s2: FloatArray = field(default_factory=_none)
+    free_before_m_s2: FloatArray = field(default_factory=_none)
 
     __repr__ = brief
 
