@@ -48,8 +48,8 @@ class _Tried:
 
 
 def most_price(problem: TransientProblem) -> float:
-    """The largest lam that is tried; 0 where a tracking weight is zero."""
-    return MOST * min(1.0, float(problem.tracking_weights.min()))
+    """The largest lam that is tried; 0 where a weight of the last term is zero."""
+    return MOST * min(1.0, float(problem.terms[-1].weights.min()))
 
 
 def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
@@ -198,7 +198,7 @@ def _parabola(one: _Tried, other: _Tried, at_dB: float) -> float:
     chord, bow = low.t + slope * (dB - low.energy_dB), (dB - low.energy_dB) * (dB - high.energy_dB)
     # E holds what is lost too, the energy that is asked for is that of the window.
     tracking = low.designed.problem.tracking
-    share = float(np.sum(tracking.unit_reference[: tracking.weights.size] ** 2))
+    share = float(np.sum(tracking.unit_wanted[-1, : tracking.target.window_m_s2.size] ** 2))
     wanted = (high.objective - low.objective) / share
     c, most = 0.0, STEEPEST * slope / width
     for _ in range(NEWTON):

@@ -134,8 +134,8 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
     if not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
         return ""
     extended = double
-    # What filters, and the temperature's recursion, have no other precision.
-    if problem.thermal is None and problem.wall is None and problem.error_filter is None:
+    # A wall's filters, and the temperature's recursion, have no other precision.
+    if problem.thermal is None and problem.wall is None:
         wide = replace(
             problem,
             stage=problem.stage.extended(),

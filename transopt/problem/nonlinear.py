@@ -38,7 +38,6 @@ class NonlinearProblem:
     def __post_init__(self) -> None:
         linear = self.linear
         for said, there in (
-            ("weights.error_filter", linear.error_filter is not None),
             ("robust", bool(linear.spread)),
             ("feedback", linear.wall is not None),
             ("limits.supply_V", "supply" in linear.limits),
@@ -98,4 +97,5 @@ class NonlinearEffect:
     @property
     def objective(self) -> float:
         """J."""
-        return self.problem.linear.objective(self.command, self.lasting.acceleration_m_s2[None])
+        made = self.lasting.acceleration_m_s2[None]
+        return self.problem.linear.objective(self.command, made, self.motion.plant_input)

@@ -1,11 +1,12 @@
 """The optimal-control problem of a tap with the limits, weights and time axis of a scene or a library."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
@@ -19,9 +20,12 @@ from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.limits.own import LawOf
 from transopt.problem.limits.supply import COPPER
+from transopt.problem.objective.error_term import ErrorTerm
+from transopt.problem.objective.plain import plain
+from transopt.problem.objective.rapid import rapid
 from transopt.problem.objective.target import Target
-from transopt.problem.objective.weighting import ErrorFilter, error_filter
-from transopt.problem.problem import TransientProblem
+from transopt.problem.objective.weighting import ErrorFilter
+from transopt.problem.problem import INTENTION_S, TransientProblem
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,7 @@ class Wanted:
         instants.
     nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks, where the encoder is read, for the wall.
     ends_s : when it is over; infinite for a tap, which goes on as it was recorded.
+    slow_part_known : whether the recording can be trusted in its slow part, so that the plain term means something.
     """
 
     speed_m_s: float
@@ -44,6 +49,7 @@ class Wanted:
     nominal_position_m: FloatArray
     nominal_position_at_ticks_m: FloatArray
     ends_s: float = np.inf
+    slow_part_known: bool = True
 
     __repr__ = brief
 
@@ -55,20 +61,23 @@ class Posing:
     Attributes
     ----------
     asked : key of the scene's `limits` -> number, or None where it is not asked for.
-    circuit, coil, wall, error_filter : None where the scene has none.
+    circuit, coil, wall, rapid : None where the scene has none; `rapid` is the filter of the term of that name.
+    plain : weight of the error as it is over the intention.
+    heat_price : of the squared input [1/A^2 or 1/V^2].
+    intention_s : for so long after contact the hand means to move on as it came.
     objective : "waveform", J is minimised, or "intensity", the tap has to have the energy asked for as well.
     intensity_dB : that energy, over the recorded tap's [dB].
     driven_by : what the input of the plants is.
-    calm : factor on the tracking weights behind the end of what is wanted, >= 1.
+    calm : factor on the weights of the error behind the end of a named target, in window and tail, >= 1.
     worst : of a spread of devices the worst counts and not the mean.
     law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
     """
 
     grid: TimeGrid
     amplifier: Amplifier | None
-    tracking_weights: FloatArray
+    plain: float
+    rapid: ErrorFilter | None
     rho: float
-    error_filter: ErrorFilter | None
     asked: Mapping[str, Any]
     hand_over_samples: int
     circuit: Circuit | None
@@ -81,6 +90,8 @@ class Posing:
     driven_by: Input = CURRENT_INPUT
     calm: float = 1.0
     worst: bool = False
+    heat_price: float = 0.0
+    intention_s: float = INTENTION_S
 
     __repr__ = brief
 
@@ -129,6 +140,29 @@ class Posing:
             outputs=needed_outputs(self.asked, self.driven_by),
         )
 
+    def terms(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
+        """The terms of the error: of a tap the plain and the rapid one, of a named target the plain one alone.
+
+        Raises
+        ------
+        InputError : neither of the two is left.
+        """
+        if np.isfinite(wanted.ends_s):
+            term = plain(1.0, self.grid, np.inf)
+            over = self.grid.switching_times_s > wanted.ends_s
+            return (replace(term, weights=np.where(over, self.calm, 1.0), after=self.calm),)
+        found = []
+        if self.plain > 0 and wanted.slow_part_known:
+            found.append(plain(self.plain, self.grid, self.intention_s))
+        if self.rapid is not None:
+            found.append(rapid(self.rapid, self.grid))
+        if not found:
+            raise InputError(
+                "weights: no term of the error is left: give weights.plain above 0 and recordings whose slow part is "
+                'known, or weights.rapid = "highpass"'
+            )
+        return tuple(found)
+
     def problem(
         self,
         wanted: Wanted,
@@ -151,7 +185,6 @@ class Posing:
         if self.wall is not None:
             nominal = wanted.nominal_position_at_ticks_m
             hand_over = HandOver(self.wall, nominal, wanted.speed_m_s, nominal < 0)
-        over = self.grid.switching_times_s > wanted.ends_s
         carried = 0.0 if stage.plant.moves_in_a_case else 1.0
         setting = Setting(
             stage=stage,
@@ -169,13 +202,14 @@ class Posing:
             stage=stage,
             grid=self.grid,
             target=wanted.target,
-            tracking_weights=self.tracking_weights * np.where(over, self.calm, 1.0),
+            terms=self.terms(wanted),
             rho=self.rho,
             limits=posed(self.asked, setting, self.law_of),
             hand_over_samples=self.hand_over_samples,
             wall=hand_over,
-            error_filter=self.error_filter,
             spread=spread,
             worst=self.worst and bool(spread),
+            heat_price=self.heat_price,
+            intention_s=self.intention_s if np.isinf(wanted.ends_s) else self.grid.end_s,
             intensity_dB=self.intensity_dB,
         )

@@ -14,53 +14,59 @@ from transopt.plant.wall import HandOver, feedback_command
 from transopt.problem.after import Feedback
 from transopt.problem.limits.limit import Limit, Limits, Row
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.error_term import ErrorTerm
+from transopt.problem.objective.heat_price import HeatPrice
 from transopt.problem.objective.movement import Movement
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking
-from transopt.problem.objective.weighting import ErrorFilter
+
+INTENTION_S = 30e-3  # for so long after contact a hand's intention stays what it was (seed Eq. 2)
 
 
 @dataclass(frozen=True)
 class TransientProblem:
-    """Make the device accelerate like the reference, within the limits, from rest.
+    """Make the device accelerate like the target, within the limits, from rest.
 
-    minimise  [lost + sum_(k<N) w_k (F e)_k^2 + sum_(j<M) (F e)_(N+j)^2] / E
-              + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2,  e = y'' - r,
-    over the commands c_0..c_(N-1), dc_k = c_k - c_(k-1), c_(-1) = 0, I = `limits.current_A`,
+    minimise  sum over terms sum_k weight_k (F e)_k^2 / E + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2
+              + heat_price sum_(k<N) i_k^2,  e = y'' - (r - a_free),
+    over the commands c_0..c_(N-1), dc_k = c_k - c_(k-1), c_(-1) = 0, I = `limits.current_A`, i what drives the plant,
     subject to the stage model, the limits, and the hand-over: over the last `hand_over_samples` the command is
-    what the wall's feedback asks for, zero without a wall; so it stays after the window. Each term is a room:
-    `objective.tracking`, `objective.movement`; so is each limit, in `limits`.
+    what the wall's feedback asks for, zero without a wall; so it stays after the window. Every part of the objective
+    is a room of `objective`: `error_term` with `plain` and `rapid`, `tracking`, `movement`, `heat_price`; so is each
+    limit, in `limits`.
 
     Attributes
     ----------
     stage : exact stage model of this grip's device.
     grid : time axis; `grid.stages` = N, `grid.after_stages` = M.
-    target : r, with what is lost before tau_0 and what comes after tau_N.
-    tracking_weights : (N,) w_k >= 0.
+    target : r - a_free, with what is lost before tau_0 and what comes after tau_N.
+    terms : of the error e; the last one is that whose energy intensity is about.
     rho : weight of the command's movement, >= 0.
     limits : what bounds the command and all that follows from it.
     wall : the virtual wall over the hand-over; None without one.
-    error_filter : F; None for 1.
-    spread : further devices that the one command shall serve; the first term is then the mean over all.
+    spread : further devices that the one command shall serve; the error is then the mean over all.
     shares : (S,) of all devices in that mean, of sum one; None for equal ones.
-    worst : the first term is that of the worst device; `shares` are its multipliers then (`objective.tracking`).
+    worst : the error is that of the worst device; `shares` are its multipliers then (`objective.tracking`).
+    heat_price : of the squared input, >= 0 [1/A^2 or 1/V^2].
+    intention_s : for so long after contact a played tap is told against the recorded one; all of a named target.
     intensity : lam, price of the energy that y'' lacks; what is minimised is then L = J - lam [sum (F y'')^2
-        - 10^(intensity_dB / 10) sum (F r)^2] / E, both sums over the window. 0 minimises J.
-    intensity_dB : energy of the tap that is asked for, over that of r [dB].
+        - 10^(intensity_dB / 10) sum (F (r - a_free))^2] / E, both sums over the window. 0 minimises J.
+    intensity_dB : energy of the tap that is asked for, over the target's [dB].
     """
 
     stage: StageModel
     grid: TimeGrid
     target: Target
-    tracking_weights: FloatArray
+    terms: tuple[ErrorTerm, ...]
     rho: float
     limits: Limits
     hand_over_samples: int
     wall: HandOver | None = None
-    error_filter: ErrorFilter | None = None
     spread: tuple[StageModel, ...] = ()
     shares: FloatArray | None = None
     worst: bool = False
+    heat_price: float = 0.0
+    intention_s: float = INTENTION_S
     intensity: float = 0.0
     intensity_dB: float = 0.0
 
@@ -72,18 +78,26 @@ class TransientProblem:
             ("reference_m_s2", self.target.window_m_s2, N),
             ("reference_after_m_s2", self.target.after_m_s2, M),
             ("reference_before_m_s2", self.target.before_m_s2, self.target.before_m_s2.size),
-            ("tracking_weights", self.tracking_weights, N),
+            *((f"weights of the {term.name} term", term.weights, N) for term in self.terms),
         ):
             if array.shape != (size,):
                 raise InputError(f"{name} has shape {array.shape}, expected ({size},)")
         if self.target.flaw:
             raise InputError(self.target.flaw)
-        if not np.isfinite(self.tracking_weights).all():
-            raise InputError("tracking_weights holds a number that is not finite")
-        if self.tracking_weights.min() < 0 or not 0 <= self.rho < np.inf:
-            raise InputError("weights: tracking weights and rho must be >= 0 and finite")
-        if not (self.intensity == 0 or 0 < self.intensity < min(1.0, self.tracking_weights.min())):
-            raise InputError(f"intensity {self.intensity:g}: must be >= 0, below 1 and below every tracking weight")
+        if not self.terms:
+            raise InputError("weights: no term of the error: give weights.plain or weights.rapid")
+        for term in self.terms:
+            weights = term.all_weights(1, 1)
+            if not (np.isfinite(weights).all() and weights.min() >= 0):
+                raise InputError(f"weights of the {term.name} term: must be >= 0 and finite")
+        for name, value in (("rho", self.rho), ("heat_price", self.heat_price)):
+            if not 0 <= value < np.inf:
+                raise InputError(f"weights.{name} = {value:g}: must be >= 0 and finite")
+        if not (self.intensity == 0 or 0 < self.intensity < min(1.0, self.terms[-1].weights.min())):
+            raise InputError(
+                f"intensity {self.intensity:g}: must be >= 0, below 1 and below every weight of the "
+                f"{self.terms[-1].name} term"
+            )
         if self.shares is not None and not (
             self.shares.shape == (len(self.devices),) and self.shares.min() >= 0 and abs(self.shares.sum() - 1) < 1e-9
         ):
@@ -149,11 +163,11 @@ class TransientProblem:
 
     @property
     def reference_m_s2(self) -> FloatArray:
-        """(N,) r within the window."""
+        """(N,) r - a_free within the window."""
         return self.target.window_m_s2
 
     def towards(self, reference_m_s2: FloatArray) -> "TransientProblem":
-        """Pose the problem with another r (N,) within the window."""
+        """Pose the problem with another target (N,) within the window."""
         return replace(self, target=replace(self.target, window_m_s2=reference_m_s2))
 
     @cached_property
@@ -173,12 +187,11 @@ class TransientProblem:
 
     @cached_property
     def tracking(self) -> Tracking:
-        """The first term."""
+        """What the error costs."""
         level = float(10 ** (self.intensity_dB / 10))
         return Tracking(
             target=self.target,
-            weights=self.tracking_weights,
-            error_filter=self.error_filter,
+            terms=self.terms,
             intensity=self.intensity,
             level=level,
             shares=self.shares,
@@ -187,8 +200,13 @@ class TransientProblem:
 
     @cached_property
     def movement(self) -> Movement:
-        """The second term."""
+        """What the command's movement costs."""
         return Movement(self.rho, self.grid.stages, self.grid.dt_s, self.limits.input_limit)
+
+    @property
+    def heat(self) -> HeatPrice:
+        """What the input's heat costs."""
+        return HeatPrice(self.heat_price)
 
     @property
     def driven_by(self) -> Input:
@@ -202,7 +220,7 @@ class TransientProblem:
 
     @cached_property
     def shared(self) -> FloatArray:
-        """(S,) share of every device in the first term."""
+        """(S,) share of every device in what the error costs."""
         count = len(self.devices)
         return np.full(count, 1 / count) if self.shares is None else self.shares
 
@@ -211,9 +229,20 @@ class TransientProblem:
         lasting = self.continued(command)
         return np.stack([device.rollout(lasting)[0] for device in self.devices])
 
-    def objective(self, command: FloatArray, accelerations_m_s2: FloatArray) -> float:
-        """J of a command (N,) and the accelerations (S, N + M) it was rolled out to; dimensionless."""
-        return self.tracking.value(accelerations_m_s2) + self.movement.value(command)
+    def objective(
+        self, command: FloatArray, accelerations_m_s2: FloatArray, plant_input: FloatArray | None = None
+    ) -> float:
+        """J of a command (N,) and what it was rolled out to; dimensionless.
+
+        Parameters
+        ----------
+        accelerations_m_s2 : (S, N + M) of every device.
+        plant_input : (N,) what drives the plant; rolled out where it is not given and heat has a price.
+        """
+        found = self.tracking.value(accelerations_m_s2) + self.movement.value(command)
+        if self.heat_price == 0:
+            return found
+        return found + self.heat.value(self.stage.rollout(command)[1] if plant_input is None else plant_input)
 
     @cached_property
     def feedback(self) -> Feedback:

@@ -1,6 +1,6 @@
 """The linear part of the problem's stage: every device, the current, error filters, the wall's memory, the command.
 
-x = [plant of each device, current (unless ideal), error filter of each device, encoder position, its filtered
+x = [plant of each device, current (unless ideal), error filters of each device, encoder position, its filtered
 velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k: the held command is a state, its movement dc
 the input.
 """
@@ -30,13 +30,15 @@ class Layout:
     Attributes
     ----------
     plants : states of each device, without the current. amplifier : False for an ideal one.
-    error_filter : whether the error is filtered. feedback_delay : stages from the state that holds an encoder reading
+    filters : whether each term of the error has a filter, of two states. priced : whether heat has a price, the input
+        then being an output that is led to zero. feedback_delay : stages from the state that holds an encoder reading
         to the command that answers it; None without a wall.
     """
 
     plants: tuple[int, ...]
     amplifier: bool
-    error_filter: bool
+    filters: tuple[bool, ...]
+    priced: bool
     feedback_delay: int | None
 
     @property
@@ -52,14 +54,26 @@ class Layout:
         """Index of the current; only with an amplifier."""
         return sum(self.plants)
 
-    def filter(self, device: int) -> slice:
-        start = sum(self.plants) + int(self.amplifier) + 2 * device
+    def filter(self, device: int, term: int) -> slice:
+        """States of the filter of a term that has one."""
+        before = device * sum(self.filters) + sum(self.filters[:term])
+        start = sum(self.plants) + int(self.amplifier) + 2 * before
         return slice(start, start + 2)
+
+    @property
+    def errors(self) -> int:
+        """Number of outputs that are tracked: one a device and term, the terms of one device side by side."""
+        return self.devices * len(self.filters)
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs that cost something: the tracked ones, then the input where heat has a price."""
+        return self.errors + int(self.priced)
 
     @cached_property
     def wall(self) -> slice:
         """Encoder position, filtered velocity, and the delayed feedback demands, the latest first."""
-        start = sum(self.plants) + int(self.amplifier) + 2 * self.devices * int(self.error_filter)
+        start = sum(self.plants) + int(self.amplifier) + 2 * self.devices * sum(self.filters)
         return slice(start, start + (0 if self.feedback_delay is None else 3 + self.feedback_delay))
 
     @cached_property
@@ -76,13 +90,14 @@ class Layout:
             mask[self.current, [self.current, -1]] = True
         for device in range(self.devices):
             plant = self.plant(device)
-            for rows in (plant, self.filter(device)) if self.error_filter else (plant,):
+            filters = [self.filter(device, term) for term, there in enumerate(self.filters) if there]
+            for rows in (plant, *filters):
                 mask[rows, plant] = True
                 mask[rows, -1] = True
                 if self.amplifier:
                     mask[rows, self.current] = True
-            if self.error_filter:
-                mask[self.filter(device), self.filter(device)] = True
+            for rows in filters:
+                mask[rows, rows] = True
         if self.feedback_delay is not None:
             first = self.wall.start
             for row in (first + WALL_POSITION, first + WALL_VELOCITY):
@@ -97,16 +112,14 @@ class Layout:
         return mask
 
     def output_mask(self) -> NDArray[np.bool_]:
-        """(devices, n) entries of the tracked outputs."""
-        mask = np.zeros((self.devices, self.states), dtype=bool)
-        for device in range(self.devices):
-            mask[device, self.plant(device)] = True
-            if self.amplifier:
-                mask[device, self.current] = True
-            else:
-                mask[device, -1] = True  # the command issued now acts at once
-            if self.error_filter:
-                mask[device, self.filter(device)] = True
+        """(outputs, n) entries of the outputs that cost something."""
+        mask = np.zeros((self.outputs, self.states), dtype=bool)
+        # Without an amplifier the command issued now acts at once.
+        mask[:, self.current if self.amplifier else -1] = True
+        for row, (device, term) in enumerate(np.ndindex(self.devices, len(self.filters))):
+            mask[row, self.plant(device)] = True
+            if self.filters[term]:
+                mask[row, self.filter(device, term)] = True
         return mask
 
 
@@ -116,7 +129,8 @@ def layout(problem: TransientProblem) -> Layout:
     return Layout(
         plants=tuple(device.A.shape[0] - int(amplifier) for device in problem.devices),
         amplifier=amplifier,
-        error_filter=problem.error_filter is not None,
+        filters=tuple(term.error_filter is not None for term in problem.terms),
+        priced=problem.heat_price > 0,
         feedback_delay=None if wall is None else wall.wall.latency_ticks + problem.stage.whole_delay,
     )
 
@@ -129,7 +143,9 @@ class LinearStage:
     ----------
     A : (n, n). units : (n,) physical size of one scaled unit of each state.
     input_scale : of the problem, the unit of the plant's input and of the command.
-    C : (S, n), E : (S,) tracked outputs y'' (filtered) / sqrt(E) from x_k and dc_k.
+    errors : number of outputs that are tracked.
+    C : (outputs, n), E : (outputs,) what costs something, from x_k and dc_k: y'' through the filter of every term, of
+        every device, over sqrt(E), and the input in its own unit where heat has a price.
     unit_m_s2 : sqrt(E), what outputs are in units of; 1 for a tap of zero.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
     outputs : (S) of every device: named output -> (n,), scalar: its value in SI by x_k and by dc_k, for an input
@@ -139,6 +155,7 @@ class LinearStage:
     A: FloatArray
     units: FloatArray
     input_scale: float
+    errors: int
     C: FloatArray
     E: FloatArray
     unit_m_s2: float
@@ -163,12 +180,15 @@ class LinearStage:
 
         All states grow with the input, so their matrix A is the same in units of it.
         """
+        by = np.full(self.E.size, input_scale / unit_m_s2)
+        by[self.errors :] = 1.0
         return LinearStage(
             A=self.A,
             units=self.units * input_scale,
             input_scale=input_scale,
-            C=self.C * (input_scale / unit_m_s2),
-            E=self.E * (input_scale / unit_m_s2),
+            errors=self.errors,
+            C=self.C * by[:, None],
+            E=self.E * by,
             unit_m_s2=unit_m_s2,
             feedback=self.feedback * input_scale,
             outputs=self.outputs,
@@ -177,10 +197,11 @@ class LinearStage:
 
 @dataclass(frozen=True)
 class _Shared:
-    """The linear stage of all problems whose devices, filter, wall and horizon are the same ones, both scales 1."""
+    """The linear stage of all problems whose devices, filters, wall and horizon are the same ones, both scales 1."""
 
     devices: tuple[StageModel, ...]
-    error_filter: ErrorFilter | None
+    filters: tuple[ErrorFilter | None, ...]
+    priced: bool
     wall: Wall | None
     stages: int
     linear: LinearStage
@@ -190,10 +211,17 @@ class _Shared:
         return (
             len(devices) == len(self.devices)
             and all(map(operator.is_, devices, self.devices))
-            and problem.error_filter is self.error_filter
+            and all(map(operator.is_, _filters(problem), self.filters))
+            and len(problem.terms) == len(self.filters)
+            and (problem.heat_price > 0) is self.priced
             and _law(problem) == self.wall
             and problem.grid.stages == self.stages
         )
+
+
+def _filters(problem: TransientProblem) -> tuple[ErrorFilter | None, ...]:
+    """The filter of every term."""
+    return tuple(term.error_filter for term in problem.terms)
 
 
 def _law(problem: TransientProblem) -> Wall | None:
@@ -205,7 +233,7 @@ def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
     n = where.states
     A = np.zeros((n, n))
     A[-1, -1] = 1.0
-    C, _ = _outputs(problem, where)
+    C, _ = _accelerations(problem, where)
     for device, stage in enumerate(problem.devices):
         plant = where.plant(device)
         size = where.plants[device]
@@ -214,11 +242,12 @@ def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
         if where.amplifier:
             A[plant, where.current] = stage.A[:size, size]
             A[where.current, where.current], A[where.current, -1] = stage.A[size, size], stage.B[size, 0]
-        if problem.error_filter is not None:
-            Af, Bf, _, _ = problem.error_filter.state_space()
-            rows = where.filter(device)
-            A[rows] = Bf @ C[device : device + 1]
-            A[rows, rows] = Af
+        for term, by in enumerate(_filters(problem)):
+            if by is not None:
+                Af, Bf, _, _ = by.state_space()
+                rows = where.filter(device, term)
+                A[rows] = Bf @ C[device : device + 1]
+                A[rows, rows] = Af
     if problem.wall is not None:
         wall, dt, first = problem.wall.wall, problem.grid.dt_s, where.wall.start
         assert problem.stage.Cp is not None
@@ -245,7 +274,7 @@ def _demand(problem: TransientProblem) -> FloatArray:
     return -np.array([wall.stiffness_N_m, wall.damping_N_s_m]) / wall.force_per_current_N_A
 
 
-def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
+def _accelerations(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
     """(S, n) accelerations in SI without filter; (S,) their direct dependence on the movement."""
     C = np.zeros((where.devices, where.states))
     for device, stage in enumerate(problem.devices):
@@ -255,6 +284,23 @@ def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, Floa
             C[device, where.current] = stage.C[0, size]
         C[device, -1] = stage.D[0, 0]
     return C, C[:, -1].copy()
+
+
+def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
+    """(outputs, n) and (outputs,) what costs something by the state and by the movement, in SI."""
+    made, directly = _accelerations(problem, where)
+    C, E = np.zeros((where.outputs, where.states)), np.zeros(where.outputs)
+    for row, (device, term) in enumerate(np.ndindex(where.devices, len(where.filters))):
+        C[row], E[row] = made[device], directly[device]
+        by = problem.terms[term].error_filter
+        if by is not None:
+            _, _, Cf, Df = by.state_space()
+            C[row], E[row] = C[row] * Df[0, 0], E[row] * Df[0, 0]
+            C[row, where.filter(device, term)] = Cf[0]
+    if where.priced:
+        C[-1, where.current if where.amplifier else -1] = 1.0
+        E[-1] = 0.0 if where.amplifier else 1.0
+    return C, E
 
 
 def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> LinearStage:
@@ -269,7 +315,8 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
     if not (isinstance(shared, _Shared) and shared.serves(problem)):
         found = _linear(problem, 1.0, physical_scale=True)
         found.A.flags.writeable = False  # it stands for all of them
-        shared = _Shared(problem.devices, problem.error_filter, _law(problem), problem.grid.stages, found)
+        priced = problem.heat_price > 0
+        shared = _Shared(problem.devices, _filters(problem), priced, _law(problem), problem.grid.stages, found)
         derived[_Shared] = shared
     return shared.linear.scaled(problem.input_scale, _unit_m_s2(problem))
 
@@ -279,11 +326,6 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     where = layout(problem)
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
-    if problem.error_filter is not None:
-        _, _, Cf, Df = problem.error_filter.state_space()
-        C, E = C * Df[0, 0], E * Df[0, 0]
-        for device in range(where.devices):
-            C[device, where.filter(device)] = Cf[0]
     units, unit = np.ones(where.states), _unit_m_s2(problem)
     if physical_scale:
         N, unit = problem.grid.stages, 1.0
@@ -304,12 +346,15 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
             else:
                 feedback[row, first + 1 + late] = 1.0
     per_input = units / current
+    unit_of = np.full(where.outputs, unit)
+    unit_of[where.errors :] = current
     return LinearStage(
         A=A * units / units[:, None],
         units=units,
         input_scale=current,
-        C=C * units / unit,
-        E=E * current / unit,
+        errors=where.errors,
+        C=C * units / unit_of[:, None],
+        E=E * current / unit_of,
         unit_m_s2=unit,
         feedback=feedback * units,
         outputs=tuple(_named(stage, device, where, per_input) for device, stage in enumerate(problem.devices)),
@@ -318,7 +363,7 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
 
 def _unit_m_s2(problem: TransientProblem) -> float:
     """sqrt(E), in which the tracked outputs are; 1 for a tap of zero."""
-    return float(np.sqrt(problem.target.energy_m2_s4)) or 1.0
+    return float(np.sqrt(problem.tracking.energy_m2_s4)) or 1.0
 
 
 def _named(stage: StageModel, device: int, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:

@@ -218,6 +218,8 @@ def _reduced_gradient(
         heating = problem.thermal.model.heating
         through_current, directly = heating.gradient(motion.plant_input, command, m.slope)
         by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
+    if problem.heat_price > 0 and not of_limits_alone:
+        by_current = by_current + problem.heat.gradient(motion.plant_input)
     by_tail, by_encoder = hand_over.transposed(problem, m.hand_over)
     by_command = by_command + by_tail
     by_motion = replace(through, plant_input=by_current, encoder_m=by_encoder)
@@ -323,7 +325,7 @@ def certify(
         with np.errstate(
             over="ignore", invalid="ignore"
         ):  # over a wall that grows by itself what comes after does too
-            objective = problem.objective(command, effect.accelerations_m_s2)
+            objective = problem.objective(command, effect.accelerations_m_s2, effect.motion.plant_input)
             merit = objective - problem.tracking.reward(effect.accelerations_m_s2)  # L, which is minimised
         if not np.isfinite(merit):
             # Beside an objective without bound any gap would be none.

@@ -23,6 +23,8 @@ def reduced_gradient(effect: NonlinearEffect, multipliers: Multipliers) -> Float
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in linear.rows() if row.name in m.pairs]
     through, by_command = transposed(by_row, effect.motion, command)
     by_error = linear.tracking.gradient(effect.lasting.acceleration_m_s2, 1.0)
+    by_input = through.plant_input + linear.heat.gradient(effect.motion.plant_input)
+    through = replace(through, plant_input=by_input)
     by_motion = replace(through.padded(linear.grid.after_stages), acceleration_m_s2=by_error)
     by_continued = stage.adjoint(effect.linearised, by_motion)
     # After the window the command is zero, whatever it was before.

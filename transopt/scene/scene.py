@@ -7,7 +7,6 @@ wall, time grid, limits.
 
 from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from transopt.base.axes import Axes
@@ -29,7 +28,7 @@ from transopt.plant.state_space import Input, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import kinds_of
-from transopt.problem.objective.weighting import ErrorFilter, error_filter
+from transopt.problem.objective.rapid import rapid_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.recordings.targets import TargetTable
@@ -439,9 +438,10 @@ class Scene(Section):
         return Posing(
             grid=grid,
             amplifier=self.amplifier_model(),
-            tracking_weights=np.ones(grid.stages),
+            plain=self.weights.plain,
+            rapid=rapid_filter(self.weights.rapid, self.weights.rapid_from_Hz, self.time.dt_s),
             rho=self.weights.rho,
-            error_filter=self.error_filter(),
+            heat_price=self.weights.heat_price,
             asked=self.limits.asked(),
             hand_over_samples=self.hand_over_samples,
             circuit=self.circuit(),
@@ -479,10 +479,6 @@ class Scene(Section):
         parts = self.model.unfit(coil=self.motor is not None)
         said = "; ".join(f"{name}: {'; '.join(reasons)}" for name, reasons in parts.items())
         return f"{self.model.file} is not fit to design with: {said}" if said else ""
-
-    def error_filter(self) -> ErrorFilter | None:
-        """The filter by which the tracking error is weighed; None for none."""
-        return error_filter(self.weights.error_filter, self.time.dt_s)
 
     def spread_grips_N(self, grip_N: float) -> list[float]:
         """Grips around a node that its command shall serve besides, the node itself not among them."""

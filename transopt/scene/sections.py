@@ -74,7 +74,7 @@ class Time(Section):
     """
 
     dt_s: Annotated[float, Field(ge=SHORTEST_DT_S, le=LONGEST_DT_S)] = 1e-4
-    stages: Annotated[int, Field(ge=2, le=MOST_STAGES)] = 600
+    stages: Annotated[int, Field(ge=2, le=MOST_STAGES)] = 800
     lead_s: Annotated[float, Field(ge=0, le=LONGEST_LEAD_S)] | None = None
 
     @model_validator(mode="after")
@@ -222,14 +222,18 @@ class Feedback(Section):
 
 
 class Weights(Section):
-    """What is minimised: weight of the command's movement, band of the error, how long after the waveform it counts.
+    """What is minimised: two terms of the error, the command's movement and heat, and how long after the waveform.
 
-    With `objective = "intensity"` the tap is asked to have at least the recorded energy, `intensity_dB` above it.
+    The plain error counts over the hand's intention, the rapid one, above `rapid_from_Hz` or as vibration is felt,
+    through window and tail. With `objective = "intensity"` the tap is asked to have at least the recorded energy, `intensity_dB` above it.
     What is left after the end of a named target counts `calm` times: a little error of a click for much less ringing.
     """
 
     rho: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 1e-3
-    error_filter: Literal["none", "pacinian"] = "none"
+    plain: Annotated[float, Field(ge=0, le=1e6)] = 0.09
+    rapid: Literal["highpass", "pacinian", "none"] = "highpass"
+    rapid_from_Hz: Positive = 20.0
+    heat_price: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     after_s: Annotated[float, Field(ge=0, le=LONGEST_AFTER_S)] = 30e-3
     calm: Annotated[float, Field(ge=1, le=1e6)] = 1.0
     objective: Literal["waveform", "intensity"] = "waveform"

@@ -19,12 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.arithmetic import FUNCTIONS, Functions
+from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, state_scale
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Pair, Solution, Status
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Row
 from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.objective.weighting import ErrorFilter
 from transopt.proof.nonlinear import with_hand_over
 from transopt.solvers.casadi_ipopt import STATUS
 from transopt.solvers.options import SolverOptions, most_time_s
@@ -102,10 +104,14 @@ class NonlinearProgram:
     def __init__(self, problem: NonlinearProblem, options: SolverOptions, near: Point | None = None) -> None:
         self.near = near
         self.problem, stage, linear = problem, problem.stage, problem.linear
-        N, M, n = linear.grid.stages, linear.grid.after_stages, stage.order
+        N, M = linear.grid.stages, linear.grid.after_stages
         self.free, self.stages = linear.free_stages, N + M
         self.by_command = linear.input_scale
-        self.by_state = _sizes(stage, self.by_command, N)
+        self.filters = [term.error_filter for term in linear.terms]
+        self.by_state = np.concatenate(
+            [_sizes(stage, self.by_command, N), *(_filter_sizes(by, N) for by in self.filters if by is not None)]
+        )
+        self.order = n = self.by_state.size
         self.values = [self._value(limit, row) for limit, row in linear.rows()]
         self.alone = {v.name: found for v in self.values if (found := v.alone(self.free)) is not None}
         self.sums = [v for v in self.values if v.name not in self.alone]
@@ -114,13 +120,12 @@ class NonlinearProgram:
         command = ca.horzcat(free, ca.DM.zeros(1, self.stages - self.free))
         before = ca.horzcat(ca.DM.zeros(n, 1), states[:, :-1])
         after, made = self._stage_function().map(self.stages)(before, command)
-        target, tracking = linear.target, linear.tracking
-        wanted = target.continued_m_s2 / np.sqrt(target.energy_m2_s4)
-        error = made - ca.DM(wanted[None])
+        wanted, weights = self._led_to()
+        error = made - ca.DM(wanted)
         window = command[:, :N]
         held = ca.horzcat(ca.DM.zeros(1, 1), window[:, :-1])
         weight = linear.movement.weight * self.by_command**2
-        objective = ca.dot(ca.DM(tracking.all_weights[None]), error**2) + weight * ca.sumsqr(window - held)
+        objective = ca.dot(ca.DM(weights), error**2) + weight * ca.sumsqr(window - held)
         rows = [ca.vec(states - after)]
         for value in self.sums:
             along = ca.DM(value.now[None]) @ before[:, :N] + ca.DM(value.after[None]) @ states[:, :N]
@@ -130,7 +135,7 @@ class NonlinearProgram:
             "f": objective / OBJECTIVE_SCALE,
             "g": ca.vertcat(*rows),
         }
-        second = self._hessian(states, free, wanted)
+        second = self._hessian(states, free, wanted, weights)
         self.solver = ca.nlpsol(
             "ipopt",
             "ipopt",
@@ -153,28 +158,54 @@ class NonlinearProgram:
             },
         )
 
-    def _stage_function(self) -> ca.Function:
-        """(z_k, c_k) -> (z_(k+1), y''_k / sqrt(E)), z and c in their units."""
-        stage, n = self.problem.stage, self.problem.stage.order
-        z, c = ca.SX.sym("z", n), ca.SX.sym("c")
-        states, command = [z[j] * float(self.by_state[j]) for j in range(n)], c * self.by_command
-        after = stage.step(states, command, CASADI)
-        after = [each / float(by) for each, by in zip(after, self.by_state, strict=True)]
-        unit = float(np.sqrt(self.problem.linear.target.energy_m2_s4))
-        return ca.Function("stage", [z, c], [ca.vertcat(*after), stage.acceleration(states, command, CASADI) / unit])
+    def _led_to(self) -> tuple[FloatArray, FloatArray]:
+        """(outputs, N + M) what the outputs of the stage function are led to, and with what weights."""
+        linear, tracking = self.problem.linear, self.problem.linear.tracking
+        lost = linear.target.before_m_s2.size
+        wanted, weights = tracking.unit_wanted, tracking.weights[:, lost:]
+        if linear.heat_price == 0:
+            return wanted, weights
+        price = np.zeros((1, self.stages))
+        price[0, : linear.grid.stages] = linear.heat_price * self.by_command**2
+        return np.append(wanted, np.zeros_like(price), axis=0), np.append(weights, price, axis=0)
 
-    def _hessian(self, states: ca.MX, free: ca.MX, wanted: FloatArray) -> ca.Function:
+    def _stage_function(self) -> ca.Function:
+        """(z_k, c_k) -> (z_(k+1), outputs), z and c in their units, z the device's states and those of the filters.
+
+        The outputs are y''_k / sqrt(E) through the filter of every term, and the input where heat has a price.
+        """
+        stage, linear, m = self.problem.stage, self.problem.linear, self.problem.stage.order
+        z, c = ca.SX.sym("z", self.order), ca.SX.sym("c")
+        states, command = [z[j] * float(by) for j, by in enumerate(self.by_state)], c * self.by_command
+        after = list(stage.step(states[:m], command, CASADI))
+        made = stage.acceleration(states[:m], command, CASADI) / float(np.sqrt(linear.tracking.energy_m2_s4))
+        outputs, first = [], m
+        for by in self.filters:
+            if by is None:
+                outputs.append(made)
+                continue
+            A, B, C, D = by.state_space()
+            kept = ca.vertcat(*states[first : first + 2])
+            outputs.append(ca.DM(C) @ kept + D[0, 0] * made)
+            after += ca.vertsplit(ca.DM(A) @ kept + ca.DM(B) * made)
+            first += 2
+        if linear.heat_price > 0:
+            outputs.append((command if stage.amplifier is None else states[m - 1]) / self.by_command)
+        after = [each / float(by) for each, by in zip(after, self.by_state, strict=True)]
+        return ca.Function("stage", [z, c], [ca.vertcat(*after), ca.vertcat(*outputs)])
+
+    def _hessian(self, states: ca.MX, free: ca.MX, wanted: FloatArray, weights: FloatArray) -> ca.Function:
         """Second derivatives of the Lagrangian, upper triangle, as IPOPT asks for them.
 
-        A stage adds mu (y'' - r)^2 - lambda' (its step) to the Lagrangian, whose second derivatives by z_k and c_k
-        are one expression that is mapped: half the time of what CasADi makes of the mapped stage by itself. The
+        A stage adds mu' (outputs - r)^2 - lambda' (its step) to the Lagrangian, whose second derivatives by z_k and
+        c_k are one expression that is mapped: half the time of what CasADi makes of the mapped stage by itself. The
         movement adds a constant band.
         """
-        linear, n, K, F = self.problem.linear, self.problem.stage.order, self.stages, self.free
-        step = self._stage_function()
-        z, c, by_step, mu, r = (ca.SX.sym(name, size) for name, size in zip("zclmr", (n, 1, n, 1, 1), strict=True))
+        linear, n, K, F = self.problem.linear, self.order, self.stages, self.free
+        step, o = self._stage_function(), wanted.shape[0]
+        z, c, by_step, mu, r = (ca.SX.sym(name, size) for name, size in zip("zclmr", (n, 1, n, o, o), strict=True))
         after, made = step(z, c)
-        block, _ = ca.hessian(mu * (made - r) ** 2 - ca.dot(by_step, after), ca.vertcat(z, c))
+        block, _ = ca.hessian(ca.dot(mu, (made - r) ** 2) - ca.dot(by_step, after), ca.vertcat(z, c))
         i, j = np.triu_indices(n + 1)
         entries = ca.vertcat(*(block[int(a), int(b)] for a, b in zip(i, j, strict=True)))
         of_stage = ca.Function("second", [z, c, by_step, mu, r], [entries])
@@ -182,9 +213,9 @@ class NonlinearProgram:
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.nlp["g"].numel())
         command = ca.horzcat(free, ca.DM.zeros(1, K - F))
         before = ca.horzcat(ca.DM.zeros(n, 1), states[:, :-1])
-        weights = ca.DM(linear.tracking.all_weights[None]) * (lam_f / OBJECTIVE_SCALE)
+        scaled = ca.DM(weights) * (lam_f / OBJECTIVE_SCALE)
         by_dynamics = ca.reshape(lam_g[: n * K], n, K)
-        blocks = of_stage.map(K)(before, command, by_dynamics, weights, ca.DM(wanted[None]))
+        blocks = of_stage.map(K)(before, command, by_dynamics, scaled, ca.DM(wanted))
         # Entry (a, b) of the block of stage k: z_k stands n (k - 1) from the front, c_k behind all states.
         rows, columns, values, k = [], [], [], np.arange(K)
         for entry, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
@@ -210,19 +241,19 @@ class NonlinearProgram:
         return ca.Function("second", [self.nlp["x"], ca.MX(0, 1), lam_f, lam_g], [triangle], *named)
 
     def _value(self, limit: Limit, row: Row) -> _Value:
-        stage, N, n = self.problem.stage, self.problem.linear.grid.stages, self.problem.stage.order
-        now, after, command, held = np.zeros(n), np.zeros(n), 0.0, 0.0
+        stage, N, m = self.problem.stage, self.problem.linear.grid.stages, self.problem.stage.order
+        now, after, command, held = np.zeros(self.order), np.zeros(self.order), 0.0, 0.0
         for output, by in row.outputs.items():
             if output == COMMAND or (output == INPUT and stage.amplifier is None):
                 command += by
             elif output == HELD:
                 held += by
             elif output == INPUT:
-                now[-1] += by
+                now[m - 1] += by
             elif output.endswith(AFTER):
-                after += by * stage.rows[output.removesuffix(AFTER)]
+                after[:m] += by * stage.rows[output.removesuffix(AFTER)]
             else:
-                now += by * stage.rows[output]
+                now[:m] += by * stage.rows[output]
         lower, upper = (np.array((bound - row.offset) / limit.stated) for bound in row.bounds(N))
         if not (after.any() or command):
             # At tau_0 the device rests and nothing is held.
@@ -241,7 +272,7 @@ class NonlinearProgram:
 
     def _boxes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Lower and upper bounds of the states (n, N + M) and of the free commands (F,)."""
-        n = self.problem.stage.order
+        n = self.order
         states = np.full((2, n, self.stages), np.inf)
         commands = np.full((2, self.free), np.inf)
         for value in self.values:
@@ -256,13 +287,19 @@ class NonlinearProgram:
         """Starting point of IPOPT: the nearby answer, or a command (N,) rolled out."""
         if self.near is not None:
             return {"x0": self.near.x, "lam_x0": self.near.lam_x, "lam_g0": self.near.lam_g}
-        rolled = self.problem.effect(start).states[1:] / self.by_state
+        effect = self.problem.effect(start)
+        states, made = [effect.states[1:]], effect.lasting.acceleration_m_s2
+        unit = np.append(made, 0.0)[None] / np.sqrt(self.problem.linear.tracking.energy_m2_s4)
+        for by in self.filters:
+            if by is not None:
+                A, B, _, _ = by.state_space()
+                states.append(LinearSystem(A, B, np.eye(2), np.zeros((2, 1))).outputs(unit)[:, 1:].T)
+        rolled = np.hstack(states) / self.by_state
         return {"x0": np.concatenate([np.nan_to_num(rolled).ravel(), start[: self.free] / self.by_command])}
 
     def solve(self, start: FloatArray) -> tuple[Solution, Point]:
         """The stationary point that IPOPT finds from a command (N,), or from the nearby answer where there is one."""
-        began, linear = time.perf_counter(), self.problem.linear
-        n = self.problem.stage.order
+        began, linear, n = time.perf_counter(), self.problem.linear, self.order
         lower_z, upper_z, lower_c, upper_c = self._boxes()
         nothing = np.zeros(n * self.stages)
         found = self.solver(
@@ -290,7 +327,7 @@ class NonlinearProgram:
 
     def _multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
         """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
-        linear, n = self.problem.linear, self.problem.stage.order
+        linear, n = self.problem.linear, self.order
         N, pairs, row = linear.grid.stages, dict[str, Pair](), n * self.stages
         by_state, by_command = lam_x[: n * self.stages].reshape(self.stages, n).T, lam_x[n * self.stages :]
         lower_z, upper_z, lower_c, upper_c = self._boxes()
@@ -345,3 +382,9 @@ def _sizes(stage: NonlinearStage, input_size: float, stages: int) -> FloatArray:
     """(n,) size of each state of the stage as it is at rest."""
     rest = stage.linearised(np.zeros(1), np.zeros((2, stage.order)))
     return state_scale(rest.A[0], rest.B[0], input_size, stages)
+
+
+def _filter_sizes(by: ErrorFilter, stages: int) -> FloatArray:
+    """(2,) size of each state of a filter whose input is of order one."""
+    A, B, _, _ = by.state_space()
+    return state_scale(A, B[:, 0], 1.0, stages)

@@ -205,7 +205,7 @@ class Stage:
         where = shape.layout
         A_values, A = _sparse_symbol("A", where.dynamics_mask())
         C_values, C = _sparse_symbol("C", where.output_mask())
-        B, E = ca.MX.sym("B", where.states), ca.MX.sym("E", where.devices)
+        B, E = ca.MX.sym("B", where.states), ca.MX.sym("E", where.outputs)
         symbols = {"A": A_values, "B": B, "C": C_values, "E": E}
         heat = HeatSymbols.make(shape) if shape.nodes else None
         if heat is not None:
@@ -258,7 +258,7 @@ def state_program(shape: Shape) -> Program:
     movement, after = variables[0, :], variables[shape.controls : shape.controls + n, :]
     rise = variables[shape.controls + n :, :]
     stage = Stage.make(shape)
-    reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", N, where.devices)
+    reference, weights = (ca.MX.sym(name, N, where.outputs) for name in "rw")
     movement_weight = ca.MX.sym("rho")
     end_gain, end_target = ca.MX.sym("end_gain", shape.ends, n), ca.MX.sym("end_target", shape.ends)
     constant = ca.MX.sym("constant")
@@ -273,7 +273,7 @@ def state_program(shape: Shape) -> Program:
     }
 
     before = ca.horzcat(ca.MX(n, 1), after[:, :-1])
-    error = stage.outputs(before, movement) - ca.repmat(reference, where.devices, 1)
+    error = stage.outputs(before, movement) - reference.T
     objective = ca.dot(weights.T, error**2) + movement_weight * ca.dot(movement, movement) + constant
     if shape.ends:
         objective += ca.sumsqr(end_gain @ after[:, -1] - end_target)

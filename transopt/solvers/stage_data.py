@@ -32,15 +32,24 @@ def kelvin(problem: TransientProblem) -> float:
 
 
 def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, FloatArray]:
-    """What the statement says of the objective, the outputs in units of sqrt(E).
+    """What the statement says of the objective: the tracked outputs in units of sqrt(E), the input in its own.
 
-    Reference (N,) and weights (N, S) within the window, the movement's weight (1,), what is led from x_N where to
-    after it (`objective.tail`), and the constant (1,) beside all this.
+    What each output is led to and its weight (N, outputs) within the window, the movement's weight (1,), what is led
+    from x_N where to after it (`objective.tail`), and the constant (1,) beside all this.
     """
     term, after = problem.tracking, tail(problem, stage)
+    S = len(problem.devices)
+    # One column a device and term, the terms of one device side by side.
+    wanted = np.tile(term.solved_wanted.T, (1, S))
+    weights = np.einsum("s,tk->kst", problem.shared, term.solved_weights).reshape(wanted.shape)
+    if problem.heat_price > 0:
+        price = problem.heat_price * stage.input_scale**2
+        wanted, weights = (
+            np.pad(a, ((0, 0), (0, 1)), constant_values=v) for a, v in ((wanted, 0.0), (weights, price))
+        )
     return {
-        "r": term.solved_reference,
-        "w": np.outer(term.solved_weights, problem.shared),
+        "r": wanted,
+        "w": weights,
         "rho": np.array([problem.movement.weight * stage.input_scale**2]),
         "end_gain": after.gain,
         "end_target": after.target,
@@ -278,7 +287,7 @@ def stages(problem: TransientProblem, *, limited: bool = True) -> Stages:
             "stages": problem.grid.stages,
             "free_stages": problem.free_stages,
             "states": where.states,
-            "outputs": where.devices,
+            "outputs": where.outputs,
             "ends": values["end_target"].size,
             "rows": limits.d.size,
             "nodes": m,

@@ -42,7 +42,7 @@ def tracking(problem: TransientProblem) -> Tracking:
         B=stage.A[:, -1].copy(),
         C=stage.C,
         D=stage.E,
-        reference=np.broadcast_to(values["r"][:, None], weights.shape),
+        reference=values["r"],
         weights=weights,
         movement_weights=np.full(weights.shape[0], values["rho"][0]),
         rule_gains=rows,
@@ -194,7 +194,7 @@ def solve_apart(problem: TransientProblem) -> Solution:
 
 def solve_in_casadi(problem: TransientProblem) -> Solution:
     """Solve without the extension."""
-    prepare(layout(problem).states, len(problem.devices), problem.free_stages)
+    prepare(layout(problem).states, layout(problem).outputs, problem.free_stages)
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the gap
         run = Pass(tracking(problem))

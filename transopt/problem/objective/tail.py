@@ -9,6 +9,7 @@ Evaluated as a square it loses no digits, as x' P x - 2 p' x would.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import powers
@@ -19,7 +20,7 @@ from transopt.problem.stage import LinearStage
 
 @dataclass(frozen=True)
 class Tail:
-    """sum over the tail of (F e)^2 / E, the mean over the devices by their shares, as |gain x_N - target|^2 + rest.
+    """Sum of the terms over the tail / E, the mean over the devices by their shares, as |gain x_N - target|^2 + rest.
 
     Attributes
     ----------
@@ -33,42 +34,75 @@ class Tail:
     rest: float
 
 
+@dataclass(frozen=True)
+class _Free:
+    """How the outputs that count in the tail follow from x_N, for all problems of one linear stage; scales both 1.
+
+    Attributes
+    ----------
+    A : of the linear stage, by which it is known again.
+    roots : (M S T,) roots of the weights.
+    Q, R : with Q R x_N the weighted outputs, one row an instant and output.
+    """
+
+    A: FloatArray
+    roots: FloatArray
+    Q: FloatArray
+    R: FloatArray
+
+
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
     """The tail of a problem, for the states of its linear stage."""
-    M, n, devices = problem.grid.after_stages, stage.units.size, stage.E.size
-    if M == 0:
+    M, n = problem.grid.after_stages, stage.units.size
+    # The roots of the weights: output (device, term) at each of the M instants.
+    after = np.sqrt([term.after for term in problem.terms])
+    counting = np.flatnonzero(np.tile(after, len(problem.devices)) > 0)
+    if M == 0 or counting.size == 0:
         return Tail(np.zeros((0, n)), np.zeros(0), 0.0)
-    after = problem.tracking.unit_reference[problem.grid.stages :]
-    if problem.wall is None and problem.error_filter is None and devices == 1:
-        # The free motion of one device from its own states, which stand in front: known for its grip.
-        Q, R = problem.stage.free_response(M)
-        gain, wanted, own = np.zeros((R.shape[0], n)), after, slice(R.shape[1])
-        gain[:, own] = R * (stage.units[own] / stage.unit_m_s2)
-    else:
-        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-            by_state, offset = _fixed(stage, M) if problem.wall is None else _walled(problem, stage)
-            roots = np.tile(np.sqrt(problem.shared), M)
+    roots = np.tile(np.outer(np.sqrt(problem.shared), after).ravel()[counting], M)
+    wanted = problem.tracking.unit_wanted[:, problem.grid.stages :]
+    asked = np.tile(wanted, (len(problem.devices), 1))[counting].T.ravel()
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+        if problem.wall is None:
+            free = _kept(problem, stage, counting, roots)
+            Q, gain = free.Q, free.R * (stage.input_scale / stage.unit_m_s2)
+        else:
+            by_state, offset = _walled(problem, stage, counting)
             Q, gain = np.linalg.qr(by_state * roots[:, None])
-            wanted = (np.repeat(after, devices) - offset) * roots
-    with np.errstate(over="ignore", invalid="ignore"):
-        target = wanted @ Q
-        rest = max(float(wanted @ wanted - target @ target), 0.0)
+            asked = asked - offset
+        asked = asked * roots
+        target = asked @ Q
+        rest = max(float(asked @ asked - target @ target), 0.0)
     return Tail(gain, target, rest)
 
 
-def _fixed(stage: LinearStage, M: int) -> tuple[FloatArray, FloatArray]:
-    """(M S, n) of the outputs by x_N and (M S,) beside it, instant by instant; all commands zero."""
-    n, devices = stage.units.size, stage.E.size
-    loop, outputs = stage.A.copy(), stage.C.copy()
+def _kept(problem: TransientProblem, stage: LinearStage, counting: NDArray[np.intp], roots: FloatArray) -> _Free:
+    """The factors of the free motion: all taps of one grip share them, so they are kept with the device."""
+    derived = problem.stage.derived
+    found = derived.get(_Free)
+    if isinstance(found, _Free) and found.A is stage.A and np.array_equal(found.roots, roots):
+        return found
+    Q, R = np.linalg.qr(_fixed(stage, problem.grid.after_stages, counting) * roots[:, None])
+    found = _Free(stage.A, roots, Q, R * (stage.unit_m_s2 / stage.input_scale))
+    derived[_Free] = found
+    return found
+
+
+def _fixed(stage: LinearStage, M: int, counting: NDArray[np.intp]) -> FloatArray:
+    """(M outputs, n) of the outputs that count by x_N, instant by instant; all commands zero."""
+    n = stage.units.size
+    loop, outputs = stage.A.copy(), stage.C[counting]
     # The first movement takes the command that is held to zero, where it stays.
     loop[:, -1] -= stage.A[:, -1]
-    outputs[:, -1] -= stage.E
+    outputs[:, -1] -= stage.E[counting]
     by_state = outputs @ powers(loop, M - 1).reshape(M, n, n)
-    return by_state.reshape(M * devices, n), np.zeros(M * devices)
+    return by_state.reshape(M * counting.size, n)
 
 
-def _walled(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """Compute what `_fixed` does, but where the commands are what the wall asks for."""
+def _walled(
+    problem: TransientProblem, stage: LinearStage, counting: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray]:
+    """(M outputs, n) by x_N and (M outputs,) beside it, where the commands are what the wall asks for."""
     M, n = problem.grid.after_stages, stage.units.size
     gains, offsets = hand_over.rows_after(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
@@ -81,5 +115,5 @@ def _walled(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, 
         states[j + 1, :, n] += by_movement * offsets[j]
     movement = np.matmul(gains[:, None, :], states)
     movement[:, 0, n] += offsets
-    rows = (np.matmul(stage.C, states) + stage.E[:, None] * movement).reshape(-1, n + 1)
+    rows = (np.matmul(stage.C[counting], states) + stage.E[counting, None] * movement).reshape(-1, n + 1)
     return rows[:, :n], rows[:, n]

@@ -1,4 +1,4 @@
-"""What the stylus shall do: r within the window, before any command can act, and after the last one."""
+"""What the stylus shall do: within the window, before any command can act, and after the last one."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,16 +18,16 @@ def _none() -> FloatArray:
 
 @dataclass(frozen=True)
 class Target:
-    """The tap that a command is measured against, E = lost + sum_(k<N) r_k^2 being its energy.
+    """What is asked of y'', the acceleration that the current adds: the recorded tap r less a_free.
 
     Nothing of a tap is dropped. What happens before tau_0 no command can reach: the device does not move, and all of
     it is error. What happens after tau_N follows from the state there.
 
     Attributes
     ----------
-    window_m_s2 : (N,) r at the switching instants tau_0 to tau_(N-1).
-    after_m_s2 : (M,) r at tau_N to tau_(N+M-1).
-    before_m_s2 : (L,) r at the instants from contact on that come before tau_0.
+    window_m_s2 : (N,) r - a_free at the switching instants tau_0 to tau_(N-1).
+    after_m_s2 : (M,) at tau_N to tau_(N+M-1).
+    before_m_s2 : (L,) at the instants from contact on that come before tau_0.
     free_window_m_s2, free_after_m_s2, free_before_m_s2 : a_free at the same instants, how the stylus accelerates
         without current; of no element where it does not.
     """
@@ -42,14 +42,19 @@ class Target:
     __repr__ = brief
 
     @cached_property
-    def lost_m2_s4(self) -> float:
-        """sum r^2 over what no command can reach; it belongs to J and to every error."""
-        return float(self.before_m_s2 @ self.before_m_s2)
+    def whole_m_s2(self) -> FloatArray:
+        """(L + N + M,) r - a_free from contact, or from tau_0 where that comes first, to the end of the tail."""
+        return np.concatenate([self.before_m_s2, self.window_m_s2, self.after_m_s2])
 
     @cached_property
-    def energy_m2_s4(self) -> float:
-        """E."""
-        return self.lost_m2_s4 + float(self.window_m_s2 @ self.window_m_s2)
+    def free_m_s2(self) -> FloatArray:
+        """(L + N + M,) a_free there."""
+        parts = (
+            (self.free_before_m_s2, self.before_m_s2),
+            (self.free_window_m_s2, self.window_m_s2),
+            (self.free_after_m_s2, self.after_m_s2),
+        )
+        return np.concatenate([free if free.size else np.zeros_like(asked) for free, asked in parts])
 
     @cached_property
     def flaw(self) -> str:
@@ -69,13 +74,15 @@ class Target:
 
     @property
     def lost_share(self) -> float:
-        """Lost share of the energy; 0 for a tap that is zero."""
-        return 0.0 if self.is_zero else self.lost_m2_s4 / self.energy_m2_s4
+        """Share of the energy of the target up to the window's end that no command can reach; 0 of a tap of zero."""
+        lost = float(self.before_m_s2 @ self.before_m_s2)
+        return 0.0 if self.is_zero else lost / (lost + float(self.window_m_s2 @ self.window_m_s2))
 
     @cached_property
     def is_zero(self) -> bool:
         """Whether there is no tap at all."""
-        return self.energy_m2_s4 < ZERO_M_S2**2 * (self.window_m_s2.size + self.before_m_s2.size)
+        asked = np.append(self.before_m_s2, self.window_m_s2)
+        return float(asked @ asked) < ZERO_M_S2**2 * asked.size
 
     @cached_property
     def asks_for_nothing(self) -> bool:
@@ -93,11 +100,16 @@ class Target:
         def wide(values: FloatArray) -> FloatArray:
             return values.astype(np.longdouble)
 
-        return Target(wide(self.window_m_s2), wide(self.after_m_s2), wide(self.before_m_s2))
+        return replace(
+            self,
+            window_m_s2=wide(self.window_m_s2),
+            after_m_s2=wide(self.after_m_s2),
+            before_m_s2=wide(self.before_m_s2),
+        )
 
     @cached_property
     def continued_m_s2(self) -> FloatArray:
-        """(N + M,) window and what comes after it."""
+        """(N + M,) r - a_free in the window and after it."""
         return np.append(self.window_m_s2, self.after_m_s2)
 
     def nrmse(self, acceleration_m_s2: FloatArray) -> float:
@@ -105,19 +117,19 @@ class Target:
 
         Of a tap that is zero: 0 where nothing moves, else infinite.
         """
-        error = acceleration_m_s2 - self.window_m_s2
-        squares = self.lost_m2_s4 + float(error @ error)
-        if self.energy_m2_s4 == 0:
+        error, asked = acceleration_m_s2 - self.window_m_s2, np.append(self.before_m_s2, self.window_m_s2)
+        squares, energy = float(self.before_m_s2 @ self.before_m_s2 + error @ error), float(asked @ asked)
+        if energy == 0:
             return 0.0 if squares == 0 else float("inf")
-        return float(np.sqrt(squares / self.energy_m2_s4))
+        return float(np.sqrt(squares / energy))
 
     def nrmse_after(self, acceleration_m_s2: FloatArray) -> float:
         """sqrt(sum_(j<M) e^2 / E) of (M,) accelerations after the window; 0 where none are looked at."""
-        error = acceleration_m_s2 - self.after_m_s2
-        squares = float(error @ error)
-        if self.energy_m2_s4 == 0:
+        error, asked = acceleration_m_s2 - self.after_m_s2, np.append(self.before_m_s2, self.window_m_s2)
+        squares, energy = float(error @ error), float(asked @ asked)
+        if energy == 0:
             return 0.0 if squares == 0 else float("inf")
-        return float(np.sqrt(squares / self.energy_m2_s4))
+        return float(np.sqrt(squares / energy))
 
     def peak_after_m_s2(self, acceleration_m_s2: FloatArray) -> float:
         """Largest error after the window, of (M,) accelerations there; 0 where none are looked at."""

@@ -13,6 +13,7 @@ from transopt.base.signals import FloatArray
 
 PACINIAN_Hz = 275.0  # where vibration is felt best
 PACINIAN_Q = 0.5
+RAPID = ("highpass", "pacinian", "none")  # what a scene's `weights.rapid` may be
 FLOOR = 0.1  # -20 dB: what is hardly felt still counts, so that the problem stays strictly convex
 
 
@@ -50,16 +51,28 @@ class ErrorFilter:
         return A, B, np.array([[b1 - b0 * a1, b2 - b0 * a2]]), np.array([[b0]])
 
 
-def error_filter(name: str, dt_s: float) -> ErrorFilter | None:
-    """The filter of a scene or a library by its name.
+@lru_cache(maxsize=8)
+def highpass(from_Hz: float, dt_s: float) -> ErrorFilter:
+    """Second-order Butterworth high-pass by the bilinear transform.
+
+    Parameters
+    ----------
+    from_Hz : where it has lost 3 dB.
 
     Raises
     ------
-    InputError : unknown name.
+    InputError : a corner at or above half the servo rate.
     """
-    if name not in ("none", "pacinian"):
-        raise InputError(f"weights.error_filter = {name!r}: unknown; choose none or pacinian")
-    return pacinian(dt_s) if name == "pacinian" else None
+    if not 0 < 2 * from_Hz * dt_s < 1:
+        raise InputError(
+            f"weights.rapid_from_Hz = {from_Hz:g} Hz: must be above 0 and below half the servo rate, "
+            f"{0.5 / dt_s:g} Hz; lower it or time.dt_s"
+        )
+    # 1 / (1 + sqrt(2) s + s^2) mirrored, with s = (1/w)(1 - z)/(1 + z) and w the prewarped corner.
+    w = np.tan(np.pi * from_Hz * dt_s)
+    scale = 1 + np.sqrt(2) * w + w * w
+    a = np.array([1.0, 2 * (w * w - 1) / scale, (1 - np.sqrt(2) * w + w * w) / scale])
+    return ErrorFilter(np.array([1.0, -2.0, 1.0]) / scale, a)
 
 
 @lru_cache(maxsize=8)  # every entry's verdict asks for it
@@ -75,7 +88,7 @@ def pacinian(dt_s: float) -> ErrorFilter:
     """
     if not 2 * PACINIAN_Hz * dt_s < 1:
         raise InputError(
-            f"weights.error_filter: pacinian lies at {PACINIAN_Hz:g} Hz, above half the servo rate {0.5 / dt_s:g} Hz"
+            f"weights.rapid: pacinian lies at {PACINIAN_Hz:g} Hz, above half the servo rate {0.5 / dt_s:g} Hz"
         )
     # The bilinear transform of (s / Q) / (s^2 + s / Q + 1) with the band edges where Q puts them.
     w0 = 2 * np.pi * PACINIAN_Hz * dt_s

@@ -33,7 +33,7 @@ typedef struct {
     int current;  /* state that is the current; -1: it is the command */
     int repeated; /* th_0 = F th_N + f */
     const double *A, *C, *E;                 /* (n, n), (outputs, n), (outputs) */
-    const double *weight, *reference;        /* (N, outputs), (N) */
+    const double *weight, *reference;        /* (N, outputs), both */
     const double *rule_gain, *rule_offset;   /* (N - free, n), (N - free) */
     const double *end_gain, *end_target;     /* Z (ends, n), z (ends): what the state at N still does */
     const double *G, *d, *d_size;            /* (rows, n), (rows), (rows) */
@@ -244,7 +244,7 @@ static int fits_eight(const tr_problem *q)
 #endif
 
 /* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
-int tr_interface(void) { return 5; }
+int tr_interface(void) { return 6; }
 
 /* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
 size_t tr_workspace(const tr_problem *q)
@@ -827,9 +827,14 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
     case 6: OF_SIZE(6, 0, call);                                   \
     case 7: OF_SIZE(7, 0, call);                                   \
     case 8: OF_SIZE(8, 0, call);                                   \
+    case 9: OF_SIZE(9, 0, call);                                   \
+    case 10: OF_SIZE(10, 0, call);                                 \
+    case 11: OF_SIZE(11, 0, call);                                 \
     case 12: OF_SIZE(12, 0, call);                                 \
     case 108: OF_SIZE(8, 1, call);                                 \
+    case 110: OF_SIZE(10, 1, call);                                \
     case 208: OF_SIZE(8, 2, call);                                 \
+    case 210: OF_SIZE(10, 2, call);                                \
     default: call(w->q->states, w->q->nodes, w->ld / WIDTH);       \
     }
 #define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved, end)
@@ -1015,7 +1020,7 @@ static double begin(tr_work *w)
         advance(w, 1.0);
     }
     for (int k = 0; k < N; k++)
-        for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
+        for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k * q->outputs + o];
     for (int j = 0; j < q->ends; j++) w->end_error[j] -= q->end_target[j];
     double count = 0.0;
     for (tr_side *z = w->side; z < w->side + 2; z++)
