@@ -116,8 +116,7 @@ class Library:
         Array(
             "vgM",
             "m/s^2",
-            "y'' after the last command, where the wall goes on pushing",
-            needs="wall",
+            "y'' after the last command, as predicted",
             made=lambda entry: entry.designed.effect.lasting.acceleration_m_s2[entry.problem.grid.stages :],
         ),
     ]

@@ -45,7 +45,6 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
             "worst",
             "refinement",
             "nonlinear",
-            "wall",
             "intensity",
             *(kind.stored_with(row) for kind in KINDS for row in kind.row_names),
         )

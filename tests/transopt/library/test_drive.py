@@ -157,7 +157,7 @@ class TestPlayed:
         found = played(lra, [drive_of(lra, iv, 0, driver) for iv in (0, 1)])
         for iv, each in enumerate(found):
             assert each.nrmse == pytest.approx(lra.tap_error[iv, 0], rel=1e-6)
-            assert each.nrmse_after == pytest.approx(lra.nrmse_after[iv, 0], rel=1e-4)
+            assert each.nrmse_after == pytest.approx(lra.error_after[iv, 0], rel=1e-4)
             assert each.nrmse_designed == pytest.approx(lra.tap_error[iv, 0], rel=1e-12)
             assert each.limits_left == ()
             scale = np.abs(lra.acceleration_m_s2[iv, 0]).max()
