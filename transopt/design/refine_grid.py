@@ -4,8 +4,8 @@ A blend of feasible commands is feasible, but it is not the optimum: it is furth
 weaker, since blending adds what is not in phase. Its excess at (v, F) is the larger of two shares: the NRMSE of the
 bilinear blend of the node commands, played through the device of grip F against the reference at v, minus the NRMSE
 of the optimum solved exactly there; and the share of amplitude that the blend lacks beside that optimum, 1 - 10^(dB /
-20) with the energies of both within the window through the filter of the scene's rapid term. A tolerance of 0.02 so allows 2
-points of NRMSE and 0.18 dB. An optimum of intensity is not the least in NRMSE; its blend is held by the second.
+20) with the energies of both within the window through the filter of the scene's rapid term. A tolerance of 0.02
+so allows 2 points of NRMSE and 0.18 dB. An optimum of intensity is not the least in NRMSE; its blend is held by the second.
 References between recorded speeds come from `reference.between`.
 """
 
@@ -257,7 +257,7 @@ class Errors:
             blended = np.stack([self.blend(nodes, point) for point in group])
             played, _ = self.context.stage(grip).rollout(blended)
             for point, acceleration in zip(group, played, strict=True):
-                error = self.context.reference(point[0]).target.nrmse(acceleration)
+                error = self.context.reference(*point).target.nrmse(acceleration)
                 short = lacking(self.dB(point, acceleration))
                 self._excess[keys[point]] = max(error - self._predicted_nrmse(point), short)
         return {point: self._excess[key] for point, key in keys.items()}
@@ -273,7 +273,7 @@ class Errors:
                     for p in part
                     for c in (self.optimum(p).solution.command, self.blend(before, p), self.blend(after, p))
                 ]
-                wanted = [self.context.reference(speed).target for speed, _ in part for _ in range(3)]
+                wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
                 played = replayed_errors(self.context.stage(grip), grid, np.stack(commands), wanted).tolist()
                 moved, _ = self.context.stage(grip).rollout(np.stack(commands))

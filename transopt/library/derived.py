@@ -1,0 +1,88 @@
+"""`meta.derived` of a library: its problem in numbers, for readers that have numpy and not this project.
+
+Nothing here is read back. The problem of a library comes from its scene, and `transopt.library.proven` makes these
+numbers again and refuses a file that states others.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from scipy import signal
+
+from transopt.base.signals import FloatArray
+from transopt.problem.limits.command import CommandLimit
+from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.limits.limit import Limit
+from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.limits.voltage import SaggingVoltageLimit, VoltageLimit
+from transopt.problem.objective.error_term import ErrorTerm
+from transopt.problem.posing import Posing
+from transopt.problem.problem import TransientProblem
+
+FELT_Hz = (120.0, 620.0)  # band in which the felt error is told, whatever the terms of the objective are
+WHOLE = (CurrentLimit, VoltageLimit, CommandLimit, SlewLimit)  # limits of which these numbers say all
+
+
+def derived(posing: Posing, problems: Sequence[TransientProblem], *, warm: bool) -> dict[str, Any]:
+    """What `meta.derived` states of the problems of a library.
+
+    Parameters
+    ----------
+    posing : what all its problems share.
+    problems : one of each speed or named target, at the same grip; of a nonlinear plant those of the plant at rest.
+    warm : whether the winding's temperature is a constraint of any entry, and not shown to matter to none.
+    """
+    problem = problems[0]
+    grid, amplifier, limits = problem.grid, problem.stage.amplifier, problem.limits
+    slew = next((limit for limit in limits if isinstance(limit, SlewLimit)), None)
+    alone = problem.wall is None and not problem.spread and posing.objective == "waveform"
+    return {
+        "dt_s": grid.dt_s,
+        "lead_s": grid.lead_s,
+        "hand_over_samples": problem.hand_over_samples,
+        "intention_s": problem.intention_s,
+        "amplifier": None
+        if amplifier is None
+        else {
+            "pole_Hz": amplifier.pole_Hz,
+            "delay_s": amplifier.delay_s,
+            "command_limit": amplifier.command_limit,
+        },
+        "limits": {"plant_input": limits.input_limit, "slew_per_s": None if slew is None else slew.rate},
+        "exact": alone and all(_is_whole(limit, warm=warm) for limit in limits),
+        "wall": problem.wall is not None,
+        "spread": bool(problem.spread),
+        "movement_weight": problem.movement.weight,
+        "terms": [_term([each.terms[j] for each in problems]) for j in range(len(problem.terms))],
+        "felt": _felt(grid.dt_s),
+    }
+
+
+def _is_whole(limit: Limit, *, warm: bool) -> bool:
+    """Whether these numbers say all of a limit, or it is none of any entry."""
+    if isinstance(limit, TemperatureLimit):
+        return not warm
+    return isinstance(limit, WHOLE) and not isinstance(limit, SaggingVoltageLimit)
+
+
+def _term(of_problems: Sequence[ErrorTerm]) -> dict[str, Any]:
+    """A term of the error; its weights in the window are one list where those of all problems are alike."""
+    first, by = of_problems[0], of_problems[0].error_filter
+    weights = [term.weights.tolist() for term in of_problems]
+    return {
+        "name": first.name,
+        "b": [1.0] if by is None else by.b.tolist(),
+        "a": [1.0] if by is None else by.a.tolist(),
+        "weights": weights[0] if all(each == weights[0] for each in weights) else weights,
+        "before": first.before,
+        "after": first.after,
+    }
+
+
+def _felt(dt_s: float) -> dict[str, list[float]] | None:
+    """Band-pass of the felt error, of first order; null where the band goes beyond half the servo rate."""
+    if not 2 * FELT_Hz[1] * dt_s < 1:
+        return None
+    taps: tuple[FloatArray, FloatArray] = signal.butter(1, FELT_Hz, "bandpass", fs=1 / dt_s)
+    return {"b": taps[0].tolist(), "a": taps[1].tolist()}
