@@ -1,8 +1,8 @@
 """The second waveform of an entry: the optimum at a stated share of the heat, found by a price on heat.
 
-J + price sum i^2 is convex, and its minimiser is the best tap of all those with no more heat than it makes itself: for
-any admissible command with as little heat J is no smaller, up to the certified gap. The heat falls as the price rises.
-So all that is searched for is one number, as for intensity.
+J + price sum i^2 is convex, and its minimiser is the best tap of all those with no more heat than it makes itself:
+for any admissible command with as little heat J is no smaller, up to the certified gap. The heat falls as the price
+rises. So all that is searched for is one number, as for intensity.
 """
 
 from collections.abc import Callable
