@@ -157,7 +157,7 @@ def recorded(
     ):
         device.listeners.append(recorder.take)
         device.configure(configuration_of(settings))
-        device.upload(image_of(bank(library), dt_s, settings.lead_s, library.meta["hand_over_samples"]))
+        device.upload(image_of(bank(library), dt_s, settings.lead_s, library.hand_over_samples))
         # What `transopt-play check` finds out by hand needs no finding out here.
         device.set_telemetry(1)
         arm_at_rest(device, LEASE_MS, hand.period_s)

@@ -88,7 +88,7 @@ class Experiment:
 
     @property
     def limits_A(self) -> tuple[float, float]:
-        return self.library.meta["limits"]["current_A"], self.steady.meta["limits"]["current_A"]
+        return self.library.input_limit, self.steady.input_limit
 
 
 def libraries(scene: Scene) -> tuple[Library, Library]:
@@ -178,7 +178,7 @@ def _compared(experiment: Experiment, condition: Condition, taps: dict[str, Play
         speed_m_s=condition[0],
         grip_N=condition[1],
         needed_A=float(np.abs(current).max()),
-        over_ms=1e3 * library.meta["dt_s"] * int(np.sum(np.abs(current) > low)),
+        over_ms=1e3 * library.dt_s * int(np.sum(np.abs(current) > low)),
         reference_g=float(np.abs(own.reference_m_s2).max()) / g,
         peak_g=own.peak_m_s2 / g,
         peak_steady_g=taps["optimum_steady"].peak_m_s2 / g,

@@ -112,13 +112,13 @@ def refine(
     from controller.waveforms.playable import load_playable
 
     loaded = load_playable(library)
-    if loaded.meta["feedback"] is not None:
+    if loaded.wall() is not None:
         raise InputError(f"{library}: has a wall, whose feedback answers the hand's own motion: it is not refined")
     if (out / "library.npz").resolve() == library.resolve():
         raise InputError(f"--out {out}: holds the library that is refined; choose another folder")
     from controller.refine.learner import LEAST_DEGREES
 
-    if not from_files and loaded.nrmse.size * (taps - 1) < LEAST_DEGREES:
+    if not from_files and loaded.tap_error.size * (taps - 1) < LEAST_DEGREES:
         raise InputError(f"--taps {taps}: at a single node at least 3 are needed, to know how they scatter")
     terminal.make_folder(out)
     from controller.cli.describe import described, sensing

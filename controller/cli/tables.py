@@ -74,7 +74,7 @@ def figures_table(
 ) -> Table:
     """What the taps came to, on average or at most, and beside it what that is to be compared with."""
     compared = [tap for tap in taps if not tap.why]
-    g, limits, coil = STANDARD_GRAVITY_M_S2, library.meta["limits"], library.coil()
+    g, limits, coil = STANDARD_GRAVITY_M_S2, library.posing().asked, library.coil()
 
     def mean(values: Iterable[float], size: float, form: str, unit: str) -> str:
         return _number(size * float(np.mean(list(values))) if compared else np.nan, form, unit)

@@ -78,7 +78,7 @@ def library_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
     ------
     InputError : the library is for another servo period, or asks for more than the hardware gives.
     """
-    dt_s, limits = float(library.meta["dt_s"]), library.meta["limits"]
+    dt_s, limits = library.dt_s, library.posing().asked
     if device.servo.dt_s is not None and abs(device.servo.dt_s / dt_s - 1) > 1e-6:
         raise InputError(
             f"device file: servo.dt_s = {device.servo.dt_s:g}, the library is for {dt_s:g} s: solve it with "

@@ -74,7 +74,7 @@ def payload_of(
     """
     numbers = {**library_numbers(device, library), **pulse_numbers(device, library)}
     stated = Settings.of(library, **{**numbers, **settings})
-    tail = library.meta["hand_over_samples"]
+    tail = library.hand_over_samples
     if table is None:
         table = bank(library, Method.BILINEAR)
     else:

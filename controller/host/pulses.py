@@ -48,12 +48,10 @@ def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
     ------
     InputError : a model of the wrong sign.
     """
-    dt_s = float(library.meta["dt_s"])
+    dt_s = library.dt_s
     sensed = device.accelerometer.sensor
     ticks = round((PULSE_S if sensed else BLIND_PULSE_S) / dt_s)
-    asked = Settings.of(
-        library, pulse_A=min(most_pulse_A(device), library.meta["limits"]["current_A"]), pulse_ticks=ticks
-    )
+    asked = Settings.of(library, pulse_A=min(most_pulse_A(device), library.input_limit), pulse_ticks=ticks)
     grips = library.grips_N
     nodes = grips if grips.size <= PULSE_NODES else np.linspace(grips[0], grips[-1], PULSE_NODES)
     found = [_pushed(library, asked, float(grip_N), device.accelerometer.bandwidth_Hz) for grip_N in nodes]

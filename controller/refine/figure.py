@@ -93,7 +93,7 @@ def _tap(axes: Axes, refined: Refined) -> None:
     times = before.time_grid().switching_times_s
     shown = times <= REACTION_S
     ms = 1e3 * times[shown]
-    wanted = smooth(before.reference_m_s2[node[0]], window.dt_s)
+    wanted = smooth(before.told(*node).window_m_s2, window.dt_s)
     axes.plot(ms, wanted[shown] / g, color="0.6", linewidth=3.0, label="reference")
     taps = [(first[node], "before", SEED, "-")]
     taps += [(last[node], "confirmed", OPTIMUM, "--")] if node in refined.better else []

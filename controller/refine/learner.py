@@ -214,7 +214,7 @@ class Learner:
 
     def _reference(self, node: Node) -> FloatArray:
         """(N,) as far as it is measured."""
-        return self.window.fade * smooth(self.library.reference_m_s2[node[0]], self.window.dt_s)
+        return self.window.fade * smooth(self.library.told(*node).window_m_s2, self.window.dt_s)
 
     def _tapped(self, node: Node, heard: Sequence[Heard]) -> Tapped:
         window = self.window

@@ -125,7 +125,7 @@ def summary(refined: Refined, written: Path) -> tuple[str, bool]:
     first, last = (
         np.mean([found[node].nrmse for node in better]) for found in (history.rounds[0], history.confirmed)
     )
-    limit = float(refined.before.meta["limits"]["current_A"])
+    limit = refined.before.input_limit
     peaks = [one.tapped.peak_current_A for results in history.played for one in results.values()]
     held = "" if np.isnan(peaks).all() else f"; at most {np.nanmax(peaks):.3f} A of {limit:g} A"
     return (

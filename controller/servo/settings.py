@@ -11,6 +11,7 @@ from transopt.library.library import Library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.wall import Wall
+from transopt.problem.limits.slew import SlewLimit
 
 SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # size of a calibration's scale: further off something else is wrong
 PULSE_NODES = 4
@@ -198,16 +199,15 @@ class Settings:
     @classmethod
     def of(cls, library: Library, **others: Any) -> Self:
         """Settings for a library; `others` override what it says and the defaults."""
-        meta = library.meta
         known: dict[str, Any] = {
-            "dt_s": meta["dt_s"],
-            "lead_s": meta["lead_s"],
-            "current_limit_A": meta["limits"]["current_A"],
+            "dt_s": library.dt_s,
+            "lead_s": library.lead_s,
+            "current_limit_A": library.input_limit,
             "amplifier": library.amplifier(),
             "wall": library.wall(),
             "coil": library.coil(),
-            "slew_limit_A_per_s": meta["limits"]["slew_A_per_s"],
-            "grip_min_N": 0.0 if library.grips_N[0] == 0 else meta["grip_min_N"],
+            "slew_limit_A_per_s": library.posing().asked[SlewLimit.key],
+            "grip_min_N": library.grip_min_N,
         }
         if library.grips_N[0] == 0:
             known["assumed_grip_N"] = 0.0

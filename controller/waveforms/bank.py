@@ -189,12 +189,11 @@ def bank(
         }[method]
         command = waveform(library, predecessors.inertia(library))[:, None]
         grips, by_grip = grips[:1], False
-    amplifier, dt = library.amplifier(), library.meta["dt_s"]
+    amplifier, dt = library.amplifier(), library.dt_s
     transient = norms(currents(command, amplifier, dt), amplifier, dt)
     # What the wall is predicted to add beside the transient; of the optimum's motion, for every method.
     pushed = norms(currents(library.command - solved, amplifier, dt), amplifier, dt)
     feedback = pushed if by_grip else np.max(pushed, axis=1, keepdims=True)
-    free = library.grips_N[0] == 0
     return Bank(
         method=method,
         speeds_m_s=speeds.tolist(),
@@ -202,7 +201,7 @@ def bank(
         command_A=np.ascontiguousarray(command),
         transient_A=transient.tolist(),
         feedback_A=feedback.tolist(),
-        grip_min_N=0.0 if free else float(library.meta["grip_min_N"]),
+        grip_min_N=library.grip_min_N,
         by_grip=by_grip,
         nearest=method is Method.NEAREST,
     )

@@ -31,7 +31,7 @@ class FreshBank(Bank):
         tap = self.solver.solve(speed_m_s, grip_N, winding_C, housing_C)
         if not tap.solved:
             return blend
-        amplifier, dt = self.library.amplifier(), self.library.meta["dt_s"]
+        amplifier, dt = self.library.amplifier(), self.library.dt_s
         transient = tap.wave.transient_command
         played, pushed = norms(
             currents(np.stack([transient, tap.wave.command - transient]), amplifier, dt), amplifier, dt

@@ -25,18 +25,18 @@ def inertia(library: Library) -> float:
 
 
 def _amplitude(shape: FloatArray, library: Library) -> tuple[float, float]:
-    """Amplitude A that makes r_v = A v shape(t) fit all references best, and what is left of sum r^2."""
-    v, r = library.speeds_m_s, library.reference_m_s2
-    size = float((v @ v) * (shape @ shape))
-    amplitude = float(v @ (r @ shape)) / size if size > 0 else 0.0
-    return amplitude, float(np.sum((r - amplitude * v[:, None] * shape) ** 2))
+    """Amplitude A that makes r_v = A v shape(t) fit the targets r of all nodes best, and what is left of sum r^2."""
+    v, r = library.speeds_m_s, library.recorded_m_s2 - library.free_m_s2
+    size = float((v @ v) * (shape @ shape)) * r.shape[1]
+    amplitude = float(v @ (r @ shape).sum(axis=1)) / size if size > 0 else 0.0
+    return amplitude, float(np.sum((r - amplitude * v[:, None, None] * shape) ** 2))
 
 
 def _limited(command_A: FloatArray, library: Library) -> FloatArray:
     """Cut at the current limit, which then holds for the current too, and over before the hand-over."""
-    limit = library.meta["limits"]["current_A"]
+    limit = library.input_limit
     command = np.clip(command_A, -limit, limit)
-    command[:, command.shape[1] - library.meta["hand_over_samples"] :] = 0.0
+    command[:, command.shape[1] - library.hand_over_samples :] = 0.0
     return command
 
 
@@ -93,7 +93,7 @@ def fixed_width_pulse(library: Library, inertia_A_s2_m: float) -> FloatArray:
 
 def momentum_cancellation(library: Library, inertia_A_s2_m: float) -> FloatArray:
     """(nv, N) commands: the shortest pulse within the current limit whose impulse is m v (Hwang et al. 2004)."""
-    dt, limit = library.meta["dt_s"], library.meta["limits"]["current_A"]
+    dt, limit = library.dt_s, library.input_limit
     first = _first_tick(library)
     command = np.zeros((library.speeds_m_s.size, library.command.shape[2]))
     for row, speed in zip(command, library.speeds_m_s, strict=True):

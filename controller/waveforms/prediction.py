@@ -6,7 +6,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
-from transopt.library.place import interpolation_weights, speed_weights
+from transopt.library.place import interpolation_weights
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver
 from transopt.proof.replay import replay
@@ -23,9 +23,9 @@ class Prediction:
     ----------
     speed_m_s, grip_N : as played: on the grid's edge for a tap outside it.
     silent : too little grip or no speed: nothing is played.
-    times_s : (N,) tau_k, from contact. acceleration_m_s2 : (N,) y'' there, without the user's own share.
-    reference_m_s2, own_m_s2 : (N,) r and r_u = r_raw - r. current_A : (N,).
-    after_times_s, after_m_s2, reference_after_m_s2 : (M,) instants after the waveform, y'' and r there.
+    times_s : (N,) tau_k, from contact. acceleration_m_s2 : (N,) y'' there, what the command adds.
+    reference_m_s2, own_m_s2 : (N,) the target r - a_free, and a_free. current_A : (N,).
+    after_times_s, after_m_s2, reference_after_m_s2 : (M,) instants after the waveform, y'' and the target there.
     floor, repeatability : blended like the waveforms; NaN where the recordings have no repeats.
     """
 
@@ -66,8 +66,8 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
     """
     wave = library.at(speed_m_s, grip_N)
     v, F = wave.speed_m_s, wave.grip_N
-    by_speed = speed_weights(library.speeds_m_s, v)
-    target = library.target(by_speed)
+    wanted = library.wanted(v, F)
+    target = wanted.target
     grid, scene = library.time_grid(), scene_of(library)
     at_node = v in library.speeds_m_s and F in library.grips_N and gain == 1.0 and not wave.silent
     if at_node:
@@ -77,7 +77,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
     else:
         wall, walls, command = library.wall(), None, gain * wave.command
         if wall is not None:
-            nominal = library.wanted(v, by_speed).nominal_position_at_ticks_m
+            nominal = wanted.nominal_position_at_ticks_m
             softer = replace(wall, stiffness_N_m=gain * wall.stiffness_N_m, damping_N_s_m=gain * wall.damping_N_s_m)
             walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
@@ -93,7 +93,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         times_s=grid.switching_times_s,
         acceleration_m_s2=acceleration,
         reference_m_s2=target.window_m_s2,
-        own_m_s2=by_speed @ (library.reference_raw_m_s2 - library.reference_m_s2),
+        own_m_s2=target.free_window_m_s2,
         current_A=current,
         after_times_s=grid.after_times_s,
         after_m_s2=after,

@@ -92,7 +92,7 @@ def row(
 def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> TransientProblem:
     """One entry of the scene; a longer horizon goes on with nothing to do."""
     references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
-    wanted = references[scene.grid.speeds_m_s.index(speed_m_s)].motor_m_s2
+    wanted = references[scene.grid.speeds_m_s.index(speed_m_s)].target.window_m_s2
     amplifier = scene.amplifier_model()
     assert amplifier is not None
     return TransientProblem(

@@ -21,14 +21,13 @@ from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinemen
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.columns import EntryTable
+from transopt.library.derived import derived
 from transopt.library.library import ARRAYS, PLANT, Library, further_arrays, multiplier_arrays
-from transopt.library.meta import in_file_form, shared_left_out, temperature_is_in
+from transopt.library.meta import SCHEMA, heat_is_in, shared_left_out
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.limits import needed_outputs
-from transopt.problem.limits.supply import COPPER, SupplyLimit
-from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
+from transopt.recordings.reference import COURSES, Reference
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene
@@ -36,6 +35,10 @@ from transopt.solvers.options import SolverOptions
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
+
+
+# Courses of a reference that a library has of every cell under the same name.
+CELLS = tuple(name for name in COURSES if name != "nominal_position_at_ticks_m")
 
 
 @dataclass(frozen=True)
@@ -184,11 +187,15 @@ def build_library(
     references, context = recorded.references, recorded
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
-        references = [recorded.reference(speed) for speed in scene.axes.speeds_m_s]
+        references = [recorded.reference(speed, scene.grid.grips_N[0]) for speed in scene.axes.speeds_m_s]
         context = Context(scene, references)
     columns: list[list[Entry]] = []
     for grip in scene.grid.grips_N:
-        columns.append(design([context.posed_as(each, grip) for each in references], rivals=True, options=options))
+        columns.append(
+            design(
+                [context.posed(each.speed_m_s, grip, each.name) for each in references], rivals=True, options=options
+            )
+        )
         # An entry is replayed here, before its progress is told.
         progress(len([entry.played for entry in columns[-1]]))
     entries = [[column[i] for column in columns] for i in range(len(references))]
@@ -228,21 +235,21 @@ def assemble(
         others = [[getattr(plant, name) for plant in devices] for devices in spreads]
         return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
 
-    at_ticks = np.stack([r.nominal_position_at_ticks_m for r in references])
+    cells = [[context.reference(r.speed_m_s, grip, r.name) for grip in scene.grid.grips_N] for r in references]
+
+    def of_cells(name: str) -> FloatArray:
+        return np.array([[getattr(cell, name) for cell in row] for row in cells])
+
+    at_ticks = of_cells("nominal_position_at_ticks_m")
     meta = {**_meta(context, references, entries, options), "grid_refinement": _refined(refinement)}
-    return Library(
-        speeds_m_s=np.asarray(scene.axes.speeds_m_s),
-        targets=np.array(scene.axes.targets or [""] * len(references), dtype=np.str_),
-        grips_N=np.asarray(scene.grid.grips_N),
-        reference_m_s2=np.stack([r.motor_m_s2 for r in references]),
-        reference_raw_m_s2=np.stack([r.raw_m_s2 for r in references]),
-        reference_before_m_s2=np.stack([r.before_m_s2 for r in references]),
-        reference_after_m_s2=np.stack([r.after_m_s2 for r in references]),
-        reference_raw_after_m_s2=np.stack([r.raw_after_m_s2 for r in references]),
-        nominal_position_m=np.stack([r.nominal_position_m for r in references]),
-        nominal_velocity_m_s=np.stack([r.nominal_velocity_m_s for r in references]),
-        nominal_position_at_ticks_m=at_ticks[:, : scene.time.stages],
-        nominal_after_at_ticks_m=at_ticks[:, scene.time.stages :],
+    arrays = {
+        "speeds_m_s": np.asarray(scene.axes.speeds_m_s),
+        "targets": np.array(scene.axes.targets or [""] * len(references), dtype=np.str_),
+        "target_ends_s": np.array([r.ends_s if r.name else 0.0 for r in references]),
+        "grips_N": np.asarray(scene.grid.grips_N),
+        **{name: of_cells(name) for name in CELLS},
+        "nominal_position_at_ticks_m": at_ticks[..., : scene.time.stages],
+        "nominal_after_at_ticks_m": at_ticks[..., scene.time.stages :],
         **{
             name: np.array(
                 [[array.made(entry) for entry in row] for row in entries], dtype=None if array.is_text else float
@@ -250,13 +257,16 @@ def assemble(
             for name, array in ARRAYS.items()
             if array.made is not None
         },
-        multipliers_of=multiplier_arrays(
-            [[entry.solution.multipliers for entry in row] for row in entries],
-            further_arrays(meta, len(spreads[0])),
-        ),
-        correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
+        "correction_m_s2": np.zeros((len(references), len(plants), scene.time.stages)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
+    }
+    return Library(
+        **arrays,
+        multipliers_of=multiplier_arrays(
+            [[entry.solution.multipliers for entry in row] for row in entries],
+            further_arrays(context.posing, len(spreads[0])),
+        ),
         meta=meta,
     )
 
@@ -265,53 +275,23 @@ def _meta(
     context: Context, references: Sequence[Reference], entries: list[list[Entry]], options: SolverOptions
 ) -> dict[str, Any]:
     scene = context.scene
-    amplifier, coil, wall, circuit = scene.amplifier_model(), scene.coil(), scene.wall(), scene.circuit()
-    problem = entries[0][0].problem
-    rail, heard = problem.limits.get(SupplyLimit.name), problem.error_filter
-    # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
-    warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
+    left_out = shared_left_out([[entry.left_out for entry in row] for row in entries])
     watched = needed_outputs(scene.limits.asked(), scene.driven_by)
     # A mass in a case is told from one that the nominal motion moves whether or not a limit looks at it.
     outputs = [entry.problem.stage.plant.stored((POSITION, VELOCITY, *watched)) for entry in entries[0]]
     of_spread = [[device.plant.stored(watched) for device in entry.problem.spread] for entry in entries[0]]
     return {
+        "schema": SCHEMA,
+        "derived": derived(
+            context.posing,
+            [row[0].problem for row in entries],
+            named=bool(scene.targets),
+            warm=heat_is_in(left_out),
+        ),
         **({"outputs": outputs} if any(outputs) else {}),
         **({"spread_outputs": of_spread} if any(map(any, of_spread)) else {}),
-        **in_file_form(
-            scene.driven_by,
-            scene.axes.targets,
-            of_devices=problem.worst or any(row.device for _, row in problem.rows()),
-        ),
-        **({"target_ends_s": [r.ends_s for r in references]} if scene.targets else {}),
-        "dt_s": scene.time.dt_s,
-        "lead_s": scene.lead_s,
-        "grip_min_N": scene.grid.grip_min_N,
-        "amplifier": None if amplifier is None else amplifier.table(entries[0][0].problem.driven_by.unit),
-        "limits": {
-            **scene.limits.asked(),
-            **({COPPER: rail.copper_C} if isinstance(rail, SupplyLimit) else {}),
-            TemperatureLimit.key: problem.thermal.limit_C if warm and problem.thermal is not None else None,
-        },
-        "thermal": None if coil is None else {"coil": asdict(coil), "budget": asdict(scene.budget())},
-        "circuit": None if circuit is None else asdict(circuit),
-        "feedback": None if wall is None else asdict(wall),
-        "weights": {
-            "rho": problem.rho,
-            "tracking": context.posing.tracking_weights.tolist(),
-            "after_s": scene.weights.after_s,
-            "objective": scene.weights.objective,
-            "intensity_dB": scene.weights.intensity_dB,
-            **({"calm": scene.weights.calm} if scene.targets else {}),
-            "error_filter": scene.weights.error_filter,
-            # F = 1 is b = a = 1.
-            "error_filter_b": [1.0] if heard is None else heard.b.tolist(),
-            "error_filter_a": [1.0] if heard is None else heard.a.tolist(),
-            "spread": None if scene.robust is None else scene.robust.model_dump(),
-        },
-        "hand_over_samples": scene.hand_over_samples,
-        "left_out": shared_left_out([[entry.left_out for entry in row] for row in entries]),
+        "left_out": left_out,
         "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
-        **({"nonlinear": scene.formulas} if scene.nonlinear else {}),
         "scene": scene.model_dump(mode="json"),
         "solver": {**asdict(options), **({"nonlinear": entries[0][0].solution.solver} if scene.nonlinear else {})},
         "sources": [

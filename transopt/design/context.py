@@ -116,8 +116,8 @@ class Context:
         """References of the recorded speeds, rising, or of the named targets."""
         return self._given() if callable(self._given) else self._given
 
-    def reference(self, speed_m_s: float, target: str = "") -> Reference:
-        """The reference of a speed, blended between those recorded, or of a named target."""
+    def reference(self, speed_m_s: float, grip_N: float, target: str = "") -> Reference:
+        """The reference of a speed and a grip, blended between those recorded, or of a named target."""
         if target:
             return next(each for each in self.references if each.name == target)
         return self._between.get(repr(speed_m_s), lambda: between(self.references, speed_m_s))
@@ -164,8 +164,7 @@ class Context:
         ------
         InputError : numbers that make no problem, recordings that cannot serve.
         """
-        reference = self.reference(speed_m_s, target)
-        return self.posed_as(reference, grip_N)
+        return self.posed_as(self.reference(speed_m_s, grip_N, target), grip_N)
 
     def posed_as(self, reference: Reference, grip_N: float) -> Posed:
         """The entry of a grip that a reference asks for."""

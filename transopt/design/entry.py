@@ -16,7 +16,6 @@ from transopt.design.batch import Baselines, Batch
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.price import Price, binding, prices
-from transopt.library.arrays import AFTER
 from transopt.library.columns import COLUMNS, NAN, PAIR, EntryTable
 from transopt.library.library import ARRAYS
 from transopt.plant.discretise import acting_states
@@ -302,7 +301,7 @@ class Entry:
         if not stored:
             return VALUES[column](self)
         array = ARRAYS[stored]
-        if array.made is None or (array.needs == AFTER and self.problem.grid.after_stages == 0):
+        if array.made is None or (COLUMNS[column].after and self.problem.grid.after_stages == 0):
             return COLUMNS[column].unknown
         return array.made(self)
 
@@ -341,6 +340,14 @@ class Entry:
     @property
     def nrmse(self) -> float:
         return self.played.nrmse
+
+    @cached_property
+    def heat_A2_s(self) -> float:
+        """Integral of i^2 through the window and after it [A^2 s]; NaN where a voltage drives the plant."""
+        if self.unit != "A":
+            return NAN
+        current = self.designed.effect.lasting.plant_input
+        return self.problem.grid.dt_s * float(current @ current)
 
     @property
     def energy_dB(self) -> float:
@@ -398,6 +405,8 @@ VALUES: dict[str, Callable[[Entry], Any]] = {
     "linear": lambda entry: PAIR if entry.linear_played is None else (entry.linear_promised, entry.linear_nrmse),
     "linear_after": lambda entry: NAN if entry.linear_played is None else entry.linear_played.nrmse_after,
     "repeats": lambda entry: entry.repeatability,
+    "seed": lambda entry: (entry.baselines.seed, entry.baselines.seed_steady),
+    "clipped": lambda entry: (entry.baselines.clipped, entry.baselines.clipped_steady),
     "gap": lambda entry: entry.certificate.relative_gap,
     "result": lambda entry: "; ".join([entry.status.value, *entry.shortfalls]),
     "verdict": lambda entry: entry.verdict,

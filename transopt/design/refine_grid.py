@@ -257,7 +257,7 @@ class Errors:
             blended = np.stack([self.blend(nodes, point) for point in group])
             played, _ = self.context.stage(grip).rollout(blended)
             for point, acceleration in zip(group, played, strict=True):
-                error = self.context.reference(point[0]).target.nrmse(acceleration)
+                error = self.context.reference(*point).target.nrmse(acceleration)
                 short = lacking(self.dB(point, acceleration))
                 self._excess[keys[point]] = max(error - self._predicted_nrmse(point), short)
         return {point: self._excess[key] for point, key in keys.items()}
@@ -273,7 +273,7 @@ class Errors:
                     for p in part
                     for c in (self.optimum(p).solution.command, self.blend(before, p), self.blend(after, p))
                 ]
-                wanted = [self.context.reference(speed).target for speed, _ in part for _ in range(3)]
+                wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
                 played = replayed_errors(self.context.stage(grip), grid, np.stack(commands), wanted).tolist()
                 moved, _ = self.context.stage(grip).rollout(np.stack(commands))

@@ -11,13 +11,13 @@ from transopt.base.signals import FloatArray
 from transopt.design.context import Posed
 from transopt.design.design import design
 from transopt.design.entry import Entry
+from transopt.library.derived import derived
 from transopt.library.library import ARRAYS, MULTIPLIERS, Library, further_arrays, multiplier_arrays
-from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
+from transopt.library.meta import entry_left_out, heat_is_in, shared_left_out
 from transopt.solvers.options import SolverOptions
 
-KEPT = ("nrmse_seed", "nrmse_clipped")  # the other methods know nothing of a correction
 # What an entry that is solved again brings along.
-OF_ENTRIES = {name: array.made for name, array in ARRAYS.items() if array.made is not None and name not in KEPT}
+OF_ENTRIES = {name: array.made for name, array in ARRAYS.items() if array.made is not None}
 
 
 def resolve(
@@ -45,11 +45,11 @@ def resolve(
     InputError : a library with a wall, whose feedback is no part of what is corrected, or of a nonlinear plant.
     """
     library.check_linear("refine")
-    if library.meta["feedback"] is not None:
+    if library.wall() is not None:
         raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
     options = SolverOptions() if options is None else options
     scene = library.scene()
-    further = further_arrays(library.meta, library.spread_A.shape[1])
+    further = further_arrays(library.posing(), library.spread_A.shape[1])
     arrays = {
         name: np.array(library.array(name)) for name in (*OF_ENTRIES, *MULTIPLIERS, *further, "correction_m_s2")
     }
@@ -60,9 +60,8 @@ def resolve(
         stage, speeds = library.stage(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
         posed = []
         for iv in speeds:
-            wanted = library.reference_m_s2[iv] + corrections_m_s2[iv, ig]
-            problem = library.problem(iv, ig, stage).towards(wanted)
-            told = library.target(np.eye(nv)[iv])
+            told = library.told(iv, ig)
+            problem = replace(library.problem(iv, ig, stage), target=told.moved(corrections_m_s2[iv, ig]))
             grip, steady = float(library.grips_N[ig]), library.steady_input
             posed.append(Posed(problem, grip_N=grip, coil=library.coil(), steady_input=steady, told=told))
         for iv, entry in zip(speeds, design(posed, options=options), strict=True):
@@ -74,12 +73,12 @@ def resolve(
             found |= _multipliers(entry, further) | {"correction_m_s2": corrections_m_s2[iv, ig]}
             _put(arrays, (iv, ig), found)
             left_out[iv][ig] = entry.left_out
-    thermal = library.problem(0, 0).thermal
-    warm = any(temperature_is_in(entry) for row in left_out for entry in row)
+    shared = shared_left_out(left_out)
+    problems = [library.problem(iv, 0) for iv in range(nv)]
     meta = {
         **library.meta,
-        "limits": {**library.meta["limits"], "temperature_C": thermal.limit_C if warm and thermal else None},
-        "left_out": shared_left_out(left_out),
+        "derived": derived(library.posing(), problems, named=bool(library.axes.targets), warm=heat_is_in(shared)),
+        "left_out": shared,
         "solver": asdict(options),
         "refinement": refinement,
     }

@@ -10,8 +10,8 @@ from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
 from transopt.library.library import ARRAYS, Library
 from transopt.library.nonlinear import as_on_linear, nonlinear_problem
-from transopt.library.nonlinear_proven import certificate_of, of_the_others, shortfall
-from transopt.library.proven import contradictions, rivals_misstated
+from transopt.library.nonlinear_proven import certificate_of, of_linear_design, shortfall
+from transopt.library.proven import contradictions
 from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
@@ -50,11 +50,10 @@ def verify_library(library: Library) -> list[Entry]:
     for ig in range(ng):
         stage = library.stage(ig)
         designed = [_again(library, iv, ig, stage, plant) for iv in range(nv)]
-        told = [library.target(own) for own in np.eye(nv)]
+        told = [library.told(iv, ig) for iv in range(nv)]
         # A device with a wall plays the file's transient on top of its own feedback.
-        played = library.command if library.meta["feedback"] is None else library.transient_command
+        played = library.command if library.wall() is None else library.transient_command
         batch = Batch(designed, library.coil(), library.steady_input, told, played[:, ig])
-        rivals = {} if library.nonlinear else rivals_misstated(library, ig, stage)
         for iv in range(nv):
             entry = _entry(library, iv, ig, batch)
             found = (
@@ -62,7 +61,7 @@ def verify_library(library: Library) -> list[Entry]:
                 if library.nonlinear
                 else _of_linear_plant(library, iv, ig, entry)
             )
-            checked[iv, ig] = entry.stating(shortfalls=found + ([rivals[iv]] if iv in rivals else []))
+            checked[iv, ig] = entry.stating(shortfalls=found)
     return [checked[iv, ig] for iv in range(nv) for ig in range(ng)]
 
 
@@ -109,7 +108,7 @@ def _entry(library: Library, iv: int, ig: int, batch: Batch) -> Entry:
         index=iv,
         repeatability=float("nan") if repeats is None else float(repeats),
         options=SolverOptions(),
-        objective=library.meta["weights"].get("objective", "waveform"),
+        objective=library.posing().objective,
     )
 
 
@@ -135,7 +134,7 @@ def _of_nonlinear_plant(library: Library, iv: int, ig: int, entry: Entry) -> lis
     found += entry.played.shortfalls(entry.problem, effect.command, library.acceleration_m_s2[iv, ig])
     if proof.finite:
         found += _stored_contradictions(library, iv, ig, entry, effect)
-    found += of_the_others(library, iv, ig, problem, entry.linear_nrmse, STORED_TOLERANCE)
+    found += of_linear_design(library, iv, ig, problem, entry.linear_nrmse, STORED_TOLERANCE)
     options = SolverOptions()
     designed = optimum(problem.linear, options)
     # Limits that no command meets at rest may be met on the nonlinear plant: then there is no linear design.
@@ -163,11 +162,9 @@ def _stored_contradictions(library: Library, iv: int, ig: int, entry: Entry, eff
             continue
         stored, value = float(getattr(library, name)[iv, ig]), array.made(entry)
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
-            found.append(f"{library.in_file(name)} says {stored:.8g}, recomputed {value:.8g}")
+            found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
     found += contradictions(library, iv, ig, effect, certificate, entry.floor, of_bound=Certificate.GAP_TOLERANCE)
     current_off = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())
     if not current_off <= tolerated(problem.limits.input_limit):
-        found.append(
-            f"{library.in_file('plant_input')} differs from the replay by {current_off:.1e} {library.driven_by.unit}"
-        )
+        found.append(f"plant_input differs from the replay by {current_off:.1e} {library.driven_by.unit}")
     return found

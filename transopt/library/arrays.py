@@ -5,7 +5,7 @@ declarations, so that an array is added or changed in one place.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass
 from typing import Any, get_type_hints
 
@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 HASH_FIELD = "content_sha256"
-AFTER = "after_s"  # what an array after the waveform needs; where it is 0 nothing is looked at there
-NEUTRAL = 3  # from this schema on arrays are named for any input, not for a current
 
 
 @dataclass(frozen=True)
@@ -30,11 +28,10 @@ class Array:
     meaning : what it holds.
     is_text : words and not double-precision numbers.
     may_be_nan : NaN stands for what is not known; every other number is finite.
-    needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread`, `worst` (as
-        what is minimised over the spread), `refinement`, `nonlinear`, `speeds` or `targets` (the one or the other),
-        `after_s` (which files of schema 1 do not state) or `intensity` as the objective; empty for an array that is
-        always there. Without it the array is zero or empty, or of no device or instant.
-    before : its name in files of schemas 1 and 2, which know no input but a current; empty where it is the same.
+    needs : what has to be stated for the array to stand in the file: a key of the scene's `limits`, `spread`, `worst`
+        (as what is minimised over the spread), `nonlinear`, `wall`, `speeds` or `targets` (the one or the other),
+        `intensity` as the objective, or a `refinement` in `meta` (`transopt.library.meta.stated`); empty for an array
+        that is always there. Without it the array is zero or empty, or of no device.
     made : its value for one entry (`transopt.design.entry.Entry`), from which a library is assembled and by which an
         entry that is solved again takes its place; None for what is not of single entries.
     replayed : whether `verify` makes it again from a replay of the file's own command, to compare.
@@ -46,7 +43,6 @@ class Array:
     is_text: bool = False
     may_be_nan: bool = False
     needs: str = ""
-    before: str = ""
     made: Callable[[Any], Any] | None = None
     replayed: bool = False
 
@@ -66,26 +62,9 @@ def declared(owner: type) -> dict[str, Array]:
     return {name: note for name, notes in noted.items() for note in notes if isinstance(note, Array)}
 
 
-def stored_names(arrays: dict[str, Array], schema: int) -> dict[str, str]:
-    """Name of every array -> its name in a file of this schema."""
-    return {name: array.before if schema < NEUTRAL and array.before else name for name, array in arrays.items()}
-
-
-def absent(arrays: dict[str, Array], meta: dict[str, Any]) -> list[str]:
-    """Names of the arrays that a file with this meta does not have."""
-    weights = meta["weights"]
-    stated = {
-        **meta["limits"],
-        "spread": weights["spread"],
-        "worst": True if (weights["spread"] or {}).get("minimise") == "worst" else None,
-        "refinement": meta.get("refinement"),
-        "after_s": weights.get("after_s"),
-        "speeds": None if meta.get("targets") else True,
-        "targets": meta.get("targets"),
-        "nonlinear": meta.get("nonlinear"),
-        "intensity": True if weights.get("objective") == "intensity" else None,
-    }
-    return [name for name, array in arrays.items() if array.needs and stated.get(array.needs) is None]
+def absent(arrays: dict[str, Array], stated: Set[str]) -> list[str]:
+    """Names of the arrays that a file does not have where this and no more is stated."""
+    return [name for name, array in arrays.items() if array.needs and array.needs not in stated]
 
 
 def content_hash(arrays: dict[str, NDArray[Any]]) -> str:

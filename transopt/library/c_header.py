@@ -129,7 +129,7 @@ def _comment(library: Library, digest: str, counts: NDArray[np.int16]) -> str:
     versions = ", ".join(f"{plain(name)} {plain(version)}" for name, version in meta["versions"].items())
     feedback = (
         "This scene has no wall: they are the total command."
-        if meta["feedback"] is None
+        if library.wall() is None
         else "This scene has a wall: its feedback is not in them."
     )
     return f"""\
@@ -153,22 +153,21 @@ def _comment(library: Library, digest: str, counts: NDArray[np.int16]) -> str:
 
 
 def _macros(library: Library, counts: NDArray[np.int16], scale_A: np.float32) -> str:
-    meta = library.meta
-    amplifier, current_A = meta["amplifier"], meta["limits"]["current_A"]
+    amplifier, current_A = library.amplifier(), library.input_limit
     # The free device has no least grip: every reading but NaN plays.
     free = library.grips_N.size == 1 and library.grips_N[0] == 0
-    least_grip = -np.finfo(np.float32).max if free else meta["grip_min_N"]
+    least_grip = -np.finfo(np.float32).max if free else library.grip_min_N
     nv, ng, samples = counts.shape
     values = {
         "SPEEDS": (str(nv), "nodes"),
         "GRIPS": (str(ng), "nodes"),
         "SAMPLES": (str(samples), "ticks"),
-        "DT_S": (literal(meta["dt_s"]), "servo period [s]"),
-        "LEAD_S": (literal(meta["lead_s"]), "tick 0 is this long before contact [s]"),
+        "DT_S": (literal(library.dt_s), "servo period [s]"),
+        "LEAD_S": (literal(library.lead_s), "tick 0 is this long before contact [s]"),
         "GRIP_MIN_N": (literal(least_grip), "no transient below this grip [N]"),
         "CURRENT_LIMIT_A": (literal(current_A), "limit of the total current, feedback included [A]"),
         "COMMAND_LIMIT_A": (
-            literal(current_A if amplifier is None else amplifier["command_limit_A"]),
+            literal(current_A if amplifier is None else amplifier.command_limit),
             "limit of the command [A]",
         ),
         "SCALE_A": (literal(scale_A), "amperes per count"),

@@ -67,6 +67,7 @@ class Column:
         the right and is empty for a refused entry.
     array : of `Library` in which the column stands, and whose declaration says how it is made of an entry
         (`Array.made`); empty for one that no file holds.
+    after : whether it is of the motion after the waveform, and unknown where none is looked at.
     """
 
     head: str
@@ -74,6 +75,7 @@ class Column:
     meaning: str = ""
     unknown: Any = NAN
     array: str = ""
+    after: bool = False
 
     @property
     def is_number(self) -> bool:
@@ -97,24 +99,28 @@ def _pair(values: tuple[float, float]) -> str:
 
 # In the order in which tables show them.
 COLUMNS = {
-    "nrmse": Column("NRMSE %", percent, "|a - r| / |r| after replay, r {target}", array="nrmse"),
+    "nrmse": Column("NRMSE %", percent, "|a - r| / |r| after replay, r {target}", array="tap_error"),
     "floor": Column("floor %", percent, "the same problem without its limits", array="floor"),
     "after": Column(
-        "after %", percent, "|a - r| when the waveform is over, relative to the same |r|", array="nrmse_after"
+        "after %",
+        percent,
+        "|a - r| when the waveform is over, relative to the same |r|",
+        array="error_after",
+        after=True,
     ),
     "after_peak": Column(
         "after g",
         lambda m_s2: fixed(m_s2, 3, 1 / STANDARD_GRAVITY_M_S2),
         "the largest |a - r| there",
         array="peak_after_m_s2",
+        after=True,
     ),
-    "seed": Column("seed % {at}", _pair, "clipped frequency-domain inversion", PAIR, "nrmse_seed"),
+    "seed": Column("seed % {at}", _pair, "clipped frequency-domain inversion", PAIR),
     "clipped": Column(
         "clipped % {at}",
         _pair,
         "the unlimited optimum, its {input} clipped (both keep {input} and command limits only)",
         PAIR,
-        "nrmse_clipped",
     ),
     "linear": Column(
         "linear % promised / played",

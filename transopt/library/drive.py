@@ -146,7 +146,7 @@ def held(command: FloatArray, periods: float) -> FloatArray:
 
 def is_multiple(library: Library, rate_Hz: float) -> bool:
     """Whether a command leaves at this rate as it is: a whole multiple of the design's."""
-    return _repeats(library.meta["dt_s"] * rate_Hz, library.command.shape[2])
+    return _repeats(library.dt_s * rate_Hz, library.command.shape[2])
 
 
 def _repeats(periods: float, stages: int) -> bool:
@@ -175,7 +175,7 @@ def driver_for(
     ------
     InputError : one of them is out of its range.
     """
-    unit, own_Hz = library.driven_by.unit, 1 / library.meta["dt_s"]
+    unit, own_Hz = library.driven_by.unit, 1 / library.dt_s
     rate = own_Hz if rate_Hz is None else rate_Hz
     if not LEAST_RATE_HZ <= rate <= MOST_RATE_HZ:
         raise InputError(
@@ -197,7 +197,7 @@ def driver_for(
 
 def drive_of(library: Library, iv: int, ig: int, driver: Driver) -> Drive:
     """The total command of an entry as it leaves for a driver."""
-    wanted = held(library.command[iv, ig], library.meta["dt_s"] * driver.rate_Hz)
+    wanted = held(library.command[iv, ig], library.dt_s * driver.rate_Hz)
     samples, saturated = driver.samples(wanted)
     return Drive(iv, ig, library.axes.place(iv, ig), driver, samples, saturated)
 

@@ -161,7 +161,7 @@ def npz(library: Library, drives: Sequence[Drive]) -> bytes:
         "unit": driver.unit,
         "rate_Hz": driver.rate_Hz,
         "bits": driver.depth.bits,
-        "lead_s": library.meta["lead_s"],
+        "lead_s": library.lead_s,
         HASH_FIELD: library.content_sha256,
     }
     np.savez_compressed(file, **content)
@@ -186,7 +186,7 @@ def table(library: Library, drives: Sequence[Drive]) -> bytes:
     writer.writerow([*entry, "k", "time_s", "sample", f"command_{driver.unit}"])
     for drive in drives:
         which = [drive.name] if axes.targets else [axes.speeds_m_s[drive.iv], axes.grips_N[drive.ig]]
-        times = np.arange(drive.samples.size) / driver.rate_Hz - library.meta["lead_s"]
+        times = np.arange(drive.samples.size) / driver.rate_Hz - library.lead_s
         columns: list[NDArray[Any]] = [times, drive.samples, drive.values]
         rows = zip(*(column.tolist() for column in columns), strict=True)
         writer.writerows([*which, k, *row] for k, row in enumerate(rows))

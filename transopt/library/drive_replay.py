@@ -46,7 +46,7 @@ class PlayedDrive:
     ----------
     drive : what is played.
     acceleration_m_s2 : (N + M,) y'' at the switching instants of the design, in its window and after it.
-    nrmse, nrmse_after : against r in the window and after it, as `Library.nrmse` and `nrmse_after` are of the design.
+    nrmse, nrmse_after : in the window and after it, as `tap_error` and `error_after` of the design.
     nrmse_designed : of the design.
     figures : the trade's, of this acceleration.
     limits_left : one sentence for each limit of the scene that it leaves; of a library with a wall, whose feedback
@@ -145,13 +145,13 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
 
     The limits `NOT_WATCHED` are not among them, and of a library with a wall none is.
     """
-    posing, axes = library.posing(), library.axes
+    posing = library.posing()
     if posing.wall is not None:
         return ()
     design, values = posing.grid, drive.values
     grid = TimeGrid(1 / drive.driver.rate_Hz, values.size, design.lead_s, design.delay_s)
     stage = replace(posing, grid=grid).stage(library.plant(drive.ig))
-    wanted = library.wanted(axes.speeds_m_s[drive.iv], np.eye(len(axes.speeds_m_s))[drive.iv])
+    wanted = library.wanted_of(drive.iv, drive.ig)
     nominal_m, nominal_m_s = (
         np.interp(grid.switching_times_s, design.switching_times_s, course)
         for course in (wanted.nominal_position_m, wanted.nominal_velocity_m_s)
@@ -200,15 +200,15 @@ def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
             if drive.ig not in instants:
                 instants[drive.ig] = _Instants.of(library, drive.ig, drive.driver)
             acceleration = instants[drive.ig].accelerations(drive.values)
-        target = library.target(np.eye(library.speeds_m_s.size)[drive.iv])
+        target = library.told(drive.iv, drive.ig)
         found.append(
             PlayedDrive(
                 drive=drive,
                 acceleration_m_s2=acceleration,
                 nrmse=target.nrmse(acceleration[:stages]),
                 nrmse_after=target.nrmse_after(acceleration[stages:]),
-                nrmse_designed=float(library.nrmse[drive.iv, drive.ig]),
-                figures=entry_trade(library, drive.iv, acceleration),
+                nrmse_designed=float(library.tap_error[drive.iv, drive.ig]),
+                figures=entry_trade(library, drive.iv, drive.ig, acceleration),
                 limits_left=limits_left(library, drive),
             )
         )

@@ -79,7 +79,9 @@ def csv_file(library: Library) -> bytes:
         f"transient_command_{drive.unit}": library.transient_command,
         f"{drive.name}_{drive.unit}": library.plant_input,
         "acceleration_m_s2": library.acceleration_m_s2,
-        "reference_m_s2": library.reference_m_s2[:, None],
+        "recorded_m_s2": library.recorded_m_s2,
+        "free_m_s2": library.free_m_s2,
+        "target_m_s2": library.target_m_s2,
     }
     comments = [
         # JSON keeps the name on one line, whatever is in it.
@@ -89,7 +91,8 @@ def csv_file(library: Library) -> bytes:
         else "SI units; current > 0 pushes out of the surface, acceleration > 0 decelerates the incoming stylus, "
         "contact at time 0",
         f"command k is issued at issue_time_s = -lead + k dt and held; {drive.name}, acceleration (what the "
-        f"{drive.name} adds) and reference are those at switching_time_s = issue_time_s + delay",
+        f"{drive.name} adds), recorded, free (without a {drive.name}) and target = recorded - free are those at "
+        "switching_time_s = issue_time_s + delay",
         *([library.claim] if library.nonlinear else []),
         f"dt_s: {grid.dt_s!r}",
         f"lead_s: {grid.lead_s!r}",
@@ -116,16 +119,17 @@ def wav_file(library: Library) -> bytes:
     library's transient limit, then the library's own command; 0.3 s of silence after each. One scale for the whole
     file, its peak at -1 dBFS, so that loudness compares.
     """
-    grid, meta = library.time_grid(), library.meta
-    limit, taper = library.input_limit, meta["hand_over_samples"]
+    grid = library.time_grid()
+    limit, taper = library.input_limit, library.hand_over_samples
     stages = [library.stage(ig) for ig in range(library.grips_N.size)]
     silence = np.zeros(round(SILENCE_S / grid.dt_s))
     pieces: list[FloatArray] = []
-    for iv, reference in enumerate(library.reference_m_s2):
+    for iv in range(library.speeds_m_s.size):
         for ig, stage in enumerate(stages):
-            command = seed_inversion(stage, grid, reference, limit, taper)
+            free = library.free_m_s2[iv, ig]
+            command = seed_inversion(stage, grid, library.told(iv, ig).window_m_s2, limit, taper)
             inversion = _made(library, iv, ig, stage, command)
-            for sound in (reference, inversion, library.acceleration_m_s2[iv, ig]):
+            for sound in (library.recorded_m_s2[iv, ig], inversion + free, library.acceleration_m_s2[iv, ig] + free):
                 pieces += [sound, silence]
     # Resampled as one stretch, so that the filter rings out into the silences instead of being cut off.
     ratio = Fraction(SOUND_RATE_HZ * grid.dt_s).limit_denominator(1000)

@@ -2,8 +2,9 @@
 
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,13 +17,14 @@ from transopt.base.files import whole_file
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
-from transopt.library.arrays import AFTER, HASH_FIELD, Array, absent, content_hash, declared, stored_names
+from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
 from transopt.library.columns import COLUMNS, NAN, EntryTable, TableRow
-from transopt.library.place import Place, Waveform, finite, interpolation_weights
+from transopt.library.meta import stated
+from transopt.library.place import Place, Waveform, finite, interpolation_weights, speed_weights
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
-from transopt.plant.state_space import CURRENT_INPUT, INPUTS, Input, Output, StateSpace
+from transopt.plant.state_space import Input, Output, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, verdict
 from transopt.problem.limits import KINDS, kinds_of
@@ -39,7 +41,6 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
 
     from transopt.scene.scene import Scene
 
-SCHEMAS = (1, 2, 3)  # what is read; 1 knows of nothing before the first command nor after the last one
 PLANT = ("A", "B", "C", "D", "Ce")
 # What is proven of the commands of a nonlinear plant, in the words of whatever shows such a library.
 NONLINEAR_CLAIM = (
@@ -54,21 +55,22 @@ class Library:
     """A solved library, as `library.npz` holds it.
 
     Every array states its shape, unit and meaning beside its name, in the letters of `transopt.library.arrays.Array`;
-    `meta` is the file's JSON: time axis, limits, weights, the scene, the recordings and the versions used.
+    `meta` is the file's JSON: the scene, numbers derived from it, the recordings and the versions used. The problem
+    of an entry is that of the scene with the plants and the targets in the file; nothing else states it.
     `multipliers_of` has the array of every side of every limit's row by its name in the file, mu_<row>_<side>: which
     these are follows from the list of limits (`MULTIPLIERS`).
 
-    E = lost + sum r^2 is the energy of a tap, lost = sum r^2 over `reference_before_m_s2`. A file of schema 1 has
-    neither that nor what comes after the window: both are of no instant then, and lost is 0.
+    What was recorded is r, how the stylus accelerates without a command a_free. What J asks of y'', which the command
+    adds, is the target r - a_free.
 
-    In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`,
-    so that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
+    In a library that was refined on its device (`meta["refinement"]`) `correction_m_s2` is added to the target, so
+    that the device, which is not quite the model, makes r. All of its certificate is of that problem; `tap_error` and
     `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
 
-    Where the scene's plant is nonlinear (`meta["nonlinear"]`), `plant_A` to `plant_Ce` are the plant as it is at
-    rest, and commands, predictions, errors and multipliers are of the nonlinear plant (`transopt.library.nonlinear`),
-    the errors of the other methods too. Such an entry is a stationary point and no proven optimum: its `lower_bound`
-    is 0, below which no J is. `floor` is that of the plant at rest.
+    Where the scene's plant is nonlinear, `plant_A` to `plant_Ce` are the plant as it is at rest, and commands,
+    predictions, errors and multipliers are of the nonlinear plant (`transopt.library.nonlinear`). Such an entry is a
+    stationary point and no proven optimum: its `lower_bound` is 0, below which no J is. `floor` is that of the plant
+    at rest.
     """
 
     speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising", needs="speeds")]
@@ -84,7 +86,6 @@ class Library:
             "vgN",
             INPUT,
             "total command c_k, issued at -lead + k dt and held",
-            before="command_A",
             made=lambda entry: entry.solution.command,
         ),
     ]
@@ -94,7 +95,6 @@ class Library:
             "vgN",
             INPUT,
             "the command without the wall's predicted feedback",
-            before="transient_command_A",
             made=lambda entry: entry.transient_command,
         ),
     ]
@@ -104,7 +104,6 @@ class Library:
             "vgN",
             INPUT,
             "what drives the plant at the switching instants",
-            before="current_A",
             made=lambda entry: entry.plant_input,
         ),
     ]
@@ -112,40 +111,102 @@ class Library:
         FloatArray,
         Array("vgN", "m/s^2", "y'' of the stylus there, as predicted", made=lambda entry: entry.predicted_m_s2),
     ]
-    reference_m_s2: Annotated[FloatArray, Array("vN", "m/s^2", "r = H r_raw, the motor's share of the recorded tap")]
-    reference_raw_m_s2: Annotated[
-        FloatArray, Array("vN", "m/s^2", "r_raw, the recorded tap scaled to the grid speed")
-    ]
-    reference_before_m_s2: Annotated[
-        FloatArray, Array("vL", "m/s^2", "r from contact to the first command that acts", needs=AFTER)
-    ]
-    reference_after_m_s2: Annotated[
-        FloatArray, Array("vM", "m/s^2", "r after the last command, from tau_N on", needs=AFTER)
-    ]
-    reference_raw_after_m_s2: Annotated[
-        FloatArray, Array("vM", "m/s^2", "r_raw there, 0 where the recording has ended", needs=AFTER)
-    ]
-    nominal_position_m: Annotated[
-        FloatArray, Array("vN", "m", "the hand's own motion z_nom at the switching instants")
-    ]
-    nominal_velocity_m_s: Annotated[FloatArray, Array("vN", "m/s", "its derivative there")]
-    nominal_position_at_ticks_m: Annotated[
-        FloatArray, Array("vN", "m", "z_nom at the ticks, where encoders are read")
-    ]
-    nominal_after_at_ticks_m: Annotated[FloatArray, Array("vM", "m", "z_nom at the M ticks that follow", needs=AFTER)]
-    nrmse: Annotated[
+    acceleration_after_m_s2: Annotated[
         FloatArray,
         Array(
-            "vg", "", "sqrt((lost + sum (y'' - r)^2) / E) after replay", made=lambda entry: entry.nrmse, replayed=True
+            "vgM",
+            "m/s^2",
+            "y'' after the last command, where the wall goes on pushing",
+            needs="wall",
+            made=lambda entry: entry.designed.effect.lasting.acceleration_m_s2[entry.problem.grid.stages :],
         ),
     ]
-    nrmse_after: Annotated[
+    recorded_before_m_s2: Annotated[
+        FloatArray, Array("vgL", "m/s^2", "r, the recorded acceleration, from contact to the first command that acts")
+    ]
+    recorded_m_s2: Annotated[FloatArray, Array("vgN", "m/s^2", "r at the switching instants")]
+    recorded_after_m_s2: Annotated[
+        FloatArray, Array("vgM", "m/s^2", "r after the last command, 0 where the recording has ended")
+    ]
+    free_before_m_s2: Annotated[
+        FloatArray, Array("vgL", "m/s^2", "a_free, how the stylus accelerates without a command, before the first")
+    ]
+    free_m_s2: Annotated[FloatArray, Array("vgN", "m/s^2", "a_free at the switching instants")]
+    free_after_m_s2: Annotated[FloatArray, Array("vgM", "m/s^2", "a_free after the last command")]
+    target_before_m_s2: Annotated[
+        FloatArray,
+        Array(
+            "vgL",
+            "m/s^2",
+            "what J asks of y'' where no command can reach it, r - a_free",
+            made=lambda entry: entry.problem.target.before_m_s2,
+        ),
+    ]
+    target_m_s2: Annotated[
+        FloatArray,
+        Array(
+            "vgN",
+            "m/s^2",
+            "what J asks of y'' at the switching instants, r - a_free and the correction of a refined library",
+            made=lambda entry: entry.problem.target.window_m_s2,
+        ),
+    ]
+    target_after_m_s2: Annotated[
+        FloatArray,
+        Array(
+            "vgM",
+            "m/s^2",
+            "what J asks of y'' after the last command, r - a_free",
+            made=lambda entry: entry.problem.target.after_m_s2,
+        ),
+    ]
+    target_ends_s: Annotated[
+        FloatArray, Array("v", "s", "when a named target is over, from its beginning on", needs="targets")
+    ]
+    nominal_position_m: Annotated[
+        FloatArray, Array("vgN", "m", "z_nom, where the stylus is without a command, at the switching instants")
+    ]
+    nominal_velocity_m_s: Annotated[FloatArray, Array("vgN", "m/s", "its derivative there")]
+    nominal_position_at_ticks_m: Annotated[
+        FloatArray, Array("vgN", "m", "z_nom at the ticks, where encoders are read")
+    ]
+    nominal_after_at_ticks_m: Annotated[FloatArray, Array("vgM", "m", "z_nom at the M ticks that follow")]
+    tap_error: Annotated[
         FloatArray,
         Array(
             "vg",
             "",
-            "sqrt(sum (y'' - r)^2 / E) after the window",
-            needs=AFTER,
+            "|y'' + a_free - r| / |r| over the intention after replay, nothing filtered",
+            made=lambda entry: entry.nrmse,
+            replayed=True,
+        ),
+    ]
+    heat_A2_s: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "A^2 s",
+            "integral of i^2 through the window and after it, NaN where a voltage drives the plant",
+            may_be_nan=True,
+            made=lambda entry: entry.heat_A2_s,
+            replayed=True,
+        ),
+    ]
+    energy: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "m^2/s^4",
+            "E, the sums of J over the target in place of the error",
+            made=lambda entry: entry.problem.target.energy_m2_s4,
+        ),
+    ]
+    error_after: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "|y'' + a_free - r| after the last command, relative to the target in the window",
             made=lambda entry: entry.played.nrmse_after,
             replayed=True,
         ),
@@ -155,8 +216,7 @@ class Library:
         Array(
             "vg",
             "m/s^2",
-            "largest |y'' - r| there",
-            needs=AFTER,
+            "largest |y'' + a_free - r| after the last command",
             made=lambda entry: entry.played.error_peak_after_m_s2,
             replayed=True,
         ),
@@ -176,33 +236,13 @@ class Library:
         Array(
             "vg",
             "dB",
-            "energy of y'' in the window over that of r",
+            "energy of y'' in the window over that of the target",
             needs="intensity",
             made=lambda entry: entry.energy_dB if entry.objective == "intensity" else 0.0,
         ),
     ]
     floor: Annotated[
-        FloatArray, Array("vg", "", "the same of the optimum without limits", made=lambda entry: entry.floor)
-    ]
-    nrmse_seed: Annotated[
-        FloatArray,
-        Array(
-            "vg2",
-            "",
-            "of the seed's clipped inversion, at transient and steady limit",
-            may_be_nan=True,
-            made=lambda entry: (entry.baselines.seed, entry.baselines.seed_steady),
-        ),
-    ]
-    nrmse_clipped: Annotated[
-        FloatArray,
-        Array(
-            "vg2",
-            "",
-            "of the optimum without limits, clipped at both likewise",
-            may_be_nan=True,
-            made=lambda entry: (entry.baselines.clipped, entry.baselines.clipped_steady),
-        ),
+        FloatArray, Array("vg", "", "tap error of the optimum without limits", made=lambda entry: entry.floor)
     ]
     linear_command: Annotated[
         FloatArray,
@@ -253,7 +293,6 @@ class Library:
             "vg",
             INPUT,
             "largest size of it in the replay",
-            before="peak_current_A",
             made=lambda entry: entry.played.peak_input,
             replayed=True,
         ),
@@ -334,7 +373,12 @@ class Library:
     plant_Ce: Annotated[FloatArray, Array("g1n", "", "encoder position = Ce x")]
     correction_m_s2: Annotated[
         FloatArray,
-        Array("vgN", "m/s^2", "added to r where the device's own taps have been learnt from", needs="refinement"),
+        Array(
+            "vgN",
+            "m/s^2",
+            "added to the target where the device's own taps have been learnt from",
+            needs="refinement",
+        ),
     ]
     spread_A: Annotated[
         FloatArray, Array("gsnn", "", "A of further devices that a robust entry serves", needs="spread")
@@ -357,24 +401,24 @@ class Library:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
-        """From all arrays of `ARRAYS`, and of the user's own limits in `meta`, by their names in the file."""
-        own = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
-        further = further_arrays(meta, arrays["spread_A"].shape[1])
-        multipliers = {name: arrays[name] for name in (*MULTIPLIERS, *further)}
-        return cls(**own, multipliers_of=multipliers, meta=meta)
+        """From all arrays by their names in the file; those of multipliers are mu_<row>_<side>."""
+        named = {name: array for name, array in arrays.items() if name in declared(cls)}
+        multipliers = {name: array for name, array in arrays.items() if name.startswith("mu_") and name not in named}
+        return cls(**named, multipliers_of=multipliers, meta=meta)
 
     def __repr__(self) -> str:
-        stages, dt_s = self.command.shape[2], self.meta["dt_s"]
+        stages, dt_s = self.command.shape[2], self.dt_s
+        errors = f"tap error {percent(self.tap_error.min())} to {percent(self.tap_error.max())} %"
         return wrapped(
             f"Library({cut(self.meta['scene']['name'])}: {self.axes.said}, {stages} commands of {1e3 * dt_s:g} ms, "
-            f"limit {self.input_limit:g} {self.driven_by.unit}, NRMSE {percent(self.nrmse.min())} to "
-            f"{percent(self.nrmse.max())} %{'; nonlinear plant, stationary points' if self.nonlinear else ''})"
+            f"limit {self.input_limit:g} {self.driven_by.unit}, {errors}"
+            f"{'; nonlinear plant, stationary points' if self.nonlinear else ''})"
         )
 
     @property
     def nonlinear(self) -> bool:
         """Whether its commands are for a nonlinear plant."""
-        return self.meta.get("nonlinear") is not None
+        return self.scene().nonlinear
 
     @property
     def claim(self) -> str:
@@ -397,18 +441,38 @@ class Library:
     @property
     def axes(self) -> Axes:
         """What its entries are for: speeds and grips, or named targets."""
-        names = tuple(map(str, self.targets)) if self.meta.get("targets") else ()
+        names = tuple(map(str, self.targets)) if self.scene().targets else ()
         return Axes(tuple(self.speeds_m_s.tolist()), tuple(self.grips_N.tolist()), names)
+
+    @property
+    def dt_s(self) -> float:
+        """The servo period."""
+        return self.time_grid().dt_s
+
+    @property
+    def lead_s(self) -> float:
+        """How long before contact the first command is issued."""
+        return self.time_grid().lead_s
+
+    @property
+    def hand_over_samples(self) -> int:
+        """So many commands at the end are the wall's own, zero without one."""
+        return self.posing().hand_over_samples
+
+    @property
+    def grip_min_N(self) -> float:
+        """Below this grip nothing is played; 0 for the free device, which has no such bound."""
+        return 0.0 if self.grips_N[0] == 0 else self.scene().grid.grip_min_N
 
     @property
     def input_limit(self) -> float:
         """The transient limit on the plant's input."""
-        return float(self.meta["limits"][f"{self.driven_by.name}_{self.driven_by.unit}"])
+        return float(self.posing().asked[f"{self.driven_by.name}_{self.driven_by.unit}"])
 
     @property
     def steady_input(self) -> float:
         """What the actuator stands for ever, at which the baselines are looked at besides."""
-        return float(self.meta["limits"][f"steady_{self.driven_by.name}_{self.driven_by.unit}"])
+        return float(self.posing().asked[f"steady_{self.driven_by.name}_{self.driven_by.unit}"])
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
@@ -430,9 +494,8 @@ class Library:
             "gap": self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE),
             "verdict": self.verdict(iv, ig),
         }
-        looked = self.reference_after_m_s2.shape[1] > 0
         for name, column in COLUMNS.items():
-            if column.array and (looked or ARRAYS[column.array].needs != AFTER):
+            if column.array and not (column.after and self.time_grid().after_stages == 0):
                 found[name] = getattr(self, column.array)[iv, ig]
         return TableRow(self.axes.cells(iv, ig), found)
 
@@ -442,10 +505,10 @@ class Library:
         The floor of a library whose plant is nonlinear is that of another plant, the one at rest, and is no measure.
         """
         return verdict(
-            float(self.nrmse[iv, ig]),
+            float(self.tap_error[iv, ig]),
             NAN if self.nonlinear else float(self.floor[iv, ig]),
             self._repeatability(iv),
-            levels(self.acceleration_m_s2[iv, ig], self.reference_m_s2[iv], self.meta["dt_s"]),
+            levels(self.acceleration_m_s2[iv, ig], self.told(iv, ig).window_m_s2, self.dt_s),
         )
 
     def _repeatability(self, iv: int) -> float:
@@ -469,27 +532,49 @@ class Library:
         ------
         InputError : a scene of another version, or changed by hand.
         """
+        return self._scene
+
+    @cached_property
+    def _scene(self) -> "Scene":
+        # A program that only names a library's type loads no pydantic.
         from transopt.library.own_scene import scene_in
 
         return scene_in(self.meta)
 
+    def posing(self) -> Posing:
+        """What the problems of all taps with these limits share; of a nonlinear plant as it is at rest."""
+        return self._posing
+
+    @cached_property
+    def _posing(self) -> Posing:
+        posing = posing_of(self.scene())
+        if all(table["function"] is None for table in posing.asked.get(OwnLimit.key) or ()):
+            return posing
+        # Only a limit of the user's own that is not linear needs CasADi.
+        from transopt.solvers.own import law
+
+        return replace(posing, law_of=law)
+
     def time_grid(self) -> TimeGrid:
         """Ticks and switching instants, and how many samples after them count."""
-        return Posing.of(self.meta, self.command.shape[2]).grid
+        return self.posing().grid
 
     @property
     def driven_by(self) -> Input:
         """What drives the plant: a current, or a voltage."""
-        return driven_by(self.meta)
+        return self.posing().driven_by
 
     def coil(self) -> CoilModel | None:
-        return None if self.meta["thermal"] is None else CoilModel(**self.meta["thermal"]["coil"])
+        """The motor's coil; None where nothing is known of it."""
+        return self.posing().coil
 
     def wall(self) -> Wall | None:
-        return None if self.meta["feedback"] is None else Wall(**self.meta["feedback"])
+        """The virtual wall; None without one."""
+        return self.posing().wall
 
     def amplifier(self) -> Amplifier | None:
-        return None if self.meta["amplifier"] is None else Amplifier.of(self.meta["amplifier"], self.driven_by.unit)
+        """The amplifier; None for an ideal one, whose command is the plant's input."""
+        return self.posing().amplifier
 
     def plant(self, ig: int) -> StateSpace:
         """The device of one grip, with the outputs that limits of a user's own look at."""
@@ -518,8 +603,14 @@ class Library:
         Of a nonlinear plant it is the problem of the plant as it is at rest, whose limits and objective
         `transopt.library.nonlinear.nonlinear_problem` puts on the nonlinear one.
         """
-        wanted = self.wanted(float(self.speeds_m_s[iv]), np.eye(self.speeds_m_s.size)[iv])
-        wanted = replace(wanted, target=wanted.target.moved(self.correction_m_s2[iv, ig]))
+        wanted = self.wanted_of(iv, ig)
+        target = replace(
+            wanted.target,
+            window_m_s2=self.target_m_s2[iv, ig],
+            after_m_s2=self.target_after_m_s2[iv, ig],
+            before_m_s2=self.target_before_m_s2[iv, ig],
+        )
+        wanted = replace(wanted, target=target)
         stage = self.stage(ig) if stage is None else stage
         problem = self.posing().problem(wanted, stage, self.spread(ig))
         problem = replace(problem, intensity=float(self.intensity[iv, ig]), shares=self._shares(iv, ig))
@@ -545,39 +636,34 @@ class Library:
         problem = self.problem(iv, ig)
         return problem.stage.rollout(problem.continued(self.command[iv, ig]))
 
-    def posing(self) -> Posing:
-        """What the problems of all taps with these limits share."""
-        posing = Posing.of(self.meta, self.command.shape[2])
-        if all(table["function"] is None for table in self._own):
-            return posing
-        # Only a limit of the user's own that is not linear needs CasADi.
-        from transopt.solvers.own import law
+    def told(self, iv: int, ig: int) -> Target:
+        """r - a_free of an entry, against which errors are told; a correction is none of it."""
+        return self.wanted_of(iv, ig).target
 
-        return replace(posing, law_of=law)
+    def wanted_of(self, iv: int, ig: int) -> Wanted:
+        """What was recorded for an entry, and the nominal motion under it; a correction is none of it."""
+        ends_s = float(self.target_ends_s[iv]) if self.axes.targets else np.inf
+        return self._wanted(float(self.speeds_m_s[iv]), lambda course: course[iv, ig], ends_s)
 
-    @property
-    def _own(self) -> list[dict[str, Any]]:
-        """Tables of the limits of a user's own."""
-        return list(self.meta["limits"].get(OwnLimit.key) or [])
+    def wanted(self, speed_m_s: float, grip_N: float) -> Wanted:
+        """The same between the nodes: the shape r / v linear in speed (`speed_weights`), and linear in grip."""
+        by_grip = interpolation_weights(self.grips_N, grip_N)
+        weights = np.outer(speed_weights(self.speeds_m_s, speed_m_s), by_grip)
+        return self._wanted(speed_m_s, lambda course: np.tensordot(weights, course, 2), np.inf)
 
-    def wanted(self, speed_m_s: float, by_speed: FloatArray) -> Wanted:
-        """Reference and nominal motion, from weights (nv,) of the nodes' own, see `speed_weights`."""
-        return Wanted(
-            speed_m_s,
-            self.target(by_speed),
-            by_speed @ self.nominal_velocity_m_s,
-            by_speed @ self.nominal_position_m,
-            by_speed @ np.append(self.nominal_position_at_ticks_m, self.nominal_after_at_ticks_m, axis=1),
-            np.inf if self.meta.get("target_ends_s") is None else float(by_speed @ self.meta["target_ends_s"]),
+    def _wanted(self, speed_m_s: float, of: Callable[[FloatArray], FloatArray], ends_s: float) -> Wanted:
+        """What is wanted, `of` being what picks or blends a course (vg...) of the nodes."""
+        free, before, after = of(self.free_m_s2), of(self.free_before_m_s2), of(self.free_after_m_s2)
+        target = Target(
+            of(self.recorded_m_s2) - free,
+            of(self.recorded_after_m_s2) - after,
+            of(self.recorded_before_m_s2) - before,
+            free,
+            after,
+            before,
         )
-
-    def target(self, by_speed: FloatArray) -> Target:
-        """r of a blend of the nodes by weights (nv,), see `speed_weights`, with what comes before and after it."""
-        return Target(
-            by_speed @ self.reference_m_s2,
-            by_speed @ self.reference_after_m_s2,
-            by_speed @ self.reference_before_m_s2,
-        )
+        at_ticks = np.append(of(self.nominal_position_at_ticks_m), of(self.nominal_after_at_ticks_m))
+        return Wanted(speed_m_s, target, of(self.nominal_velocity_m_s), of(self.nominal_position_m), at_ticks, ends_s)
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""
@@ -618,7 +704,7 @@ class Library:
         speed_m_s, grip_N = finite("speed", speed_m_s, "m/s"), finite("grip", grip_N, "N")
         speed = min(max(float(speed_m_s), float(self.speeds_m_s[0])), float(self.speeds_m_s[-1]))
         grip = min(max(float(grip_N), float(self.grips_N[0])), float(self.grips_N[-1]))
-        silent = speed_m_s <= 0 or (self.grips_N[0] > 0 and grip_N < self.meta["grip_min_N"])
+        silent = speed_m_s <= 0 or (self.grips_N[0] > 0 and grip_N < self.grip_min_N)
         return Place(speed, grip, speed != speed_m_s, grip != grip_N, bool(silent))
 
     def blend(self, place: Place) -> Waveform:
@@ -633,17 +719,13 @@ class Library:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
-        missing = absent(ARRAYS, self.meta)
-        arrays = {self.in_file(name): self.array(name) for name in ARRAYS if name not in missing}
-        further = further_arrays(self.meta, self.spread_A.shape[1])
+        missing = absent(ARRAYS, stated(self.scene(), self.meta))
+        arrays = {name: self.array(name) for name in ARRAYS if name not in missing}
+        further = further_arrays(self.posing(), self.spread_A.shape[1])
         arrays |= {name: self.multipliers_of[name] for name in further}
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
         return arrays
-
-    def in_file(self, name: str) -> str:
-        """What an array is called in the file."""
-        return stored_names(ARRAYS, self.meta["schema"])[name]
 
     def array(self, name: str) -> NDArray[Any]:
         """One array by its name here; zeros for multipliers of a limit that is not in force."""
@@ -706,13 +788,13 @@ def _row_of(array: str) -> str:
     return array.removeprefix("mu_").rsplit("_", 1)[0]
 
 
-def driven_by(meta: Mapping[str, Any]) -> Input:
-    """What drives the plant of a library, by its `meta`; files before schema 3 know currents alone."""
-    return INPUTS[meta.get("command_unit", CURRENT_INPUT.unit)]
+def posing_of(scene: "Scene") -> Posing:
+    """How the problems of a scene are posed; of a nonlinear plant those of the plant as it is at rest."""
+    return scene.at_rest().posing()
 
 
-def further_arrays(meta: Mapping[str, Any], spread: int) -> list[str]:
-    """Names of the multipliers that not every library has, from what `meta` says of its limits and of its input.
+def further_arrays(posing: Posing, spread: int) -> list[str]:
+    """Names of the multipliers that not every library has, from its limits and its input.
 
     They are those of a user's own limits and, for each further device of a spread, those of the limits on the motion.
 
@@ -720,7 +802,7 @@ def further_arrays(meta: Mapping[str, Any], spread: int) -> list[str]:
     ----------
     spread : number of further devices.
     """
-    limits, drive = meta["limits"], driven_by(meta)
+    limits, drive = posing.asked, posing.driven_by
     own = limits.get(OwnLimit.key) or []
     of_each = [kind for kind in kinds_of(drive) if kind.of_each_device and limits.get(kind.key) is not None]
     rows = [row for kind in of_each for row in kind.row_names]

@@ -12,9 +12,8 @@ import numpy as np
 
 from transopt.library.library import Library
 from transopt.library.nonlinear import as_on_linear
-from transopt.library.proven import FIGURE, RIVAL, ROUNDING, SAME, contradictions, floor_of, not_feasible, predictions
+from transopt.library.proven import FIGURE, ROUNDING, contradictions, floor_of, not_feasible, predictions
 from transopt.problem.answer import Certificate, Status
-from transopt.problem.baselines import seed_inversion
 from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
 from transopt.proof.nonlinear import certify_nonlinear
 
@@ -51,19 +50,19 @@ def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProbl
         return
     effect = as_on_linear(own)
     yield from predictions(library, iv, ig, effect)
-    floor = floor_of(problem.linear, library.target(np.eye(library.speeds_m_s.size)[iv]))
+    floor = floor_of(problem.linear, library.told(iv, ig))
     yield from contradictions(library, iv, ig, effect, proof, floor)
     played = problem.nrmse(library.linear_command[iv, ig])
     # If a motion has no value one method may come further than another.
     if math.isnan(played) or math.isnan(library.nrmse_linear[iv, ig]):
         played = float(library.nrmse_linear[iv, ig])
-    yield from of_the_others(library, iv, ig, problem, played, FIGURE)
+    yield from of_linear_design(library, iv, ig, problem, played, FIGURE)
 
 
-def of_the_others(
+def of_linear_design(
     library: Library, iv: int, ig: int, problem: NonlinearProblem, linear_nrmse: float, tolerance: float
 ) -> Iterator[str]:
-    """Errors of the linear design and of the seed's method that the file states and that are other ones.
+    """Errors of the linear design that the file states and that are other ones.
 
     Parameters
     ----------
@@ -76,9 +75,3 @@ def of_the_others(
         stored = float(getattr(library, name)[iv, ig])
         if not np.isclose(stored, value, rtol=tolerance, atol=ROUNDING, equal_nan=True):
             yield f"{name} says {stored:.6g}, recomputed {value:.6g}"
-    bounds = np.array([library.input_limit, library.steady_input])[:, None]
-    taper = library.meta["hand_over_samples"]
-    commands = seed_inversion(linear.stage, linear.grid, library.reference_m_s2[iv], bounds, taper)
-    seeds = np.array([problem.nrmse(each) for each in commands])
-    if not np.allclose(library.nrmse_seed[iv, ig], seeds, rtol=RIVAL, atol=SAME, equal_nan=True):
-        yield f"nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {seeds}"

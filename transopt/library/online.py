@@ -20,7 +20,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
-from transopt.library.place import Waveform, finite, interpolation_weights, speed_weights
+from transopt.library.place import Waveform, finite, interpolation_weights
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
@@ -159,7 +159,7 @@ class Online:
     def _posed(self, posing: Posing, speed_m_s: float, grip_N: float, coil: CoilModel | None) -> TransientProblem:
         library = self._library
         stage, *spread = self._devices(posing, grip_N)
-        wanted = library.wanted(speed_m_s, speed_weights(library.speeds_m_s, speed_m_s))
+        wanted = library.wanted(speed_m_s, grip_N)
         if self._corrected:
             # What the device was found to need at the nodes, blended as it is between them.
             own = interpolation_weights(library.speeds_m_s, speed_m_s)

@@ -9,7 +9,6 @@ from transopt.base.errors import InputError
 from transopt.base.shown import cut
 from transopt.base.units import largest, unit_of
 from transopt.problem.limits import KINDS
-from transopt.problem.limits.supply import COPPER, SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 
@@ -56,8 +55,4 @@ def with_limits(limits: Mapping[str, float], posing: Posing) -> Posing:
         if kind.asks_for and lacks:
             raise InputError(f"limits.{name}: needs {kind.asks_for}, which the library's scene does not state")
     asked = {name: float(value) for name, value in limits.items() if name in BY_KEY}
-    others = dict(posing.asked)
-    if SupplyLimit.key in asked:
-        # A rail that is asked for here is kept at both ends of the copper's temperature, whatever the library's is.
-        others.pop(COPPER, None)
-    return replace(posing, asked={**others, **asked})
+    return replace(posing, asked={**posing.asked, **asked})

@@ -9,17 +9,14 @@ from transopt.scene.scene import Scene
 
 
 def scene_in(meta: dict[str, Any]) -> Scene:
-    """The scene of a library's `meta`; of one of schema 1 the scene that looks at nothing after the waveform.
+    """The scene of a library's `meta`.
 
     Raises
     ------
     InputError : a scene of another version, or changed by hand.
     """
-    content = meta["scene"]
-    if meta["schema"] == 1:
-        content = {**content, "weights": {**content.get("weights", {}), "after_s": 0.0}}
     try:
-        return Scene.model_validate(content)
+        return Scene.model_validate(meta["scene"])
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

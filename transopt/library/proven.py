@@ -3,7 +3,8 @@
 A file's hash tells that the file is whole, not who made it: whoever changes a number can hash the file again. What
 stands in a library is therefore not believed before it plays, is shown or leaves for another program:
 
-- the limits, weights, time axis and plants are those of the scene that the library carries;
+- its plants, its nodes and the numbers in `meta.derived` are those of the scene that the library carries, which alone
+  states limits, weights and time axis; its targets and nominal motions follow from what was recorded;
 - every command keeps all limits and is optimal by its own multipliers (`transopt.proof.certify`); where the copper's
   warming makes that a stationary point, a convex problem bounds J from below; on a nonlinear plant a stationary point
   is all that is claimed (`transopt.library.nonlinear_proven`);
@@ -23,15 +24,16 @@ import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.library.derived import derived
 from transopt.library.file import BROKEN, load_library
 from transopt.library.library import PLANT, Library
-from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.library.meta import heat_is_in
+from transopt.plant.discretise import TimeGrid
+from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Status
-from transopt.problem.baselines import seed_inversion
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
-from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import BINDING_MULTIPLIER, Effect, binding_limits, certify, relaxed_bound
 from transopt.solvers.native.extension import (
@@ -49,7 +51,6 @@ SAME = 1e-6  # relative, between what a file states of its scene and what the sc
 FIGURE = 1e-4  # relative, between a stated figure of an entry and the recomputed one
 ROUNDING = 1e-9  # absolute, for figures that are zero
 LEVEL_dB = 1e-4  # absolute, of the energy
-RIVAL = 1e-3  # relative, between an error at the switching instants and the replay's
 STEADY = 3e-3  # relative, between two steady states
 MOTION = 1e-2  # relative, between a motion that was integrated in fine steps and in those of the file
 WARM_K = 2e-3  # between the winding's peak at the switching instants and that at all times
@@ -88,6 +89,7 @@ def doubts(library: Library) -> Iterator[str]:
 def misstatements(library: Library) -> Iterator[str]:
     """Statements of a library that differ from the scene and the recordings it carries, all entries alike."""
     yield from _against_scene(library)
+    yield from _targets(library)
     yield from _nominal(library)
     for name, array in library.multipliers_of.items():
         if (least := float(array.min())) < -BINDING_MULTIPLIER:
@@ -99,8 +101,6 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         yield from _of_nonlinear_plant(library, ig)
         return
     stage = library.stage(ig)
-    for iv, said in rivals_misstated(library, ig, stage).items():
-        yield f"entry {library.axes.place(iv, ig)}: {said}"
     for iv in range(library.speeds_m_s.size):
         where = f"entry {library.axes.place(iv, ig)}: "
         problem, command = library.problem(iv, ig, stage), library.command[iv, ig]
@@ -113,7 +113,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
             yield where + _shortfall(proof)
         else:
             yield from (where + off for off in predictions(library, iv, ig, effect))
-            floor = floor_of(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
+            floor = floor_of(problem, library.told(iv, ig))
             yield from (where + off for off in contradictions(library, iv, ig, effect, proof, floor))
 
 
@@ -126,25 +126,6 @@ def _of_nonlinear_plant(library: Library, ig: int) -> Iterator[str]:
     for iv in range(library.speeds_m_s.size):
         found = nonlinear_doubts(library, iv, ig, nonlinear_problem(library, iv, ig, plant))
         yield from (f"entry {library.axes.place(iv, ig)}: {said}" for said in found)
-
-
-def rivals_misstated(library: Library, ig: int, stage: StageModel) -> dict[int, str]:
-    """Index of a speed -> errors of the seed's method that the file states for it at a grip, and that are other ones.
-
-    Parameters
-    ----------
-    stage : of the grip's device.
-    """
-    bounds = np.array([library.input_limit, library.steady_input])[:, None, None]
-    references, taper = library.reference_m_s2, library.meta["hand_over_samples"]
-    played = _accelerations(stage, seed_inversion(stage, library.time_grid(), references, bounds, taper))
-    found = {}
-    for iv, own in enumerate(np.eye(references.shape[0])):
-        target = library.target(own)
-        value = [target.nrmse(each) for each in played[:, iv]]
-        if not np.allclose(library.nrmse_seed[iv, ig], value, rtol=RIVAL, atol=SAME):
-            found[iv] = f"nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {np.array(value)}"
-    return found
 
 
 def not_feasible(proof: Certificate) -> str:
@@ -198,14 +179,6 @@ def _bound_by_interior_point(relaxed: TransientProblem) -> float:
 def _boundable(problem: TransientProblem) -> bool:
     """Whether a bound from below can be had here: not of a user's own limit that is bent, nor without the solver."""
     return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
-
-
-def _accelerations(stage: StageModel, commands: FloatArray) -> FloatArray:
-    """y'' of commands (..., N), by convolution with the response to the first one; many at once are fast so."""
-    N = commands.shape[-1]
-    response, _ = stage.rollout(np.eye(1, N)[0])
-    length = 2 * N
-    return np.fft.irfft(np.fft.rfft(commands, length) * np.fft.rfft(response, length), length)[..., :N]
 
 
 def floor_of(problem: TransientProblem, target: Target) -> float:
@@ -267,31 +240,30 @@ def contradictions(
         yield f"binding says {str(library.binding[iv, ig])!r}, recomputed {binds!r}"
     transient = problem.transient_command(effect.command)
     if not np.abs(library.transient_command[iv, ig] - transient).max() <= tolerated(ampere):
-        yield f"{library.in_file('transient_command')} is not {library.in_file('command')} less the wall's feedback"
+        yield "transient_command is not command less the wall's feedback"
 
 
 def predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator[str]:
     """What the file predicts of an entry and its command does not do."""
-    problem, motion, reference = effect.problem, effect.motion, library.reference_m_s2[iv]
-    target = library.target(np.eye(library.speeds_m_s.size)[iv])
-    size = max(float(np.abs(reference).max()), float(np.abs(motion.acceleration_m_s2).max()))
+    problem, motion, target = effect.problem, effect.motion, library.told(iv, ig)
+    size = max(float(np.abs(target.window_m_s2).max()), float(np.abs(motion.acceleration_m_s2).max()))
     for name, value, tolerance in (
         ("plant_input", motion.plant_input, SAME * problem.limits.input_limit),
         ("acceleration_m_s2", motion.acceleration_m_s2, SAME * size),
     ):
         off = float(np.abs(getattr(library, name)[iv, ig] - value).max())
         if not off <= tolerance:
-            yield f"{library.in_file(name)} is off by {off:.3g}"
-    stored, error = float(library.nrmse[iv, ig]), target.nrmse(motion.acceleration_m_s2)
+            yield f"{name} is off by {off:.3g}"
+    stored, error = float(library.tap_error[iv, ig]), target.nrmse(motion.acceleration_m_s2)
     if not math.isclose(stored, error, rel_tol=FIGURE, abs_tol=SAME):
-        yield f"nrmse says {stored:.6g}, recomputed {error:.6g}"
+        yield f"tap_error says {stored:.6g}, recomputed {error:.6g}"
     yield from _afterwards(library, iv, ig, effect, target)
     stored, peak = float(library.peak_input[iv, ig]), float(np.abs(motion.plant_input).max())
     # A wall pushes on after the waveform; its limit there is the replay's to check.
     most = problem.limits.input_limit * (1 + SAME) if problem.wall is not None else peak * (1 + FIGURE) + ROUNDING
     if not peak * (1 - FIGURE) - ROUNDING <= stored <= most:
         unit = library.driven_by.unit
-        yield f"{library.in_file('peak_input')} says {stored:.6g} {unit}, recomputed {peak:.6g} {unit}"
+        yield f"peak_input says {stored:.6g} {unit}, recomputed {peak:.6g} {unit}"
     stored = float(library.peak_temperature_C[iv, ig])
     if problem.thermal is None:
         if not np.isnan(stored):
@@ -309,40 +281,36 @@ def _afterwards(library: Library, iv: int, ig: int, effect: Effect, target: Targ
     """What the file says of the motion after the window, and of its energy, and its command does not do."""
     problem, N = effect.problem, effect.command.size
     later = effect.lasting.acceleration_m_s2[N:]
-    size = float(np.abs(library.reference_m_s2[iv]).max())
+    size = float(np.abs(target.window_m_s2).max())
+    current = effect.lasting.plant_input
+    heat_A2_s = problem.grid.dt_s * float(current @ current) if library.driven_by is CURRENT_INPUT else np.nan
     claims = {
-        "nrmse_after": (target.nrmse_after(later), FIGURE, SAME),
+        "energy": (problem.target.energy_m2_s4, SAME, 0.0),
+        "heat_A2_s": (heat_A2_s, FIGURE, ROUNDING),
+        "error_after": (target.nrmse_after(later), FIGURE, SAME),
         "peak_after_m_s2": (target.peak_after_m_s2(later), FIGURE, SAME * size),
     }
-    if problem.target.energy_m2_s4 > 0 and library.meta["weights"].get("objective") == "intensity":
+    if problem.target.energy_m2_s4 > 0 and library.posing().objective == "intensity":
         silent = problem.reference_is_zero
         made_dB = 0.0 if silent else problem.tracking.energy_dB(effect.accelerations_m_s2)
         claims["energy_dB"] = (made_dB, 0.0, LEVEL_dB)
-    if library.meta["schema"] == 1:
-        return
+    if problem.wall is not None:
+        off = float(np.abs(library.acceleration_after_m_s2[iv, ig] - later).max(initial=0.0))
+        if not off <= SAME * max(size, float(np.abs(later).max(initial=0.0))):
+            yield f"acceleration_after_m_s2 is off by {off:.3g}"
     for name, (value, relative, absolute) in claims.items():
         stored = float(getattr(library, name)[iv, ig])
-        if not np.isclose(stored, value, rtol=relative, atol=absolute):
+        if not np.isclose(stored, value, rtol=relative, atol=absolute, equal_nan=True):
             yield f"{name} says {stored:.6g}, recomputed {value:.6g}"
 
 
 def _against_scene(library: Library) -> Iterator[str]:
     """Differences between the file's problem and the scene that it carries: limits, weights, time axis, plants."""
-    scene = library.scene()
-    # For a nonlinear plant the file states the plant as it is at rest, and the formulas.
-    at_rest = scene.at_rest()
-    stated, own = Posing.of(library.meta, library.command.shape[2]), at_rest.posing()
-    yield from _different("nonlinear", library.meta.get("nonlinear"), scene.formulas)
-    for field in fields(Posing):
-        if field.name == "law_of":
-            continue
-        name = {"asked": "limits", "wall": "feedback"}.get(field.name, field.name)
-        yield from _different(name, getattr(stated, field.name), getattr(own, field.name))
-    if library.meta["schema"] > 1:
-        heard, weights = own.error_filter, library.meta["weights"]
-        for name, taps in (("b", [1.0] if heard is None else heard.b), ("a", [1.0] if heard is None else heard.a)):
-            yield from _different(f"weights.error_filter_{name}", weights[f"error_filter_{name}"], np.asarray(taps))
-    yield from _different("grip_min_N", library.meta["grip_min_N"], scene.grid.grip_min_N)
+    scene, at_rest = library.scene(), library.scene().at_rest()
+    problems = [library.problem(iv, 0) for iv in range(library.speeds_m_s.size)]
+    warm = heat_is_in(library.meta["left_out"])
+    own = derived(library.posing(), problems, named=bool(library.axes.targets), warm=warm)
+    yield from _different("derived", library.meta["derived"], own)
     if stray_targets := set(library.axes.targets) - set(scene.axes.targets):
         yield f"targets: {min(stray_targets)} is no target of its scene"
     for name, nodes in (("speeds_m_s", scene.axes.speeds_m_s), ("grips_N", scene.grid.grips_N)):
@@ -361,26 +329,36 @@ def _against_scene(library: Library) -> Iterator[str]:
 
 
 def _nominal(library: Library) -> Iterator[str]:
-    """Nominal motions that are not the integrals of the user's share r_raw - r, from -speed and the surface on."""
-    grid, user = library.time_grid(), library.reference_raw_m_s2 - library.reference_m_s2
-    after = library.reference_raw_after_m_s2 - library.reference_after_m_s2
+    """Nominal motions that are not the integrals of a_free, from minus the speed and the surface on."""
+    grid, free, after = library.time_grid(), library.free_m_s2, library.free_after_m_s2
     times = grid.switching_times_s
-    for iv, speed in enumerate(library.speeds_m_s):
-        velocity, position = library.nominal_velocity_m_s[iv], library.nominal_position_m[iv]
-        at_ticks = library.nominal_position_at_ticks_m[iv]
+    for iv, ig in np.ndindex(free.shape[:2]):
+        speed, where = float(library.speeds_m_s[iv]), library.axes.place(iv, ig)
+        velocity, position = library.nominal_velocity_m_s[iv, ig], library.nominal_position_m[iv, ig]
+        at_ticks = library.nominal_position_at_ticks_m[iv, ig]
         for name, stated, integrated, size in (
-            ("nominal_velocity_m_s", velocity, _from_contact(times, user[iv]) - speed, np.abs(velocity).max()),
+            ("nominal_velocity_m_s", velocity, _from_contact(times, free[iv, ig]) - speed, np.abs(velocity).max()),
             ("nominal_position_m", position, _from_contact(times, velocity), np.abs(position).max()),
             ("nominal_position_at_ticks_m", at_ticks + grid.delay_s * velocity, position, np.abs(position).max()),
         ):
             step = speed * grid.dt_s if name != "nominal_velocity_m_s" else 0.0
             if not np.abs(stated - integrated).max() <= MOTION * size + step:
-                yield f"{name} at {speed:g} m/s is not the motion that its recording tells"
-        later = library.nominal_after_at_ticks_m[iv]
-        onward = _onward(grid, velocity[-1], position[-1], np.append(user[iv, -1], after[iv]))
+                yield f"{name} at {where} is not the motion of a_free"
+        later = library.nominal_after_at_ticks_m[iv, ig]
+        onward = _onward(grid, velocity[-1], position[-1], np.append(free[iv, ig, -1], after[iv, ig]))
         size = max(float(np.abs(position).max()), float(np.abs(onward).max(initial=0.0)))
         if not np.abs(later - onward).max(initial=0.0) <= MOTION * size + speed * grid.dt_s:
-            yield f"nominal_after_at_ticks_m at {speed:g} m/s is not the motion that its recording tells"
+            yield f"nominal_after_at_ticks_m at {where} is not the motion of a_free"
+
+
+def _targets(library: Library) -> Iterator[str]:
+    """Targets that are not the recorded acceleration less the free one, with the correction of a refined library."""
+    for part, correction in (("before_", 0.0), ("", library.correction_m_s2), ("after_", 0.0)):
+        target, recorded, free = (getattr(library, f"{of}_{part}m_s2") for of in ("target", "recorded", "free"))
+        size = max(float(np.abs(course).max(initial=0.0)) for course in (target, recorded, free))
+        off = np.abs(target - (recorded - free + correction)).max(axis=2, initial=0.0)
+        for iv, ig in np.argwhere(~(off <= SAME * size)):
+            yield f"entry {library.axes.place(iv, ig)}: target_{part}m_s2 is not what was recorded less a_free"
 
 
 def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:

@@ -108,9 +108,9 @@ def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float, ends_s:
     )
 
 
-def entry_trade(library: Library, iv: int, acceleration_m_s2: FloatArray) -> TradeFigures:
-    """The figures of what an entry of row `iv` does, (N + M,) at the switching instants of its library."""
-    wanted = library.wanted(float(library.speeds_m_s[iv]), np.eye(library.speeds_m_s.size)[iv])
+def entry_trade(library: Library, iv: int, ig: int, acceleration_m_s2: FloatArray) -> TradeFigures:
+    """The figures of what an entry does, (N + M,) at the switching instants of its library."""
+    wanted = library.wanted_of(iv, ig)
     grid = library.time_grid()
     ends_s = wanted.ends_s - float(grid.switching_times_s[0]) if np.isfinite(wanted.ends_s) else None
     return trade_of(acceleration_m_s2, wanted.target, grid.dt_s, ends_s)
@@ -118,4 +118,4 @@ def entry_trade(library: Library, iv: int, acceleration_m_s2: FloatArray) -> Tra
 
 def trade_figures(library: Library, iv: int, ig: int) -> TradeFigures:
     """The figures of an entry as it was designed, through its window and `weights.after_s` after it."""
-    return entry_trade(library, iv, library.lasting(iv, ig)[0])
+    return entry_trade(library, iv, ig, library.lasting(iv, ig)[0])

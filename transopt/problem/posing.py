@@ -12,14 +12,13 @@ from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, TimeGrid, discretise, samples_after
-from transopt.plant.state_space import CURRENT_INPUT, INPUTS, Input, StateSpace
+from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.limits.own import LawOf
-from transopt.problem.limits.supply import COPPER
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.plain import plain
 from transopt.problem.objective.rapid import rapid
@@ -94,36 +93,6 @@ class Posing:
     intention_s: float = INTENTION_S
 
     __repr__ = brief
-
-    @classmethod
-    def of(cls, meta: dict[str, Any], stages: int) -> "Posing":
-        """Read how a problem is posed from a library's `meta` and its number of stages."""
-        driven_by = INPUTS[meta.get("command_unit", CURRENT_INPUT.unit)]  # files before schema 3 know currents alone
-        amplifier = None if meta["amplifier"] is None else Amplifier.of(meta["amplifier"], driven_by.unit)
-        thermal, feedback, circuit = meta["thermal"], meta["feedback"], meta["circuit"]
-        delay_s = 0.0 if amplifier is None else amplifier.delay_s
-        # Files of schema 1 know of nothing after the window, and of no objective but the waveform.
-        weights = {"after_s": 0.0, "objective": "waveform", "intensity_dB": 0.0, "calm": 1.0, **meta["weights"]}
-        after = samples_after(weights["after_s"], meta["dt_s"])
-        return cls(
-            grid=TimeGrid(meta["dt_s"], stages, meta["lead_s"], delay_s, after),
-            amplifier=amplifier,
-            tracking_weights=np.asarray(meta["weights"]["tracking"], dtype=float),
-            rho=meta["weights"]["rho"],
-            error_filter=error_filter(meta["weights"]["error_filter"], meta["dt_s"]),
-            # A library that does not say at which temperatures of the copper its rail is kept has it at R as stated.
-            asked={COPPER: None, **meta["limits"]},
-            hand_over_samples=meta["hand_over_samples"],
-            circuit=None if circuit is None else Circuit(**circuit),
-            coil=None if thermal is None else CoilModel(**thermal["coil"]),
-            wall=None if feedback is None else Wall(**feedback),
-            budget=Budget() if thermal is None else Budget(**thermal["budget"]),
-            objective=weights["objective"],
-            intensity_dB=weights["intensity_dB"],
-            driven_by=driven_by,
-            calm=weights["calm"],
-            worst=(weights["spread"] or {}).get("minimise") == "worst",
-        )
 
     def stage(self, plant: StateSpace) -> StageModel:
         """A device as the problems need it: with the encoder's position for a wall, and what the limits look at.

@@ -97,7 +97,7 @@ class Comparison:
 
 def _instants(library: Library) -> tuple[float, float, int]:
     """Servo period [s], how long before contact the first command is issued [s], and how many commands there are."""
-    return library.meta["dt_s"], library.meta["lead_s"], library.command.shape[2]
+    return library.dt_s, library.lead_s, library.command.shape[2]
 
 
 def _entries(library: Library) -> dict[Node, tuple[int, int]]:

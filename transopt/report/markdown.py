@@ -1,7 +1,7 @@
 """The text of the two report files that a build leaves: report.md to read, report.json with the same numbers."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -47,7 +47,7 @@ def _between_lines(refinement: Refinement) -> list[str]:
     lines += [
         "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % | "
         "weakest dB |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for name, grid, excess, blended in (
         ("of the scene", refinement.recorded, "excess_before", "before"),
@@ -81,16 +81,16 @@ def _recorded_lines(references: Sequence[Reference]) -> list[str]:
     derived = [f"{r.speed_m_s:g}" for r in references if r.between_m_s is not None]
     references = [r for r in references if r.between_m_s is None]
     lines = [
-        "| speed m/s | taps | scaled by | repeats %, aligned / not | user's share % | peak g | speed from |",
-        "|---|---|---|---|---|---|---|",
+        "| speed m/s | taps | scaled by | repeats %, aligned / not | peak g | speed from |",
+        "|---|---|---|---|---|---|",
     ]
     for r in references:
         factors = f"{r.scalings.min():.3g}" + (f" to {r.scalings.max():.3g}" if r.scalings.size > 1 else "")
         sources = ", ".join(sorted({tap.speed_source for tap in r.taps}))
         lines.append(
             f"| {r.speed_m_s:g} | {len(r.taps)} | {factors} | {percent(r.repeatability)} / "
-            f"{percent(r.repeatability_unaligned)} | {percent(r.user_share)} | "
-            f"{r.raw_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f} | {sources} |"
+            f"{percent(r.repeatability_unaligned)} | "
+            f"{r.recorded_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f} | {sources} |"
         )
     notes = {f"{tap.recording.name}: {note}" for r in references for tap in r.taps for note in tap.notes}
     doubts = {f"**{tap.recording.name}: {tap.implausible}**" for r in references for tap in r.taps if tap.implausible}
@@ -289,7 +289,7 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
         lines += ["## Refused", ""]
         lines += [f"- {each.place}: {refusal(each)}" for each in build.refused]
         lines += [""]
-    head = ["J", "gap / max(J, 1e-3)", "over bound", "violation", "to r_raw %", "winding C", "states", "rows"]
+    head = ["J", "gap / max(J, 1e-3)", "over bound", "violation", "winding C", "states", "rows"]
     head += ["nonzeros", "solver"]
     rows = [
         [
@@ -298,12 +298,11 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
             f"{e.certificate.relative_gap:.1e}",
             f"{e.certificate.relative_bound:.1e}",
             f"{e.certificate.primal_violation:.1e}",
-            percent(e.nrmse / _raw_over_motor(reference)),
             "-" if np.isnan(e.played.winding_C) else f"{e.played.winding_C:.3f}",
             *_size_cells(e),
             e.solution.solver,
         ]
-        for e, reference in _with_references(build)
+        for e in build.all_entries()
     ]
     lines += [
         "## Certificates",
@@ -331,20 +330,6 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
     return "\n".join(lines)
 
 
-def _with_references(build: Build) -> Iterator[tuple[Entry, Reference]]:
-    """Every entry with what was wanted of it."""
-    for row, reference in zip(build.entries, build.references, strict=True):
-        for entry in row:
-            yield entry, reference
-
-
-def _raw_over_motor(reference: Reference) -> float:
-    """|r_raw| / |r| from contact on; what is lost at the start is taken to be the object's alone."""
-    lost, motor = reference.target.lost_m2_s4, float(np.sqrt(reference.target.energy_m2_s4))
-    raw = float(np.sqrt(lost + reference.raw_m_s2 @ reference.raw_m_s2))
-    return raw / motor if motor > 0 else float("inf")
-
-
 def _certificate_row(certificate: Certificate) -> dict[str, Any]:
     """A certificate's numbers, one violation for each unit that a limit is stated in."""
     row = asdict(certificate)
@@ -370,7 +355,6 @@ def build_json(build: Build, *, full: bool = True) -> str:
             "remedies": [asdict(remedy) for remedy in e.remedies],
             "verdict": e.verdict,
             "nrmse": e.nrmse,
-            "nrmse_to_raw": e.nrmse / _raw_over_motor(reference),
             "floor": e.floor,
             "baselines": asdict(e.baselines),
             "repeatability": e.repeatability,
@@ -397,7 +381,7 @@ def build_json(build: Build, *, full: bool = True) -> str:
             "solve_time_s": e.solution.solve_time_s,
             "left_out": e.left_out,
         }
-        for e, reference in _with_references(build)
+        for e in build.all_entries()
     ]
     content = {
         "scene": build.scene.name,
@@ -417,7 +401,6 @@ def build_json(build: Build, *, full: bool = True) -> str:
                 "scaling": r.scalings.tolist(),
                 "repeatability": r.repeatability,
                 "repeatability_unaligned": r.repeatability_unaligned,
-                "user_share": r.user_share,
                 "lost_share": r.target.lost_share,
             }
             for r in build.references

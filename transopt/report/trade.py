@@ -43,7 +43,7 @@ def trade_table(library: Library, name: str) -> Table:
     for iv in range(library.speeds_m_s.size):
         for ig in range(library.grips_N.size):
             found = trade_figures(library, iv, ig)
-            table.add_row(*library.axes.cells(iv, ig), percent(library.nrmse[iv, ig]), *trade_cells(found))
+            table.add_row(*library.axes.cells(iv, ig), percent(library.tap_error[iv, ig]), *trade_cells(found))
     return table
 
 

@@ -128,7 +128,7 @@ class Transients:
     ----------
     axes : speeds and grips, or named targets.
     driven_by : what the input is.
-    reference_m_s2 : (nv, N + M) r at the switching instants, through the window and after it.
+    target_m_s2 : (nv, ng, N + M) what is asked of y'' at the switching instants, through the window and after it.
     acceleration_m_s2, plant_input : (nv, ng, N + M) there.
     limit : of the input.
     input_multiplier : (nv, ng, N) the larger one of the limit's two sides.
@@ -138,7 +138,7 @@ class Transients:
     grid: TimeGrid
     axes: Axes
     driven_by: Input
-    reference_m_s2: FloatArray
+    target_m_s2: FloatArray
     acceleration_m_s2: FloatArray
     plant_input: FloatArray
     limit: float
@@ -179,12 +179,12 @@ def library_figure(library: Library) -> Figure:
             grid=grid,
             axes=library.axes,
             driven_by=library.driven_by,
-            reference_m_s2=np.append(library.reference_m_s2, library.reference_after_m_s2, axis=1),
+            target_m_s2=np.append(library.target_m_s2 - library.correction_m_s2, library.target_after_m_s2, axis=2),
             acceleration_m_s2=acceleration,
             plant_input=current,
             limit=library.input_limit,
             input_multiplier=np.maximum(*(library.array(f"mu_{library.driven_by.name}_{side}") for side in SIDES)),
-            hand_over_samples=library.meta["hand_over_samples"],
+            hand_over_samples=library.hand_over_samples,
             nonlinear=library.nonlinear,
         )
     )
@@ -217,7 +217,7 @@ def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
                 tuple(row[0].target for row in entries if row[0].target),
             ),
             driven_by=first.driven_by,
-            reference_m_s2=np.stack([row[0].problem.target.continued_m_s2 for row in entries]),
+            target_m_s2=np.array([[entry.told.continued_m_s2 for entry in row] for row in entries]),
             acceleration_m_s2=acceleration,
             plant_input=current,
             limit=first.limits.input_limit,
@@ -239,7 +239,7 @@ def transients_figure(drawn: Transients) -> Figure:
     times_ms = np.append(grid.switching_times_s, grid.after_times_s) * 1e3
     ends_ms = grid.end_s * 1e3
     end_ms = ends_ms + grid.after_stages * grid.dt_s * 1e3
-    axis = _time_axis(times_ms, end_ms, drawn.reference_m_s2)
+    axis = _time_axis(times_ms, end_ms, drawn.target_m_s2.reshape(-1, times_ms.size))
     speeds, grips, named = drawn.axes.speeds_m_s, drawn.axes.grips_N, drawn.axes.targets
     shown_speeds, shown_grips = _some(len(speeds), MOST_SPEEDS), _some(len(grips), MOST_GRIPS)
     limit = drawn.limit
@@ -273,8 +273,8 @@ def transients_figure(drawn: Transients) -> Figure:
             }
             above.plot(times_ms, drawn.acceleration_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2, linewidth=2.0, **line_style)
             below.plot(times_ms, drawn.plant_input[iv, ig], linewidth=1.3, **line_style)
-        for reference in drawn.reference_m_s2[shown_speeds]:
-            above.plot(times_ms, reference / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
+        for target in drawn.target_m_s2[shown_speeds, ig]:
+            above.plot(times_ms, target / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
         for sign in (1, -1):
             below.axhline(sign * limit, color=DARK, linewidth=1.0, linestyle=":")
         if not named:

@@ -9,7 +9,6 @@ from matplotlib.lines import Line2D
 
 from transopt.base.plotting import LABEL_PT, SEED, colours, style
 from transopt.design.refine_grid import Errors
-from transopt.plant.discretise import StageModel
 from transopt.proof.replay import replayed_errors
 from transopt.scene.scene import Scene
 from transopt.study.figures import legend_above, percent_axis
@@ -39,10 +38,13 @@ class Played:
     excess: float
 
 
-def _errors_at(errors: Errors, scene: Scene, stage: StageModel, speed: float, grips: Sequence[float]) -> list[float]:
+def _errors_at(errors: Errors, scene: Scene, grip: float, speed: float, grips: Sequence[float]) -> list[float]:
+    """Errors at a grip of the commands that were made for all of them."""
     commands = np.stack([errors.optimum((speed, F)).solution.command for F in grips])
-    wanted = [errors.context.reference(speed).target] * len(grips)
-    return [float(error) for error in replayed_errors(stage, scene.time_grid(), commands, wanted)]
+    wanted = [errors.context.reference(speed, grip).target] * len(grips)
+    return [
+        float(error) for error in replayed_errors(errors.context.stage(grip), scene.time_grid(), commands, wanted)
+    ]
 
 
 def mismatch(
@@ -59,7 +61,7 @@ def mismatch(
     errors, found = errors_of(scene), []
     for speed in speeds_m_s:
         for grip in grips_N:
-            played = _errors_at(errors, scene, errors.context.stage(grip), speed, grips_N)
+            played = _errors_at(errors, scene, grip, speed, grips_N)
             own = played[grips_N.index(grip)]
             found += [Played(speed, F, grip, e, e - own) for F, e in zip(grips_N, played, strict=True)]
     return found, proven("default", errors)

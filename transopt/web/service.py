@@ -267,7 +267,7 @@ class Service:
 
     def reference(self, place: Place) -> Reference:
         """Reference of one tap, between the recorded speeds too."""
-        return self.context.reference(place.speed_m_s, place.target)
+        return self.context.reference(place.speed_m_s, place.grip_N, place.target)
 
     def _posed(self, place: Place) -> Posed:
         return self.context.posed(place.speed_m_s, place.grip_N, place.target)
@@ -415,20 +415,21 @@ def own_taps(scene: Scene, folder: Path, files: Sequence[str], speed_m_s: float 
 def _references(library: Library) -> list[Reference]:
     """What a library was designed for, as its file has it."""
     grid = library.time_grid()
-    at_ticks = np.concatenate([library.nominal_position_at_ticks_m, library.nominal_after_at_ticks_m], axis=1)
-    ends = library.meta.get("target_ends_s", [np.inf] * library.speeds_m_s.size)
+    at_ticks = np.concatenate([library.nominal_position_at_ticks_m, library.nominal_after_at_ticks_m], axis=2)
+    ends = library.target_ends_s if library.axes.targets else np.full(library.speeds_m_s.size, np.inf)
     spreads = [np.nan if each is None else each for each in library.meta["repeatability"]]
     return [
         Reference(
             speed_m_s=float(speed),
-            raw_m_s2=library.reference_raw_m_s2[iv],
-            motor_m_s2=library.reference_m_s2[iv],
-            before_m_s2=library.reference_before_m_s2[iv],
-            after_m_s2=library.reference_after_m_s2[iv],
-            raw_after_m_s2=library.reference_raw_after_m_s2[iv],
-            nominal_position_m=library.nominal_position_m[iv],
-            nominal_velocity_m_s=library.nominal_velocity_m_s[iv],
-            nominal_position_at_ticks_m=at_ticks[iv],
+            recorded_m_s2=library.recorded_m_s2[iv, 0],
+            recorded_before_m_s2=library.recorded_before_m_s2[iv, 0],
+            recorded_after_m_s2=library.recorded_after_m_s2[iv, 0],
+            free_m_s2=library.free_m_s2[iv, 0],
+            free_before_m_s2=library.free_before_m_s2[iv, 0],
+            free_after_m_s2=library.free_after_m_s2[iv, 0],
+            nominal_position_m=library.nominal_position_m[iv, 0],
+            nominal_velocity_m_s=library.nominal_velocity_m_s[iv, 0],
+            nominal_position_at_ticks_m=at_ticks[iv, 0],
             repeatability=spreads[iv],
             repeatability_unaligned=np.nan,
             taps=(),

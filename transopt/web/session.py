@@ -191,7 +191,7 @@ class Session:
 
     def _sound(self, message: Message) -> None:
         service = self._service()
-        loudest = max(np.abs(r.motor_m_s2).max() for r in service.references(service.scene))
+        loudest = max(np.abs(r.target.window_m_s2).max() for r in service.references(service.scene))
         ratio = Fraction(SOUND_RATE_HZ * service.grid.dt_s).limit_denominator(1000)
 
         def sound(acceleration: FloatArray) -> FloatArray:

@@ -23,7 +23,6 @@ from transopt.problem.heat import Budget, winding_limit_C
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Limit, Posed, Row, Setting, positive
 
 BETWEEN_INSTANTS = 1e-3  # of the rail: within a period only the back-EMF is left to its own devices
-COPPER = "supply_copper_C"  # among a library's limits: the temperatures of the copper at which its rail is kept
 COLD, HOT = "supply", "supply_hot"  # what the names of an end's rows begin with
 
 
@@ -103,17 +102,12 @@ class SupplyLimit(Limit):
         if circuit is None or amplifier is None:
             return None
         ends: tuple[CopperEnd, ...] = (CopperEnd(COLD, circuit, None),)
-        # The key is None in a library that keeps its rail at R as stated; a scene lacks it, and gets both ends.
-        if coil is not None and asked.get(COPPER, ()) is not None:
+        if coil is not None:
             cold_C, hot_C = coldest_and_hottest_C(coil, setting.budget)
             ends = (CopperEnd(COLD, circuit.at(cold_C), cold_C),)
             if hot_C > cold_C:
                 ends = (*ends, CopperEnd(HOT, circuit.at(hot_C), hot_C))
         return cls(asked[cls.key], ends, amplifier.rate_rad_s, setting.nominal_m_s)
-
-    @classmethod
-    def stored_with(cls, row: str) -> str:
-        return COPPER if row.startswith(HOT) else cls.key
 
     def wider(self, factor: float) -> Self:
         return replace(self, limit_V=factor * self.limit_V)

@@ -1,0 +1,89 @@
+"""`meta.derived` of a library: its problem in numbers, for readers that have numpy and not this project.
+
+Nothing here is read back. The problem of a library comes from its scene, and `transopt.library.proven` makes these
+numbers again and refuses a file that states others.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from scipy import signal
+
+from transopt.base.signals import FloatArray
+from transopt.problem.limits.command import CommandLimit
+from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.limits.limit import Limit
+from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.limits.voltage import SaggingVoltageLimit, VoltageLimit
+from transopt.problem.posing import Posing
+from transopt.problem.problem import TransientProblem
+
+INTENTION_S = 0.030  # for so long after contact a hand keeps the velocity that it intends
+FELT_Hz = (120.0, 620.0)  # band in which the felt error is told, whatever the terms of the objective are
+WHOLE = (CurrentLimit, VoltageLimit, CommandLimit, SlewLimit)  # limits of which these numbers say all
+
+
+def derived(posing: Posing, problems: Sequence[TransientProblem], *, named: bool, warm: bool) -> dict[str, Any]:
+    """What `meta.derived` states of the problems of a library.
+
+    Parameters
+    ----------
+    posing : what all its problems share.
+    problems : one of each speed or named target, at the same grip; of a nonlinear plant those of the plant at rest.
+    named : whether they are for named targets, whose error is told over the whole window.
+    warm : whether the winding's temperature is a constraint of any entry, and not shown to matter to none.
+    """
+    problem = problems[0]
+    grid, amplifier, limits = problem.grid, problem.stage.amplifier, problem.limits
+    slew = next((limit for limit in limits if isinstance(limit, SlewLimit)), None)
+    alone = problem.wall is None and not problem.spread and posing.objective == "waveform"
+    return {
+        "dt_s": grid.dt_s,
+        "lead_s": grid.lead_s,
+        "hand_over_samples": problem.hand_over_samples,
+        "intention_s": grid.stages * grid.dt_s + float(grid.switching_times_s[0]) if named else INTENTION_S,
+        "amplifier": None
+        if amplifier is None
+        else {
+            "pole_Hz": amplifier.pole_Hz,
+            "delay_s": amplifier.delay_s,
+            "command_limit": amplifier.command_limit,
+        },
+        "limits": {"plant_input": limits.input_limit, "slew_per_s": None if slew is None else slew.rate},
+        "exact": alone and all(_is_whole(limit, warm=warm) for limit in limits),
+        "wall": problem.wall is not None,
+        "spread": bool(problem.spread),
+        "movement_weight": problem.movement.weight,
+        "terms": [_error_term(problems)],
+        "felt": _felt(grid.dt_s),
+    }
+
+
+def _is_whole(limit: Limit, *, warm: bool) -> bool:
+    """Whether these numbers say all of a limit, or it is none of any entry."""
+    if isinstance(limit, TemperatureLimit):
+        return not warm
+    return isinstance(limit, WHOLE) and not isinstance(limit, SaggingVoltageLimit)
+
+
+def _error_term(problems: Sequence[TransientProblem]) -> dict[str, Any]:
+    """The term of the error; its weights in the window are one list where those of all problems are alike."""
+    heard = problems[0].error_filter
+    weights = [problem.tracking_weights.tolist() for problem in problems]
+    return {
+        "name": "error",
+        "b": [1.0] if heard is None else heard.b.tolist(),
+        "a": [1.0] if heard is None else heard.a.tolist(),
+        "weights": weights[0] if all(each == weights[0] for each in weights) else weights,
+        "before": 1.0,
+        "after": 1.0,
+    }
+
+
+def _felt(dt_s: float) -> dict[str, list[float]] | None:
+    """Band-pass of the felt error, of first order; null where the band goes beyond half the servo rate."""
+    if not 2 * FELT_Hz[1] * dt_s < 1:
+        return None
+    taps: tuple[FloatArray, FloatArray] = signal.butter(1, FELT_Hz, "bandpass", fs=1 / dt_s)
+    return {"b": taps[0].tolist(), "a": taps[1].tolist()}
