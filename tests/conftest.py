@@ -33,6 +33,7 @@ from transopt.problem.heat import Budget
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
@@ -134,7 +135,7 @@ class ProblemMaker:
             amplifier = None if amplifier is None else replace(amplifier, delay_s=delay_s)
         if stages is not None:
             grid = replace(grid, stages=stages)
-        reference = next(r for r in self.references if r.speed_m_s == speed_m_s).motor_m_s2
+        reference = next(r for r in self.references if r.speed_m_s == speed_m_s).target.window_m_s2
         # A longer horizon goes on with nothing to do, a shorter one is cut.
         padded = np.concatenate([reference, np.zeros(max(0, grid.stages - reference.size))])[: grid.stages]
         # Neither nominal motion nor coil: what a limit needs of them is put in by the test that has it.
@@ -144,7 +145,7 @@ class ProblemMaker:
             stage=stage,
             grid=grid,
             target=Target(padded),
-            tracking_weights=np.ones(grid.stages),
+            terms=(ErrorTerm("plain", np.ones(grid.stages)),),
             rho=scene.weights.rho,
             limits=numbers_of(posed(scene.limits.asked(), setting), grid.dt_s, **limits),
             hand_over_samples=scene.hand_over_samples,

@@ -28,9 +28,10 @@ from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
+from transopt.problem.objective.error_term import ErrorTerm
+from transopt.problem.objective.rapid import rapid, rapid_filter
 from transopt.problem.objective.target import Target
-from transopt.problem.objective.weighting import error_filter
-from transopt.problem.problem import TransientProblem
+from transopt.problem.problem import INTENTION_S, TransientProblem
 
 PEAK_PER_SPEED_1_S = 280.0  # of a tap on wood: 28 m/s^2 at 0.1 m/s
 RING_HZ, RING_DECAY_S = 390.0, 4e-3
@@ -151,9 +152,11 @@ class Demand:
     ----------
     kind : of the reference: "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
     speed_m_s : incoming; 0 asks for nothing.
-    weights : of the tracking error: "one", "late", "sparse", "none" or "tiny".
+    weights : of the plain error: "one", "late", "sparse", "none" or "tiny"; of a hand, "intention": 0.09 over 30 ms.
     rho : weight of the command's movement.
-    pacinian : whether the error is filtered by what the hand feels.
+    rapid : "none", or the filter of the second term of the error, "highpass" or "pacinian".
+    rapid_from_Hz : corner of the high-pass.
+    heat_price : of the squared current, for a current of one limit.
     seed : of the noise in the reference.
     price : of intensity, lam over the largest that the weights leave.
     asked_dB : intensity that is searched for; None for none.
@@ -163,7 +166,9 @@ class Demand:
     speed_m_s: float = 0.4
     weights: str = "one"
     rho: float = 1e-3
-    pacinian: bool = False
+    rapid: str = "none"
+    rapid_from_Hz: float = 20.0
+    heat_price: float = 0.0
     seed: int = 0
     price: float = 0.0
     asked_dB: float | None = None
@@ -196,17 +201,20 @@ class Demand:
         }
         return made[self.kind]
 
-    def tracking(self, stages: int) -> FloatArray:
-        """(N,) weights."""
-        k = np.arange(stages)
+    def terms(self, grid: TimeGrid) -> tuple[ErrorTerm, ...]:
+        """The terms of the error; the plain one counts after the window where it is alone."""
+        k, filtered = np.arange(grid.stages), rapid_filter(self.rapid, self.rapid_from_Hz, grid.dt_s)
         made: dict[str, FloatArray] = {
-            "one": np.ones(stages),
-            "late": np.where(k < stages // 2, 0.0, 1.0),
+            "one": np.ones(grid.stages),
+            "intention": np.where(grid.switching_times_s < INTENTION_S, 0.09, 0.0),
+            "late": np.where(k < grid.stages // 2, 0.0, 1.0),
             "sparse": np.where(k % 7 == 3, 1.0, 0.0),
-            "none": np.zeros(stages),
+            "none": np.zeros(grid.stages),
             "tiny": np.where(k % 2 == 0, 1e-10, 1.0),
         }
-        return made[self.weights]
+        if filtered is None:
+            return (ErrorTerm("plain", made[self.weights]),)
+        return ErrorTerm("plain", made[self.weights], after=0.0), rapid(filtered, grid)
 
 
 @dataclass(frozen=True)
@@ -458,12 +466,12 @@ class StressCase:
             stage=stage,
             grid=grid,
             target=target,
-            tracking_weights=self.demand.tracking(N),
+            terms=self.demand.terms(grid),
             rho=numbers["weights.rho"],
             limits=posed({key: asked[key]}, replace(setting, coil=None)),
             hand_over_samples=self.horizon.hand_over,
             wall=wall,
-            error_filter=error_filter("pacinian", grid.dt_s) if self.demand.pacinian else None,
+            heat_price=self.demand.heat_price / asked[key] ** 2,
         )
         # A reference that is refused is named before the limits that it cannot be held to.
         whole = replace(plain, limits=posed(asked, setting))

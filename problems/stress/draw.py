@@ -86,9 +86,11 @@ def _demand(draw: _Draw) -> Demand:
     return Demand(
         kind="tap" if draw.perhaps(0.65) else draw.of(*kinds),
         speed_m_s=0.0 if draw.perhaps(0.03) else draw.log(0.01, 5.0),
-        weights="one" if draw.perhaps(0.7) else draw.of("late", "sparse", "tiny", "none"),
+        weights=draw.of("one", "intention") if draw.perhaps(0.7) else draw.of("late", "sparse", "tiny", "none"),
         rho=draw.of(0.0, 1e-12, 1e-6, 1e-3, 1e-3, 1e-3),
-        pacinian=draw.perhaps(0.05),
+        rapid=draw.of("highpass", "highpass", "pacinian") if draw.perhaps(0.5) else "none",
+        rapid_from_Hz=draw.log(5.0, 60.0),
+        heat_price=draw.log(1e-8, 1e-2) if draw.perhaps(0.3) else 0.0,
         seed=draw.seed(),
     )
 

@@ -1,5 +1,6 @@
 """The directed families of the stress suite: one extreme after the other, the rest plain."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -83,8 +84,12 @@ def _demands() -> Iterator[StressCase]:
     for rho in (0.0, 1e-12, 1e3):
         for limit in (SMALL_A, 4.0):
             yield StressCase("rho", current=Current(limit_A=limit), demand=Demand(rho=rho))
-    yield StressCase("filter", current=Current(limit_A=SMALL_A), demand=Demand(pacinian=True))
-    yield StressCase("filter", current=Current(limit_A=SMALL_A), demand=Demand(pacinian=True, rho=0.0))
+    for rapid, weights, rho in itertools.product(("pacinian", "highpass"), ("intention", "none"), (1e-3, 0.0)):
+        demand = Demand(rapid=rapid, weights=weights, rho=rho)
+        yield StressCase("filter", current=Current(limit_A=SMALL_A), demand=demand)
+    for price in (1e-8, 1e-4, 1.0):
+        demand = Demand(rapid="highpass", weights="intention", heat_price=price)
+        yield StressCase("heat price", current=Current(limit_A=SMALL_A), demand=demand)
     yield StressCase("input", demand=Demand(rho=-1.0))
 
 

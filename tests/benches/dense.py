@@ -79,67 +79,87 @@ def responses(problem: TransientProblem, device: StageModel | None = None) -> Re
 
 @dataclass(frozen=True)
 class Program:
-    """L as a quadratic function of the commands, rolled out for every device through the window and after it.
+    """L as a quadratic function of the commands, rolled out for every device from the lost samples to the tail.
 
     Attributes
     ----------
-    filtered : (S, N + M, N) F y'' of every device by the commands; r : (N + M,) F r.
+    filtered : (T, S, N + M, N) F y'' of every term and device by the commands; wanted : (T, N + M) F of the target.
+    weights : (T, N + M). E : the weighted squares of the target. lost : those that no command can reach.
+    current : (N, N) by the commands, and price : of its squares.
     """
 
     filtered: FloatArray
-    r: FloatArray
+    wanted: FloatArray
     weights: FloatArray
     E: float
     lost: float
     intensity: float
     level: float
     by_movement: float
+    current: FloatArray
+    price: float
 
     @classmethod
     def of(cls, problem: TransientProblem) -> "Program":
         N, M, target = problem.grid.stages, problem.grid.after_stages, problem.target
-        b, a = (
-            (np.ones(1), np.ones(1))
-            if problem.error_filter is None
-            else (problem.error_filter.b, problem.error_filter.a)
-        )
-        by_command = []
-        for device in problem.devices:
-            states = _impulse(device, problem.grid.dt_s, N + M)
-            response = signal.lfilter(b, a, states @ np.append(device.plant.C[0], device.plant.D[0]))
-            by_command.append(linalg.toeplitz(response, np.zeros(N)))
-        r = np.append(target.window_m_s2, target.after_m_s2)
-        lost = float(np.sum(target.before_m_s2**2))
+        whole = np.concatenate([target.before_m_s2, target.window_m_s2, target.after_m_s2])
+        L = target.before_m_s2.size
+        filtered, wanted, weights = [], [], []
+        for term in problem.terms:
+            by = term.error_filter
+            b, a = (np.ones(1), np.ones(1)) if by is None else (by.b, by.a)
+            responses = []
+            for device in problem.devices:
+                states = _impulse(device, problem.grid.dt_s, N + M)
+                response = signal.lfilter(b, a, states @ np.append(device.plant.C[0], device.plant.D[0]))
+                responses.append(linalg.toeplitz(response, np.zeros(N)))
+            filtered.append(np.stack(responses))
+            wanted.append(signal.lfilter(b, a, whole))
+            weights.append(np.concatenate([np.full(L, term.before), term.weights, np.full(M, term.after)]))
+        squares = np.stack(weights) * np.stack(wanted) ** 2
         limit = problem.limits["current"].stated
         return cls(
-            filtered=np.stack(by_command),
-            r=signal.lfilter(b, a, r),
-            weights=np.append(problem.tracking_weights, np.ones(M)),
-            E=lost + float(np.sum(target.window_m_s2**2)),
-            lost=lost,
+            filtered=np.stack(filtered),
+            wanted=np.stack(wanted)[:, L:],
+            weights=np.stack(weights)[:, L:],
+            E=float(squares.sum()),
+            lost=float(squares[:, :L].sum()),
             intensity=problem.intensity,
             level=10 ** (problem.intensity_dB / 10),
             by_movement=problem.rho * (1e-4 / problem.grid.dt_s) ** 2 / (N * limit**2),
+            current=responses_of_current(problem),
+            price=problem.heat_price,
         )
 
     def merits(self, command: FloatArray) -> tuple[float, float]:
         """J and L of a command (N,)."""
-        N, made = command.size, self.filtered @ command
-        squares = self.lost + float(np.mean((made - self.r) ** 2 @ self.weights))
+        N, made, current = command.size, self.filtered @ command, self.current @ command
+        errors = (made - self.wanted[:, None]) ** 2
+        squares = self.lost + float(np.sum(np.mean(errors, axis=1) * self.weights))
         J = squares / self.E + self.by_movement * float(np.sum(np.diff(command, prepend=0.0) ** 2))
-        energy = float(np.mean(np.sum(made[:, :N] ** 2, axis=1)))
-        return J, J - self.intensity * (energy - self.level * float(np.sum(self.r[:N] ** 2))) / self.E
+        J += self.price * float(current @ current)
+        energy = float(np.mean(np.sum(made[-1, :, :N] ** 2, axis=1)))
+        return J, J - self.intensity * (energy - self.level * float(np.sum(self.wanted[-1, :N] ** 2))) / self.E
 
     def quadratic(self) -> tuple[FloatArray, FloatArray]:
         """(N, N) Hessian of L and (N,) its gradient at rest."""
-        N, devices = self.filtered.shape[2], self.filtered.shape[0]
+        devices, N = self.filtered.shape[1], self.filtered.shape[3]
         moves = np.eye(N) - np.eye(N, k=-1)
-        H, g = 2 * self.by_movement * moves.T @ moves, np.zeros(N)
-        for a in self.filtered:
-            H = H + 2 / (self.E * devices) * (a.T * self.weights) @ a
+        H, g = 2 * self.by_movement * moves.T @ moves + 2 * self.price * self.current.T @ self.current, np.zeros(N)
+        for of_term, wanted, weights in zip(self.filtered, self.wanted, self.weights, strict=True):
+            for a in of_term:
+                H = H + 2 / (self.E * devices) * (a.T * weights) @ a
+                g = g - 2 / (self.E * devices) * a.T @ (weights * wanted)
+        for a in self.filtered[-1]:
             H = H - 2 * self.intensity / (self.E * devices) * a[:N].T @ a[:N]
-            g = g - 2 / (self.E * devices) * a.T @ (self.weights * self.r)
         return H, g
+
+
+def responses_of_current(problem: TransientProblem) -> FloatArray:
+    """(N, N) the plant's input at tau_0 to tau_(N-1) by the commands."""
+    N = problem.grid.stages
+    states = _impulse(problem.stage, problem.grid.dt_s, N)
+    return linalg.toeplitz(states[:, -1], np.zeros(N))
 
 
 def optimum(

@@ -321,7 +321,7 @@ def certify(
     effect, clipped = effect or Effect(problem, command), admissible(problem, multipliers)
     limits, silent = list(boxes_of(effect, clipped)), problem.reference_is_zero
     objective = merit = 0.0
-    if not problem.target.is_zero:
+    if problem.tracking.energy_m2_s4 > 0:
         with np.errstate(
             over="ignore", invalid="ignore"
         ):  # over a wall that grows by itself what comes after does too

@@ -49,7 +49,8 @@ class Reference:
     recorded_m_s2, recorded_before_m_s2, recorded_after_m_s2 : (N,), (L,), (M,) r, the recorded acceleration, at the
         switching instants of the window, at those from contact on that come before tau_0 and no command can reach,
         and at those after the window; zero where the recording has ended.
-    free_m_s2, free_before_m_s2, free_after_m_s2 : (N,), (L,), (M,) a_free, how the stylus moves without current.
+    free_m_s2, free_before_m_s2, free_after_m_s2 : (N,), (L,), (M,) a_free, how the stylus accelerates without
+        current.
     nominal_position_m : (N,) z_nom.
     nominal_velocity_m_s : (N,) its derivative.
     nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks t_k, where the encoder is read.

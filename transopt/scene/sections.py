@@ -225,7 +225,8 @@ class Weights(Section):
     """What is minimised: two terms of the error, the command's movement and heat, and how long after the waveform.
 
     The plain error counts over the hand's intention, the rapid one, above `rapid_from_Hz` or as vibration is felt,
-    through window and tail. With `objective = "intensity"` the tap is asked to have at least the recorded energy, `intensity_dB` above it.
+    through window and tail. With `objective = "intensity"` the tap is asked to have at least the recorded energy,
+    `intensity_dB` above it.
     What is left after the end of a named target counts `calm` times: a little error of a click for much less ringing.
     """
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from transopt.base.signals import FloatArray
 from transopt.design.context import Context
 from transopt.design.intensity import best, intense, most_price
 from transopt.design.optimum import optimum
@@ -119,19 +120,24 @@ def test_what_is_out_of_reach_is_stated_in_dB(posed: Posed) -> None:
     assert f"{found.waveform_dB:+.2f} dB" in found.sentence
 
 
+def weighed(problem: TransientProblem, weights: FloatArray) -> TransientProblem:
+    """The problem with other weights (N,) of the term whose energy intensity is about."""
+    return replace(problem, terms=(*problem.terms[:-1], replace(problem.terms[-1], weights=weights)))
+
+
 def test_a_price_stays_below_the_smallest_weight(posed: Posed) -> None:
     problem = posed(limits__current_A=1.25)
     weights = np.where(np.arange(problem.grid.stages) < 300, 1.0, 0.5)
-    found = attained(intense(replace(problem, tracking_weights=weights), OPTIONS))
+    found = attained(intense(weighed(problem, weights), OPTIONS))
     assert found.price < 0.5
-    assert most_price(replace(problem, tracking_weights=0 * weights)) == 0
-    unweighted = attained(intense(replace(problem, tracking_weights=np.maximum(weights - 0.5, 0)), OPTIONS))
+    assert most_price(weighed(problem, 0 * weights)) == 0
+    unweighted = attained(intense(weighed(problem, np.maximum(weights - 0.5, 0)), OPTIONS))
     assert unweighted.price == 0
     assert unweighted.missing_dB > 0
 
 
 def test_the_filter_decides_which_energy_counts(posed: Posed) -> None:
-    problem = posed(limits__current_A=2.5, weights__error_filter="pacinian")
+    problem = posed(limits__current_A=2.5, weights__rapid="pacinian")
     found = intense(problem, OPTIONS)
     felt = problem.tracking.filtered(problem.stage.rollout(found.solution.command)[0])
     wanted = problem.tracking.filtered(problem.reference_m_s2)

@@ -22,6 +22,7 @@ from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
@@ -230,7 +231,7 @@ def drawn(scene: Scene, references: list[Reference], seed: int) -> tuple[Transie
         problem,
         grid=replace(problem.grid, stages=N),
         target=Target(problem.reference_m_s2[:N]),
-        tracking_weights=np.ones(N),
+        terms=(ErrorTerm("plain", np.ones(N)),),
         limits=limits if with_rail else limits.without("supply"),
     )
     motor, emf = scene.motor, scene.motor.kt_Nm_A * scene.transmission.ratio_1_m

@@ -112,7 +112,7 @@ def judged_exactly(problem: TransientProblem, command: FloatArray, m: Multiplier
     stage, N, free = problem.stage, problem.grid.stages, problem.free_stages
     A, B, C, Ci = (_exact(getattr(stage, name)) for name in ("A", "B", "C", "Ci"))
     D, Di = mpmath.mpf(stage.D[0, 0]), mpmath.mpf(stage.Di[0, 0])
-    c, r, w = (_exact(values)[0] for values in (command, problem.reference_m_s2, problem.tracking_weights))
+    c, r, w = (_exact(values)[0] for values in (command, problem.reference_m_s2, problem.terms[0].weights))
     B, C, Ci = B[:, 0], C[0], Ci[0]
     x, error, current = B * 0, [], []
     for k in range(N):

@@ -10,6 +10,7 @@ from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.design.optimum import optimum
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.weighting import pacinian
 from transopt.proof.certify import certify
 from transopt.scene.scene import Scene
@@ -54,8 +55,7 @@ def test_weighted_optimum_against_dense_least_squares(make_problem: ProblemMaker
     N = 60
     problem = replace(
         make_problem(0.4, 3.0, stages=N, ideal=ideal, current_A=40.0, **({} if ideal else {"command_A": 60.0})),
-        error_filter=pacinian(DT_S),
-        tracking_weights=np.linspace(0.5, 2.0, N),
+        terms=(ErrorTerm("rapid", np.linspace(0.5, 2.0, N), error_filter=pacinian(DT_S)),),
         rho=1.6,  # as large beside 40 A as 1e-3 beside 1 A
     )
     f = pacinian(DT_S)
@@ -63,7 +63,8 @@ def test_weighted_optimum_against_dense_least_squares(make_problem: ProblemMaker
     response = signal.lfilter(f.b, f.a, np.eye(N)[0])
     filtering = np.array([[response[i - j] if i >= j else 0.0 for j in range(N)] for i in range(N)])
     r = problem.reference_m_s2
-    weights = np.sqrt(problem.tracking_weights) / np.linalg.norm(r)
+    roots = np.sqrt(np.linspace(0.5, 2.0, N))
+    weights = roots / np.linalg.norm(roots * (filtering @ r))
     moves = np.sqrt(problem.movement.weight) * (np.eye(N) - np.eye(N, k=-1))
     free = problem.free_stages
     matrix = np.vstack([weights[:, None] * (filtering @ plant), moves])[:, :free]
@@ -80,11 +81,11 @@ def test_weighted_optimum_against_dense_least_squares(make_problem: ProblemMaker
 @pytest.mark.parametrize("limit_A", [4.0, 2.0])
 def test_a_weighted_design_is_better_weighted_and_worse_plain(make_problem: ProblemMaker, limit_A: float) -> None:
     plain = make_problem(0.4, 5.0, current_A=limit_A)
-    weighted = replace(plain, error_filter=pacinian(DT_S))
+    weighted = replace(plain, terms=(replace(plain.terms[0], error_filter=pacinian(DT_S)),))
     answers = [optimum(problem, SolverOptions()) for problem in (plain, weighted)]
     assert all(designed.certificate.accepted for designed in answers)
     motions = [plain.stage.rollout(designed.solution.command)[0] for designed in answers]
-    heard = [weighted.tracking.nrmse(motion) for motion in motions]
+    heard = [weighted.tracking.value(motion[None]) for motion in motions]
     raw = [nrmse(motion, plain.reference_m_s2) for motion in motions]
     assert heard[1] < heard[0] * (1 - 1e-3)
     assert raw[0] < raw[1] * (1 - 1e-3)
@@ -92,9 +93,9 @@ def test_a_weighted_design_is_better_weighted_and_worse_plain(make_problem: Prob
 
 def test_the_scene_states_it(scene: Scene) -> None:
     data = scene.model_dump()
-    assert scene.error_filter() is None
-    data["weights"]["error_filter"] = "pacinian"
-    stated = Scene.model_validate(data).error_filter()
+    data["weights"]["rapid"] = "pacinian"
+    stated = Scene.model_validate(data).posing().rapid
+    assert stated is not None
     np.testing.assert_array_equal(stated.b, pacinian(DT_S).b)
 
 

@@ -17,6 +17,7 @@ from transopt.design.explain import infeasibility
 from transopt.design.optimum import optimum
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import Status
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
@@ -63,7 +64,7 @@ def cut(problem: TransientProblem, stages: int) -> TransientProblem:
         problem,
         grid=replace(problem.grid, stages=stages, after_stages=0),
         target=Target(problem.reference_m_s2[:stages]),
-        tracking_weights=np.ones(stages),
+        terms=(ErrorTerm("plain", np.ones(stages)),),
         limits=limits,
         wall=wall,
     )

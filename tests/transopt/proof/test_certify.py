@@ -12,6 +12,7 @@ from transopt.base.errors import InputError
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, binding_limits, certify, movement_bound, reduced_gradient
 from transopt.solvers import unlimited
@@ -278,8 +279,8 @@ def test_bad_problem_data_is_refused(make_problem: ProblemMaker) -> None:
     problem = make_problem()
     with pytest.raises(InputError, match="reference_m_s2 holds a number that is not finite"):
         problem.towards(np.full(600, np.nan))
-    with pytest.raises(InputError, match=r"tracking_weights has shape \(3,\)"):
-        replace(problem, tracking_weights=np.ones(3))
+    with pytest.raises(InputError, match=r"weights of the plain term has shape \(3,\)"):
+        replace(problem, terms=(ErrorTerm("plain", np.ones(3)),))
     with pytest.raises(InputError, match="hand_over_samples = 0"):
         replace(problem, hand_over_samples=0)
 

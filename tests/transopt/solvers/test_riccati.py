@@ -25,6 +25,7 @@ from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.heat import Budget
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify
@@ -114,9 +115,9 @@ class TestAnswers:
 
     def test_no_smoothness_and_weights_of_zero(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.4, 5.0)
-        weights = problem.tracking_weights.copy()
+        weights = problem.terms[0].weights.copy()
         weights[200:] = 0.0
-        problem = replace(problem, tracking_weights=weights, rho=1e-12)
+        problem = replace(problem, terms=(ErrorTerm("plain", weights),), rho=1e-12)
         answer = solve(problem, OWN)
         assert certify(problem, answer.command, answer.multipliers).accepted
 

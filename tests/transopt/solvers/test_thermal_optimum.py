@@ -22,6 +22,7 @@ from transopt.plant.coil import CoilModel
 from transopt.problem.answer import Solution, Status
 from transopt.problem.heat import STEADY_MARGIN
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, certify, inside, relaxed_bound
@@ -58,7 +59,7 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
             problem,
             grid=grid,
             target=Target(problem.reference_m_s2[:stages]),
-            tracking_weights=np.ones(stages),
+            terms=(ErrorTerm("plain", np.ones(stages)),),
         )
         return with_limit(short, temperature_limit(coil, problem.stage.amplifier, grid, varied.budget()))
 

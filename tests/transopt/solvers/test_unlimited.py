@@ -14,8 +14,9 @@ from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import Motion, discretise
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Solution, Status
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.target import Target
-from transopt.problem.objective.weighting import error_filter
+from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify, gradient_rounding
@@ -137,7 +138,7 @@ def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
         problem,
         grid=replace(problem.grid, stages=stages),
         target=Target(problem.reference_m_s2[5 : 5 + stages]),
-        tracking_weights=np.ones(stages),
+        terms=(ErrorTerm("plain", np.ones(stages)),),
         hand_over_samples=min(10, stages - 1),
     )
 
@@ -157,7 +158,7 @@ EXTREMES = {
     "free stylus": lambda p: device(p, damping_N_s_m=8.0, held=False),
     "free stylus, rho 0": lambda p: replace(device(p, damping_N_s_m=8.0, held=False), rho=0.0),
     "nothing weighted from stage 100 to 300": lambda p: replace(
-        p, tracking_weights=np.repeat([1.0, 0.0, 1.0], (100, 200, 300))
+        p, terms=(ErrorTerm("plain", np.repeat([1.0, 0.0, 1.0], (100, 200, 300))),)
     ),
     "2 stages": lambda p: shortened(p, 2),
     "12 stages": lambda p: shortened(p, 12),
@@ -220,7 +221,7 @@ class TestWhenThePassFallsShort:
 
     def test_where_any_command_is_optimal_none_is_the_answer(self, make_problem: ProblemMaker) -> None:
         """Without weights pass and sparse system would break down; rest is as good as any command, and proven."""
-        problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
+        problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, terms=(ErrorTerm("plain", np.zeros(30)),))
         answer = unlimited.solve_in_casadi(problem)
         assert not answer.command.any()
         assert certify(problem, answer.command, answer.multipliers).accepted
@@ -266,7 +267,7 @@ class TestCompiledPass:
         problem = replace(
             problem,
             spread=(make_problem(0.3, 1.0).stage, make_problem(0.3, 5.0).stage),
-            error_filter=error_filter("pacinian", problem.grid.dt_s),
+            terms=(replace(problem.terms[0], error_filter=pacinian(problem.grid.dt_s)),),
         )
         assert self.difference(problem) < 1e-9
 
@@ -288,7 +289,9 @@ class TestCompiledPass:
 
     def test_without_any_weight_it_breaks_down_and_keeps_no_gains(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.2, 3.0, stages=30)
-        run = extension.LinearPass(without_limits(replace(problem, rho=0.0, tracking_weights=np.zeros(30))))
+        run = extension.LinearPass(
+            without_limits(replace(problem, rho=0.0, terms=(ErrorTerm("plain", np.zeros(30)),)))
+        )
         assert all(run.solve(unlimited.GAP).code not in (extension.SOLVED, extension.ACCURACY) for _ in range(2))
 
 

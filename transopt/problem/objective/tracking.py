@@ -135,7 +135,7 @@ class Tracking:
 
     @cached_property
     def unit_wanted(self) -> FloatArray:
-        """(T, N + M) of F (r - a_free) / sqrt(E), the outputs' targets in units of sqrt(E); zero for a tap of zero."""
+        """(T, N + M) of F (r - a_free) / sqrt(E), what the outputs are compared with; zero for a tap of zero."""
         return np.asarray(self.wanted[:, self._lost :] / (np.sqrt(self.energy_m2_s4) or 1.0))
 
     @cached_property
@@ -147,7 +147,7 @@ class Tracking:
 
     @cached_property
     def solved_wanted(self) -> FloatArray:
-        """(T, N) what the outputs are led to within the window in units of sqrt(E): of the last term w / (w - lam)."""
+        """(T, N) what the outputs are led to in the window, over sqrt(E); of the last term w / (w - lam) as much."""
         wanted = self.unit_wanted[:, : self.target.window_m_s2.size]
         if self.intensity == 0:
             return wanted

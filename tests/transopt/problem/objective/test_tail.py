@@ -12,9 +12,10 @@ from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import StageModel, discretise
 from transopt.plant.wall import FeedbackLoop
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Status
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.tail import tail
 from transopt.problem.objective.target import Target
-from transopt.problem.objective.weighting import error_filter
+from transopt.problem.objective.weighting import highpass, pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.problem.wall_ticks import pressing_under
@@ -56,11 +57,20 @@ def plain(make_problem: ProblemMaker) -> TransientProblem:
     return lasting(make_problem(0.4, 5.0, stages=150, current_A=2.5))
 
 
+WINDOW = np.ones(150)
+RISING = np.linspace(0.5, 2.0, 150)
 VARIED = {
     "plain": {},
-    "filtered": {"error_filter": error_filter("pacinian", 1e-4)},
-    "weighted": {"tracking_weights": np.linspace(0.5, 2.0, 150)},
+    "filtered": {"terms": (ErrorTerm("rapid", WINDOW, error_filter=pacinian(1e-4)),)},
+    "weighted": {"terms": (ErrorTerm("plain", RISING),)},
     "priced": {"intensity": 0.4, "intensity_dB": -0.5},
+    "two terms": {
+        "terms": (
+            ErrorTerm("plain", np.where(np.arange(150) < 90, 0.09, 0.0), before=0.09, after=0.0),
+            ErrorTerm("rapid", WINDOW, error_filter=highpass(20.0, 1e-4)),
+        )
+    },
+    "heat": {"heat_price": 3e-4},
 }
 
 
@@ -68,8 +78,8 @@ def varied(problem: TransientProblem, kind: str) -> TransientProblem:
     if kind == "spread":
         return replace(problem, spread=(another(problem.stage),))
     if kind == "all":
-        both = replace(problem, spread=(another(problem.stage),), **VARIED["filtered"])
-        return replace(both, **VARIED["weighted"], **VARIED["priced"])
+        both = replace(problem, spread=(another(problem.stage),), **VARIED["two terms"])
+        return replace(both, **VARIED["priced"], **VARIED["heat"])
     return replace(problem, **VARIED[kind])
 
 
@@ -106,8 +116,9 @@ def test_the_unlimited_optimum_is_that_of_a_dense_program(plain: TransientProble
 
 def by_rollout(problem: TransientProblem, command: FloatArray) -> float:
     """The tail's part of J as the certificate sees it."""
-    error = problem.tracking.error(problem.accelerations(command))[:, problem.grid.stages :]
-    return float(np.mean(np.sum(error**2, axis=1))) / problem.target.energy_m2_s4
+    error = problem.tracking.error(problem.accelerations(command))[..., problem.grid.stages :]
+    after = np.array([term.after for term in problem.terms])
+    return float(after @ np.mean(np.sum(error**2, axis=2), axis=1)) / problem.tracking.energy_m2_s4
 
 
 def ended(problem: TransientProblem, seed: int) -> FloatArray:

@@ -5,47 +5,126 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy import signal
 
+from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.plant.discretise import TimeGrid
+from transopt.problem.objective.error_term import ErrorTerm
+from transopt.problem.objective.heat_price import HeatPrice
 from transopt.problem.objective.movement import Movement
+from transopt.problem.objective.plain import plain
+from transopt.problem.objective.rapid import rapid, rapid_filter
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking
-from transopt.problem.objective.weighting import ErrorFilter, error_filter
+from transopt.problem.objective.weighting import ErrorFilter, highpass, pacinian
 
-N, DT_S = 40, 1e-4
+N, M, L, DT_S = 40, 15, 3, 1e-4
 
 
 def drawn(seed: int, *shape: int) -> FloatArray:
     return np.random.default_rng(seed).normal(size=shape)
 
 
-@pytest.mark.parametrize("weighting", [None, error_filter("pacinian", DT_S)])
-def test_tracking_is_its_formula_and_its_gradient_the_difference(weighting: ErrorFilter | None) -> None:
-    weights = np.linspace(0.0, 2.0, N)
-    term = Tracking(Target(drawn(1, N)), weights, weighting)
-    accelerations = drawn(2, 3, N)
-    impulse = np.zeros(N)
-    impulse[0] = 1.0
-    response = impulse if weighting is None else weighting.apply(impulse)
-    expected = 0.0
-    for acceleration in accelerations:
-        error = np.convolve(response, acceleration - term.target.window_m_s2)[:N]
-        expected += sum(w * e**2 for w, e in zip(weights, error, strict=True)) / 3
-    expected /= float(np.sum(term.target.window_m_s2**2))
-    assert term.value(accelerations) == pytest.approx(expected, rel=1e-12)
+def tap(seed: int) -> Target:
+    """A target with lost samples and a tail."""
+    return Target(drawn(seed, N), drawn(seed + 10, M), drawn(seed + 20, L))
 
-    direction, step = drawn(3, N), 1e-3
+
+def response(by: ErrorFilter | None, size: int) -> FloatArray:
+    """Impulse response by its difference equation."""
+    if by is None:
+        return np.eye(1, size)[0]
+    return np.asarray(signal.lfilter(by.b, by.a, np.eye(1, size)[0]))
+
+
+TERMS = {
+    "plain": (ErrorTerm("plain", np.linspace(0.0, 2.0, N), before=0.5, after=0.3),),
+    "rapid": (ErrorTerm("rapid", np.linspace(0.0, 2.0, N), before=0.5, after=0.3, error_filter=pacinian(DT_S)),),
+    "both": (
+        ErrorTerm("plain", np.where(np.arange(N) < 20, 0.09, 0.0), before=0.09, after=0.0),
+        ErrorTerm("rapid", np.ones(N), error_filter=highpass(20.0, DT_S)),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TERMS)
+def test_tracking_is_its_formula_and_its_gradient_the_difference(kind: str) -> None:
+    term = Tracking(tap(1), TERMS[kind])
+    accelerations = drawn(2, 3, N + M)
+    whole = np.concatenate([term.target.before_m_s2, term.target.window_m_s2, term.target.after_m_s2])
+
+    def squares(error: FloatArray) -> float:
+        found = 0.0
+        for each in TERMS[kind]:
+            filtered = np.convolve(response(each.error_filter, error.size), error)[: error.size]
+            weights = [*[each.before] * L, *each.weights, *[each.after] * M]
+            found += sum(w * e**2 for w, e in zip(weights, filtered, strict=True))
+        return found
+
+    errors = [np.append(np.zeros(L), acceleration) - whole for acceleration in accelerations]
+    expected = float(np.mean([squares(error) for error in errors])) / squares(whole)
+    assert term.value(accelerations) == pytest.approx(expected, rel=1e-12)
+    assert term.value(np.zeros((1, N + M))) == pytest.approx(1.0, rel=1e-12)
+
+    direction, step = drawn(3, N + M), 1e-3
     ends = [np.vstack([accelerations[0] + sign * step * direction, accelerations[1:]]) for sign in (-1, 1)]
-    # The term is quadratic, so that the central difference is its slope.
+    # The sum is quadratic, so that the central difference is its slope.
     slope = (term.value(ends[1]) - term.value(ends[0])) / (2 * step)
     assert float(term.gradient(accelerations[0], 1 / 3) @ direction) == pytest.approx(slope, rel=1e-9)
 
 
-def test_a_perfect_copy_has_no_error_and_silence_all_of_it() -> None:
-    term = Tracking(Target(drawn(4, N)), np.ones(N), error_filter("pacinian", DT_S))
-    assert term.nrmse(term.target.window_m_s2) < 1e-12
-    assert term.nrmse(np.zeros(N)) == pytest.approx(1.0, rel=1e-12)
-    assert not replace(term, target=Target(np.zeros(N))).unit_reference.any()
+def test_a_perfect_copy_costs_nothing_but_what_is_lost() -> None:
+    target = tap(4)
+    term = Tracking(target, TERMS["both"])
+    found = term.value(target.continued_m_s2[None])
+    alone = Tracking(replace(target, before_m_s2=np.zeros(0)), TERMS["both"])
+    assert alone.value(target.continued_m_s2[None]) < 1e-24
+    # The filter goes on hearing the lost samples after they are over.
+    assert found * term.energy_m2_s4 > term.lost_m2_s4
+    assert not replace(term, target=Target(np.zeros(N), np.zeros(M), np.zeros(L))).unit_wanted.any()
+
+
+def test_the_plain_term_ends_with_the_intention_and_a_targets_never() -> None:
+    grid = TimeGrid(DT_S, 600, 3e-4, 0.0, 100)
+    of_a_hand, of_a_target = plain(0.09, grid, 30e-3), plain(1.0, grid, np.inf)
+    np.testing.assert_array_equal(of_a_hand.weights > 0, grid.switching_times_s < 30e-3 - 1e-12)
+    assert (of_a_hand.before, of_a_hand.after) == (0.09, 0.0)
+    assert of_a_target.weights.min() == of_a_target.after == 1.0
+
+
+@pytest.mark.parametrize("dt_s", [2e-5, 1e-4, 1e-3])
+def test_the_high_pass_is_butterworths(dt_s: float) -> None:
+    by = highpass(20.0, dt_s)
+    b, a = signal.butter(2, 20.0, "highpass", fs=1 / dt_s)
+    np.testing.assert_allclose([by.b, by.a], [b, a], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "from_Hz", "said"),
+    [
+        ("loud", 20.0, r"weights\.rapid = 'loud': unknown; choose highpass, pacinian or none"),
+        ("highpass", 5000.0, r"weights\.rapid_from_Hz = 5000 Hz: must be above 0 and below half the servo rate"),
+    ],
+)
+def test_a_filter_that_there_is_not_is_refused(kind: str, from_Hz: float, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        rapid_filter(kind, from_Hz, DT_S)
+
+
+def test_the_rapid_term_counts_every_sample_as_it_is() -> None:
+    by = rapid_filter("highpass", 20.0, DT_S)
+    assert by is not None
+    term = rapid(by, TimeGrid(DT_S, N, 0.0, 0.0))
+    assert set(term.all_weights(L, M)) == {1.0}
+    assert rapid_filter("none", 20.0, DT_S) is None
+
+
+def test_the_price_on_heat_is_its_formula_and_its_gradient_the_difference() -> None:
+    heat, current, direction = HeatPrice(2e-3), drawn(7, N), drawn(8, N)
+    assert heat.value(current) == pytest.approx(2e-3 * sum(i * i for i in current), rel=1e-12)
+    slope = (heat.value(current + 1e-3 * direction) - heat.value(current - 1e-3 * direction)) / 2e-3
+    assert float(heat.gradient(current) @ direction) == pytest.approx(slope, rel=1e-9)
 
 
 def test_movement_is_its_formula_its_gradient_and_its_relief_the_differences() -> None:
