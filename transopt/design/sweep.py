@@ -120,7 +120,7 @@ class Outcome:
     total_ms: float = NAN
 
 
-_references: Kept[list[Reference]] = Kept(KEPT_REFERENCES)
+_references: Kept[References] = Kept(KEPT_REFERENCES)
 _stages: Kept[StageModel] = Kept(KEPT_STAGES)
 # CasADi's solver objects are shared by all problems of a shape, and reading how one ended after another thread has
 # called it again would tell of the wrong problem.
@@ -131,8 +131,8 @@ def _context(task: Task, changes: Changes) -> Context:
     """One scene of a task; what it shares with the others of its device or of its recordings is kept."""
     scene = with_values(task.scene, changes)
     recorded = scene.model_copy(update={"grid": task.scene.grid})
-    speeds = task.scene.grid.speeds_m_s
-    key = f"{task.source} {scene.time_grid()} {as_text(scene, 'recordings', 'targets')} {speeds}"
+    of = as_text(recorded, "recordings", "targets", "grid", "hand", *OF_A_STAGE)
+    key = f"{task.source} {scene.time_grid()} {of}"
     return Context(scene, lambda: _references.get(key, lambda: references_of(recorded, task.recordings)), _stages)
 
 
