@@ -86,11 +86,9 @@ def _demand(draw: _Draw) -> Demand:
     return Demand(
         kind="tap" if draw.perhaps(0.65) else draw.of(*kinds),
         speed_m_s=0.0 if draw.perhaps(0.03) else draw.log(0.01, 5.0),
-        weights=draw.of("one", "intention") if draw.perhaps(0.7) else draw.of("late", "sparse", "tiny", "none"),
+        weights="one" if draw.perhaps(0.7) else draw.of("late", "sparse", "tiny", "none"),
         rho=draw.of(0.0, 1e-12, 1e-6, 1e-3, 1e-3, 1e-3),
-        rapid=draw.of("highpass", "highpass", "pacinian") if draw.perhaps(0.5) else "none",
-        rapid_from_Hz=draw.log(5.0, 60.0),
-        heat_price=draw.log(1e-8, 1e-2) if draw.perhaps(0.3) else 0.0,
+        rapid="pacinian" if draw.perhaps(0.05) else "none",
         seed=draw.seed(),
     )
 
@@ -130,7 +128,18 @@ def drawn(seed: int, index: int) -> StressCase:
         case = StressCase("random", device, current, horizon, demand, actuator=_actuator(apart))
     else:
         case = StressCase("random", device, current, horizon, demand, coil, surface)
-    return _several(_Draw(seed, index, apart=3), case)
+    case = _several(_Draw(seed, index, apart=3), case)
+    return replace(case, demand=_of_a_hand(_Draw(seed, index, apart=4), case.demand))
+
+
+def _of_a_hand(draw: _Draw, demand: Demand) -> Demand:
+    """Weigh the error as for a tap, price heat, or both, now and then, with random numbers of its own."""
+    if draw.perhaps(0.3):
+        demand = replace(demand, heat_price=draw.log(1e-8, 1e-2))
+    if draw.perhaps(0.5):
+        return demand
+    weights = "intention" if demand.weights == "one" else demand.weights
+    return replace(demand, weights=weights, rapid="highpass", rapid_from_Hz=draw.log(5.0, 60.0))
 
 
 def _several(draw: _Draw, case: StressCase) -> StressCase:

@@ -1,10 +1,18 @@
 """A solved library with other numbers of speeds and grips than were solved, or with some of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from transopt.library.library import ARRAYS, Library
+from transopt.scene.keys import with_values
+
+
+def under(library: Library, values: Mapping[str, object]) -> Library:
+    """What is in a library, under its scene with other values at dotted keys: nothing is solved again."""
+    scene = with_values(library.scene(), values)
+    return replace(library, meta={**library.meta, "scene": scene.model_dump(mode="json")})
 
 
 def resized(library: Library, speeds: int, grips: int) -> Library:

@@ -293,7 +293,6 @@ def _meta(
         "derived": derived(
             context.posing,
             [row[0].problem for row in entries],
-            named=bool(scene.targets),
             warm=heat_is_in(left_out),
         ),
         **({"outputs": outputs} if any(outputs) else {}),

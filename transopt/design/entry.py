@@ -426,7 +426,11 @@ def not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:
         ),
         "amplifier": (problem.stage.amplifier is None, "ideal in the scene"),
         "hand": (grip_N == 0, "free device, grip 0"),
-        "weighting": (problem.error_filter is None, "the scene weighs all frequencies alike"),
+        "rapid": (
+            all(term.error_filter is None for term in problem.terms),
+            "the scene weighs all frequencies alike",
+        ),
+        "heat price": (problem.heat_price == 0, "the scene states none"),
     }
     limits = {
         kind.name: (kind.name not in problem.limits, kind.said_without)

@@ -4,8 +4,8 @@ A blend of feasible commands is feasible, but it is not the optimum: it is furth
 weaker, since blending adds what is not in phase. Its excess at (v, F) is the larger of two shares: the NRMSE of the
 bilinear blend of the node commands, played through the device of grip F against the reference at v, minus the NRMSE
 of the optimum solved exactly there; and the share of amplitude that the blend lacks beside that optimum, 1 - 10^(dB /
-20) with the energies of both within the window through the scene's error filter. A tolerance of 0.02 so allows 2
-points of NRMSE and 0.18 dB. An optimum of intensity is not the least in NRMSE; its blend is held by the second.
+20) with the energies of both within the window through the filter of the scene's rapid term. A tolerance of 0.02
+so allows 2 points of NRMSE and 0.18 dB. An optimum of intensity is not the least in NRMSE; its blend is held by the second.
 References between recorded speeds come from `reference.between`.
 """
 
@@ -232,8 +232,8 @@ class Errors:
         return found.told.nrmse(found.predicted_m_s2)
 
     def _energy(self, acceleration_m_s2: FloatArray) -> float:
-        """Energy of an acceleration (N,) through the scene's error filter."""
-        of = self.context.posing.error_filter
+        """Energy of an acceleration (N,) through the filter of the scene's rapid term."""
+        of = self.context.posing.rapid
         heard = of.apply(acceleration_m_s2) if of else acceleration_m_s2
         return float(heard @ heard)
 

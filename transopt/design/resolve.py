@@ -77,7 +77,7 @@ def resolve(
     problems = [library.problem(iv, 0) for iv in range(nv)]
     meta = {
         **library.meta,
-        "derived": derived(library.posing(), problems, named=bool(library.axes.targets), warm=heat_is_in(shared)),
+        "derived": derived(library.posing(), problems, warm=heat_is_in(shared)),
         "left_out": shared,
         "solver": asdict(options),
         "refinement": refinement,

@@ -16,22 +16,21 @@ from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.limits.voltage import SaggingVoltageLimit, VoltageLimit
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 
-INTENTION_S = 0.030  # for so long after contact a hand keeps the velocity that it intends
 FELT_Hz = (120.0, 620.0)  # band in which the felt error is told, whatever the terms of the objective are
 WHOLE = (CurrentLimit, VoltageLimit, CommandLimit, SlewLimit)  # limits of which these numbers say all
 
 
-def derived(posing: Posing, problems: Sequence[TransientProblem], *, named: bool, warm: bool) -> dict[str, Any]:
+def derived(posing: Posing, problems: Sequence[TransientProblem], *, warm: bool) -> dict[str, Any]:
     """What `meta.derived` states of the problems of a library.
 
     Parameters
     ----------
     posing : what all its problems share.
     problems : one of each speed or named target, at the same grip; of a nonlinear plant those of the plant at rest.
-    named : whether they are for named targets, whose error is told over the whole window.
     warm : whether the winding's temperature is a constraint of any entry, and not shown to matter to none.
     """
     problem = problems[0]
@@ -42,7 +41,7 @@ def derived(posing: Posing, problems: Sequence[TransientProblem], *, named: bool
         "dt_s": grid.dt_s,
         "lead_s": grid.lead_s,
         "hand_over_samples": problem.hand_over_samples,
-        "intention_s": grid.stages * grid.dt_s + float(grid.switching_times_s[0]) if named else INTENTION_S,
+        "intention_s": problem.intention_s,
         "amplifier": None
         if amplifier is None
         else {
@@ -55,7 +54,7 @@ def derived(posing: Posing, problems: Sequence[TransientProblem], *, named: bool
         "wall": problem.wall is not None,
         "spread": bool(problem.spread),
         "movement_weight": problem.movement.weight,
-        "terms": [_error_term(problems)],
+        "terms": [_term([each.terms[j] for each in problems]) for j in range(len(problem.terms))],
         "felt": _felt(grid.dt_s),
     }
 
@@ -67,17 +66,17 @@ def _is_whole(limit: Limit, *, warm: bool) -> bool:
     return isinstance(limit, WHOLE) and not isinstance(limit, SaggingVoltageLimit)
 
 
-def _error_term(problems: Sequence[TransientProblem]) -> dict[str, Any]:
-    """The term of the error; its weights in the window are one list where those of all problems are alike."""
-    heard = problems[0].error_filter
-    weights = [problem.tracking_weights.tolist() for problem in problems]
+def _term(of_problems: Sequence[ErrorTerm]) -> dict[str, Any]:
+    """A term of the error; its weights in the window are one list where those of all problems are alike."""
+    first, by = of_problems[0], of_problems[0].error_filter
+    weights = [term.weights.tolist() for term in of_problems]
     return {
-        "name": "error",
-        "b": [1.0] if heard is None else heard.b.tolist(),
-        "a": [1.0] if heard is None else heard.a.tolist(),
+        "name": first.name,
+        "b": [1.0] if by is None else by.b.tolist(),
+        "a": [1.0] if by is None else by.a.tolist(),
         "weights": weights[0] if all(each == weights[0] for each in weights) else weights,
-        "before": 1.0,
-        "after": 1.0,
+        "before": first.before,
+        "after": first.after,
     }
 
 

@@ -116,8 +116,7 @@ class Library:
         Array(
             "vgM",
             "m/s^2",
-            "y'' after the last command, where the wall goes on pushing",
-            needs="wall",
+            "y'' after the last command, as predicted",
             made=lambda entry: entry.designed.effect.lasting.acceleration_m_s2[entry.problem.grid.stages :],
         ),
     ]
@@ -198,7 +197,7 @@ class Library:
             "vg",
             "m^2/s^4",
             "E, the sums of J over the target in place of the error",
-            made=lambda entry: entry.problem.target.energy_m2_s4,
+            made=lambda entry: entry.problem.tracking.energy_m2_s4,
         ),
     ]
     error_after: Annotated[

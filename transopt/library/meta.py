@@ -91,7 +91,6 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
         "targets": bool(scene.targets),
         "spread": scene.robust is not None,
         "worst": scene.robust is not None and scene.robust.minimise == "worst",
-        "wall": scene.feedback is not None,
         "nonlinear": scene.nonlinear,
         "intensity": scene.weights.objective == "intensity",
         "refinement": meta.get("refinement") is not None,

@@ -21,4 +21,5 @@ def scene_in(meta: dict[str, Any]) -> Scene:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"meta.scene: {key}: {message}; solve the scene again") from None
+        where = f"meta.scene: {key}" if key else "meta.scene"
+        raise InputError(f"{where}: {message}; solve the scene again") from None

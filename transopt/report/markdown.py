@@ -172,7 +172,7 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
     if not priced:
         return []
     other = ""
-    if any(entry.problem.error_filter is not None or entry.problem.spread for entry, _ in priced):
+    if any(len(entry.problem.terms) > 1 or entry.problem.spread for entry, _ in priced):
         other = " What a wider limit lowers is the error that the design minimises; this NRMSE need not fall with it."
     head = ["limit", "NRMSE %", "raised by", "NRMSE % then", "would not bind from", "NRMSE % there"]
     rows = [
@@ -208,7 +208,7 @@ def _solved_percent(error: float, of: float) -> str:
 def _weighted_lines(build: Build) -> list[str]:
     """The section on the error as the filter of the weights sees it; empty without a filter."""
     entries = list(build.all_entries())
-    if all(entry.problem.error_filter is None for entry in entries):
+    if all(term.error_filter is None for entry in entries for term in entry.problem.terms):
         return []
     rows = [[*e.cells, percent(e.nrmse), percent(e.weighted_nrmse)] for e in entries]
     return [

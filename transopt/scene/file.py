@@ -23,6 +23,19 @@ from transopt.scene.plant_file import with_plant_file
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Time
 
+# Keys that older scene files have -> what is written instead.
+REPLACED = {
+    "recordings.highpass_Hz": (
+        "the recorded tap is followed as it is, and no high-pass takes a share of it away: delete the line; how the "
+        "stylus moves without current is said by [hand], and weights.rapid_from_Hz says from where on an error is "
+        "rapid"
+    ),
+    "weights.error_filter": (
+        'the error has a plain and a rapid term: write weights.rapid = "pacinian" or "highpass" with '
+        "weights.rapid_from_Hz, and weights.plain for the error as it is"
+    ),
+    "weights.tracking": "write weights.plain, the weight of the error as it is over hand.intention_s",
+}
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
 _MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
 
@@ -100,6 +113,8 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     where = ".".join(str(key) for key in keys)
     if first["type"] == "extra_forbidden":
         known = _known_keys(keys, content)
+        if where in REPLACED:
+            return f"{source}: {where}: {REPLACED[where]}"
         text = f"{where}: unknown key{did_you_mean(str(keys[-1]), known)}; known here: {', '.join(known)}"
         if len(keys) > 1 and keys[-1] in Scene.model_fields:
             text = (

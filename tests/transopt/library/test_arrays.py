@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from transopt.library.arrays import absent, content_hash, declared, stored_names
+from transopt.library.arrays import absent, content_hash, declared
 from transopt.library.export import export_library
 from transopt.library.library import ARRAYS, MULTIPLIERS, Library
+from transopt.library.meta import stated
 from transopt.problem.limits import KINDS
 
-UNITS = {"m_s2": "m/s^2", "m_s": "m/s", "m": "m", "A": "A", "N": "N", "C": "C", "s": "s"}
+UNITS = {"A2_s": "A^2 s", "m_s2": "m/s^2", "m_s": "m/s", "m": "m", "A": "A", "N": "N", "C": "C", "s": "s"}
 
 
 def test_every_field_but_meta_and_the_multipliers_is_declared_once() -> None:
@@ -22,21 +23,21 @@ def test_every_field_but_meta_and_the_multipliers_is_declared_once() -> None:
 
 def test_a_unit_in_the_name_is_the_unit_declared() -> None:
     named = 0
-    for name, stated in ARRAYS.items():
+    for name, array in ARRAYS.items():
         if name.startswith(("plant_", "spread_")):
             continue
         suffix = next((suffix for suffix in UNITS if name.endswith(f"_{suffix}")), None)
         if suffix is not None:
-            assert stated.unit == UNITS[suffix], name
+            assert array.unit == UNITS[suffix], name
             named += 1
     assert named >= 14
 
 
 def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
-    for name, stated in ARRAYS.items():
-        assert set(stated.shape) <= set("vgNMLhns12"), name
-        assert stated.meaning, name
-        assert stated.needs in (
+    for name, array in ARRAYS.items():
+        assert set(array.shape) <= set("vgNMLhns12"), name
+        assert array.meaning, name
+        assert array.needs in (
             "",
             "speeds",
             "targets",
@@ -44,15 +45,14 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
             "worst",
             "refinement",
             "nonlinear",
-            "after_s",
             "intensity",
             *(kind.stored_with(row) for kind in KINDS for row in kind.row_names),
         )
 
 
 def test_a_library_file_and_a_mat_file_hold_what_is_declared(library: Library, tmp_path: Path) -> None:
-    names, missing = stored_names(ARRAYS, 2), absent(ARRAYS, library.meta)
-    wanted = {names[name] for name in ARRAYS if name not in missing} | {"meta", "content_sha256"}
+    missing = absent(ARRAYS, stated(library.scene(), library.meta))
+    wanted = {name for name in ARRAYS if name not in missing} | {"meta", "content_sha256"}
     library.save(tmp_path / "library.npz")
     export_library(library, tmp_path / "library.mat")
     with np.load(tmp_path / "library.npz") as file:

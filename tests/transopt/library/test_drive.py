@@ -156,9 +156,9 @@ class TestPlayed:
         driver = driver_for(lra, bits="32")
         found = played(lra, [drive_of(lra, iv, 0, driver) for iv in (0, 1)])
         for iv, each in enumerate(found):
-            assert each.nrmse == pytest.approx(lra.nrmse[iv, 0], rel=1e-6)
-            assert each.nrmse_after == pytest.approx(lra.nrmse_after[iv, 0], rel=1e-4)
-            assert each.nrmse_designed == pytest.approx(lra.nrmse[iv, 0], rel=1e-12)
+            assert each.nrmse == pytest.approx(lra.tap_error[iv, 0], rel=1e-6)
+            assert each.nrmse_after == pytest.approx(lra.error_after[iv, 0], rel=1e-4)
+            assert each.nrmse_designed == pytest.approx(lra.tap_error[iv, 0], rel=1e-12)
             assert each.limits_left == ()
             scale = np.abs(lra.acceleration_m_s2[iv, 0]).max()
             predicted, _ = lra.lasting(iv, 0)
@@ -182,8 +182,8 @@ class TestPlayed:
         assert amplifier.delay_s > 0
         drive = drive_of(library, 3, 2, driver_for(library, rate_Hz=50000.0, bits="32"))
         (found,) = played(library, [drive])
-        assert found.nrmse == pytest.approx(library.nrmse[3, 2], rel=1e-6)
-        assert found.nrmse_after == pytest.approx(library.nrmse_after[3, 2], rel=1e-4)
+        assert found.nrmse == pytest.approx(library.tap_error[3, 2], rel=1e-6)
+        assert found.nrmse_after == pytest.approx(library.error_after[3, 2], rel=1e-4)
         assert found.limits_left == ()
 
     def test_eight_bits_and_a_slow_driver_cost_and_clipping_costs_more(self, lra: Library) -> None:
@@ -191,7 +191,7 @@ class TestPlayed:
             (found,) = played(lra, [drive_of(lra, 1, 0, driver_for(lra, **driver))])  # type: ignore[arg-type]
             return found.nrmse
 
-        design = float(lra.nrmse[1, 0])
+        design = float(lra.tap_error[1, 0])
         assert abs(nrmse(bits="16") - design) < 1e-5
         assert abs(nrmse(bits="8") - design) < 1e-2
         assert nrmse(rate_Hz=1000.0) > design + 0.01
@@ -306,7 +306,7 @@ class TestFiles:
         export_drive(library, path, speed_m_s=0.4, grip_N=5.0)
         _, rows = _table(path)
         assert list(rows[0]) == ["speed_m_s", "grip_N", "k", "time_s", "sample", "command_A"]
-        assert float(rows[0]["time_s"]) == pytest.approx(-library.meta["lead_s"])
+        assert float(rows[0]["time_s"]) == pytest.approx(-library.lead_s)
 
     def test_a_rate_that_wav_cannot_state(self, lra: Library, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"rate 44099\.9 Hz: WAV states whole numbers; give --rate-Hz 44100"):

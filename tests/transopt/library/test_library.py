@@ -1,25 +1,22 @@
 """The library file: round trip, refusal of everything else, blending between nodes."""
 
 import json
+import re
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.benches.places import SCHEMA_1
+from tests.benches.libraries import under
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.build import Build
 from transopt.design.verify import verify_library
-from transopt.library.arrays import HASH_FIELD, content_hash, stored_names
+from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.library.file import load_library
 from transopt.library.library import ARRAYS, Library
-from transopt.library.proven import doubts
-
-COIL = {"R_ohm": 2.18, "R_wh_K_W": 3.0, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 600.0, "limit_C": 100.0}
 
 
 @pytest.fixture
@@ -65,81 +62,66 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         absent = {
             name
             for name in ARRAYS
-            if ARRAYS[name].needs == "nonlinear"
+            if ARRAYS[name].needs in ("nonlinear", "targets")
             or (
-                name.startswith(("mu_", "current_sign", "spread", "correction", "intensity", "energy_dB", "targets"))
+                name.startswith(("mu_", "current_sign", "spread", "correction", "intensity", "energy_dB"))
                 and not name.startswith(("mu_current", "mu_command", "mu_end"))
             )
         }
-        assert len(absent) == 34
-        assert names >= {stored_names(ARRAYS, 2)[name] for name in set(ARRAYS) - absent} | {"meta"}
-        assert not absent & names, "no limit beside those of current and command is in force and there is one device"
+        assert len(absent) == 35
+        assert names == (set(ARRAYS) - absent) | {"meta", HASH_FIELD}, "no limit but those of current and command"
         meta = json.loads(str(file["meta"]))
-        assert file["command_A"].shape == (4, 3, 600)
-    assert meta["schema"] == 2
-    assert meta["limits"] == {
-        "current_A": 4.0,
-        "steady_current_A": 1.25,
-        "slew_A_per_s": None,
-        "supply_V": None,
-        "temperature_C": None,
-        "stroke_m": None,
-        "velocity_m_s": None,
-    }
-    assert len(meta["weights"]["tracking"]) == 600
+        assert file["command"].shape == (4, 3, 600)
+    assert meta["schema"] == 4
+    assert meta["scene"]["name"] == library.scene().name
     assert set(meta["versions"]) == {"transopt", "casadi", "numpy", "scipy", "python"}
     assert len(meta["sources"]) == 12
     assert "simulated" in meta["sources"][0]["origin"]
 
 
+def test_target_is_what_was_recorded_less_the_free_motion(library: Library) -> None:
+    assert library.recorded_before_m_s2.shape == (4, 3, 0)
+    assert library.recorded_after_m_s2.shape == (4, 3, 300)
+    assert library.nominal_position_at_ticks_m.shape == (4, 3, 600)
+    for part in ("before_", "", "after_"):
+        recorded, free, target = (getattr(library, f"{of}_{part}m_s2") for of in ("recorded", "free", "target"))
+        np.testing.assert_allclose(target, recorded - free, atol=1e-12)
+
+
 def test_what_comes_after_the_window_is_stored(library: Library, build: Build) -> None:
-    assert library.reference_after_m_s2.shape == library.reference_raw_after_m_s2.shape == (4, 300)
-    assert library.reference_before_m_s2.shape == (4, 0)
-    assert library.nominal_position_at_ticks_m.shape == (4, 600)
-    weights = library.meta["weights"]
-    assert (weights["after_s"], weights["objective"], weights["intensity_dB"]) == (0.03, "waveform", 0.0)
-    assert (weights["error_filter_b"], weights["error_filter_a"]) == ([1.0], [1.0])
     for iv, row in enumerate(build.entries):
         for ig, entry in enumerate(row):
             made = entry.problem.accelerations(entry.solution.command)[0, 600:]
-            error = made - library.reference_after_m_s2[iv]
-            energy = float(library.reference_m_s2[iv] @ library.reference_m_s2[iv])
-            assert library.nrmse_after[iv, ig] == pytest.approx(np.sqrt(error @ error / energy), rel=1e-6)
+            error = made - library.target_after_m_s2[iv, ig]
+            energy = float(library.target_m_s2[iv, ig] @ library.target_m_s2[iv, ig])
+            assert library.energy[iv, ig] == pytest.approx(energy, rel=1e-12)
+            assert library.error_after[iv, ig] == pytest.approx(np.sqrt(error @ error / energy), rel=1e-6)
             assert library.peak_after_m_s2[iv, ig] == pytest.approx(np.abs(error).max(), rel=1e-6)
             np.testing.assert_allclose(library.lasting(iv, ig)[0][600:], made, atol=1e-9)
 
 
-class TestSchema1:
-    """A file written before anything was known of what lies beside the window: it keeps the meaning that it had."""
+def test_heat_is_the_integral_of_the_squared_current(library: Library) -> None:
+    current = library.lasting(3, 2)[1]
+    assert library.heat_A2_s[3, 2] == pytest.approx(1e-4 * float(current @ current), rel=1e-9)
 
-    @pytest.fixture
-    def old(self) -> Library:
-        return load_library(SCHEMA_1)
 
-    def test_nothing_lies_beside_its_window(self, old: Library) -> None:
-        grid = old.time_grid()
-        assert (grid.after_stages, grid.lead_s) == (0, 3e-4)
-        assert old.reference_after_m_s2.shape == old.reference_before_m_s2.shape == (2, 0)
-        assert not old.nrmse_after.any()
-        problem = old.problem(1, 0)
-        assert (problem.target.lost_m2_s4, problem.grid.after_stages, problem.intensity) == (0.0, 0, 0.0)
+def test_between_the_nodes_a_target_is_blended_in_speed_by_shape_and_in_grip(library: Library) -> None:
+    middle = library.wanted(0.15, 2.0).target
+    shapes = library.target_m_s2[:2, :2] / library.speeds_m_s[:2, None, None]
+    np.testing.assert_allclose(middle.window_m_s2, 0.15 * shapes.mean(axis=(0, 1)), atol=1e-12)
+    np.testing.assert_array_equal(
+        library.wanted(0.2, 3.0).target.window_m_s2, library.wanted_of(1, 1).target.window_m_s2
+    )
 
-    def test_it_is_proven_replayed_and_played(self, old: Library) -> None:
-        assert list(doubts(old)) == []
-        assert not any(check.shortfalls for check in verify_library(old))
-        assert old.at(0.25, 3.0).command.shape == (150,)
-        assert old.scene().time_grid() == old.time_grid()
 
-    def test_a_delay_beyond_its_lead_loses_nothing_of_it(self, old: Library) -> None:
-        amplifier = {**old.meta["amplifier"], "delay_s": 1e-3}
-        late = replace(old, meta={**old.meta, "amplifier": amplifier})
-        assert late.target(np.eye(2)[0]).lost_m2_s4 == 0
-
-    def test_it_is_saved_as_what_it_is(self, old: Library, tmp_path: Path) -> None:
-        old.save(tmp_path / "again.npz")
-        again = load_library(tmp_path / "again.npz")
-        assert again.meta == old.meta
-        assert again.content_sha256 == old.content_sha256
+@pytest.mark.parametrize("schema", [1, 2, 3, 5, True, "4"])
+def test_another_schema_ends_in_one_line(saved: Path, library: Library, schema: object) -> None:
+    rewrite(saved, meta=np.array(json.dumps({**library.meta, "schema": schema})))
+    rehash(saved)
+    with pytest.raises(InputError) as caught:
+        load_library(saved)
+    said = f"schema {schema!r}, this version reads schema 4 alone; solve the scene again"
+    assert str(caught.value) == f"{saved}: {said}"
 
 
 def test_hand_over_is_zero_and_transient_is_the_command(library: Library) -> None:
@@ -147,14 +129,14 @@ def test_hand_over_is_zero_and_transient_is_the_command(library: Library) -> Non
     np.testing.assert_array_equal(library.transient_command, library.command)
 
 
-@pytest.mark.parametrize("field", ["command", "mu_current_upper", "plant_A", "nrmse", "meta"])
+@pytest.mark.parametrize("field", ["command", "mu_current_upper", "plant_A", "tap_error", "meta"])
 def test_any_change_is_noticed(saved: Path, library: Library, field: str) -> None:
     if field == "meta":
-        changed = np.array(json.dumps({**library.meta, "lead_s": 0.0}))
+        changed = np.array(json.dumps({**library.meta, "derived": {}}))
     else:
         changed = library.array(field).copy()
         changed.flat[-1] += 1e-12
-    rewrite(saved, **{field if field == "meta" else library.in_file(field): changed})
+    rewrite(saved, **{field: changed})
     with pytest.raises(InputError, match="does not match its hash"):
         load_library(saved)
 
@@ -181,14 +163,14 @@ class TestRefusals:
             load_library(tmp_path / "x.npy")
 
     def test_pickle(self, saved: Path) -> None:
-        rewrite(saved, command_A=np.array([{"a": 1}], dtype=object))
+        rewrite(saved, command=np.array([{"a": 1}], dtype=object))
         with pytest.raises(InputError, match="pickled objects, which are never loaded"):
             load_library(saved)
 
     @pytest.mark.parametrize(
         ("name", "message"),
         [
-            ("command_A", "array command_A is missing"),
+            ("command", "array command is missing"),
             ("plant_Ce", "array plant_Ce is missing"),
             ("mu_end", "array mu_end is missing"),
             ("meta", "no array meta: not a library of this project"),
@@ -203,77 +185,86 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("name", "change", "message"),
         [
-            ("plant_input", lambda x: x[:, :, :-1], r"current_A has shape \(4, 3, 599\), expected \(4, 3, 600\)"),
-            ("nrmse", np.ravel, "nrmse has 1 dimensions, expected 2"),
-            ("command", lambda x: x.astype(int), "command_A has type int64, expected float"),
-            ("command", lambda x: np.where(x == x.max(), np.nan, x), "command_A holds a number that is not finite"),
+            ("plant_input", lambda x: x[:, :, :-1], r"plant_input has shape \(4, 3, 599\), expected \(4, 3, 600\)"),
+            ("tap_error", np.ravel, "tap_error has 1 dimensions, expected 2"),
+            ("command", lambda x: x.astype(int), "command has type int64, expected float"),
+            ("command", lambda x: np.where(x == x.max(), np.nan, x), "command holds a number that is not finite"),
             ("speeds_m_s", lambda x: x[::-1], "speeds_m_s is empty or not strictly increasing"),
         ],
     )
     def test_an_array_that_cannot_be(
         self, saved: Path, library: Library, name: str, change: Callable[[FloatArray], FloatArray], message: str
     ) -> None:
-        rewrite(saved, **{library.in_file(name): change(library.array(name))})
+        rewrite(saved, **{name: change(library.array(name))})
         rehash(saved)
         with pytest.raises(InputError, match=message):
             load_library(saved)
 
     @pytest.mark.parametrize(
-        "change",
-        [
-            {"schema": 3},
-            {"schema": True},
-            {"schema": "2"},
-            {"dt_s": "x"},
-            {"dt_s": 0},
-            {"dt_s": -1e-4},
-            {"lead_s": None},
-            {"amplifier": {"pole_Hz": "x", "delay_s": 0, "command_limit_A": 6}},
-            {"amplifier": {"pole_Hz": 1000.0, "delay_s": -1.0, "command_limit_A": 6}},
-            {"weights": {"rho": 1e-3, "tracking": [1.0]}},
-            {"weights": {"rho": 1e-3, "tracking": [1.0], "error_filter": "none", "spread": None}},
-            {"feedback": {"stiffness_N_m": 200.0}},
-            {"thermal": {"R_ohm": 1.0, "limit_C": 100.0}},
-            {"thermal": {"coil": {"limit_C": 100.0}, "budget": {}}},
-            {"thermal": {"coil": {**COIL, "R_ohm": -1.0}, "budget": {}}},
-            {"thermal": {"coil": COIL, "budget": {"taps": 1.0}}},
-            {"circuit": {"R_ohm": 2.18}},
-        ],
-    )
-    def test_meta_that_describes_no_problem(self, saved: Path, library: Library, change: dict) -> None:
-        rewrite(saved, meta=np.array(json.dumps({**library.meta, **change})))
-        rehash(saved)
-        with pytest.raises(
-            InputError, match="this version reads 1, 2 and 3|lacks command_unit" if "schema" in change else "meta"
-        ):
-            load_library(saved)
-
-    @pytest.mark.parametrize(
         ("change", "words"),
         [
-            ({"after_s": 1e7}, "must be 0 to 0.5 s and at most 3000 samples"),
-            ({"after_s": -1.0}, "must be 0 to 0.5 s"),
-            ({"after_s": float("nan")}, "meta"),
-            ({"after_s": "0.03"}, "meta does not describe a problem"),
-            ({"after_s": 0.02}, r"reference_after_m_s2 has shape \(4, 300\), expected \(4, 200\)"),
-            ({"objective": "intensity"}, "array intensity is missing"),
+            ({"time": {"dt_s": "x", "stages": 600}}, "meta.scene: time.dt_s"),
+            ({"time": {"dt_s": -1e-4, "stages": 600}}, "meta.scene: time.dt_s"),
+            ({"time": {"dt_s": 1e-4, "stages": 10**9}}, "meta.scene: "),
+            ({"amplifier": {"pole_Hz": "x", "delay_s": 0, "command_limit_A": 6}}, "meta.scene: amplifier"),
+            ({"amplifier": {"pole_Hz": 1000.0, "delay_s": -1.0, "command_limit_A": 6}}, "meta.scene: amplifier"),
+            ({"amplifier": {"pole_Hz": 1000.0, "delay_s": 0.9, "command_limit_A": 6}}, "meta.scene: time.lead_s"),
+            ({"weights": {"after_s": 1e7}}, "meta.scene: weights.after_s"),
+            ({"weights": {"after_s": float("nan")}}, "meta.scene: weights.after_s"),
+            (
+                {"weights": {"after_s": 0.02}},
+                r"acceleration_after_m_s2 has shape \(4, 3, 300\), expected \(4, 3, 200\)",
+            ),
+            ({"weights": {"objective": "intensity"}}, "array intensity is missing"),
+            ({"feedback": {"damping_N_s_m": 200.0}}, "meta.scene: feedback"),
+            ({"motor": {"R_ohm": 1.0}}, "meta.scene: "),
+            ({"unheard_of": 1}, "meta.scene: unheard_of"),
         ],
     )
-    def test_weights_that_do_not_fit_the_arrays(
+    def test_a_scene_that_describes_no_problem_or_another_one(
         self, saved: Path, library: Library, change: dict, words: str
     ) -> None:
-        weights = {**library.meta["weights"], **change}
-        rewrite(saved, meta=np.array(json.dumps({**library.meta, "weights": weights})))
+        scene = {**library.meta["scene"], **change}
+        rewrite(saved, meta=np.array(json.dumps({**library.meta, "scene": scene})))
         rehash(saved)
         with pytest.raises(InputError, match=words):
             load_library(saved)
 
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"scene": None},
+            {"scene": []},
+            {"derived": None},
+            {"repeatability": [0.1]},
+            {"repeatability": ["x"] * 4},
+            {"left_out": None},
+            {"left_out": {"limits": [1, 2]}},
+            {"left_out": {"limits": 3}},
+            {"sources": {}},
+            {"versions": []},
+            {"outputs": 3},
+        ],
+    )
+    def test_meta_of_another_form(self, saved: Path, library: Library, change: dict) -> None:
+        rewrite(saved, meta=np.array(json.dumps({**library.meta, **change})))
+        rehash(saved)
+        with pytest.raises(InputError, match=re.escape(f"{saved}: ")) as caught:
+            load_library(saved)
+        assert str(caught.value).isprintable()
+
+    @pytest.mark.parametrize("key", ["scene", "derived", "left_out", "repeatability", "sources", "versions"])
+    def test_meta_that_lacks_a_part(self, saved: Path, library: Library, key: str) -> None:
+        meta = {name: value for name, value in library.meta.items() if name != key}
+        rewrite(saved, meta=np.array(json.dumps(meta)))
+        rehash(saved)
+        with pytest.raises(InputError, match=f"meta lacks {key}; solve the scene again"):
+            load_library(saved)
+
     def test_a_delay_that_would_make_a_long_lost_start(self, saved: Path, library: Library) -> None:
         """L follows from the time axis; the arrays do not have it."""
-        amplifier = {**library.meta["amplifier"], "delay_s": 0.9}
-        rewrite(saved, meta=np.array(json.dumps({**library.meta, "amplifier": amplifier})))
-        rehash(saved)
-        with pytest.raises(InputError, match=r"reference_before_m_s2 has shape \(4, 0\), expected \(4, 8997\)"):
+        under(library, {"amplifier.delay_s": 0.05, "time.lead_s": 0.0}).save(saved)
+        with pytest.raises(InputError, match=r"recorded_before_m_s2 has shape \(4, 3, 0\), expected \(4, 3, 500\)"):
             load_library(saved)
 
     def test_truncated_at_every_tenth(self, saved: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from controller.waveforms.bank import Method, bank
 from controller.waveforms.online_bank import fresh
 from controller.waveforms.prediction import scene_of
+from tests.benches.libraries import under
 from tests.benches.places import ROOT
 from tests.conftest import walled_scene
 from transopt.base.errors import InputError
@@ -21,7 +22,6 @@ from transopt.design.optimum import optimum
 from transopt.library import online
 from transopt.library.library import Library
 from transopt.library.online import Online
-from transopt.library.place import speed_weights
 from transopt.proof.certify import certify
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
@@ -230,7 +230,9 @@ class TestOtherLimits:
     def test_a_part_that_the_library_does_not_have_cannot_be_limited(
         self, library: Library, name: str, message: str
     ) -> None:
-        bare = replace(library, meta={**library.meta, "amplifier": None, "circuit": None, "thermal": None})
+        # A drive that is stated at the tip has no coil and no circuit.
+        tip = library.scene().drive_at_tip().model_dump()
+        bare = under(library, {"motor": None, "transmission": None, "tip": tip, "amplifier": "ideal"})
         solver = Online(bare, scene_of(library).plant)
         with pytest.raises(InputError, match=message):
             solver.solve(0.3, 2.0, limits={name: 20.0})
@@ -276,7 +278,7 @@ def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:
     for speed, grip in ((0.2, 3.0), (0.4, 5.0), (0.33, 2.2)):
         tap = solver.solve(speed, grip)
         assert tap.solved, tap.remark
-        handed_over = tap.wave.transient_command[-walled.meta["hand_over_samples"] :]
+        handed_over = tap.wave.transient_command[-walled.hand_over_samples :]
         assert not handed_over.any()
         assert np.abs(tap.wave.command - tap.wave.transient_command).max() > 0.1
     problem = walled.problem(1, 1)
@@ -383,6 +385,6 @@ def test_intensity_is_solved_at_the_lam_between_the_nodes(scene: Scene, taps: li
         tap = online.solve(speed_m_s, grip_N)
         assert tap.solved, tap.remark
         made, _ = library.posing().stage(loud.plant(grip_N)).rollout(tap.wave.command)
-        wanted = library.wanted(speed_m_s, speed_weights(library.speeds_m_s, speed_m_s)).target.window_m_s2
+        wanted = library.wanted(speed_m_s, grip_N).target.window_m_s2
         # A lam between those of the nodes has about the energy; an optimum of the waveform lacks 2 to 3 dB.
         assert abs(10 * np.log10(float(made @ made) / float(wanted @ wanted))) < 0.4

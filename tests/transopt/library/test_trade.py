@@ -127,18 +127,18 @@ def test_a_target_of_zero() -> None:
 
 def test_a_recorded_tap_ends_at_a_tenth_of_its_peak(library: Library) -> None:
     found = trade_figures(library, 1, 1)
-    r = np.abs(np.append(library.reference_m_s2[1], library.reference_after_m_s2[1]))
-    last = round(found.target_ends_s / library.meta["dt_s"])
+    r = np.abs(np.append(library.target_m_s2[1, 0], library.target_after_m_s2[1, 0]))
+    last = round(found.target_ends_s / library.dt_s)
     assert r[last] >= 0.1 * r.max() > r[last + 1 :].max(initial=0.0)
 
 
 def test_an_entry_of_a_library_has_its_own_target() -> None:
     library = clicks()
     click, tick = (trade_figures(library, iv, 0) for iv in (0, 1))
-    assert click.nrmse == pytest.approx(library.nrmse[0, 0], rel=1e-6)
+    assert click.nrmse == pytest.approx(library.tap_error[0, 0], rel=1e-6)
     # A burst is over after its cycles, 10 ms and 8 ms.
-    assert click.target_ends_s == pytest.approx(10e-3, abs=library.meta["dt_s"])
-    assert tick.target_ends_s == pytest.approx(8e-3, abs=library.meta["dt_s"])
+    assert click.target_ends_s == pytest.approx(10e-3, abs=library.dt_s)
+    assert tick.target_ends_s == pytest.approx(8e-3, abs=library.dt_s)
     assert click.peak_m_s2 > tick.peak_m_s2
     louder = replace(library, command=2 * library.command)
     assert trade_figures(louder, 0, 0).peak_m_s2 == pytest.approx(2 * click.peak_m_s2, rel=1e-9)

@@ -41,7 +41,11 @@ def test_what_problems_share_is_that_of_each_alone(make_problem: ProblemMaker, w
         replace(make_problem(0.1, 3.0), stage=stage),
         replace(make_problem(0.2, 3.0, current_A=1.25), stage=stage),
         replace(make_problem(0.4, 3.0, stages=90), stage=stage),
-        replace(problem, error_filter=pacinian(problem.grid.dt_s)),
+        replace(problem, terms=(replace(problem.terms[0], error_filter=pacinian(problem.grid.dt_s)),)),
+        replace(
+            problem, terms=(problem.terms[0], replace(problem.terms[0], error_filter=pacinian(problem.grid.dt_s)))
+        ),
+        replace(problem, heat_price=1e-4),
         replace(problem, spread=(other,)),
         replace(problem, spread=(other, stage)),
         over_wall,
