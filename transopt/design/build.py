@@ -140,11 +140,6 @@ class Build:
         """Devices and references by which its entries were posed."""
         return Context(self.scene, self.references)
 
-    def rows(self) -> list[list[Reference]]:
-        """What was asked of every entry, speeds outermost."""
-        context, axes = self.context, self.scene.axes
-        return [[context.reference(v, grip, target) for grip in axes.grips_N] for v, target in axes.rows]
-
     @property
     def refused(self) -> list[Entry]:
         return [entry for entry in self.all_entries() if not entry.admitted]

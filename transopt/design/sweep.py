@@ -13,7 +13,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.threads import one_blas_thread
-from transopt.design.context import KEPT_STAGES, Context, Kept, Posed, as_text
+from transopt.design.context import KEPT_STAGES, OF_A_STAGE, Context, Kept, Posed, as_text
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.plant.discretise import StageModel
@@ -23,7 +23,7 @@ from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.objective.bands import pacinian_dB
 from transopt.proof.certify import boxes_of
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.scene.keys import Changes, with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene

@@ -117,6 +117,12 @@ class Reference:
         return self.name or f"the tap at {self.speed_m_s:g} m/s"
 
     @property
+    def incoming_acceleration_m_s2(self) -> float:
+        """a0 of its taps in the mean, at its speed; 0 of a named target."""
+        own = [factor * tap.incoming_acceleration_m_s2 for factor, tap in zip(self.factors, self.taps, strict=True)]
+        return float(np.mean(own)) if own else 0.0
+
+    @property
     def scalings(self) -> FloatArray:
         """(n,) by which each recorded acceleration was multiplied in all."""
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
