@@ -196,9 +196,7 @@ def build_library(
     columns: list[list[Entry]] = []
     for grip in scene.grid.grips_N:
         columns.append(
-            design(
-                [context.posed(v, grip, target) for v, target in scene.axes.rows], rivals=True, options=options
-            )
+            design([context.posed(v, grip, target) for v, target in scene.axes.rows], rivals=True, options=options)
         )
         # An entry is replayed here, before its progress is told.
         progress(len([entry.played for entry in columns[-1]]))

@@ -64,9 +64,7 @@ class SceneEntry:
         return context.posed_as(reference, self.grip_N)
 
 
-def with_remedies(
-    context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions
-) -> list[list[Entry]]:
+def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions) -> list[list[Entry]]:
     """The entries, speed by speed, those refused with what would do for each.
 
     What does for one entry is tried for the next before anything else is, so that one change may do for all.

@@ -79,7 +79,16 @@ def _recorded_lines(build: Build) -> list[str]:
     if axes.targets:
         rows = [[r.name, f"{1e3 * r.times_s[-1]:.4g}", f"{_peak_g(r):.3g}", r.sha256[:12] or "-"] for r in references]
         return table(["target", "lasts ms", "peak g", "SHA-256 of its file"], rows)
-    heads = ["speed m/s", "grip N", "taps", "scaled by", "repeats %, aligned / not", "peak g", "a0 m/s2", "speed from"]
+    heads = [
+        "speed m/s",
+        "grip N",
+        "taps",
+        "scaled by",
+        "repeats %, aligned / not",
+        "peak g",
+        "a0 m/s2",
+        "speed from",
+    ]
     rows = [
         [
             f"{r.speed_m_s:g}",

@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Free
 from transopt.recordings.references import References, build_references
 from transopt.recordings.references import sampled_again as taps_sampled_again
 from transopt.recordings.tap import read_recordings
@@ -21,6 +24,11 @@ def recordings_of(scene: Scene) -> list[Recording]:
     if scene.recordings.simulated is not None:
         return strikes.recordings(scene)
     return read_recordings(scene.recordings) if scene.recordings.files else []
+
+
+def free_of(scene: Scene) -> Free:
+    """How the hand of a scene's recordings moves without current: steadily."""
+    return lambda speed_m_s, grip_N, incoming_m_s2: lambda times_s: np.zeros_like(times_s)
 
 
 def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:

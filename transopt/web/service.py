@@ -417,7 +417,9 @@ def own_taps(scene: Scene, folder: Path, files: Sequence[str], speed_m_s: float 
 def _references(library: Library) -> References:
     """What a library was designed for, as its file has it."""
     rows, (nv, ng) = library.axes.rows, library.command.shape[:2]
-    return References(tuple(_reference(library, iv, ig) for iv in range(nv) for ig in range(1 if rows[iv][1] else ng)))
+    return References(
+        tuple(_reference(library, iv, ig) for iv in range(nv) for ig in range(1 if rows[iv][1] else ng))
+    )
 
 
 def _reference(library: Library, iv: int, ig: int) -> Reference:
