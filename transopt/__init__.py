@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from transopt.proof.replay import Replay, replay
     from transopt.recordings.recording import Recording
     from transopt.recordings.reference import Reference
-    from transopt.recordings.references import References, build_references
+    from transopt.recordings.references import build_references
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import prepare, read_recordings
     from transopt.report.write import write_report

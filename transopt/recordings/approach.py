@@ -125,7 +125,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
         lost = (
             "what is slower is missing"
             if known
-            else "what is slower is unknown without a position, so only the rapid error is minimised; record position_m"
+            else "what is slower is unknown without a position_m, so only the rapid error is minimised"
         )
         return Approach(x, 0.0, 0.0, UNSEPARATED, known, (f"{said}: {lost}",))
     w = 2 * np.pi * trusted_from_Hz

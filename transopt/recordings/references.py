@@ -134,9 +134,8 @@ class References:
             beyond = [f"{F:g}" for F in held if not _within(F, known)]
             blended = [f"{F:g}" for F in held if _within(F, known) and not _among(F, known)]
             if beyond:
-                found.append(
-                    f"{speed:g} m/s, {' and '.join(beyond)} N: no tap that far, the nearest of {said} N serves, as far as grips are alike"
-                )
+                edge = "that of the nearest grip serves"
+                found.append(f"{speed:g} m/s, {' and '.join(beyond)} N: taps of {said} N only, {edge}")
             if blended:
                 found.append(f"{speed:g} m/s, {' and '.join(blended)} N: blended from the taps of {said} N")
         if len(grips_N) > 1 and any(not cell.of_grips_N and not cell.name for cell in self.cells):

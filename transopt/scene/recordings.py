@@ -28,7 +28,7 @@ def recordings_of(scene: Scene) -> list[Recording]:
 
 def free_of(scene: Scene) -> Free:
     """How the hand of a scene's recordings moves without current: steadily."""
-    return lambda speed_m_s, grip_N, incoming_m_s2: lambda times_s: np.zeros_like(times_s)
+    return lambda speed_m_s, grip_N, incoming_m_s2: np.zeros_like
 
 
 def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
