@@ -52,6 +52,7 @@ class Recordings(Section):
     offset_m_s2: Finite | Literal["baseline"] = "baseline"
     onset_s: Finite | Literal["auto"] = "auto"
     lowpass_Hz: Annotated[float, Field(ge=50, le=1e6)] = 1000.0
+    trusted_from_Hz: Annotated[float, Field(ge=0, le=20)] = 0.0  # 0: the sensor reads a constant acceleration
     speed_tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.15
     time_scale: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
     amplitude_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | Literal["to_grid_speed"] = 1.0
