@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from transopt.problem.problem import TransientProblem
     from transopt.proof.replay import Replay, replay
     from transopt.recordings.recording import Recording
-    from transopt.recordings.reference import Reference, build_references
+    from transopt.recordings.reference import Reference
+    from transopt.recordings.references import build_references
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import prepare, read_recordings
     from transopt.report.write import write_report
@@ -125,7 +126,7 @@ _HOME = {
     "TransientProblem": "problem.problem",
     "Waveform": "library.place",
     "build": "design.solve",
-    "build_references": "recordings.reference",
+    "build_references": "recordings.references",
     "certify": "design.solve",
     "export_drive": "library.drive_files",
     "design_nonlinear": "design.solve",

@@ -28,8 +28,7 @@ def resized(library: Library, speeds: int, grips: int) -> Library:
             array = np.take(array, nodes[letter], axis=axis) if letter in nodes else array
         arrays[name] = array
     arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, speeds), np.linspace(1.0, 5.0, grips)
-    repeatability = [library.meta["repeatability"][iv] for iv in nodes["v"]]
-    return Library.of(arrays, {**library.meta, "repeatability": repeatability})
+    return Library.of(arrays, {**library.meta, **_tables(library, nodes["v"], nodes["g"])})
 
 
 def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Library:
@@ -44,5 +43,10 @@ def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Li
         part: said if isinstance(said, str) else [[said[iv][ig] for ig in grips] for iv in speeds]
         for part, said in library.meta["left_out"].items()
     }
-    repeatability = [library.meta["repeatability"][iv] for iv in speeds]
-    return Library.of(arrays, {**library.meta, "left_out": left_out, "repeatability": repeatability})
+    return Library.of(arrays, {**library.meta, "left_out": left_out, **_tables(library, speeds, grips)})
+
+
+def _tables(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> dict[str, object]:
+    """What `meta` says of every entry, of some of them."""
+    said = {name: library.meta[name] for name in ("repeatability", "slow_part_known")}
+    return {name: [[table[iv][ig] for ig in grips] for iv in speeds] for name, table in said.items()}

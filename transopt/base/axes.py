@@ -21,6 +21,11 @@ class Axes:
     targets: tuple[str, ...] = ()
 
     @property
+    def rows(self) -> tuple[tuple[float, str], ...]:
+        """Speed and target of each row: the target is empty where there are speeds, the speed 0 of a target."""
+        return tuple(zip(self.speeds_m_s, self.targets or ("",) * len(self.speeds_m_s), strict=True))
+
+    @property
     def entries(self) -> int:
         """How many there are."""
         return len(self.speeds_m_s) * len(self.grips_N)

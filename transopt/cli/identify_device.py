@@ -184,12 +184,12 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
             try:
                 scene = builtin.load_scene(scene_name, model=model)
                 context = Context.recorded(scene, recordings_of(scene))
-                grips, speeds = scene.grid.grips_N, [reference.speed_m_s for reference in context.references]
-                entries = [design([context.posed_as(each, grip) for each in context.references]) for grip in grips]
+                grips, rows = scene.grid.grips_N, scene.axes.rows
+                entries = [design([context.posed(v, grip, target) for v, target in rows]) for grip in grips]
             except InputError:
                 return None
         return Taps(
-            speeds_m_s=tuple(speeds),
+            speeds_m_s=scene.axes.speeds_m_s,
             grips_N=tuple(grips),
             current_A=np.array([[entry.plant_input for entry in row] for row in entries]),
             energy=np.array([[np.sum(entry.predicted_m_s2**2) for entry in row] for row in entries]),

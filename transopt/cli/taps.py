@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 OPTIONS = {
     "speed_m_s": "speed",
+    "grip_N": "grip",
     "full_scale_m_s2": "full-scale",
     "rate_Hz": "rate-Hz",
     "taps_by_file": "tap",
@@ -32,6 +33,10 @@ def taps(
     channel: Annotated[int | None, typer.Option(help="Channel of WAV files with several, counted from 1.")] = None,
     rate_Hz: RateHz = None,
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
+    grip: Annotated[float | None, typer.Option(help="Grip force where the files state none, in N.")] = None,
+    trusted_from_Hz: Annotated[
+        float, typer.Option(help="Cut-off of the accelerometer in Hz, 0.5 to 5 of IEPE; 0 if it reads gravity.")
+    ] = 0.0,
     full_scale: Annotated[float | None, typer.Option(help="Acceleration of WAV full scale, in m/s^2.")] = None,
     time_scale: Annotated[float, typer.Option(help="Similarity: time is stretched by this.")] = 1.0,
     amplitude_scale: Annotated[float, typer.Option(help="Similarity: acceleration is multiplied by this.")] = 1.0,
@@ -41,7 +46,7 @@ def taps(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over the file of --scene if it is there.")] = False,
 ) -> None:
-    """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping.
+    """Look at recordings before solving: rate, onset, offset, polarity, speed, grip, peak, clipping.
 
     Exit 1: a recording cannot be a tap in the units that are stated; the line says which to check.
     """
@@ -51,7 +56,14 @@ def taps(
     from transopt.recordings.names import stated_units
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import check_speed, prepare, read_recordings
-    from transopt.report.taps import implausible_lines, scene_lines, scene_of_taps, taps_table
+    from transopt.report.taps import (
+        cells_table,
+        hints,
+        implausible_lines,
+        scene_lines,
+        scene_of_taps,
+        taps_table,
+    )
     from transopt.scene.builtin import scene_path
 
     try:
@@ -63,6 +75,8 @@ def taps(
             rate_Hz=rate_Hz,
             taps_by_file={"*": tap} if tap else {},
             speed_m_s=speed,
+            grip_N=grip,
+            trusted_from_Hz=trusted_from_Hz,
             full_scale_m_s2=full_scale,
             time_scale=time_scale,
             amplitude_scale=amplitude_scale,
@@ -72,6 +86,11 @@ def taps(
     prepared = [prepare(recording, settings) for recording in read_recordings(settings)]
     console = terminal.console()
     console.print(taps_table(prepared))
+    cells = cells_table(prepared)
+    if cells is not None:
+        console.print(cells)
+    for hint in hints(prepared, settings):
+        console.print(hint, style="yellow", highlight=False, soft_wrap=True)
     if out is not None:
         from transopt.base.plotting import save_figure
         from transopt.report.figures import taps_figure

@@ -28,6 +28,7 @@ from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.limits import needed_outputs
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import COURSES, Reference
+from transopt.recordings.references import References
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene
@@ -49,7 +50,7 @@ class Build:
     """
 
     scene: Scene
-    references: list[Reference]
+    references: References
     entries: list[list[Entry]]
     library: Library | None
     solver: str
@@ -132,7 +133,12 @@ class Build:
                         f"{nodes[-1]:g} {unit}: ask for points within them"
                     )
         own = Nodes(tuple(grid.speeds_m_s), tuple(grid.grips_N))
-        return Errors(Context(self.scene, self.references), SolverOptions(self.solver)).replayed(asked, own, own)
+        return Errors(self.context, SolverOptions(self.solver)).replayed(asked, own, own)
+
+    @property
+    def context(self) -> Context:
+        """Devices and references by which its entries were posed."""
+        return Context(self.scene, self.references)
 
     @property
     def refused(self) -> list[Entry]:
@@ -175,7 +181,7 @@ def build_library(
     recordings : of the scene (`reference.read_recordings`, or `transopt.scene.strikes.recordings`).
     progress : called with the number of entries that have just been finished.
     refinement : of this scene (`refine_grid.refine_grid`); its grid is solved in place of the scene's own, with
-        references at added speeds derived from the recorded ones (`reference.between`).
+        references at added speeds blended of the recorded ones (`References.at`).
 
     Raises
     ------
@@ -183,30 +189,26 @@ def build_library(
     """
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
-    recorded = Context.recorded(scene, recordings)
-    references, context = recorded.references, recorded
+    context = Context.recorded(scene, recordings)
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
-        references = [recorded.reference(speed, scene.grid.grips_N[0]) for speed in scene.axes.speeds_m_s]
-        context = Context(scene, references)
+        context = context.varied(scene)
     columns: list[list[Entry]] = []
     for grip in scene.grid.grips_N:
         columns.append(
-            design(
-                [context.posed(each.speed_m_s, grip, each.name) for each in references], rivals=True, options=options
-            )
+            design([context.posed(v, grip, target) for v, target in scene.axes.rows], rivals=True, options=options)
         )
         # An entry is replayed here, before its progress is told.
         progress(len([entry.played for entry in columns[-1]]))
-    entries = [[column[i] for column in columns] for i in range(len(references))]
+    entries = [[column[i] for column in columns] for i in range(len(scene.axes.rows))]
     if not scene.nonlinear:
-        entries = with_remedies(context, entries, references, options)
+        entries = with_remedies(context, entries, options)
     admitted = all(entry.admitted for row in entries for entry in row)
     return Build(
         scene=scene,
-        references=list(references),
+        references=context.references,
         entries=entries,
-        library=assemble(context, references, entries, options, refinement) if admitted else None,
+        library=assemble(context, entries, options, refinement) if admitted else None,
         solver=options.solver,
         elapsed_s=time.perf_counter() - start,
         refinement=refinement,
@@ -215,7 +217,6 @@ def build_library(
 
 def assemble(
     context: Context,
-    references: Sequence[Reference],
     entries: list[list[Entry]],
     options: SolverOptions,
     refinement: Refinement | None = None,
@@ -235,17 +236,17 @@ def assemble(
         others = [[getattr(plant, name) for plant in devices] for devices in spreads]
         return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
 
-    cells = [[context.reference(r.speed_m_s, grip, r.name) for grip in scene.grid.grips_N] for r in references]
+    cells = [[context.reference(v, grip, target) for grip in scene.grid.grips_N] for v, target in scene.axes.rows]
 
     def of_cells(name: str) -> FloatArray:
         return np.array([[getattr(cell, name) for cell in row] for row in cells])
 
     at_ticks = of_cells("nominal_position_at_ticks_m")
-    meta = {**_meta(context, references, entries, options), "grid_refinement": _refined(refinement)}
+    meta = {**_meta(context, cells, entries, options), "grid_refinement": _refined(refinement)}
     arrays = {
         "speeds_m_s": np.asarray(scene.axes.speeds_m_s),
-        "targets": np.array(scene.axes.targets or [""] * len(references), dtype=np.str_),
-        "target_ends_s": np.array([r.ends_s if r.name else 0.0 for r in references]),
+        "targets": np.array([target for _, target in scene.axes.rows], dtype=np.str_),
+        "target_ends_s": np.array([row[0].ends_s if row[0].name else 0.0 for row in cells]),
         "grips_N": np.asarray(scene.grid.grips_N),
         **{name: of_cells(name) for name in CELLS},
         "nominal_position_at_ticks_m": at_ticks[..., : scene.time.stages],
@@ -257,7 +258,7 @@ def assemble(
             for name, array in ARRAYS.items()
             if array.made is not None
         },
-        "correction_m_s2": np.zeros((len(references), len(plants), scene.time.stages)),
+        "correction_m_s2": np.zeros((len(cells), len(plants), scene.time.stages)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
     }
@@ -272,7 +273,7 @@ def assemble(
 
 
 def _meta(
-    context: Context, references: Sequence[Reference], entries: list[list[Entry]], options: SolverOptions
+    context: Context, cells: list[list[Reference]], entries: list[list[Entry]], options: SolverOptions
 ) -> dict[str, Any]:
     scene = context.scene
     left_out = shared_left_out([[entry.left_out for entry in row] for row in entries])
@@ -290,12 +291,13 @@ def _meta(
         **({"outputs": outputs} if any(outputs) else {}),
         **({"spread_outputs": of_spread} if any(map(any, of_spread)) else {}),
         "left_out": left_out,
-        "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
+        "repeatability": [[None if np.isnan(c.repeatability) else c.repeatability for c in row] for row in cells],
+        "slow_part_known": [[cell.slow_part_known for cell in row] for row in cells],
         "scene": scene.model_dump(mode="json"),
         "solver": {**asdict(options), **({"nonlinear": entries[0][0].solution.solver} if scene.nonlinear else {})},
         "sources": [
-            *(source for r in references if r.between_m_s is None for source in _sources(scene, r)),
-            *_target_sources(scene, references),
+            *(source for cell in context.references for source in _sources(scene, cell)),
+            *_target_sources(scene, context.references),
             *_model_sources(scene),
         ],
         "versions": versions("transopt", "casadi", "numpy", "scipy"),
@@ -354,7 +356,7 @@ def _sources(scene: Scene, reference: Reference) -> list[dict[str, Any]]:
     ]
 
 
-def _target_sources(scene: Scene, references: Sequence[Reference]) -> list[dict[str, Any]]:
+def _target_sources(scene: Scene, references: References) -> list[dict[str, Any]]:
     """Named targets, each as it is stated, with the hash of its file if it was read from one."""
     if not scene.targets:
         return []

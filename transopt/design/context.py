@@ -1,4 +1,4 @@
-"""What the entries of a scene share: its devices by grip, its references by speed, each made once."""
+"""What the entries of a scene share: its devices by grip, its references by speed and grip, each made once."""
 
 import json
 from collections import OrderedDict
@@ -15,8 +15,9 @@ from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between
-from transopt.scene.recordings import references_of
+from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
+from transopt.scene.recordings import references_of, sampled_again
 from transopt.scene.scene import Scene
 from transopt.solvers.own import law
 
@@ -82,14 +83,14 @@ class Context:
     Parameters
     ----------
     scene : whose entries are posed.
-    references : of its recorded speeds or named targets, or what makes them when they are first asked for.
+    references : of its recordings or named targets, or what makes them when they are first asked for.
     stages : in which stage models are kept; contexts of varied scenes may share one.
     """
 
     def __init__(
         self,
         scene: Scene,
-        references: Sequence[Reference] | Callable[[], Sequence[Reference]] = (),
+        references: References | Callable[[], References] | None = None,
         stages: Kept[StageModel] | None = None,
     ) -> None:
         self.scene, self._given = scene, references
@@ -108,19 +109,25 @@ class Context:
         return cls(scene, lambda: references_of(scene, recordings))
 
     def varied(self, scene: Scene) -> "Context":
-        """Give a scene with other numbers on the same time axis these references and the devices that are kept."""
-        return Context(scene, lambda: self.references, self.stages)
+        """Give a scene with other numbers these references and the devices that are kept.
+
+        On another time axis the references are sampled again.
+        """
+        if scene.time_grid() == self.scene.time_grid():
+            return Context(scene, lambda: self.references, self.stages)
+        return Context(scene, lambda: sampled_again(scene, self.references), self.stages)
 
     @cached_property
-    def references(self) -> Sequence[Reference]:
-        """References of the recorded speeds, rising, or of the named targets."""
-        return self._given() if callable(self._given) else self._given
+    def references(self) -> References:
+        """References of the recorded speeds and grips, or of the named targets."""
+        given = self._given() if callable(self._given) else self._given
+        return References() if given is None else given
 
     def reference(self, speed_m_s: float, grip_N: float, target: str = "") -> Reference:
         """The reference of a speed and a grip, blended between those recorded, or of a named target."""
         if target:
-            return next(each for each in self.references if each.name == target)
-        return self._between.get(repr(speed_m_s), lambda: between(self.references, speed_m_s))
+            return self.references.named(target)
+        return self._between.get(repr((speed_m_s, grip_N)), lambda: self.references.at(speed_m_s, grip_N))
 
     @cached_property
     def posing(self) -> Posing:
@@ -194,4 +201,5 @@ def wanted_of(reference: Reference) -> Wanted:
         reference.nominal_position_m,
         reference.nominal_position_at_ticks_m,
         reference.ends_s,
+        reference.slow_part_known,
     )

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import process_time
 
-from transopt.base.errors import InputError
 from transopt.design.context import Context, Posed
 from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy, what_would_do
@@ -14,7 +13,6 @@ from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.own import OwnLimit
 from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values
-from transopt.scene.recordings import sampled_again
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -53,7 +51,7 @@ class SceneEntry:
 
         Raises
         ------
-        InputError : numbers that the scene cannot have; another time axis for a speed between the recorded ones.
+        InputError : numbers that the scene cannot have, recordings that do not fit another time axis.
         """
         left_out = {key.removeprefix(f"{OWN}.") for key in changes if key.startswith(f"{OWN}.")}
         values = {key: value for key, value in changes.items() if not key.startswith(f"{OWN}.")}
@@ -62,32 +60,24 @@ class SceneEntry:
             scene = with_values(scene, {OWN: [x.model_dump() for x in scene.limits.own if x.name not in left_out]})
         context, reference = self.context.varied(with_values(scene, values)), self.reference
         if context.scene.time_grid() != self.scene.time_grid():
-            if reference.between_m_s is not None:
-                raise InputError(f"{reference.speed_m_s:g} m/s: not recorded, so not sampled on another time axis")
-            reference = sampled_again(context.scene, reference)
+            reference = context.reference(reference.speed_m_s, self.grip_N, reference.name)
         return context.posed_as(reference, self.grip_N)
 
 
-def with_remedies(
-    context: Context, entries: Sequence[Sequence[Entry]], references: Sequence[Reference], options: SolverOptions
-) -> list[list[Entry]]:
+def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions) -> list[list[Entry]]:
     """The entries, speed by speed, those refused with what would do for each.
 
     What does for one entry is tried for the next before anything else is, so that one change may do for all.
-
-    Parameters
-    ----------
-    references : of the speeds.
     """
     began_s, found = process_time(), dict[str, Remedy]()
 
-    def tried(entry: Entry, reference: Reference) -> Entry:
+    def tried(entry: Entry) -> Entry:
         if entry.admitted:
             return entry
         left_s = MOST_OF_A_LIBRARY_S - (process_time() - began_s)
         if left_s <= 0:
             return entry.stating(shortfalls=[*entry.shortfalls, "not tried what would do, for want of time"])
-        posed = SceneEntry(context, entry.grip_N, reference)
+        posed = SceneEntry(context, entry.grip_N, context.reference(entry.speed_m_s, entry.grip_N, entry.target))
         own = [remedy for remedy in found.values() if does(posed, remedy.values, options)]
         if not own:
             own = remedies(posed, entry, options, most_s=min(MOST_S, left_s))
@@ -95,7 +85,7 @@ def with_remedies(
         found.update({str(remedy): remedy for remedy in own if remedy.solved})
         return entry.stating(remedies=tuple(own), shortfalls=[*entry.shortfalls, what_would_do(own)])
 
-    return [[tried(entry, reference) for entry in row] for row, reference in zip(entries, references, strict=True)]
+    return [[tried(entry) for entry in row] for row in entries]
 
 
 def _in_place_of_beta(scene: Scene, remedy: Remedy) -> Remedy:

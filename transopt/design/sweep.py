@@ -13,7 +13,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.threads import one_blas_thread
-from transopt.design.context import KEPT_STAGES, Context, Kept, Posed, as_text
+from transopt.design.context import KEPT_STAGES, OF_A_STAGE, Context, Kept, Posed, as_text
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.plant.discretise import StageModel
@@ -23,7 +23,7 @@ from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.objective.bands import pacinian_dB
 from transopt.proof.certify import boxes_of
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.scene.keys import Changes, with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
@@ -120,7 +120,7 @@ class Outcome:
     total_ms: float = NAN
 
 
-_references: Kept[list[Reference]] = Kept(KEPT_REFERENCES)
+_references: Kept[References] = Kept(KEPT_REFERENCES)
 _stages: Kept[StageModel] = Kept(KEPT_STAGES)
 # CasADi's solver objects are shared by all problems of a shape, and reading how one ended after another thread has
 # called it again would tell of the wrong problem.
@@ -131,8 +131,8 @@ def _context(task: Task, changes: Changes) -> Context:
     """One scene of a task; what it shares with the others of its device or of its recordings is kept."""
     scene = with_values(task.scene, changes)
     recorded = scene.model_copy(update={"grid": task.scene.grid})
-    speeds = task.scene.grid.speeds_m_s
-    key = f"{task.source} {scene.time_grid()} {as_text(scene, 'recordings', 'targets')} {speeds}"
+    of = as_text(recorded, "recordings", "targets", "grid", "hand", *OF_A_STAGE)
+    key = f"{task.source} {scene.time_grid()} {of}"
     return Context(scene, lambda: _references.get(key, lambda: references_of(recorded, task.recordings)), _stages)
 
 

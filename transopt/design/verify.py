@@ -98,7 +98,7 @@ def _bare(problem: TransientProblem, answer: Solution, proof: Certificate, effec
 
 
 def _entry(library: Library, iv: int, ig: int, batch: Batch) -> Entry:
-    repeats, targets = library.meta["repeatability"][iv], library.axes.targets
+    repeats, targets = library.meta["repeatability"][iv][ig], library.axes.targets
     return Entry(
         speed_m_s=float(library.speeds_m_s[iv]),
         grip_N=float(library.grips_N[ig]),

@@ -5,7 +5,7 @@ optimal and keep their limits is another question, which `transopt.library.prove
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +115,9 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, 
     ):
         if size > most:
             raise InputError(f"{path}: {size} {what}, at most {most}; solve a smaller scene")
-    for name in ("speeds_m_s", "grips_N"):
-        if name in arrays and (arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0)):
+    named = "targets" in arrays
+    for name in ("grips_N",) if named else ("speeds_m_s", "grips_N"):
+        if arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0):
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 
@@ -187,11 +188,10 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
 def _check_words(path: Path, library: Library) -> None:
     """What `meta` says of the entries has the shape of the grid, and its words are words."""
     meta, (nv, ng, _) = library.meta, library.command.shape
-    repeats, left_out = meta["repeatability"], meta["left_out"]
+    left_out = meta["left_out"]
     fit = {
-        "repeatability": isinstance(repeats, list)
-        and len(repeats) == nv
-        and all(each is None or (isinstance(each, int | float) and 0 <= each < np.inf) for each in repeats),
+        "repeatability": _is_table(meta["repeatability"], nv, ng, _is_spread),
+        "slow_part_known": _is_table(meta["slow_part_known"], nv, ng, lambda each: isinstance(each, bool)),
         "derived": isinstance(meta["derived"], dict),
         "left_out": isinstance(left_out, dict) and all(_is_reason(said, nv, ng) for said in left_out.values()),
         "sources": isinstance(meta["sources"], list) and all(isinstance(each, dict) for each in meta["sources"]),
@@ -204,13 +204,17 @@ def _check_words(path: Path, library: Library) -> None:
 
 def _is_reason(said: Any, nv: int, ng: int) -> bool:
     """Why a part is left out: words, or words or null for every entry."""
-    if isinstance(said, str):
-        return True
+    return isinstance(said, str) or _is_table(said, nv, ng, lambda each: each is None or isinstance(each, str))
+
+
+def _is_spread(each: Any) -> bool:
+    return each is None or (isinstance(each, int | float) and 0 <= each < np.inf)
+
+
+def _is_table(said: Any, nv: int, ng: int, fits: Callable[[Any], bool]) -> bool:
+    """Whether something is said of every entry, row by row."""
     rows = said if isinstance(said, list) and len(said) == nv else [None]
-    return all(
-        isinstance(row, list) and len(row) == ng and all(each is None or isinstance(each, str) for each in row)
-        for row in rows
-    )
+    return all(isinstance(row, list) and len(row) == ng and all(map(fits, row)) for row in rows)
 
 
 def _check_problem(path: Path, library: Library) -> None:

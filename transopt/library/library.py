@@ -73,7 +73,7 @@ class Library:
     at rest.
     """
 
-    speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising", needs="speeds")]
+    speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising; 0 for named targets")]
     targets: Annotated[
         NDArray[np.str_], Array("v", "", "names of the targets, in place of speeds", is_text=True, needs="targets")
     ]
@@ -498,7 +498,7 @@ class Library:
         """What tables show of an entry."""
         found: dict[str, Any] = {
             "linear": (self.nrmse_promised[iv, ig], self.nrmse_linear[iv, ig]),
-            "repeats": self._repeatability(iv),
+            "repeats": self._repeatability(iv, ig),
             "gap": self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE),
             "verdict": self.verdict(iv, ig),
         }
@@ -515,13 +515,13 @@ class Library:
         return verdict(
             float(self.tap_error[iv, ig]),
             NAN if self.nonlinear else float(self.floor[iv, ig]),
-            self._repeatability(iv),
+            self._repeatability(iv, ig),
             levels(self.acceleration_m_s2[iv, ig], self.told(iv, ig).window_m_s2, self.dt_s),
         )
 
-    def _repeatability(self, iv: int) -> float:
-        """Trial-to-mean NRMSE of the recordings of a speed; NaN where there is one."""
-        spread = self.meta["repeatability"][iv]
+    def _repeatability(self, iv: int, ig: int) -> float:
+        """Trial-to-mean NRMSE of the recordings of an entry; NaN where there is one."""
+        spread = self.meta["repeatability"][iv][ig]
         return NAN if spread is None else float(spread)
 
     def plot(self) -> "Figure":
@@ -651,15 +651,17 @@ class Library:
     def wanted_of(self, iv: int, ig: int) -> Wanted:
         """What was recorded for an entry, and the nominal motion under it; a correction is none of it."""
         ends_s = float(self.target_ends_s[iv]) if self.axes.targets else np.inf
-        return self._wanted(float(self.speeds_m_s[iv]), lambda course: course[iv, ig], ends_s)
+        known = self.meta["slow_part_known"][iv][ig]
+        return self._wanted(float(self.speeds_m_s[iv]), lambda course: course[iv, ig], ends_s, known)
 
     def wanted(self, speed_m_s: float, grip_N: float) -> Wanted:
         """The same between the nodes: the shape r / v linear in speed (`speed_weights`), and linear in grip."""
         by_grip = interpolation_weights(self.grips_N, grip_N)
         weights = np.outer(speed_weights(self.speeds_m_s, speed_m_s), by_grip)
-        return self._wanted(speed_m_s, lambda course: np.tensordot(weights, course, 2), np.inf)
+        known = bool(np.all(np.array(self.meta["slow_part_known"])[weights > 0]))
+        return self._wanted(speed_m_s, lambda course: np.tensordot(weights, course, 2), np.inf, known)
 
-    def _wanted(self, speed_m_s: float, of: Callable[[FloatArray], FloatArray], ends_s: float) -> Wanted:
+    def _wanted(self, speed_m_s: float, of: Callable[[FloatArray], FloatArray], ends_s: float, known: bool) -> Wanted:
         """What is wanted, `of` being what picks or blends a course (vg...) of the nodes."""
         free, before, after = of(self.free_m_s2), of(self.free_before_m_s2), of(self.free_after_m_s2)
         target = Target(
@@ -671,7 +673,8 @@ class Library:
             before,
         )
         at_ticks = np.append(of(self.nominal_position_at_ticks_m), of(self.nominal_after_at_ticks_m))
-        return Wanted(speed_m_s, target, of(self.nominal_velocity_m_s), of(self.nominal_position_m), at_ticks, ends_s)
+        velocity, position = of(self.nominal_velocity_m_s), of(self.nominal_position_m)
+        return Wanted(speed_m_s, target, velocity, position, at_ticks, ends_s, known)
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""

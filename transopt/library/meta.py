@@ -64,8 +64,9 @@ META = {
     "derived.felt.a": Stated("denominator in 1/z"),
     "left_out": _needed("part of the problem -> why it cannot matter, or a table of reasons by entry", whole=True),
     "repeatability": _needed(
-        "by speed: error of single recordings about their mean; null where there is one", whole=True
+        "by speed and grip: error of single recordings about their mean; null where there is one", whole=True
     ),
+    "slow_part_known": _needed("by speed and grip: whether what is slower than the tap was recorded", whole=True),
     "sources": _needed("recordings and model files by name and SHA-256, and how they were prepared", whole=True),
     "versions": _needed("of this project and of what it computed with", whole=True),
     "solver": _needed("method and its options", whole=True),
@@ -87,7 +88,6 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
     The temperature is among it where it is a constraint of at least one entry, and not shown to be none of all.
     """
     said = {
-        "speeds": not scene.targets,
         "targets": bool(scene.targets),
         "spread": scene.robust is not None,
         "worst": scene.robust is not None and scene.robust.minimise == "worst",

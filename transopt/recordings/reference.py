@@ -1,26 +1,25 @@
-"""From recordings to references: what the motor has to make the stylus do.
+"""From recordings to references: what was recorded, and how the stylus moves without current.
 
-The recorded acceleration r_raw has two makers. Below some 8 Hz it is the user, whose hand moves and yields. Above, it
-is the object that was struck, and its share r = H r_raw is what the motor has to make; H is a causal second-order
-high-pass. The user's share r_raw - r, integrated twice from the incoming speed, is the nominal motion z_nom: where
-the stylus would be without the motor. Both are sampled at the switching instants of the problem's time grid.
+The recorded acceleration r is what the stylus shall feel; nothing is taken away from it. The motor has to make what
+the hand does not do by itself, r - a_free. Integrated twice from the incoming speed, a_free gives the nominal motion
+z_nom: where the stylus would be without the motor. All is sampled at the switching instants of the problem's grid.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
-from transopt.base.filters import highpass
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, nrmse, splined
 from transopt.plant.discretise import TimeGrid
 from transopt.problem.objective.target import Target
-from transopt.recordings.recording import Recording
-from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import PreparedTap, check_usable, prepare
+from transopt.recordings.tap import PreparedTap
+
+# From speed [m/s], grip [N] and a0 [m/s^2] to a_free over time, how the hand of a recording moves without current.
+Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
 
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
@@ -46,6 +45,7 @@ class Reference:
     Attributes
     ----------
     speed_m_s : incoming speed.
+    grip_N : grip force of the hand.
     recorded_m_s2, recorded_before_m_s2, recorded_after_m_s2 : (N,), (L,), (M,) r, the recorded acceleration, at the
         switching instants of the window, at those from contact on that come before tau_0 and no command can reach,
         and at those after the window; zero where the recording has ended.
@@ -60,12 +60,16 @@ class Reference:
     factors : (n,) by which each was scaled to the grid speed.
     times_s : (K,) of the repeats.
     repeats_m_s2 : (n, K) the aligned repeats, for figures.
-    between_m_s : the two recorded speeds it was derived from by `between`; None if it was recorded itself.
+    between_m_s : the two recorded speeds that it is blended of; None if the speed was recorded itself.
+    of_grips_N : recorded grips that it is made of: its own or the nearest one, or those that it is blended of; none
+        where its taps state no grip and serve every one.
+    slow_part_known : whether what is slower than the tap was recorded, so that the error as it is means something.
     name : of a named target, which has no speed; empty for a tap.
     sha256 : of the file that a named target was read from; empty for one that is stated by parameters.
     """
 
     speed_m_s: float
+    grip_N: float
     recorded_m_s2: FloatArray
     recorded_before_m_s2: FloatArray
     recorded_after_m_s2: FloatArray
@@ -82,6 +86,8 @@ class Reference:
     times_s: FloatArray
     repeats_m_s2: FloatArray
     between_m_s: tuple[float, float] | None = None
+    of_grips_N: tuple[float, ...] = ()
+    slow_part_known: bool = True
     name: str = ""
     sha256: str = ""
 
@@ -110,6 +116,12 @@ class Reference:
         return self.name or f"the tap at {self.speed_m_s:g} m/s"
 
     @property
+    def incoming_acceleration_m_s2(self) -> float:
+        """a0 of its taps in the mean, at its speed; 0 of a named target."""
+        own = [factor * tap.incoming_acceleration_m_s2 for factor, tap in zip(self.factors, self.taps, strict=True)]
+        return float(np.mean(own)) if own else 0.0
+
+    @property
     def scalings(self) -> FloatArray:
         """(n,) by which each recorded acceleration was multiplied in all."""
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
@@ -126,7 +138,7 @@ def _fine_times(grid: TimeGrid, end_s: float) -> FloatArray:
 def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArray) -> FloatArray:
     """(c, m) of courses (c, K) at instants (m,), by a spline up to sample `ended` and another one from there on.
 
-    Where a recording ends r_raw jumps to zero, and one spline through it all would ring around the jump.
+    Where a recording ends r jumps to zero, and one spline through it all would ring around the jump.
     """
     if times_s.size - ended < 4:  # all instants lie before
         return splined(times_s, courses, at_s)
@@ -169,20 +181,20 @@ def _integral(values: FloatArray, step_s: float) -> FloatArray:
 
 
 def build_reference(
-    speed_m_s: float, taps: Sequence[PreparedTap], factors: FloatArray, grid: TimeGrid, settings: Recordings
+    speed_m_s: float, grip_N: float, taps: Sequence[PreparedTap], factors: FloatArray, grid: TimeGrid, free: Free
 ) -> Reference:
-    """Scale, align and average the taps of one grid speed, and split off the user's share.
+    """Scale, align and average the taps of one grid speed and grip.
 
-    r_raw is the mean, which ends where the shortest tap does; r = H r_raw with H a causal second-order high-pass,
-    which goes on when r_raw has ended; z_nom integrates r_raw - r twice from z = 0, dz/dt = -speed at contact.
+    Their mean is r, which ends where the shortest tap does. z_nom integrates a_free twice from z = 0,
+    dz/dt = -speed at contact.
 
     Parameters
     ----------
-    speed_m_s : the grid speed.
+    speed_m_s, grip_N : of the cell.
     taps : n taps.
     factors : (n,) by which their accelerations are multiplied to be of that speed.
     grid : where the reference is sampled.
-    settings : cut-off of H.
+    free : how the hand moves on without current.
 
     Raises
     ------
@@ -217,14 +229,14 @@ def build_reference(
     mean = repeats.mean(axis=0)
     mean[ended:] = 0.0
     raw = Signal(float(times[0]), float(times[1] - times[0]), mean)
-    motor = highpass(raw, settings.highpass_Hz)
-    user = raw.values - motor.values
+    incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
+    by_itself = free(speed_m_s, grip_N, incoming)(raw.times_s)
     contact = int(np.argmin(np.abs(times)))
-    velocity = _integral(user, raw.dt_s)
+    velocity = _integral(by_itself, raw.dt_s)
     velocity += -speed_m_s - velocity[contact]
     position = _integral(velocity, raw.dt_s)
     position -= position[contact]
-    courses = np.stack([raw.values, user, position, velocity])
+    courses = np.stack([raw.values, by_itself, position, velocity])
 
     # One spline through it all for all instants, which are told apart again afterwards.
     instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)
@@ -232,6 +244,8 @@ def build_reference(
     window, after, before, ticks = np.split(sampled_at, np.cumsum([each.size for each in instants])[:-1], axis=1)
     return Reference(
         speed_m_s=speed_m_s,
+        grip_N=grip_N,
+        slow_part_known=all(tap.slow_part_known for tap in taps),
         recorded_m_s2=window[0],
         recorded_before_m_s2=before[0],
         recorded_after_m_s2=after[0],
@@ -247,108 +261,4 @@ def build_reference(
         factors=np.asarray(factors),
         times_s=times,
         repeats_m_s2=repeats,
-    )
-
-
-def assign(
-    taps: Sequence[PreparedTap], speeds_m_s: Sequence[float], settings: Recordings
-) -> list[list[tuple[PreparedTap, float]]]:
-    """For each grid speed its taps, each with the factor that scales it to that speed.
-
-    A tap belongs to the nearest grid speed, if it lies within `speed_tolerance` of it; taps that serve every
-    grid speed belong to all.
-
-    Raises
-    ------
-    InputError : a tap of unknown speed or in implausible units (`check_usable`), or too far from every grid speed;
-        a grid speed without a tap.
-    """
-    nodes = np.asarray(speeds_m_s, dtype=float)
-    groups: list[list[tuple[PreparedTap, float]]] = [[] for _ in nodes]
-    for tap in taps:
-        check_usable(tap, settings)
-        if np.isnan(tap.speed_m_s):
-            for group, node in zip(groups, nodes, strict=True):
-                group.append((tap, float(node)))
-            continue
-        distance = np.abs(nodes / tap.speed_m_s - 1)
-        nearest = int(np.argmin(distance))
-        if distance[nearest] > settings.speed_tolerance:
-            raise InputError(
-                f"{tap.recording.name}: speed {tap.speed_m_s:.4g} m/s is {distance[nearest]:.0%} from the nearest "
-                f"grid speed {nodes[nearest]:g} m/s, limit {settings.speed_tolerance:.0%}: "
-                "add a grid speed or leave the file out"
-            )
-        groups[nearest].append((tap, float(nodes[nearest] / tap.speed_m_s)))
-    for group, node in zip(groups, nodes, strict=True):
-        if not group:
-            raise InputError(
-                f"grid.speeds_m_s: no recording within {settings.speed_tolerance:.0%} of {node:g} m/s: "
-                "record taps at that speed or take it off the grid"
-            )
-    return groups
-
-
-def build_references(
-    recordings: Sequence[Recording], speeds_m_s: Sequence[float], grid: TimeGrid, settings: Recordings
-) -> list[Reference]:
-    """One reference per grid speed from all recordings of a scene.
-
-    Raises
-    ------
-    InputError : see `prepare`, `assign` and `build_reference`.
-    """
-    taps = [prepare(recording, settings) for recording in recordings]
-    return [
-        build_reference(node, [tap for tap, _ in group], np.array([f for _, f in group]), grid, settings)
-        for node, group in zip(speeds_m_s, assign(taps, speeds_m_s, settings), strict=True)
-    ]
-
-
-def between(references: Sequence[Reference], speed_m_s: float) -> Reference:
-    """The reference at any speed within the recorded ones; at a recorded speed the recorded one itself.
-
-    Between neighbours v1 < v < v2 the shape r / v is interpolated linearly in speed, with w = (v - v1) / (v2 - v1):
-
-        r = v ((1 - w) r_1 / v1 + w r_2 / v2)
-
-    Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). What
-    comes before and after the window, r_raw, and z_nom with its velocity follow the same rule, which keeps
-    dz_nom/dt = -v at contact and d2z_nom/dt2 = r_raw - r.
-    The taps of both neighbours are listed, scaled to v; the repeatability is the larger of the two, NaN if one is.
-
-    Parameters
-    ----------
-    references : of the recorded speeds, increasing.
-
-    Raises
-    ------
-    InputError : a speed outside the recorded ones.
-    """
-    speeds = [reference.speed_m_s for reference in references]
-    if not speeds[0] <= speed_m_s <= speeds[-1]:
-        raise InputError(
-            f"speed {speed_m_s:g} m/s: references are known from {speeds[0]:g} to {speeds[-1]:g} m/s only: "
-            "record taps at that speed"
-        )
-    if speed_m_s in speeds:
-        return references[speeds.index(speed_m_s)]
-    j = int(np.searchsorted(speeds, speed_m_s))
-    slow, fast = references[j - 1], references[j]
-    w = (speed_m_s - slow.speed_m_s) / (fast.speed_m_s - slow.speed_m_s)
-    to_slow, to_fast = speed_m_s / slow.speed_m_s, speed_m_s / fast.speed_m_s
-
-    def shape(of_slow: FloatArray, of_fast: FloatArray) -> FloatArray:
-        return np.asarray((1 - w) * to_slow * of_slow + w * to_fast * of_fast)
-
-    return Reference(
-        speed_m_s=speed_m_s,
-        **{name: shape(getattr(slow, name), getattr(fast, name)) for name in COURSES},
-        repeatability=float(np.maximum(slow.repeatability, fast.repeatability)),
-        repeatability_unaligned=float(np.maximum(slow.repeatability_unaligned, fast.repeatability_unaligned)),
-        taps=slow.taps + fast.taps,
-        factors=np.append(to_slow * slow.factors, to_fast * fast.factors),
-        times_s=slow.times_s,
-        repeats_m_s2=np.append(to_slow * slow.repeats_m_s2, to_fast * fast.repeats_m_s2, axis=0),
-        between_m_s=(slow.speed_m_s, fast.speed_m_s),
     )

@@ -42,7 +42,9 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
             f"{recording.name}: position_m has {np.count_nonzero(before)} samples in the {SPEED_FIT_S * 1e3:g} ms "
             f"before contact, {LEAST_SAMPLES} needed to fit the speed: {remedy}"
         )
-    slope, error = _end_slope(t[before] - onset_s, z[before], _count(z))
+    (_, slope, _), (_, error, _) = (
+        part.tolist() for part in fitted(t[before] - onset_s, z[before], encoder_count_m(z), 3)
+    )
     speed, share = -slope, abs(error / slope) if slope else np.inf
     if not speed > 0 and speed + error <= 0:
         raise InputError(
@@ -56,24 +58,28 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
     return speed, FITTED, [f"{found} (95 %): {remedy}"] if share > UNSURE_SPEED else []
 
 
-def _end_slope(t: FloatArray, z: FloatArray, count: float) -> tuple[float, float]:
-    """Slope at t = 0 of a quadratic through (n,) points, and half of its 95 % interval.
+def fitted(t: FloatArray, z: FloatArray, count: float, terms: int) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of a polynomial through (n,) points, lowest power first, and half of their 95 % intervals.
 
     The scatter is that of the residuals, and at least that of an encoder with the given count, count / sqrt(12): a
     few counts may happen to lie on a parabola.
+
+    Parameters
+    ----------
+    terms : number of coefficients, below n.
     """
-    powers = np.vander(t, 3, increasing=True)
+    powers = np.vander(t, terms, increasing=True)
     scale = np.abs(powers).max(axis=0)
     inverse = np.linalg.pinv(powers / scale)
     solution = inverse @ z
     rest = z - powers / scale @ solution
-    free = t.size - 3
+    free = t.size - terms
     scatter = max(float(np.sqrt(rest @ rest / free)), count / np.sqrt(12.0))
-    slope, error = (float(value / scale[1]) for value in (solution[1], np.linalg.norm(inverse[1])))
-    return slope, float(scipy.stats.t.ppf(0.975, free)) * scatter * error
+    errors = float(scipy.stats.t.ppf(0.975, free)) * scatter * np.linalg.norm(inverse, axis=1)
+    return np.asarray(solution / scale), np.asarray(errors / scale)
 
 
-def _count(z: FloatArray) -> float:
+def encoder_count_m(z: FloatArray) -> float:
     """What one count of an encoder stands for; 0 for positions that are not counted."""
     steps = np.abs(np.diff(z))
     steps = steps[steps > 0]

@@ -18,14 +18,14 @@ from transopt.base.filters import highpass, lowpass
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_FILES
+from transopt.recordings.approach import GUARD_S, find_approach
 from transopt.recordings.formats import refuse_idle
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
-from transopt.recordings.split import split
+from transopt.recordings.split import SLOWEST_HZ, split
 
-BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
 AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
 BASELINE_SAMPLES = 8  # fewer are no baseline
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
@@ -112,6 +112,9 @@ class PreparedTap:
     speed_m_s : incoming speed after similarity scaling; NaN where the recording serves every grid speed.
     speed_source : how the speed is known, in words.
     offset_m_s2 : static offset of the sensor, as found in the recording or stated.
+    incoming_acceleration_m_s2 : a0, the acceleration that the hand comes with, similarity-scaled; 0 if not known.
+    incoming_source : how a0 is known, in words.
+    slow_part_known : whether the acceleration holds what is slower than the tap.
     polarity : 1, or -1 where the sensor was upside down.
     onset_s : contact in the recording's own time.
     peak_m_s2 : of the low-passed acceleration.
@@ -126,6 +129,9 @@ class PreparedTap:
     speed_m_s: float
     speed_source: str
     offset_m_s2: float
+    incoming_acceleration_m_s2: float
+    incoming_source: str
+    slow_part_known: bool
     polarity: int
     onset_s: float
     peak_m_s2: float
@@ -173,7 +179,7 @@ def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> 
     energy is that of the recorded signal less the noise's, because a low-pass of no phase brings some of a hard pulse
     before its onset.
     """
-    cutoffs_Hz = [settings.time_scale * cutoff for cutoff in (settings.highpass_Hz, settings.lowpass_Hz)]
+    cutoffs_Hz = [settings.time_scale * cutoff for cutoff in (SLOWEST_HZ, settings.lowpass_Hz)]
     if cutoffs_Hz[0] >= 0.45 * x.rate_Hz:
         return onset_s, 0.0
     recorded = highpass(x, cutoffs_Hz[0]).values
@@ -198,7 +204,7 @@ def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
         return float(settings.offset_m_s2), []
     centred = x.values - np.median(x.values)
     upright = replace(x, values=centred * np.sign(centred[np.argmax(np.abs(centred))]))
-    quiet = x.values[x.times_s < find_onset(upright) - BASELINE_GUARD_S]
+    quiet = x.values[x.times_s < find_onset(upright) - GUARD_S]
     if quiet.size < BASELINE_SAMPLES:
         return 0.0, ["no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one"]
     fifth = quiet.size // 5
@@ -289,6 +295,10 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             more.append(f"{found} recordings.onset_s, of which only the waveform's lead is played: state it earlier")
     if settings.onset_s == "auto" and onset - upright.start_s < AT_THE_START_S:
         more.append("the contact is at the start of the file (a trigger without pre-roll): what came before is lost")
+    stated = settings.offset_m_s2 != "baseline"
+    came = find_approach(upright, recording.position, onset, noise, settings.trusted_from_Hz, stated=stated)
+    upright, offset = came.acceleration, offset - polarity * came.offset_error_m_s2
+    more += came.notes
     doubtful = "" if settings.simulated else implausible_time(raw)
     try:
         speed, source, unsure = incoming_speed(recording, onset)
@@ -327,6 +337,9 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
         speed,
         source,
         offset,
+        factor * came.incoming_m_s2,
+        came.source,
+        came.slow_part_known,
         polarity,
         onset,
         peak,

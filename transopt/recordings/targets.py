@@ -24,6 +24,7 @@ from transopt.base.signals import FloatArray, Signal
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import load_recording
 from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.recordings.settings import Recordings
 
 FINE = 4000  # instants at which the largest value of a shape is looked for
@@ -141,6 +142,7 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
     nothing, fine = np.zeros(grid.stages), np.linspace(0.0, ends_s, FINE)
     return Reference(
         speed_m_s=0.0,
+        grip_N=0.0,
         recorded_m_s2=now,
         recorded_before_m_s2=before,
         recorded_after_m_s2=after,
@@ -161,11 +163,11 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
     )
 
 
-def target_references(targets: Sequence[TargetTable], grid: TimeGrid, settings: Recordings) -> list[Reference]:
+def target_references(targets: Sequence[TargetTable], grid: TimeGrid, settings: Recordings) -> References:
     """One reference for each target of a scene.
 
     Raises
     ------
     InputError : see `target_reference`.
     """
-    return [target_reference(target, grid, settings) for target in targets]
+    return References(tuple(target_reference(target, grid, settings) for target in targets))

@@ -73,33 +73,45 @@ def _between_lines(refinement: Refinement) -> list[str]:
     ]
 
 
-def _recorded_lines(references: Sequence[Reference]) -> list[str]:
+def _recorded_lines(build: Build) -> list[str]:
     """The table of references and the notes on their taps, or the named targets."""
-    if any(r.name for r in references):
+    references, axes = build.references, build.scene.axes
+    if axes.targets:
         rows = [[r.name, f"{1e3 * r.times_s[-1]:.4g}", f"{_peak_g(r):.3g}", r.sha256[:12] or "-"] for r in references]
         return table(["target", "lasts ms", "peak g", "SHA-256 of its file"], rows)
-    derived = [f"{r.speed_m_s:g}" for r in references if r.between_m_s is not None]
-    references = [r for r in references if r.between_m_s is None]
-    lines = [
-        "| speed m/s | taps | scaled by | repeats %, aligned / not | peak g | speed from |",
-        "|---|---|---|---|---|---|",
+    heads = [
+        "speed m/s",
+        "grip N",
+        "taps",
+        "scaled by",
+        "repeats %, aligned / not",
+        "peak g",
+        "a0 m/s2",
+        "speed from",
     ]
-    for r in references:
-        factors = f"{r.scalings.min():.3g}" + (f" to {r.scalings.max():.3g}" if r.scalings.size > 1 else "")
-        sources = ", ".join(sorted({tap.speed_source for tap in r.taps}))
-        lines.append(
-            f"| {r.speed_m_s:g} | {len(r.taps)} | {factors} | {percent(r.repeatability)} / "
-            f"{percent(r.repeatability_unaligned)} | "
-            f"{r.recorded_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f} | {sources} |"
-        )
+    rows = [
+        [
+            f"{r.speed_m_s:g}",
+            f"{r.grip_N:g}" if r.of_grips_N else f"any, taken as {r.grip_N:g}",
+            f"{len(r.taps)}",
+            f"{r.scalings.min():.3g}" + (f" to {r.scalings.max():.3g}" if r.scalings.size > 1 else ""),
+            f"{percent(r.repeatability)} / {percent(r.repeatability_unaligned)}",
+            f"{r.recorded_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f}",
+            f"{r.incoming_acceleration_m_s2:.2f}",
+            ", ".join(sorted({tap.speed_source for tap in r.taps})),
+        ]
+        for r in references
+    ]
     notes = {f"{tap.recording.name}: {note}" for r in references for tap in r.taps for note in tap.notes}
     doubts = {f"**{tap.recording.name}: {tap.implausible}**" for r in references for tap in r.taps if tap.implausible}
     shown = [*sorted(doubts), *sorted(notes)]
     more = [f"- and {len(shown) - 10} more"] if shown[10:] else []
+    derived = [f"{v:g}" for v in axes.speeds_m_s if v not in references.speeds_m_s]
     if derived:
         rule = "r = v ((1 - w) r_1 / v_1 + w r_2 / v_2), w = (v - v_1) / (v_2 - v_1)"
         more.append(f"- not recorded but derived from the two neighbours: {', '.join(derived)} m/s, by {rule}")
-    return [*lines, "", *(f"- {note}" for note in shown[:10]), *more]
+    remarks = references.remarks(axes.grips_N)
+    return [*table(heads, rows), "", *(f"- {note}" for note in [*remarks, *shown[:10]]), *more]
 
 
 def _peak_g(reference: Reference) -> float:
@@ -324,7 +336,7 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
         "",
         "## Targets" if build.scene.targets else "## Recordings",
         "",
-        *_recorded_lines(build.references),
+        *_recorded_lines(build),
         "",
     ]
     return "\n".join(lines)
@@ -396,7 +408,9 @@ def build_json(build: Build, *, full: bool = True) -> str:
         "refinement": None if build.refinement is None else _refinement_rows(build.refinement),
         "references": [
             {
-                **({"target": r.name} if r.name else {"speed_m_s": r.speed_m_s, "between_m_s": r.between_m_s}),
+                **({"target": r.name} if r.name else {"speed_m_s": r.speed_m_s, "grip_N": r.grip_N}),
+                "states_grip": bool(r.of_grips_N),
+                "slow_part_known": r.slow_part_known,
                 "taps": [tap.recording.name for tap in r.taps],
                 "scaling": r.scalings.tolist(),
                 "repeatability": r.repeatability,

@@ -8,19 +8,23 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.recordings.approach import UNSEPARATED
+from transopt.recordings.references import COST, grip_groups
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import UNKNOWN
 from transopt.recordings.tap import PreparedTap
 
+NO_GRAVITY_M_S2 = 0.5  # a smaller offset is that of a sensor within 3 degrees of level, or that reads none
 MOST_LINES = 3  # of one kind; a whole folder is wrong in the same way
 CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed
 
 
 def taps_table(taps: Sequence[PreparedTap]) -> Table:
-    """Per file: rate, onset, offset, polarity, speed and its source, peak, clipping, notes."""
+    """Per file: rate, onset, offset, polarity, speed and its source, grip, a0, peak, clipping, notes."""
     table = Table(title=f"{len(taps)} recordings")
     names = (
         "file",
@@ -30,6 +34,8 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
         "polarity",
         "speed m/s",
         "speed from",
+        "grip N",
+        "a0 m/s2",
         "peak g",
         "clipped",
         "notes",
@@ -47,11 +53,58 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
             "+" if tap.polarity > 0 else "-",
             _speed_cell(tap),
             tap.speed_source,
+            "?" if tap.recording.grip_N is None else f"{tap.recording.grip_N:g}",
+            "?" if tap.incoming_source == UNSEPARATED else f"{tap.incoming_acceleration_m_s2:.2f}",
             f"{tap.peak_m_s2 / STANDARD_GRAVITY_M_S2:.3g}",
             str(tap.clipped_samples) if tap.clipped_samples else "no",
             "; ".join(tap.notes) or "-",
         )
     return table
+
+
+def cells_table(taps: Sequence[PreparedTap]) -> Table | None:
+    """How many taps each speed and grip has, and what serves where there is none; None where no grip is stated."""
+    grips = grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None])
+    speeds = _speed_groups([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
+    if not (grips and speeds):
+        return None
+    counts = np.array(
+        [[sum(t.speed_m_s in v and t.recording.grip_N in F for t in taps) for F in grips] for v in speeds]
+    )
+    table = Table(title="taps by speed and grip")
+    for head in ("speed m/s", *(f"{_mean(group):g} N" for group in grips)):
+        table.add_column(head, justify="right")
+    for group, row in zip(speeds, counts, strict=True):
+        known = np.flatnonzero(row)
+        filled = [_filled(n, j, known) for j, n in enumerate(row.tolist())]
+        table.add_row(f"{_mean(group):g}", *filled)
+    return table
+
+
+def _filled(count: int, column: int, known: NDArray[np.intp]) -> str:
+    """What a cell is made of: its taps, those of its neighbours, or those of the outermost grip of its speed."""
+    if count:
+        return str(count)
+    if known.size == 0:
+        return "none"
+    return "interpolated" if known[0] < column < known[-1] else "clamped"
+
+
+def hints(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
+    """What about all of the recordings a user may have to state, one sentence each."""
+    found = []
+    silent = sum(tap.recording.grip_N is None for tap in taps)
+    if silent == len(taps):
+        found.append(f"no tap states its grip, so each serves every grip; state it by --grip: {COST}")
+    elif silent:
+        found.append(f"{silent} of {len(taps)} taps state no grip, and solve refuses such a mixture: state it")
+    still = max(abs(tap.offset_m_s2) for tap in taps)
+    if settings.trusted_from_Hz == 0 and still < NO_GRAVITY_M_S2:
+        found.append(
+            "no recording has the offset that gravity makes: if the sensor is of the IEPE type it reads from 0.5 to "
+            "5 Hz on and loses 3 to 22 % of a tap: state --trusted-from-Hz"
+        )
+    return found
 
 
 def implausible_lines(taps: Sequence[PreparedTap]) -> list[str]:
@@ -67,15 +120,19 @@ def _speed_cell(tap: PreparedTap) -> str:
     return "?" if tap.speed_source == UNKNOWN else "any"
 
 
-def _grid_speeds(speeds_m_s: Sequence[float]) -> list[float]:
-    """The mean of each cluster of sorted speeds, a cluster being no wider than a tenth."""
+def _speed_groups(speeds_m_s: Sequence[float]) -> list[list[float]]:
+    """Clusters of sorted speeds, each no wider than a tenth."""
     clusters: list[list[float]] = []
     for speed in sorted(speeds_m_s):
         if clusters and speed <= clusters[-1][0] * (1 + CLUSTER_WIDTH):
             clusters[-1].append(speed)
         else:
             clusters.append([speed])
-    return [float(f"{np.mean(cluster):.3g}") for cluster in clusters]
+    return clusters
+
+
+def _mean(cluster: Sequence[float]) -> float:
+    return float(f"{np.mean(cluster):.3g}")
 
 
 def _lines(
@@ -87,7 +144,9 @@ def _lines(
     ----------
     home : folder of the scene, from which the recordings' folder counts; None names it whole.
     """
-    speeds = _grid_speeds([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
+    speeds = [_mean(c) for c in _speed_groups([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])]
+    grips = [_mean(c) for c in grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N])]
+    grid = [f"speeds_m_s = {speeds}", *([f"grips_N = {grips}"] if len(grips) > 1 else [])]
     stated = settings.model_dump(exclude_defaults=True, exclude={"folder", "files", "simulated"})
     folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
     files = [path.resolve().relative_to(folder).as_posix() for path in paths]
@@ -96,7 +155,7 @@ def _lines(
             folder = Path(os.path.relpath(folder, home.resolve()))
     # Strings, numbers and lists are spelt alike in JSON and TOML.
     lines = [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
-    return [f"speeds_m_s = {speeds}"], [*lines, *(f"{key} = {_toml(value)}" for key, value in stated.items())]
+    return grid, [*lines, *(f"{key} = {_toml(value)}" for key, value in stated.items())]
 
 
 def _toml(value: object) -> str:
@@ -110,7 +169,8 @@ def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Re
     """TOML lines for the [grid] and [recordings] tables of a scene: speeds that serve these taps, and the files."""
     grid, recordings = _lines(taps, paths, settings, None)
     replaced = "# in [recordings], in place of folder, files and simulated"
-    return "\n".join(["# in [grid]", *grid, "", replaced, *recordings])
+    keys = " and ".join(line.split(" = ")[0] for line in grid)
+    return "\n".join([f"# in [grid], in place of {keys}", *grid, "", replaced, *recordings])
 
 
 def scene_of_taps(
@@ -126,6 +186,8 @@ def scene_of_taps(
     grid, recordings = ("\n".join(lines) for lines in _lines(taps, paths, settings, home))
     device = template[template.index("motor = ") :]
     text, speeds = re.subn(r"(?m)^speeds_m_s = .*$", lambda _: grid, device)
+    if "grips_N" in grid:
+        text = re.sub(r"(?m)^grips_N = \[1\.0.*\n", "", text)
     text, files = re.subn(r"(?ms)^# Three recordings.*?^files = .*?$", lambda _: recordings, text)
     assert (speeds, files) == (1, 1)
     about = "taps of one's own on the built-in device"

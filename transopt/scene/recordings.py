@@ -1,11 +1,16 @@
 """The recordings that a scene names, from its files or simulated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
+from transopt.base.signals import FloatArray
+from transopt.plant.intention import FreeMotion
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, build_reference, build_references
+from transopt.recordings.reference import Free
+from transopt.recordings.references import References, build_references
+from transopt.recordings.references import sampled_again as taps_sampled_again
 from transopt.recordings.tap import read_recordings
-from transopt.recordings.targets import target_reference, target_references
+from transopt.recordings.targets import target_references
 from transopt.scene import strikes
 from transopt.scene.scene import Scene
 
@@ -22,8 +27,20 @@ def recordings_of(scene: Scene) -> list[Recording]:
     return read_recordings(scene.recordings) if scene.recordings.files else []
 
 
-def references_of(scene: Scene, recordings: Sequence[Recording]) -> list[Reference]:
-    """What the device has to do at each speed of the scene, from its recordings, or for each of its named targets.
+def free_of(scene: Scene) -> Free:
+    """How the stylus of a scene's recordings moves without current: as its hand means to, by `[hand]`."""
+    kept: dict[float, FreeMotion] = {}
+
+    def free(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+        if grip_N not in kept:
+            kept[grip_N] = scene.free_motion(grip_N)
+        return partial(kept[grip_N].acceleration_m_s2, speed_m_s, incoming_m_s2)
+
+    return free
+
+
+def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
+    """What the device has to do at speeds and grips, from the scene's recordings, or for each of its named targets.
 
     Raises
     ------
@@ -31,18 +48,19 @@ def references_of(scene: Scene, recordings: Sequence[Recording]) -> list[Referen
     """
     if scene.targets:
         return target_references(scene.targets, scene.time_grid(), scene.recordings)
-    return build_references(recordings, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    grid = scene.grid
+    return build_references(
+        recordings, grid.speeds_m_s, grid.grips_N, scene.time_grid(), scene.recordings, free_of(scene)
+    )
 
 
-def sampled_again(scene: Scene, reference: Reference) -> Reference:
-    """A reference of the scene's recordings or targets on the scene's time axis, which is another one now.
+def sampled_again(scene: Scene, references: References) -> References:
+    """References of the scene's recordings or targets on the scene's time axis, which is another one now.
 
     Raises
     ------
     InputError : a recording or a target that does not fit the time axis.
     """
-    grid = scene.time_grid()
-    if reference.name:
-        (target,) = (each for each in scene.targets if each.name == reference.name)
-        return target_reference(target, grid, scene.recordings)
-    return build_reference(reference.speed_m_s, reference.taps, reference.factors, grid, scene.recordings)
+    if scene.targets:
+        return references_of(scene, ())
+    return taps_sampled_again(references, scene.time_grid(), free_of(scene))

@@ -32,6 +32,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.recordings.tap import check_usable, prepare, read_recordings
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
@@ -146,7 +147,7 @@ class Service:
         self.changes: dict[str, Value] = {}
         self.options = SolverOptions()
         self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
-        self._references: tuple[str, list[Reference]] = ("", [])
+        self._references: tuple[str, References] = ("", References())
         self._referenced: Scene | None = None  # that the references were last looked up for
         self._recordings: tuple[str, list[Recording]] = ("", [])
         self._stages: Kept[StageModel] = Kept(KEPT_STAGES)  # of all scenes that the sliders have come to
@@ -234,10 +235,11 @@ class Service:
 
     def _axis(self, scene: Scene) -> str:
         """What the references depend on, as text."""
-        return f"{scene.time_grid()} {json.dumps(scene.model_dump(include={'recordings', 'targets'}, mode='json'))}"
+        stated = scene.model_dump(include={"recordings", "targets", "hand"}, mode="json")
+        return f"{scene.time_grid()} {json.dumps(stated)}"
 
-    def references(self, scene: Scene) -> list[Reference]:
-        """What the device has to do at each speed of a scene or for each of its targets; kept until the axis changes.
+    def references(self, scene: Scene) -> References:
+        """What the device has to do at speeds and grips of a scene or for its targets; kept until the axis changes.
 
         Raises
         ------
@@ -399,7 +401,7 @@ def own_taps(scene: Scene, folder: Path, files: Sequence[str], speed_m_s: float 
         raise InputError(
             f"{scene.name}: has named targets, which no tap takes the place of: open a scene with speeds"
         )
-    stated = scene.recordings.model_dump(include={"lowpass_Hz", "highpass_Hz", "speed_tolerance"})
+    stated = scene.recordings.model_dump(include={"lowpass_Hz", "trusted_from_Hz", "speed_tolerance"})
     table = {**stated, "files": list(files), "folder": str(folder), "speed_m_s": speed_m_s}
     settings = with_values(scene, {"recordings": table}).recordings
     taps = [prepare(recording, settings) for recording in read_recordings(settings)]
@@ -412,36 +414,42 @@ def own_taps(scene: Scene, folder: Path, files: Sequence[str], speed_m_s: float 
     return Service(with_values(scene, {"recordings": table, "grid.speeds_m_s": nodes}))
 
 
-def _references(library: Library) -> list[Reference]:
+def _references(library: Library) -> References:
     """What a library was designed for, as its file has it."""
-    grid = library.time_grid()
-    at_ticks = np.concatenate([library.nominal_position_at_ticks_m, library.nominal_after_at_ticks_m], axis=2)
-    ends = library.target_ends_s if library.axes.targets else np.full(library.speeds_m_s.size, np.inf)
-    spreads = [np.nan if each is None else each for each in library.meta["repeatability"]]
-    return [
-        Reference(
-            speed_m_s=float(speed),
-            recorded_m_s2=library.recorded_m_s2[iv, 0],
-            recorded_before_m_s2=library.recorded_before_m_s2[iv, 0],
-            recorded_after_m_s2=library.recorded_after_m_s2[iv, 0],
-            free_m_s2=library.free_m_s2[iv, 0],
-            free_before_m_s2=library.free_before_m_s2[iv, 0],
-            free_after_m_s2=library.free_after_m_s2[iv, 0],
-            nominal_position_m=library.nominal_position_m[iv, 0],
-            nominal_velocity_m_s=library.nominal_velocity_m_s[iv, 0],
-            nominal_position_at_ticks_m=at_ticks[iv, 0],
-            repeatability=spreads[iv],
-            repeatability_unaligned=np.nan,
-            taps=(),
-            factors=np.zeros(0),
-            times_s=np.append(grid.switching_times_s, grid.after_times_s)
-            if np.isinf(ends[iv])
-            else np.array([ends[iv]]),
-            repeats_m_s2=np.zeros((0, 0)),
-            name=str(library.targets[iv]),
-        )
-        for iv, speed in enumerate(library.speeds_m_s)
-    ]
+    rows, (nv, ng) = library.axes.rows, library.command.shape[:2]
+    return References(
+        tuple(_reference(library, iv, ig) for iv in range(nv) for ig in range(1 if rows[iv][1] else ng))
+    )
+
+
+def _reference(library: Library, iv: int, ig: int) -> Reference:
+    """One cell of them, whose taps are not at hand."""
+    grid, wanted = library.time_grid(), library.wanted_of(iv, ig)
+    speed, name = library.axes.rows[iv]
+    spread = library.meta["repeatability"][iv][ig]
+    times_s = np.append(grid.switching_times_s, grid.after_times_s)
+    return Reference(
+        speed_m_s=speed,
+        grip_N=float(library.grips_N[ig]),
+        recorded_m_s2=library.recorded_m_s2[iv, ig],
+        recorded_before_m_s2=library.recorded_before_m_s2[iv, ig],
+        recorded_after_m_s2=library.recorded_after_m_s2[iv, ig],
+        free_m_s2=library.free_m_s2[iv, ig],
+        free_before_m_s2=library.free_before_m_s2[iv, ig],
+        free_after_m_s2=library.free_after_m_s2[iv, ig],
+        nominal_position_m=wanted.nominal_position_m,
+        nominal_velocity_m_s=wanted.nominal_velocity_m_s,
+        nominal_position_at_ticks_m=wanted.nominal_position_at_ticks_m,
+        repeatability=np.nan if spread is None else spread,
+        repeatability_unaligned=np.nan,
+        taps=(),
+        factors=np.zeros(0),
+        times_s=np.array([wanted.ends_s]) if name else times_s,
+        repeats_m_s2=np.zeros((0, 0)),
+        of_grips_N=() if name else (float(library.grips_N[ig]),),
+        slow_part_known=wanted.slow_part_known,
+        name=name,
+    )
 
 
 def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:

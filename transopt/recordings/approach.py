@@ -1,0 +1,153 @@
+"""How the stylus came: offset and incoming acceleration told apart, the slow part of a tap completed.
+
+The baseline before contact is the sensor's offset plus a0, the acceleration that the hand comes with. An
+accelerometer alone cannot separate them. The position can: twice integrated, the acceleration must be its course, and
+what is missing to that is the offset. The same fit completes what a sensor with a low cut-off loses. Its reading b of
+an acceleration a passes a first-order high-pass of angular frequency w, whose inverse is known but for a start value:
+
+    b = s / (s + w) a,     so     a(t) = b(t) + w (integral of b) + p + q t,
+
+with p and q, start value and offset, fitted to the position
+
+    z(t) = z0 + v0 t + (double integral of b + w (integral of b)) + p t^2 / 2 + q t^3 / 6.
+
+A sensor that reads down to 0 Hz has w = 0 and q = 0. Then only the approach is fitted, where an error of the sensor's
+scale does not count; else the course from the approach to behind the tap.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transopt.base.signals import FloatArray, Signal
+from transopt.recordings.speed import encoder_count_m, fitted
+
+GUARD_S = 1e-3  # kept free before contact, whose low-passed foot reaches so far
+INCOMING_S = 10e-3  # the incoming acceleration is the mean of so long before contact
+FIT_BEFORE_S, FIT_AFTER_S = 50e-3, 150e-3  # beside contact; over longer the noise's double integral outgrows a count
+LEAST_SAMPLES = 8
+REST_S, LEAVING_S = 20e-3, 5e-3  # shortest rest, and its end, where the hand sets out within one count
+REST_M = 25e-6  # a finer position moves by so much at rest
+TRUSTED_Hz = 1.0  # a cut-off up to here loses little of 30 ms, 6 % of the change of speed where nothing completes it
+SEPARATED, AT_REST, STATED, UNSEPARATED = "position", "rest", "stated offset", "unknown"
+
+
+@dataclass(frozen=True)
+class Approach:
+    """An acceleration whose offset and slow part are put right, and what it is before contact.
+
+    Attributes
+    ----------
+    acceleration : z'' of the stylus [m/s^2].
+    offset_error_m_s2 : what was taken away too much as the offset.
+    incoming_m_s2 : a0, the acceleration that the hand comes with; 0 where it is not known or not told from 0.
+    source : how a0 is known: `position`, `rest`, `stated offset` or `unknown`.
+    slow_part_known : whether the acceleration holds what is slower than the tap.
+    notes : what a user should know, one sentence each.
+    """
+
+    acceleration: Signal
+    offset_error_m_s2: float
+    incoming_m_s2: float
+    source: str
+    slow_part_known: bool
+    notes: tuple[str, ...] = ()
+
+
+def find_approach(
+    x: Signal, position: Signal | None, onset_s: float, noise_m_s2: float, trusted_from_Hz: float, *, stated: bool
+) -> Approach:
+    """Tell offset and incoming acceleration apart, and complete what is slower than the sensor reads.
+
+    Parameters
+    ----------
+    x : less its baseline, or less the offset that the user `stated`, positive where the tap decelerates the stylus.
+    position : along the surface normal, positive out of the object [m]; None if it was not recorded.
+    onset_s : contact.
+    noise_m_s2 : rms of the white noise in `x`.
+    trusted_from_Hz : cut-off of the sensor's first-order high-pass; 0 for one that reads a constant.
+    """
+    if trusted_from_Hz > 0:
+        return _completed(x, position, onset_s, trusted_from_Hz)
+    coming = (x.times_s > onset_s - GUARD_S - INCOMING_S) & (x.times_s < onset_s - GUARD_S)
+    if np.count_nonzero(coming) < LEAST_SAMPLES:
+        return Approach(x, 0.0, 0.0, UNSEPARATED, slow_part_known=True)
+    before = float(x.values[coming].mean())
+    if stated:
+        missing, error, source = 0.0, 2 * noise_m_s2 / np.sqrt(np.count_nonzero(coming)), STATED
+    else:
+        found = None if position is None else _at_rest(x, position, onset_s, noise_m_s2)
+        if found is None and position is not None:
+            found = _by_position(x, position, onset_s, noise_m_s2)
+        if found is None:
+            said = "offset and incoming acceleration are not told apart without a position: the latter is taken as 0"
+            return Approach(x, 0.0, 0.0, UNSEPARATED, True, (said,))
+        missing, error, source = found
+    incoming = before + missing
+    if abs(incoming) <= error:
+        return Approach(x, 0.0, 0.0, source, slow_part_known=True)
+    return Approach(replace(x, values=x.values + missing), missing, incoming, source, slow_part_known=True)
+
+
+def _at_rest(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> tuple[float, float, str] | None:
+    """What lacks to zero at rest, with its 95 % interval; None where the record does not begin at rest."""
+    z = position.values
+    left = np.abs(z - z[0]) > 1.5 * max(encoder_count_m(z), REST_M)
+    leaves_s = position.times_s[int(np.argmax(left))] if left.any() else position.end_s
+    still = (x.times_s >= position.start_s) & (x.times_s < min(leaves_s, onset_s) - LEAVING_S)
+    n = int(np.count_nonzero(still))
+    if n < LEAST_SAMPLES or n * x.dt_s < REST_S:
+        return None
+    return -float(x.values[still].mean()), 2 * noise_m_s2 / np.sqrt(n), AT_REST
+
+
+def _by_position(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> tuple[float, float, str] | None:
+    """What lacks to the position's course over the approach, with its 95 % interval; None of too few samples."""
+    t = position.times_s
+    inside = (t > max(onset_s - FIT_BEFORE_S, x.start_s)) & (t < onset_s - GUARD_S)
+    if np.count_nonzero(inside) < LEAST_SAMPLES:
+        return None
+    rest = position.values[inside] - np.interp(t[inside], x.times_s, _twice_integrated(x))
+    solution, interval = fitted(t[inside] - onset_s, rest, encoder_count_m(position.values), 3)
+    # The noise's double integral is no scatter about the parabola: it bends it, as a mean over so long would be off.
+    bent = 3 * noise_m_s2 * float(np.sqrt(x.dt_s / np.ptp(t[inside])))
+    return 2 * float(solution[2]), float(np.hypot(2 * interval[2], bent)), SEPARATED
+
+
+def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_Hz: float) -> Approach:
+    """Acceleration with the slow part that the position tells; without one as it was recorded."""
+    said = f"the sensor reads from {trusted_from_Hz:g} Hz on"
+    low, high = onset_s - FIT_BEFORE_S, onset_s + FIT_AFTER_S
+    t = np.zeros(0) if position is None else position.times_s
+    inside = (t >= max(low, x.start_s)) & (t <= min(high, x.end_s))
+    if position is None or np.count_nonzero(inside) < LEAST_SAMPLES or not np.any(t[inside] > onset_s):
+        known = trusted_from_Hz <= TRUSTED_Hz
+        lost = (
+            "what is slower is missing"
+            if known
+            else "what is slower is unknown without a position_m, so only the rapid error is minimised"
+        )
+        return Approach(x, 0.0, 0.0, UNSEPARATED, known, (f"{said}: {lost}",))
+    w = 2 * np.pi * trusted_from_Hz
+    inverse = replace(x, values=x.values + w * _integral(x.values, x.dt_s))
+    rest = position.values[inside] - np.interp(t[inside], x.times_s, _twice_integrated(inverse))
+    solution, interval = fitted(t[inside] - onset_s, rest, encoder_count_m(position.values), 4)
+    slope = 6 * float(solution[3])
+    whole = replace(x, values=inverse.values + 2 * float(solution[2]) + slope * (x.times_s - onset_s))
+    coming = (x.times_s > onset_s - GUARD_S - INCOMING_S) & (x.times_s < onset_s - GUARD_S)
+    incoming = float(whole.values[coming].mean()) if coming.any() else 0.0
+    if abs(incoming) <= 2 * interval[2]:
+        incoming = 0.0
+    notes = (f"{said}: what is slower is completed from the position",)
+    return Approach(whole, slope / w, incoming, SEPARATED, slow_part_known=True, notes=notes)
+
+
+def _integral(values: FloatArray, step: float) -> FloatArray:
+    """(n,) by the trapezoidal rule, from the first sample on."""
+    course = np.zeros(values.size)
+    np.cumsum(0.5 * step * (values[1:] + values[:-1]), out=course[1:])
+    return course
+
+
+def _twice_integrated(x: Signal) -> FloatArray:
+    return _integral(_integral(x.values, x.dt_s), x.dt_s)
