@@ -358,8 +358,11 @@ class Entry:
 
     @property
     def weighted_nrmse(self) -> float:
-        """NRMSE as the scene's error filter hears it; the plain one without a filter."""
-        return self.nrmse if self.problem.reference_is_zero else self.problem.tracking.nrmse(self.predicted_m_s2)
+        """Root of what the terms of the error come to in J for the entry's own device."""
+        if self.problem.reference_is_zero:
+            return self.nrmse
+        losses = self.problem.tracking.losses(self.designed.effect.lasting.acceleration_m_s2)
+        return float(np.sqrt(losses[0]))
 
     @property
     def slopes(self) -> dict[str, float]:

@@ -115,8 +115,9 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, 
     ):
         if size > most:
             raise InputError(f"{path}: {size} {what}, at most {most}; solve a smaller scene")
-    for name in ("speeds_m_s", "grips_N"):
-        if name in arrays and (arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0)):
+    named = "targets" in arrays
+    for name in ("grips_N",) if named else ("speeds_m_s", "grips_N"):
+        if arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0):
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 

@@ -73,7 +73,7 @@ class Library:
     at rest.
     """
 
-    speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising", needs="speeds")]
+    speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising; 0 for named targets")]
     targets: Annotated[
         NDArray[np.str_], Array("v", "", "names of the targets, in place of speeds", is_text=True, needs="targets")
     ]
@@ -205,7 +205,7 @@ class Library:
         Array(
             "vg",
             "1/A^2 or 1/V^2",
-            "price in J of the sum of the squared plant inputs",
+            "price in J of the sum of i_k^2 over the window",
             made=lambda entry: entry.problem.heat_price,
         ),
     ]

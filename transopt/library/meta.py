@@ -88,7 +88,6 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
     The temperature is among it where it is a constraint of at least one entry, and not shown to be none of all.
     """
     said = {
-        "speeds": not scene.targets,
         "targets": bool(scene.targets),
         "spread": scene.robust is not None,
         "worst": scene.robust is not None and scene.robust.minimise == "worst",

@@ -285,12 +285,13 @@ def _afterwards(library: Library, iv: int, ig: int, effect: Effect, target: Targ
     current = effect.lasting.plant_input
     heat_A2_s = problem.grid.dt_s * float(current @ current) if library.driven_by is CURRENT_INPUT else np.nan
     claims = {
-        "energy": (problem.target.energy_m2_s4, SAME, 0.0),
+        "energy": (problem.tracking.energy_m2_s4, SAME, 0.0),
+        "heat_price": (problem.heat_price, SAME, 0.0),
         "heat_A2_s": (heat_A2_s, FIGURE, ROUNDING),
         "error_after": (target.nrmse_after(later), FIGURE, SAME),
         "peak_after_m_s2": (target.peak_after_m_s2(later), FIGURE, SAME * size),
     }
-    if problem.target.energy_m2_s4 > 0 and library.posing().objective == "intensity":
+    if problem.tracking.energy_m2_s4 > 0 and library.posing().objective == "intensity":
         silent = problem.reference_is_zero
         made_dB = 0.0 if silent else problem.tracking.energy_dB(effect.accelerations_m_s2)
         claims["energy_dB"] = (made_dB, 0.0, LEVEL_dB)

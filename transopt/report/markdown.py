@@ -47,7 +47,7 @@ def _between_lines(refinement: Refinement) -> list[str]:
     lines += [
         "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % | "
         "weakest dB |",
-        "|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, grid, excess, blended in (
         ("of the scene", refinement.recorded, "excess_before", "before"),

@@ -39,7 +39,6 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
         assert array.meaning, name
         assert array.needs in (
             "",
-            "speeds",
             "targets",
             "spread",
             "worst",
