@@ -22,6 +22,7 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid, discretise
 from transopt.plant.drive import drive
 from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.intention import INTENTION_S
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 from transopt.plant.wall import HandOver, Wall
@@ -31,7 +32,7 @@ from transopt.problem.limits.limit import Setting
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.rapid import rapid, rapid_filter
 from transopt.problem.objective.target import Target
-from transopt.problem.problem import INTENTION_S, TransientProblem
+from transopt.problem.problem import TransientProblem
 
 PEAK_PER_SPEED_1_S = 280.0  # of a tap on wood: 28 m/s^2 at 0.1 m/s
 RING_HZ, RING_DECAY_S = 390.0, 4e-3

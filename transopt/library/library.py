@@ -200,6 +200,15 @@ class Library:
             made=lambda entry: entry.problem.tracking.energy_m2_s4,
         ),
     ]
+    heat_price: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "1/A^2 or 1/V^2",
+            "price in J of the sum of the squared plant inputs",
+            made=lambda entry: entry.problem.heat_price,
+        ),
+    ]
     error_after: Annotated[
         FloatArray,
         Array(

@@ -55,6 +55,7 @@ def drive(
 class Drive(PlantKind):
     """Motor, transmission, stylus and hand."""
 
+    is_chain: ClassVar[bool] = True
     through_transmission: ClassVar[bool] = True
 
     kind: Literal["drive"]

@@ -4,7 +4,7 @@ Outputs: "position" and "velocity" of the stylus, also called "stylus position" 
 hand holds it "hand position" and "hand velocity".
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from transopt.base.section import Positive
 from transopt.plant.chain import chain
@@ -31,6 +31,8 @@ def fourth_order(
 
 class FourthOrder(PlantKind):
     """Stylus and hand (seed Fig. 4b)."""
+
+    is_chain: ClassVar[bool] = True
 
     kind: Literal["fourth_order"]
     stylus_mass_kg: Positive

@@ -22,11 +22,13 @@ class PlantKind(Section):
     driven_at_tip : whether the scene states what drives it, by motor and transmission or by a tip; a kind that is a
         whole actuator states its own drive.
     held_by_hand : whether it depends on the grip; else grip 0 is its only one.
+    is_chain : whether its states are the elongations of a chain of masses, then their velocities.
     """
 
     through_transmission: ClassVar[bool] = False
     driven_at_tip: ClassVar[bool] = True
     held_by_hand: ClassVar[bool] = True
+    is_chain: ClassVar[bool] = False
 
     @property
     def driven_by(self) -> Input:

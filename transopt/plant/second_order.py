@@ -3,7 +3,7 @@
 Outputs: "position" and "velocity" of the mass, also called "stylus position" and "stylus velocity".
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from transopt.plant.chain import Link, chain
 from transopt.plant.hand import LinearInGrip
@@ -40,6 +40,8 @@ def second_order(
 
 class SecondOrder(PlantKind):
     """The whole hand as one mass (seed Fig. 4a)."""
+
+    is_chain: ClassVar[bool] = True
 
     kind: Literal["second_order"]
 

@@ -13,6 +13,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.intention import INTENTION_S
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
@@ -24,7 +25,7 @@ from transopt.problem.objective.plain import plain
 from transopt.problem.objective.rapid import rapid
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import ErrorFilter
-from transopt.problem.problem import INTENTION_S, TransientProblem
+from transopt.problem.problem import TransientProblem
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.intention import INTENTION_S
 from transopt.plant.state_space import Input
 from transopt.plant.wall import HandOver, feedback_command
 from transopt.problem.after import Feedback
@@ -19,8 +20,6 @@ from transopt.problem.objective.heat_price import HeatPrice
 from transopt.problem.objective.movement import Movement
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking
-
-INTENTION_S = 30e-3  # for so long after contact a hand's intention stays what it was (seed Eq. 2)
 
 
 @dataclass(frozen=True)

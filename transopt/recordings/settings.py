@@ -12,10 +12,11 @@ from transopt.recordings.names import Layout
 class SimulatedTaps(Section):
     """A real object that the undriven device strikes: the built-in recordings.
 
+    They are made at every grip of the scene, or at `grip_N` alone.
     Contact force on the stylus: k delta^n (1 + c d delta/dt) >= 0, delta the indentation.
     """
 
-    grip_N: Positive
+    grip_N: Positive | None = None
     object_mass_kg: Positive
     object_stiffness_N_m: NonNegative
     object_damping_N_s_m: NonNegative
@@ -52,7 +53,6 @@ class Recordings(Section):
     onset_s: Finite | Literal["auto"] = "auto"
     lowpass_Hz: Annotated[float, Field(ge=50, le=1e6)] = 1000.0
     trusted_from_Hz: Annotated[float, Field(ge=0, le=20)] = 0.0  # 0: the sensor reads a constant acceleration
-    highpass_Hz: Annotated[float, Field(ge=0.1, le=1e5)] = 8.0
     speed_tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.15
     time_scale: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
     amplitude_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | Literal["to_grid_speed"] = 1.0
@@ -67,6 +67,4 @@ class Recordings(Section):
     def _one_origin(self) -> Self:
         if self.files and self.simulated is not None:
             raise ValueError("give either files or a simulated table, not both")
-        if self.highpass_Hz >= self.lowpass_Hz:
-            raise ValueError(f"highpass_Hz = {self.highpass_Hz:g}: must be below lowpass_Hz = {self.lowpass_Hz:g}")
         return self

@@ -58,6 +58,11 @@ class IdentifiedModel(ModelParts):
         used["coil"] = self.coil if coil else None
         return {name: part.shortfalls for name, part in used.items() if part is not None and part.shortfalls}
 
+    @property
+    def is_chain(self) -> bool:
+        """Whether its states are the elongations of a chain of masses, then their velocities."""
+        return not isinstance(self.moving, StateSpaceDevice)
+
     def tip(self) -> Tip | None:
         """The drive at the tip; None where the file has no drive chain."""
         device = self.device

@@ -19,6 +19,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid, samples_after
+from transopt.plant.intention import FreeMotion
 from transopt.plant.kind import PlantKind
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Motor, Tip, Transmission, Winding, at_the_tip
@@ -39,6 +40,7 @@ from transopt.scene.sections import (
     AmplifierSection,
     Feedback,
     Grid,
+    Hand,
     LimitsSection,
     Robust,
     Striker,
@@ -60,6 +62,7 @@ class Scene(Section):
     grid: Grid = Grid()
     time: Time = Time()
     recordings: Recordings = Recordings()
+    hand: Hand = Hand()
     targets: Annotated[list[TargetTable], Field(max_length=MOST_NODES)] = Field(default_factory=list)
     model: Annotated[Model | IdentifiedModel, Field(discriminator="kind")]
     motor: Motor | None = None
@@ -331,6 +334,13 @@ class Scene(Section):
         stated = {"model": self.striker.model, "tip": self.striker.tip, "amplifier": self.striker.amplifier}
         return self.model_copy(update={**stated, "striker": None})
 
+    def free_motion(self, grip_N: float) -> FreeMotion:
+        """How the stylus moves without current in the hand of the recordings, at one grip."""
+        struck = self.striking() if self.recordings.simulated is not None else self
+        is_held = grip_N > 0 and (isinstance(struck.model, IdentifiedModel) or struck.model.held_by_hand)
+        chain = struck.plant(grip_N) if is_held and struck.model.is_chain else None
+        return FreeMotion(self.hand.intention(), chain, is_held=is_held)
+
     def drive_at_tip(self) -> Tip:
         """What the stylus feels of the drive: as identified, as motor and transmission make it, or as stated."""
         identified = self.model.tip() if isinstance(self.model, IdentifiedModel) else None
@@ -442,6 +452,7 @@ class Scene(Section):
             rapid=rapid_filter(self.weights.rapid, self.weights.rapid_from_Hz, self.time.dt_s),
             rho=self.weights.rho,
             heat_price=self.weights.heat_price,
+            intention_s=self.hand.intention_s,
             asked=self.limits.asked(),
             hand_over_samples=self.hand_over_samples,
             circuit=self.circuit(),

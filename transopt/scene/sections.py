@@ -21,6 +21,7 @@ from transopt.base.sizes import (
     SHORTEST_DT_S,
 )
 from transopt.plant.discretise import WHOLE
+from transopt.plant.intention import INTENTION_S, Intention, Yielding
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Tip
 
@@ -219,6 +220,21 @@ class Feedback(Section):
     damping_N_s_m: NonNegative = 0.0
     latency_ticks: Annotated[int, Field(ge=0, le=100)] = 1
     derivative_filter_Hz: Positive = 500.0
+
+
+class Hand(Section):
+    """How the hand behind the recordings moves: on at the incoming speed for `intention_s`, and then as it yields.
+
+    `brakes` comes to rest evenly in 60 ms, `straight` goes on, `stops` stops dead, `decays` loses its speed with a
+    time constant of 30 ms, `pulls` turns back within 60 ms. What the hand does by itself is not asked of the motor.
+    """
+
+    intention_s: Annotated[float, Field(ge=1e-3, le=LONGEST_HORIZON_S)] = INTENTION_S
+    yields: Yielding = "brakes"
+
+    def intention(self) -> Intention:
+        """What the hand means to do from contact on."""
+        return Intention(self.intention_s, self.yields)
 
 
 class Weights(Section):

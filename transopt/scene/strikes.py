@@ -8,6 +8,7 @@ from transopt.base import recursions
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.base.sizes import MOST_SAMPLES
+from transopt.plant.intention import Intention
 from transopt.plant.state_space import StateSpace
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import SimulatedTaps
@@ -19,6 +20,8 @@ APPROACH_S = 30e-3  # recorded before contact
 BEYOND_S = 10e-3  # recorded after all that a scene looks at
 USUAL_LEAD_S = 3e-4  # a scene's lead moves its window, but not the noise that is drawn
 ENCODER_COUNT_M = 24.5e-6
+LIGHT_N = 1.0  # grip of the hand that strikes for a scene of a free stylus
+STRAIGHT = Intention(yields="straight")
 
 
 def rk4_step(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
@@ -97,13 +100,18 @@ def _driven(
 
 
 def strike(
-    plant: StateSpace, target: SimulatedTaps, speeds_m_s: FloatArray, duration_s: float, step_s: float = STEP_S
+    plant: StateSpace,
+    target: SimulatedTaps,
+    speeds_m_s: FloatArray,
+    duration_s: float,
+    step_s: float = STEP_S,
+    intention: Intention = STRAIGHT,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Stylus acceleration and encoder position of V taps, from contact on.
 
-    The hand goes on meaning to move at the incoming speed, so the device's deviation from that motion obeys
-    the zero-state model with the contact force F = k delta^n (1 + c d delta/dt) >= 0 on the stylus. The object
-    is a mass on a spring and a damper.
+    The states of the chain are relative to what the hand means to do, so that every mass feels the intention's own
+    acceleration v u'' (`transopt.plant.intention`). The stylus feels the contact force
+    F = k delta^n (1 + c d delta/dt) >= 0 besides. The object is a mass on a spring and a damper.
 
     Parameters
     ----------
@@ -112,7 +120,8 @@ def strike(
     target : the object.
     speeds_m_s : (V,).
     duration_s : from contact on.
-    step_s : of the integration.
+    step_s : of the integration; the stretches of the intention begin at whole steps.
+    intention : what the hand means to do from contact on.
 
     Returns
     -------
@@ -122,30 +131,58 @@ def strike(
     stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
     position_of_stylus = np.zeros(n)
     position_of_stylus[stylus:masses] = 1.0
+    # Behind the chain: position and velocity of the object, v t, v, and v u with its derivative.
+    thing, way = slice(n, n + 2), slice(n + 2, n + 4)
 
-    # Everything but the contact force is linear: d state/dt = flow @ state + push F, with v t and v as last states.
-    flow, push = np.zeros((n + 4, n + 4)), np.zeros(n + 4)
-    flow[:n, :n], push[:n] = plant.A, plant.B[:, 0]
-    flow[n, n + 1], push[n + 1] = 1.0, -1 / target.object_mass_kg
-    flow[n + 1, n : n + 2] = -np.array([target.object_stiffness_N_m, target.object_damping_N_s_m])
-    flow[n + 1, n : n + 2] /= target.object_mass_kg
-    flow[n + 2, n + 3] = 1.0
-    # Indentation and its rate, of the states: z of the stylus is its deviation less v t.
-    contact = np.zeros((2, n + 4))
-    contact[0, :n], contact[0, n], contact[0, n + 2] = -position_of_stylus, 1.0, 1.0
-    contact[1, masses + stylus], contact[1, n + 1], contact[1, n + 3] = -1.0, 1.0, 1.0
-    start = np.zeros((n + 4, speeds_m_s.size))
-    start[-1] = speeds_m_s
+    # Indentation and its rate, of the states: z of the stylus is its deviation from the intention, v u less v t.
+    contact = np.zeros((2, n + 6))
+    contact[0, :n], contact[0, n], contact[0, n + 2], contact[0, n + 4] = -position_of_stylus, 1.0, 1.0, -1.0
+    contact[1, masses + stylus], contact[1, n + 1], contact[1, n + 3], contact[1, n + 5] = -1.0, 1.0, 1.0, -1.0
+    state = np.zeros((n + 6, speeds_m_s.size))
+    state[n + 3] = speeds_m_s
     steps = int(np.ceil(duration_s / step_s))
-    states, forces = _driven(flow, push, contact, target, start, steps, step_s)
+    starts = [round(phase.start_s / step_s) for phase in intention.phases]
+    found, pushes = [], []
+    for phase, first, last in zip(intention.phases, starts, [*starts[1:], steps], strict=True):
+        if first >= steps:
+            break
+        # Everything but the contact force is linear: d state/dt = flow @ state + push F.
+        flow, push = np.zeros((n + 6, n + 6)), np.zeros(n + 6)
+        flow[:n, :n], push[:n] = plant.A, plant.B[:, 0]
+        flow[n, n + 1], push[n + 1] = 1.0, -1 / target.object_mass_kg
+        flow[n + 1, thing] = -np.array([target.object_stiffness_N_m, target.object_damping_N_s_m])
+        flow[n + 1, thing] /= target.object_mass_kg
+        flow[way, way] = [[0.0, 1.0], [0.0, 0.0]]
+        flow[n + 4, n + 5] = 1.0
+        flow[n + 5, [n + 3, n + 5]] = phase.rate_1_s, -phase.decay_1_s
+        flow[masses:n] -= flow[n + 5]
+        state[n + 5] += phase.jump * speeds_m_s
+        state[masses:n] -= phase.jump * speeds_m_s
+        states, forces = _driven(flow, push, contact, target, state, min(last, steps) - first, step_s)
+        found.append(states[:-1])
+        pushes.append(forces[:-1])
+        state = states[-1].copy()
+    courses, forces = np.concatenate([*found, states[-1:]]), np.concatenate([*pushes, forces[-1:]])
     times = step_s * np.arange(steps + 1)
-    acceleration = np.einsum("n,knv->kv", plant.C[0], states[:, :n]) + plant.D[0, 0] * forces
-    encoder = np.einsum("n,knv->kv", plant.Ce[0], states[:, :n]) - states[:, n + 2]
+    acceleration = np.einsum("n,knv->kv", plant.C[0], courses[:, :n]) + plant.D[0, 0] * forces
+    encoder = np.einsum("n,knv->kv", plant.Ce[0], courses[:, :n]) + courses[:, n + 4] - courses[:, n + 2]
     return np.asarray(times), acceleration.T, encoder.T
 
 
+def grips_of(scene: Scene) -> list[float]:
+    """Grips at which the simulated recordings of a scene are made: the stated one, or those of its grid.
+
+    A free stylus would not come back for the next tap, so that a scene of one is struck by a light hand.
+    """
+    target = scene.recordings.simulated
+    assert target is not None
+    if target.grip_N is not None:
+        return [target.grip_N]
+    return [LIGHT_N] if scene.grid.grips_N[0] == 0 else list(scene.grid.grips_N)
+
+
 def recordings(scene: Scene) -> list[Recording]:
-    """Recordings of every grid speed with repeats at varied speed, as a hand and an ADXL321 would give them.
+    """Recordings of every grid speed and grip with repeats at varied speed, as a hand and an ADXL321 would give them.
 
     Static 1 g, white noise, end stops, encoder counts; a fixed seed makes them the same every time. The recordings
     outlast by 10 ms what the scene looks at. Looking further after the waveform makes them longer and changes no
@@ -159,10 +196,7 @@ def recordings(scene: Scene) -> list[Recording]:
     if target is None:
         raise InputError(f"{scene.name}: recordings.simulated: missing; this scene reads files")
     scene = scene.striking()
-    random = np.random.default_rng(target.seed)
-    nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
-    speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
-    grid = scene.time_grid()
+    grips, grid = grips_of(scene), scene.time_grid()
     within = grid.end_s + grid.lead_s - USUAL_LEAD_S + BEYOND_S
     duration = within + grid.after_stages * grid.dt_s
     if duration > LONGEST_S:
@@ -170,14 +204,26 @@ def recordings(scene: Scene) -> list[Recording]:
             f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages or "
             "weights.after_s"
         )
-    samples = int(speeds.size * duration * max(target.rate_Hz, 1 / STEP_S))
+    taps = len(scene.grid.speeds_m_s) * target.repeats * len(grips)
+    samples = int(taps * duration * max(target.rate_Hz, 1 / STEP_S))
     if samples > MOST_SAMPLES:
         raise InputError(
-            f"recordings.simulated: {speeds.size} taps of {duration:g} s are {samples} samples, at most "
-            f"{MOST_SAMPLES}: lower repeats, rate_Hz or the number of speeds"
+            f"recordings.simulated: {taps} taps of {duration:g} s are {samples} samples, at most "
+            f"{MOST_SAMPLES}: lower repeats, rate_Hz or the number of speeds and grips"
         )
+    return [recording for j, grip in enumerate(grips) for recording in _at_grip(scene, target, grip, j, within)]
+
+
+def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, number: int, within_s: float) -> list[Recording]:
+    """The recordings of one grip, with random numbers of their own."""
+    random = np.random.default_rng([target.seed, number])
+    nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
+    speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
+    grid = scene.time_grid()
+    duration = within_s + grid.after_stages * grid.dt_s
+    plant, intention = scene.plant(grip_N, struck=True), scene.hand.intention()
     with np.errstate(all="ignore"):  # what overflows is found as not finite
-        t, acceleration, encoder = strike(scene.plant(target.grip_N, struck=True), target, speeds, duration)
+        t, acceleration, encoder = strike(plant, target, speeds, duration, intention=intention)
     if not (np.isfinite(acceleration).all() and np.isfinite(encoder).all()):
         raise InputError(
             f"recordings.simulated: a tap does not stay finite in steps of {STEP_S:g} s: device or contact are too "
@@ -188,7 +234,7 @@ def recordings(scene: Scene) -> list[Recording]:
     before = int(np.ceil(APPROACH_S / dt))
     # Sampling is not synchronous with the contact.
     phases = random.uniform(0, dt, speeds.size)
-    last, later = int(within / dt) - 1, random.spawn(speeds.size)
+    last, later = int(within_s / dt) - 1, random.spawn(speeds.size)
     made = []
     for j, speed in enumerate(speeds):
         times = np.arange(-before, last + round(grid.after_stages * grid.dt_s / dt)) * dt + phases[j]
@@ -202,13 +248,13 @@ def recordings(scene: Scene) -> list[Recording]:
         repeat = j % target.repeats + 1
         made.append(
             Recording(
-                name=f"{scene.name}_{nodes[j]:g}_m_s_{repeat}",
-                source=f"simulated: the undriven device at {target.grip_N:g} N strikes the object of the scene",
+                name=f"{scene.name}_{nodes[j]:g}_m_s_{grip_N:g}_N_{repeat}",
+                source=f"simulated: the undriven device at {grip_N:g} N strikes the object of the scene",
                 sha256="",
                 acceleration=Signal(0.0, dt, measured_g * STANDARD_GRAVITY_M_S2),
                 position=Signal(0.0, dt, counts),
                 speed_m_s=float(speed),
-                grip_N=target.grip_N,
+                grip_N=grip_N,
             )
         )
     return made

@@ -12,6 +12,7 @@ from transopt.recordings.recording import Recording
 from transopt.recordings.reference import COURSES, Reference
 from transopt.recordings.references import References, assign, grip_groups
 from transopt.recordings.tap import prepare
+from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -27,8 +28,8 @@ def gripped(scene: Scene) -> list[Recording]:
 
 
 def of_grips(scene: Scene, grips_N: Sequence[float]) -> list[Recording]:
-    grid = scene.grid.model_copy(update={"grips_N": list(grips_N)})
-    return recordings(scene.model_copy(update={"grid": grid}))
+    made = [recordings(with_values(scene, {"recordings.simulated.grip_N": grip})) for grip in grips_N]
+    return [tap for one in made for tap in one]
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,160 @@
+"""How the hand that holds a stylus means to move, and how the stylus moves with it while no current flows.
+
+Nobody answers a tap within some 30 ms: for so long the intention goes on at the incoming speed (seed Eq. 2). What
+comes after it is a law of yielding. All motions here are per m/s of incoming speed, beside the straight line -v t.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+import scipy
+
+from transopt.base.recursions import LinearSystem
+from transopt.base.signals import FloatArray
+from transopt.plant.state_space import StateSpace
+
+INTENTION_S = 30e-3  # for so long after contact the intention stays what it was
+BRAKING_S = 60e-3  # in which a yielding hand comes to rest, evenly
+PULLING_S = 60e-3  # in which one that pulls back turns, evenly, to the incoming speed outwards
+DECAY_S = 30e-3  # time constant with which one that decays comes to rest
+RISE_S = 2.5e-3  # time constant with which a stylus follows the hand's acceleration (measured on chains of hands)
+
+Yielding = Literal["brakes", "straight", "stops", "decays", "pulls"]
+YIELDINGS: tuple[str, ...] = get_args(Yielding)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of the intention with u'' = rate - decay u', u its way beside the straight line for 1 m/s.
+
+    Attributes
+    ----------
+    start_s : after contact.
+    jump : of u' at its beginning [1].
+    rate_1_s, decay_1_s : of the law.
+    """
+
+    start_s: float
+    jump: float = 0.0
+    rate_1_s: float = 0.0
+    decay_1_s: float = 0.0
+
+    def after(self, u: float, rate: float, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """u, u' and u'' so long after its beginning, where u and u' are known, the jump in u' included."""
+        if self.decay_1_s == 0:
+            return u + rate * t + self.rate_1_s * t**2 / 2, rate + self.rate_1_s * t, np.full(t.shape, self.rate_1_s)
+        d, end = self.decay_1_s, self.rate_1_s / self.decay_1_s
+        left = (rate - end) * np.exp(-d * t)
+        return u + end * t + (rate - end - left) / d, end + left, -d * left
+
+
+@dataclass(frozen=True)
+class Intention:
+    """What the hand means to do from contact on.
+
+    Attributes
+    ----------
+    intention_s : for so long it goes on at the incoming speed.
+    yields : law by which it yields then. "brakes": it comes to rest evenly in 60 ms. "straight": it goes on.
+        "stops": it stops dead. "decays": its speed decays with 30 ms. "pulls": within 60 ms it turns back.
+    """
+
+    intention_s: float = INTENTION_S
+    yields: Yielding = "brakes"
+
+    @property
+    def phases(self) -> Sequence[Phase]:
+        """Its stretches, the straight one first."""
+        T, straight = self.intention_s, Phase(0.0)
+        match self.yields:
+            case "straight":
+                return (straight,)
+            case "stops":
+                return (straight, Phase(T, jump=1.0))
+            case "decays":
+                return (straight, Phase(T, rate_1_s=1 / DECAY_S, decay_1_s=1 / DECAY_S))
+            case "pulls":
+                return (straight, Phase(T, rate_1_s=2 / PULLING_S), Phase(T + PULLING_S))
+        return (straight, Phase(T, rate_1_s=1 / BRAKING_S), Phase(T + BRAKING_S))
+
+    def motion(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(K,) u, u' and u'' at times after contact, zero before it; the jumps of u' are not in u''."""
+        found = np.zeros((3, times_s.size))
+        phases, u, rate = self.phases, 0.0, 0.0
+        ends = [*(phase.start_s for phase in phases[1:]), np.inf]
+        for phase, end in zip(phases, ends, strict=True):
+            rate += phase.jump
+            inside = (times_s >= phase.start_s) & (times_s < end)
+            found[:, inside] = phase.after(u, rate, times_s[inside] - phase.start_s)
+            if np.isfinite(end):
+                last = phase.after(u, rate, np.array([end - phase.start_s]))
+                u, rate = float(last[0][0]), float(last[1][0])
+        return found[0], found[1], found[2]
+
+
+class FreeMotion:
+    """How the stylus accelerates without current, in one hand, for 1 m/s of incoming speed.
+
+    Relative to the intention every mass of a chain feels its inertia, so that its states x, elongations and then
+    velocities, obey dx/dt = A x - [0, 1] u'', and the stylus accelerates with C x. A device that is no chain of known
+    masses is taken to follow the intention with a time constant of 2.5 ms.
+
+    Parameters
+    ----------
+    intention : what the hand means to do.
+    chain : the device in the hand, from any input, its states elongations and then velocities; None for none.
+    is_held : whether a hand holds it: a free stylus goes on as it came.
+    """
+
+    def __init__(self, intention: Intention, chain: StateSpace | None, *, is_held: bool = True) -> None:
+        self.intention, self._chain, self._is_held = intention, chain, is_held
+        self._kept: tuple[FloatArray, FloatArray] | None = None
+
+    @cached_property
+    def _plant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A, the input of u'' and the row of the stylus' acceleration."""
+        if self._chain is None:
+            return np.array([[-1 / RISE_S]]), np.array([-1.0]), np.array([-1 / RISE_S])
+        n = self._chain.order
+        return self._chain.A, np.append(np.zeros(n // 2), -np.ones(n - n // 2)), self._chain.C[0]
+
+    def yielding_m_s2(self, times_s: FloatArray) -> FloatArray:
+        """(K,) acceleration by the law of yielding at even times, for 1 m/s."""
+        if not self._is_held or len(self.intention.phases) == 1:
+            return np.zeros(times_s.size)
+        if self._kept is None or not np.array_equal(self._kept[0], times_s):
+            self._kept = times_s, self._yielding(times_s)
+        return self._kept[1]
+
+    def _yielding(self, times_s: FloatArray) -> FloatArray:
+        A, b, row = self._plant
+        n, step = A.shape[0], times_s[1] - times_s[0]
+        flow = np.zeros((n + 1, n + 1))
+        flow[:n, :n], flow[:n, n] = A, b
+        exponential = scipy.linalg.expm(flow * step)
+        # Held at its mean over each step; a jump of u' moves the velocities at once, as an impulse over one step.
+        _, rate, _ = self.intention.motion(np.append(times_s, times_s[-1] + step))
+        mean = np.diff(rate) / step
+        system = LinearSystem(exponential[:n, :n], exponential[:n, n:], row[None], np.zeros((1, 1)))
+        return np.asarray(system.outputs(mean[None])[0])
+
+    def acceleration_m_s2(self, speed_m_s: float, incoming_m_s2: float, times_s: FloatArray) -> FloatArray:
+        """(K,) a_free at even times after contact.
+
+        Parameters
+        ----------
+        incoming_m_s2 : acceleration a0 with which the stylus came. Over the intention it counts as
+            a0 (1 - exp(-t / 2.5 ms)), and it dies out likewise when the intention is over.
+        """
+        T = self.intention.intention_s
+        if not self._is_held:
+            return np.zeros(times_s.size)
+
+        def rise(t: FloatArray) -> FloatArray:
+            return -np.expm1(-np.maximum(t, 0.0) / RISE_S)
+
+        carried = incoming_m_s2 * (rise(times_s) - rise(times_s - T))
+        return np.asarray(carried + (speed_m_s - incoming_m_s2 * T) * self.yielding_m_s2(times_s))
