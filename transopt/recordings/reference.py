@@ -16,11 +16,11 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, nrmse, splined
 from transopt.plant.discretise import TimeGrid
+from transopt.plant.intention import FreeMotion
 from transopt.problem.objective.target import Target
 from transopt.recordings.tap import PreparedTap
 
-# From speed [m/s], grip [N] and a0 [m/s^2] to a_free over time, how the hand of a recording moves without current.
-Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
+Free = Callable[[float], FreeMotion]  # by grip [N]
 
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
@@ -231,7 +231,7 @@ def build_reference(
     mean[ended:] = 0.0
     raw = Signal(float(times[0]), float(times[1] - times[0]), mean)
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
-    user = free(speed_m_s, grip_N, incoming)(raw.times_s)
+    user = free(grip_N).acceleration_m_s2(speed_m_s, incoming, raw.times_s)
     contact = int(np.argmin(np.abs(times)))
     velocity = _integral(user, raw.dt_s)
     velocity += -speed_m_s - velocity[contact]

@@ -1,11 +1,9 @@
 """The recordings that a scene names, from its files or simulated."""
 
 from collections.abc import Sequence
-
-import numpy as np
+from functools import cache
 
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Free
 from transopt.recordings.references import References, build_references
 from transopt.recordings.references import sampled_again as taps_sampled_again
 from transopt.recordings.tap import read_recordings
@@ -26,11 +24,6 @@ def recordings_of(scene: Scene) -> list[Recording]:
     return read_recordings(scene.recordings) if scene.recordings.files else []
 
 
-def free_of(scene: Scene) -> Free:
-    """How the hand of a scene's recordings moves without current: steadily."""
-    return lambda speed_m_s, grip_N, incoming_m_s2: np.zeros_like
-
-
 def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
     """What the device has to do at speeds and grips, from the scene's recordings, or for each of its named targets.
 
@@ -42,7 +35,7 @@ def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
         return target_references(scene.targets, scene.time_grid(), scene.recordings)
     grid = scene.grid
     return build_references(
-        recordings, grid.speeds_m_s, grid.grips_N, scene.time_grid(), scene.recordings, free_of(scene)
+        recordings, grid.speeds_m_s, grid.grips_N, scene.time_grid(), scene.recordings, cache(scene.free_motion)
     )
 
 
@@ -55,4 +48,4 @@ def sampled_again(scene: Scene, references: References) -> References:
     """
     if scene.targets:
         return references_of(scene, ())
-    return taps_sampled_again(references, scene.time_grid(), free_of(scene))
+    return taps_sampled_again(references, scene.time_grid(), cache(scene.free_motion))

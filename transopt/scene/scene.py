@@ -136,11 +136,6 @@ class Scene(Section):
         self._check_amplifier()
         self._check_time()
         self._check_what_needs_what()
-        if not self.targets and self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
-            raise ValueError(
-                f"recordings.highpass_Hz = {self.recordings.highpass_Hz:g}: must not exceed a tenth of the servo "
-                f"rate, {rounded_down(0.1 / self.time.dt_s, 6):g} Hz"
-            )
         if self.hand_over_samples > self.time.stages:
             raise ValueError(
                 f"hand_over_samples = {self.hand_over_samples}: must not exceed time.stages = {self.time.stages}"
