@@ -5,7 +5,8 @@ weaker, since blending adds what is not in phase. Its excess at (v, F) is the la
 bilinear blend of the node commands, played through the device of grip F against the reference at v, minus the NRMSE
 of the optimum solved exactly there; and the share of amplitude that the blend lacks beside that optimum, 1 - 10^(dB /
 20) with the energies of both within the window through the filter of the scene's rapid term. A tolerance of 0.02
-so allows 2 points of NRMSE and 0.18 dB. An optimum of intensity is not the least in NRMSE; its blend is held by the second.
+so allows 2 points of NRMSE and 0.18 dB. An optimum of intensity is not the least in NRMSE; its blend is held by the
+second.
 References between recorded speeds come from `reference.between`.
 """
 

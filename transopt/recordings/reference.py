@@ -1,9 +1,8 @@
-"""From recordings to references: what the motor has to make the stylus do.
+"""From recordings to references: what was recorded, and how the stylus moves without current.
 
-The recorded acceleration r_raw has two makers. Below some 8 Hz it is the user, whose hand moves and yields. Above, it
-is the object that was struck, and its share r = H r_raw is what the motor has to make; H is a causal second-order
-high-pass. The user's share r_raw - r, integrated twice from the incoming speed, is the nominal motion z_nom: where
-the stylus would be without the motor. Both are sampled at the switching instants of the problem's time grid.
+The recorded acceleration r is what the stylus shall feel; nothing is taken away from it. The motor has to make what
+the hand does not do by itself, r - a_free. Integrated twice from the incoming speed, a_free gives the nominal motion
+z_nom: where the stylus would be without the motor. All is sampled at the switching instants of the problem's grid.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,11 +15,11 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, nrmse, splined
 from transopt.plant.discretise import TimeGrid
-from transopt.plant.intention import FreeMotion
 from transopt.problem.objective.target import Target
 from transopt.recordings.tap import PreparedTap
 
-Free = Callable[[float], FreeMotion]  # by grip [N]
+# From speed [m/s], grip [N] and a0 [m/s^2] to a_free over time, how the hand of a recording moves without current.
+Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
 
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
@@ -139,7 +138,7 @@ def _fine_times(grid: TimeGrid, end_s: float) -> FloatArray:
 def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArray) -> FloatArray:
     """(c, m) of courses (c, K) at instants (m,), by a spline up to sample `ended` and another one from there on.
 
-    Where a recording ends r_raw jumps to zero, and one spline through it all would ring around the jump.
+    Where a recording ends r jumps to zero, and one spline through it all would ring around the jump.
     """
     if times_s.size - ended < 4:  # all instants lie before
         return splined(times_s, courses, at_s)
@@ -184,10 +183,10 @@ def _integral(values: FloatArray, step_s: float) -> FloatArray:
 def build_reference(
     speed_m_s: float, grip_N: float, taps: Sequence[PreparedTap], factors: FloatArray, grid: TimeGrid, free: Free
 ) -> Reference:
-    """Scale, align and average the taps of one grid speed, and split off the user's share.
+    """Scale, align and average the taps of one grid speed and grip.
 
-    r_raw is the mean, which ends where the shortest tap does; r = H r_raw with H a causal second-order high-pass,
-    which goes on when r_raw has ended; z_nom integrates r_raw - r twice from z = 0, dz/dt = -speed at contact.
+    Their mean is r, which ends where the shortest tap does. z_nom integrates a_free twice from z = 0,
+    dz/dt = -speed at contact.
 
     Parameters
     ----------
@@ -231,13 +230,13 @@ def build_reference(
     mean[ended:] = 0.0
     raw = Signal(float(times[0]), float(times[1] - times[0]), mean)
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
-    user = free(grip_N).acceleration_m_s2(speed_m_s, incoming, raw.times_s)
+    by_itself = free(speed_m_s, grip_N, incoming)(raw.times_s)
     contact = int(np.argmin(np.abs(times)))
-    velocity = _integral(user, raw.dt_s)
+    velocity = _integral(by_itself, raw.dt_s)
     velocity += -speed_m_s - velocity[contact]
     position = _integral(velocity, raw.dt_s)
     position -= position[contact]
-    courses = np.stack([raw.values, user, position, velocity])
+    courses = np.stack([raw.values, by_itself, position, velocity])
 
     # One spline through it all for all instants, which are told apart again afterwards.
     instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)

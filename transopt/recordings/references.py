@@ -186,7 +186,7 @@ def assign(taps: Sequence[PreparedTap], speeds_m_s: Sequence[float], settings: R
         stated = next(tap.recording for tap in taps if tap.recording.grip_N is not None)
         raise InputError(
             f"{silent[0]}: states no grip, as {len(silent)} of {len(taps)} taps, while {stated.name} is of "
-            f"{stated.grip_N:g} N: state it in the file (`# grip_N: 3`) or by recordings.grip_N, or leave the file out"
+            f"{stated.grip_N:g} N: state it in the file (`# grip_N: 3`) or by recordings.grip_N, or leave it out"
         )
     nodes = np.asarray(speeds_m_s, dtype=float)
     groups: list[list[Scaled]] = [[] for _ in nodes]

@@ -24,7 +24,7 @@ from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausi
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
-from transopt.recordings.split import split
+from transopt.recordings.split import SLOWEST_HZ, split
 
 AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
 BASELINE_SAMPLES = 8  # fewer are no baseline
@@ -32,7 +32,6 @@ LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
 NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
 TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of NRMSE: contact is then put where the pulse begins
-HAND_HZ = 8.0  # slower than this is the hand's, where it is looked for the beginning of a pulse
 TOE_LEVEL = 5e-3  # of the peak, from which on it has begun; below it lies no energy to speak of
 TOE_TO_NOISE = 3.0  # nor is it told from noise below this
 
@@ -180,7 +179,7 @@ def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> 
     energy is that of the recorded signal less the noise's, because a low-pass of no phase brings some of a hard pulse
     before its onset.
     """
-    cutoffs_Hz = [settings.time_scale * cutoff for cutoff in (HAND_HZ, settings.lowpass_Hz)]
+    cutoffs_Hz = [settings.time_scale * cutoff for cutoff in (SLOWEST_HZ, settings.lowpass_Hz)]
     if cutoffs_Hz[0] >= 0.45 * x.rate_Hz:
         return onset_s, 0.0
     recorded = highpass(x, cutoffs_Hz[0]).values

@@ -1,9 +1,12 @@
 """The recordings that a scene names, from its files or simulated."""
 
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
+from functools import partial
 
+from transopt.base.signals import FloatArray
+from transopt.plant.intention import FreeMotion
 from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Free
 from transopt.recordings.references import References, build_references
 from transopt.recordings.references import sampled_again as taps_sampled_again
 from transopt.recordings.tap import read_recordings
@@ -24,6 +27,18 @@ def recordings_of(scene: Scene) -> list[Recording]:
     return read_recordings(scene.recordings) if scene.recordings.files else []
 
 
+def free_of(scene: Scene) -> Free:
+    """How the stylus of a scene's recordings moves without current: as its hand means to, by `[hand]`."""
+    kept: dict[float, FreeMotion] = {}
+
+    def free(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
+        if grip_N not in kept:
+            kept[grip_N] = scene.free_motion(grip_N)
+        return partial(kept[grip_N].acceleration_m_s2, speed_m_s, incoming_m_s2)
+
+    return free
+
+
 def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
     """What the device has to do at speeds and grips, from the scene's recordings, or for each of its named targets.
 
@@ -35,7 +50,7 @@ def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
         return target_references(scene.targets, scene.time_grid(), scene.recordings)
     grid = scene.grid
     return build_references(
-        recordings, grid.speeds_m_s, grid.grips_N, scene.time_grid(), scene.recordings, cache(scene.free_motion)
+        recordings, grid.speeds_m_s, grid.grips_N, scene.time_grid(), scene.recordings, free_of(scene)
     )
 
 
@@ -48,4 +63,4 @@ def sampled_again(scene: Scene, references: References) -> References:
     """
     if scene.targets:
         return references_of(scene, ())
-    return taps_sampled_again(references, scene.time_grid(), cache(scene.free_motion))
+    return taps_sampled_again(references, scene.time_grid(), free_of(scene))
