@@ -38,8 +38,9 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, build_references
+from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 
@@ -107,7 +108,9 @@ def library(build: Build) -> Library:
 
 @pytest.fixture(scope="session")
 def references(scene: Scene, taps: list[Recording]) -> list[Reference]:
-    return build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    """What is asked at 3 N, speed by speed."""
+    found = references_of(scene, taps)
+    return [found.at(speed_m_s, 3.0) for speed_m_s in found.speeds_m_s]
 
 
 class ProblemMaker:
