@@ -29,9 +29,11 @@ def pulled_back_after_s(position: Signal, onset_s: float) -> float | None:
     """
     t, z = position.times_s - onset_s, position.values
     counts_m = LEAST_COUNTS * max(encoder_count_m(z), FINEST_M)
+    if position.dt_s > HALF_S / 4 or t[0] > LOOKED_AT_S[0] - 2 * HALF_S:
+        return None
     for end_s in LOOKED_AT_S[LOOKED_AT_S <= t[-1]]:
         first, middle, last = np.interp([end_s - 2 * HALF_S, end_s - HALF_S, end_s], t, z)
-        depth = -float(z[(t > 0) & (t <= end_s)].min())
+        depth = -float(z[(t > 0) & (t <= end_s)].min(initial=0.0))
         before, after = middle - first, last - middle
         if before >= 0 and after >= max(GROWTH * before, LEAST_SHARE * depth, counts_m):
             return float(end_s)
