@@ -31,7 +31,7 @@ def pulled_back_after_s(position: Signal, onset_s: float) -> float | None:
     counts_m = LEAST_COUNTS * max(encoder_count_m(z), FINEST_M)
     if position.dt_s > HALF_S / 4 or t[0] > LOOKED_AT_S[0] - 2 * HALF_S:
         return None
-    for end_s in LOOKED_AT_S[LOOKED_AT_S <= t[-1]]:
+    for end_s in LOOKED_AT_S[t[-1] >= LOOKED_AT_S]:
         first, middle, last = np.interp([end_s - 2 * HALF_S, end_s - HALF_S, end_s], t, z)
         depth = -float(z[(t > 0) & (t <= end_s)].min(initial=0.0))
         before, after = middle - first, last - middle
