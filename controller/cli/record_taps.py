@@ -28,6 +28,7 @@ from controller.waveforms.prediction import scene_of
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.scene.strikes import grips_of
 
 
 def taps_by_a_person(
@@ -173,7 +174,7 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
             f"--object: {truth.name} states no simulated object: give --true-device with one, like wood_on_foam"
         )
     dt_s, true = truth.time.dt_s, device_in(truth, wanted.wrong, wanted.seed)
-    taps = TapFiles(wanted, truth.grid.speeds_m_s, [target.grip_N])
+    taps = TapFiles(wanted, truth.grid.speeds_m_s, grips_of(truth))
     bench, hand = striking_bench(dt_s, wanted.device)
 
     def force(tap: SimulatedTap, contact: Contact) -> dict[str, FloatArray]:

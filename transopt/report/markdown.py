@@ -28,6 +28,7 @@ from transopt.report.tables import (
 )
 from transopt.report.trade import TRADE_COLUMNS, TRADE_LEGEND, trade_cells
 from transopt.report.trade_off import attained_lines, levels_row, trade_off_lines, trade_off_row
+from transopt.scene.strikes import grips_of
 from transopt.solvers.options import FALLBACK, default_solver
 
 CERTIFICATE_LEGEND = (
@@ -126,10 +127,10 @@ def _origin(build: Build) -> str:
     simulated = build.scene.recordings.simulated
     if simulated is not None:
         whose = "" if build.scene.striker is None else " (the scene's own device, not that of the model file)"
-        striking = f"the undriven device{whose}"
+        striking, grips = f"the undriven device{whose}", " and ".join(f"{F:g}" for F in grips_of(build.scene))
         return (
-            f"The recordings are **simulated**: {striking} at {simulated.grip_N:g} N strikes the object of "
-            f"the scene, {simulated.repeats} repeats per speed, accelerometer noise "
+            f"The recordings are **simulated**: {striking} at {grips} N strikes the object of "
+            f"the scene, {simulated.repeats} repeats per speed and grip, accelerometer noise "
             f"{simulated.noise_g_rtHz * 1e6:g} ug/sqrt(Hz), range +-{simulated.range_g:g} g."
         )
     settings = build.scene.recordings
