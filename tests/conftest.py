@@ -38,8 +38,10 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, build_references
+from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.scene.keys import with_values
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 
@@ -106,8 +108,15 @@ def library(build: Build) -> Library:
 
 
 @pytest.fixture(scope="session")
-def references(scene: Scene, taps: list[Recording]) -> list[Reference]:
-    return build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+def recorded(scene: Scene, taps: list[Recording]) -> References:
+    """What was recorded at every speed and grip of the scene."""
+    return references_of(scene, taps)
+
+
+@pytest.fixture(scope="session")
+def references(scene: Scene, recorded: References) -> list[Reference]:
+    """What was recorded at every speed of the scene and at 3 N, in the middle of its grips."""
+    return [recorded.at(speed, 3.0) for speed in scene.grid.speeds_m_s]
 
 
 class ProblemMaker:

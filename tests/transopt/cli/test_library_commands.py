@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.benches.commands import Run, assert_refused
+from tests.benches.libraries import under
 from transopt.library.file import load_library
 
 
@@ -87,7 +88,7 @@ class TestCompare:
 
     def test_commands_at_other_instants_are_not_subtracted(self, run: Run, solved: Path) -> None:
         library = load_library(solved / "library.npz")
-        replace(library, meta={**library.meta, "lead_s": 2 * library.meta["lead_s"]}).save(Path("other.npz"))
+        under(library, {"time.lead_s": 2 * library.lead_s}).save(Path("other.npz"))
         outcome = run("compare", solved / "library.npz", "other.npz", "--out", "c.md")
         assert outcome.code == 0
         (row,) = (line for line in Path("c.md").read_text().splitlines() if line.startswith("| 0.2 | 3 |"))
