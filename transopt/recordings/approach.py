@@ -26,6 +26,7 @@ GUARD_S = 1e-3  # kept free before contact, whose low-passed foot reaches so far
 INCOMING_S = 10e-3  # the incoming acceleration is the mean of so long before contact
 FIT_BEFORE_S, FIT_AFTER_S = 50e-3, 150e-3  # beside contact; over longer the noise's double integral outgrows a count
 LEAST_SAMPLES = 8
+LEAST_M_S2 = 0.1  # a smaller incoming acceleration changes the speed by 3 mm/s in 30 ms, and is taken as none
 REST_S, LEAVING_S = 20e-3, 5e-3  # shortest rest, and its end, where the hand sets out within one count
 REST_M = 25e-6  # a finer position moves by so much at rest
 TRUSTED_Hz = 1.0  # a cut-off up to here loses little of 30 ms, 6 % of the change of speed where nothing completes it
@@ -84,7 +85,7 @@ def find_approach(
             return Approach(x, 0.0, 0.0, UNSEPARATED, True, (said,))
         missing, error, source = found
     incoming = before + missing
-    if abs(incoming) <= error:
+    if abs(incoming) <= max(error, LEAST_M_S2):
         return Approach(x, 0.0, 0.0, source, slow_part_known=True)
     return Approach(replace(x, values=x.values + missing), missing, incoming, source, slow_part_known=True)
 
@@ -136,7 +137,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
     whole = replace(x, values=inverse.values + 2 * float(solution[2]) + slope * (x.times_s - onset_s))
     coming = (x.times_s > onset_s - GUARD_S - INCOMING_S) & (x.times_s < onset_s - GUARD_S)
     incoming = float(whole.values[coming].mean()) if coming.any() else 0.0
-    if abs(incoming) <= 2 * interval[2]:
+    if abs(incoming) <= max(2 * interval[2], LEAST_M_S2):
         incoming = 0.0
     notes = (f"{said}: what is slower is completed from the position",)
     return Approach(whole, slope / w, incoming, SEPARATED, slow_part_known=True, notes=notes)

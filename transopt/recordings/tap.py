@@ -194,22 +194,19 @@ def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> 
     return min(float(x.times_s[first]), onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
 
 
-def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
-    """Static offset of the sensor and notes.
+def _baseline(x: Signal) -> float | None:
+    """Mean of the samples before the tap without the lowest and the highest fifth of them; None of too few.
 
-    It is the mean of the samples before the tap without the lowest and the highest fifth of them, so that a bump
-    while the hand moves does not count.
+    So a bump while the hand moves does not count.
     """
-    if settings.offset_m_s2 != "baseline":
-        return float(settings.offset_m_s2), []
     centred = x.values - np.median(x.values)
     upright = replace(x, values=centred * np.sign(centred[np.argmax(np.abs(centred))]))
     quiet = x.values[x.times_s < find_onset(upright) - GUARD_S]
     if quiet.size < BASELINE_SAMPLES:
-        return 0.0, ["no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one"]
+        return None
     fifth = quiet.size // 5
     inner = np.partition(quiet, (fifth, quiet.size - fifth - 1))[fifth : quiet.size - fifth]
-    return float(inner.mean()), []
+    return float(inner.mean())
 
 
 def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
@@ -269,7 +266,10 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     InputError : no tap in the recording, or a position that no speed can be fitted to.
     """
     raw = recording.acceleration
-    offset, notes = _offset(raw, settings)
+    baseline, notes, stated = _baseline(raw), [], settings.offset_m_s2 != "baseline"
+    offset = float(settings.offset_m_s2) if stated else baseline or 0.0
+    if not stated and baseline is None:
+        notes.append("no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one")
     polarity, more = _polarity(raw.values - offset, settings)
     upright = replace(raw, values=polarity * (raw.values - offset))
     if not upright.values.max() > 0:
@@ -277,14 +277,16 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
             "check recordings.polarity and recordings.offset_m_s2"
         )
-    onset = find_onset(upright) if settings.onset_s == "auto" else float(settings.onset_s)
+    # What rises from the baseline is the tap; over a stated offset that may be the incoming acceleration.
+    risen = replace(upright, values=upright.values - (0.0 if baseline is None else polarity * (baseline - offset)))
+    onset = find_onset(risen) if settings.onset_s == "auto" else float(settings.onset_s)
     noise = _noise(raw)
     if settings.onset_s == "auto" and upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
         raise InputError(
             f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "
             f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
         )
-    begins, share = _toe(upright, onset, noise, settings)
+    begins, share = _toe(risen, onset, noise, settings)
     if share > TOE_SHARE:
         early_ms = 1e3 * (onset - begins)
         found = f"a soft pulse: {100 * share:.2g} % of its energy in the {early_ms:.2g} ms before"
@@ -295,7 +297,6 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             more.append(f"{found} recordings.onset_s, of which only the waveform's lead is played: state it earlier")
     if settings.onset_s == "auto" and onset - upright.start_s < AT_THE_START_S:
         more.append("the contact is at the start of the file (a trigger without pre-roll): what came before is lost")
-    stated = settings.offset_m_s2 != "baseline"
     came = find_approach(upright, recording.position, onset, noise, settings.trusted_from_Hz, stated=stated)
     upright, offset = came.acceleration, offset - polarity * came.offset_error_m_s2
     more += came.notes

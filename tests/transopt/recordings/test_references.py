@@ -1,0 +1,158 @@
+"""The grip axis of references: cells by speed and grip, blends between them, and mixtures that are refused."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from transopt.base.errors import InputError
+from transopt.base.signals import nrmse
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import COURSES, Reference
+from transopt.recordings.references import References, assign, grip_groups
+from transopt.recordings.tap import prepare
+from transopt.scene.keys import with_values
+from transopt.scene.recordings import references_of
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
+
+GRIPS_N = (1.0, 3.0, 5.0)
+Chosen = Callable[[float, float], bool]
+
+
+@pytest.fixture(scope="module")
+def gripped(scene: Scene) -> list[Recording]:
+    """Taps of four speeds at three grips."""
+    return of_grips(scene, GRIPS_N)
+
+
+def of_grips(scene: Scene, grips_N: Sequence[float]) -> list[Recording]:
+    return recordings(with_values(scene, {"grid.grips_N": list(grips_N)}))
+
+
+@pytest.fixture(scope="module")
+def whole(scene: Scene, gripped: list[Recording]) -> References:
+    return references_of(scene, gripped)
+
+
+def some(scene: Scene, taps: Sequence[Recording], chosen: Chosen) -> References:
+    """References of the taps whose node speed and grip are chosen."""
+
+    def node(recording: Recording) -> float:
+        assert recording.speed_m_s is not None
+        return min(scene.grid.speeds_m_s, key=lambda v: abs(v - recording.speed_m_s))
+
+    return references_of(scene, [tap for tap in taps if chosen(node(tap), tap.grip_N or 0.0)])
+
+
+def assert_alike(found: Reference, wanted: Reference) -> None:
+    for name in COURSES:
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-12, atol=1e-15)
+
+
+class TestCells:
+    def test_each_speed_and_grip_has_its_own_taps(self, whole: References) -> None:
+        assert (whole.speeds_m_s, whole.grips_N) == ((0.1, 0.2, 0.3, 0.4), GRIPS_N)
+        assert len(whole) == 12
+        for cell in whole:
+            assert len(cell.taps) == 3
+            assert {tap.recording.grip_N for tap in cell.taps} == {cell.grip_N}
+            assert whole.at(cell.speed_m_s, cell.grip_N) is cell
+
+    def test_grips_are_not_alike(self, whole: References) -> None:
+        """By more than ten times what the repeats differ by: averaged, no grip would have its tap."""
+        own, other = whole.at(0.3, 1.0), whole.at(0.3, 3.0)
+        assert nrmse(other.recorded_m_s2, own.recorded_m_s2) > 10 * own.repeatability
+
+    def test_grips_that_a_sensor_cannot_tell_apart_are_one(self, scene: Scene, taps: list[Recording]) -> None:
+        held = [replace(tap, grip_N=2.95 + 0.1 * (k % 2)) for k, tap in enumerate(taps)]
+        found = references_of(scene, held)
+        assert len(found) == 4
+        assert found.grips_N == pytest.approx((3.0,))
+        assert "taps of 2.95 to 3.05 N are taken as of one grip" in found.remarks([3.0])[0]
+        assert grip_groups([1.0, 1.04, 1.06, 3.0]) == [[1.0, 1.04], [1.06], [3.0]]
+
+
+class TestMissing:
+    def test_a_missing_cell_is_interpolated_within_its_speed(
+        self, scene: Scene, gripped: list[Recording], whole: References
+    ) -> None:
+        found = some(scene, gripped, lambda v, F: (v, F) != (0.1, 3.0))
+        cell = found.at(0.1, 3.0)
+        low, high = whole.at(0.1, 1.0), whole.at(0.1, 5.0)
+        for name in COURSES:
+            np.testing.assert_allclose(
+                getattr(cell, name), 0.5 * (getattr(low, name) + getattr(high, name)), rtol=1e-12, atol=1e-15
+            )
+        assert (cell.grip_N, cell.of_grips_N) == (3.0, (1.0, 5.0))
+        assert nrmse(cell.recorded_m_s2, whole.at(0.1, 3.0).recorded_m_s2) < 0.05
+        assert found.remarks(GRIPS_N) == ["0.1 m/s, 3 N: blended from the taps of 1 and 5 N"]
+
+    def test_beyond_its_grips_the_nearest_serves(
+        self, scene: Scene, gripped: list[Recording], whole: References
+    ) -> None:
+        found = some(scene, gripped, lambda v, F: (v, F) != (0.4, 5.0))
+        cell = found.at(0.4, 5.0)
+        assert (cell.grip_N, cell.of_grips_N) == (5.0, (3.0,))
+        assert_alike(cell, whole.at(0.4, 3.0))
+        (said,) = found.remarks(GRIPS_N)
+        assert "0.4 m/s, 5 N: taps of 1 and 3 N only" in said
+
+    def test_grips_of_the_scene_need_not_be_recorded(self, whole: References) -> None:
+        found = whole.at(0.2, 2.0)
+        low, high = whole.at(0.2, 1.0), whole.at(0.2, 3.0)
+        np.testing.assert_allclose(found.recorded_m_s2, 0.5 * (low.recorded_m_s2 + high.recorded_m_s2), rtol=1e-12)
+        assert len(whole.remarks([0.5, 2.0, 6.0])) == 8
+
+    def test_a_speed_without_any_tap_is_refused(self, scene: Scene, gripped: list[Recording]) -> None:
+        with pytest.raises(InputError, match=r"grid.speeds_m_s: no recording within 15% of 0.4 m/s"):
+            some(scene, gripped, lambda v, F: v < 0.35)
+
+    def test_between_speeds_the_shape_is_blended_at_the_grip(self, whole: References) -> None:
+        found, slow, fast = whole.at(0.25, 2.0), whole.at(0.2, 2.0), whole.at(0.3, 2.0)
+        for name in COURSES:
+            wanted = 0.25 * (0.5 * getattr(slow, name) / 0.2 + 0.5 * getattr(fast, name) / 0.3)
+            np.testing.assert_allclose(getattr(found, name), wanted, rtol=1e-9, atol=1e-15)
+        assert (found.speed_m_s, found.grip_N, found.between_m_s) == (0.25, 2.0, (0.2, 0.3))
+        assert found.of_grips_N == (1.0, 3.0)
+        assert len(found.taps) == len(found.factors) == found.repeats_m_s2.shape[0] == 12
+
+    def test_outside_of_the_speeds_nothing_is_known(self, whole: References) -> None:
+        with pytest.raises(InputError, match=r"speed 0.5 m/s: references are known from 0.1 to 0.4 m/s only"):
+            whole.at(0.5, 3.0)
+        with pytest.raises(InputError, match="no speed"):
+            References().at(0.2, 3.0)
+
+
+class TestWithoutGrip:
+    def test_they_serve_every_grip_and_it_is_said(self, scene: Scene, taps: list[Recording]) -> None:
+        found = references_of(scene, [replace(tap, grip_N=None) for tap in taps])
+        for grip in (1.0, 2.2, 5.0, 9.0):
+            np.testing.assert_allclose(
+                found.at(0.3, grip).recorded_m_s2, found.at(0.3, 3.0).recorded_m_s2, rtol=1e-12, atol=1e-12
+            )
+        (said,) = found.remarks(scene.grid.grips_N)
+        assert "serve every grip" in said
+        assert "6.4 to 17 %" in said
+        assert not found.remarks([3.0])
+
+    def test_a_mixture_is_refused_by_name(self, scene: Scene, taps: list[Recording]) -> None:
+        mixed = [replace(taps[0], grip_N=None), *taps[1:]]
+        with pytest.raises(InputError, match=rf"{taps[0].name}: states no grip, as 1 of {len(taps)} taps"):
+            references_of(scene, mixed)
+
+    def test_slow_parts_have_to_be_known_of_all(self, scene: Scene, taps: list[Recording]) -> None:
+        settings = scene.recordings.model_copy(update={"trusted_from_Hz": 5.0})
+        coupled = scene.model_copy(update={"recordings": settings})
+        blind = [replace(tap, position=None) if k == 0 else tap for k, tap in enumerate(taps)]
+        found = references_of(coupled, blind)
+        known = [found.at(v, 1.0).slow_part_known for v in (0.1, 0.15, 0.2, 0.3)]
+        assert known == [False, False, True, True]
+
+
+class TestAssign:
+    def test_a_tap_goes_to_its_speed_scaled(self, scene: Scene, taps: list[Recording]) -> None:
+        prepared = [prepare(replace(tap, speed_m_s=v), scene.recordings) for tap, v in zip(taps, (0.19, 0.42))]
+        groups = assign(prepared, [0.2, 0.4], scene.recordings)
+        assert [factor for ((_, factor),) in groups] == [pytest.approx(0.2 / 0.19), pytest.approx(0.4 / 0.42)]
