@@ -66,7 +66,7 @@ class TestCompare:
         before, after = (load_library(Path(file)) for file in files)
         peaks = f"{before.peak_input[0, 0]:.3f} -> {after.peak_input[0, 0]:.3f}"
         last = outcome.out.splitlines()[-1]
-        assert last.startswith("1 entries in both; NRMSE changes most by +")
+        assert last.startswith("1 entries in both; NRMSE changes most by ")
         assert "at 0.2 m/s and 3 N" in last
         text = Path("compared.md").read_text()
         for shown in (outcome.out, text):

@@ -273,7 +273,7 @@ class TestTheLibrarysOwnDevice:
 
 def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:
     """The ticks at which it pushes are those of the answer; the feedback is taken off the command."""
-    walled = build_library(walled_scene(scene, 200.0), taps).library
+    walled = build_library(walled_scene(scene, 60.0), taps).library
     solver = Online(walled, scene_of(walled).plant)
     for speed, grip in ((0.2, 3.0), (0.4, 5.0), (0.33, 2.2)):
         tap = solver.solve(speed, grip)
