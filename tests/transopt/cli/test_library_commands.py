@@ -71,7 +71,8 @@ class TestCompare:
         text = Path("compared.md").read_text()
         for shown in (outcome.out, text):
             assert peaks in shown
-            assert "at its floor -> " in shown
+        verdicts = list(dict.fromkeys(each.verdict(0, 0) for each in (before, after)))
+        assert " -> ".join(verdicts) in text
         assert "| scene.limits.beta | 3.2 | 1.5 |" in text
         assert last in text
 
