@@ -247,8 +247,9 @@ def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
         return Yardstick(float("nan"), float("nan"))
     target, real = scene.recordings.simulated, float("nan")
     if target is not None and played:
-        speed_m_s = played[0].contact.speed_m_s
-        real = strike_real(device, target, speed_m_s, target.grip_N, 10e-3, scene.time.dt_s).rate_hardness_N_m
+        contact = played[0].contact
+        grip_N = contact.grip_N if target.grip_N is None else target.grip_N
+        real = strike_real(device, target, contact.speed_m_s, grip_N, 10e-3, scene.time.dt_s).rate_hardness_N_m
     return Yardstick(device.force_per_current_N_A, real)
 
 

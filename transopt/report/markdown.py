@@ -126,9 +126,10 @@ def _origin(build: Build) -> str:
     simulated = build.scene.recordings.simulated
     if simulated is not None:
         whose = "" if build.scene.striker is None else " (the scene's own device, not that of the model file)"
+        grip = "each grip of the scene" if simulated.grip_N is None else f"{simulated.grip_N:g} N"
         striking = f"the undriven device{whose}"
         return (
-            f"The recordings are **simulated**: {striking} at {simulated.grip_N:g} N strikes the object of "
+            f"The recordings are **simulated**: {striking} at {grip} strikes the object of "
             f"the scene, {simulated.repeats} repeats per speed, accelerometer noise "
             f"{simulated.noise_g_rtHz * 1e6:g} ug/sqrt(Hz), range +-{simulated.range_g:g} g."
         )
