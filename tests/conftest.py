@@ -39,6 +39,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
@@ -107,10 +108,15 @@ def library(build: Build) -> Library:
 
 
 @pytest.fixture(scope="session")
-def references(scene: Scene, taps: list[Recording]) -> list[Reference]:
-    """What is asked at 3 N, speed by speed."""
-    found = references_of(scene, taps)
-    return [found.at(speed_m_s, 3.0) for speed_m_s in found.speeds_m_s]
+def recorded(scene: Scene, taps: list[Recording]) -> References:
+    """What was recorded at every speed and grip of the scene."""
+    return references_of(scene, taps)
+
+
+@pytest.fixture(scope="session")
+def references(scene: Scene, recorded: References) -> list[Reference]:
+    """What was recorded at every speed of the scene and at 3 N, in the middle of its grips."""
+    return [recorded.at(speed, 3.0) for speed in scene.grid.speeds_m_s]
 
 
 class ProblemMaker:

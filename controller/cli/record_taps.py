@@ -28,7 +28,6 @@ from controller.waveforms.prediction import scene_of
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
-from transopt.scene.strikes import grips_of
 
 
 def taps_by_a_person(
@@ -174,7 +173,7 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
             f"--object: {truth.name} states no simulated object: give --true-device with one, like wood_on_foam"
         )
     dt_s, true = truth.time.dt_s, device_in(truth, wanted.wrong, wanted.seed)
-    taps = TapFiles(wanted, truth.grid.speeds_m_s, grips_of(truth))
+    taps = TapFiles(wanted, truth.grid.speeds_m_s, truth.grid.grips_N if target.grip_N is None else [target.grip_N])
     bench, hand = striking_bench(dt_s, wanted.device)
 
     def force(tap: SimulatedTap, contact: Contact) -> dict[str, FloatArray]:

@@ -239,7 +239,6 @@ def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
     from controller.sim.simulated_tap import strike_real
     from controller.sim.true_device import device_of
     from controller.waveforms.prediction import scene_of
-    from transopt.scene.strikes import grips_of
 
     scene = scene_of(library)
     try:
@@ -249,7 +248,7 @@ def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
     target, real = scene.recordings.simulated, float("nan")
     if target is not None and played:
         contact = played[0].contact
-        grip_N = min(grips_of(scene), key=lambda grip: abs(grip - contact.grip_N))
+        grip_N = contact.grip_N if target.grip_N is None else target.grip_N
         real = strike_real(device, target, contact.speed_m_s, grip_N, 10e-3, scene.time.dt_s).rate_hardness_N_m
     return Yardstick(device.force_per_current_N_A, real)
 

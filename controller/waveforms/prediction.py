@@ -84,8 +84,9 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         [played] = replay(stage, grid, command[None], [target], None, walls=walls)
         acceleration, current, after = played.acceleration_m_s2, played.plant_input, played.after_m_s2
     by_v, by_F = interpolation_weights(library.speeds_m_s, v), interpolation_weights(library.grips_N, F)
-    repeats = np.array([np.nan if spread is None else spread for spread in library.meta["repeatability"]])
-    used = by_v > 0
+    repeats = np.array(library.meta["repeatability"], dtype=float)
+    shares = np.outer(by_v, by_F)
+    used = shares > 0
     return Prediction(
         speed_m_s=v,
         grip_N=F,
@@ -99,5 +100,5 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         after_m_s2=after,
         reference_after_m_s2=target.after_m_s2,
         floor=float(by_v @ library.floor @ by_F),
-        repeatability=float(repeats[used] @ by_v[used]),
+        repeatability=float(repeats[used] @ shares[used]),
     )

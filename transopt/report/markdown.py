@@ -28,7 +28,6 @@ from transopt.report.tables import (
 )
 from transopt.report.trade import TRADE_COLUMNS, TRADE_LEGEND, trade_cells
 from transopt.report.trade_off import attained_lines, levels_row, trade_off_lines, trade_off_row
-from transopt.scene.strikes import grips_of
 from transopt.solvers.options import FALLBACK, default_solver
 
 CERTIFICATE_LEGEND = (
@@ -127,9 +126,10 @@ def _origin(build: Build) -> str:
     simulated = build.scene.recordings.simulated
     if simulated is not None:
         whose = "" if build.scene.striker is None else " (the scene's own device, not that of the model file)"
-        striking, grips = f"the undriven device{whose}", " and ".join(f"{F:g}" for F in grips_of(build.scene))
+        grip = "each grip of the scene" if simulated.grip_N is None else f"{simulated.grip_N:g} N"
+        striking = f"the undriven device{whose}"
         return (
-            f"The recordings are **simulated**: {striking} at {grips} N strikes the object of "
+            f"The recordings are **simulated**: {striking} at {grip} strikes the object of "
             f"the scene, {simulated.repeats} repeats per speed and grip, accelerometer noise "
             f"{simulated.noise_g_rtHz * 1e6:g} ug/sqrt(Hz), range +-{simulated.range_g:g} g."
         )

@@ -87,7 +87,7 @@ def drive_remarks(library: Library, left: Sequence[PlayedDrive]) -> list[str]:
         )
     if not is_multiple(library, driver.rate_Hz):
         said.append(
-            f"{driver.rate_Hz:g} Hz is no multiple of the design's {1 / library.meta['dt_s']:g} Hz: each sample is "
+            f"{driver.rate_Hz:g} Hz is no multiple of the design's {1 / library.dt_s:g} Hz: each sample is "
             "the mean of the command over its period; a scene with time.dt_s = "
             f"{1 / driver.rate_Hz:.17g} leaves as it was designed"
         )

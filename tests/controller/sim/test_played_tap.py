@@ -21,7 +21,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
 from transopt.library.place import speed_weights
-from transopt.recordings.reference import Reference, between
+from transopt.recordings.references import References
 
 DT = 1e-4
 LEAD_TICKS = 3
@@ -135,12 +135,12 @@ class TestPrediction:
         )
 
     def test_reference_between_speeds_follows_the_rule_of_the_references(
-        self, library: Library, references: list[Reference]
+        self, library: Library, recorded: References
     ) -> None:
         found = predict(library, 0.27, 2.0)
-        expected = between(references, 0.27)
-        np.testing.assert_allclose(found.reference_m_s2, expected.motor_m_s2, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found.own_m_s2, expected.raw_m_s2 - expected.motor_m_s2, rtol=0, atol=1e-9)
+        expected = recorded.at(0.27, 2.0)
+        np.testing.assert_allclose(found.reference_m_s2, expected.target.window_m_s2, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found.own_m_s2, expected.free_m_s2, rtol=0, atol=1e-9)
         np.testing.assert_allclose(speed_weights(np.array([0.1, 0.2]), 0.2), [0.0, 1.0])
 
     def test_outside_the_grid_it_is_the_edge_and_below_the_least_grip_silence(self, library: Library) -> None:

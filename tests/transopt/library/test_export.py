@@ -44,7 +44,7 @@ def make_library(library: Library) -> Make:
     ) -> Library:
         stated = {"name": name, "amplifier": "ideal" if amplifier is None else amplifier, "time.lead_s": LEAD_S}
         sized = under(resized(library, len(speeds), len(grips)), stated)
-        meta = {**sized.meta, "repeatability": [None] * len(speeds), "left_out": {"temperature": "it is cold"}}
+        meta = {**sized.meta, "left_out": {"temperature": "it is cold"}}
         return replace(sized, speeds_m_s=np.array(speeds), grips_N=np.array(grips), meta=meta)
 
     return make

@@ -71,18 +71,18 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         assert len(absent) == 35
         assert names == (set(ARRAYS) - absent) | {"meta", HASH_FIELD}, "no limit but those of current and command"
         meta = json.loads(str(file["meta"]))
-        assert file["command"].shape == (4, 3, 600)
+        assert file["command"].shape == (4, 3, 800)
     assert meta["schema"] == 4
     assert meta["scene"]["name"] == library.scene().name
     assert set(meta["versions"]) == {"transopt", "casadi", "numpy", "scipy", "python"}
-    assert len(meta["sources"]) == 12
+    assert len(meta["sources"]) == 36
     assert "simulated" in meta["sources"][0]["origin"]
 
 
 def test_target_is_what_was_recorded_less_the_free_motion(library: Library) -> None:
     assert library.recorded_before_m_s2.shape == (4, 3, 0)
     assert library.recorded_after_m_s2.shape == (4, 3, 300)
-    assert library.nominal_position_at_ticks_m.shape == (4, 3, 600)
+    assert library.nominal_position_at_ticks_m.shape == (4, 3, 800)
     for part in ("before_", "", "after_"):
         recorded, free, target = (getattr(library, f"{of}_{part}m_s2") for of in ("recorded", "free", "target"))
         np.testing.assert_allclose(target, recorded - free, atol=1e-12)
@@ -91,13 +91,12 @@ def test_target_is_what_was_recorded_less_the_free_motion(library: Library) -> N
 def test_what_comes_after_the_window_is_stored(library: Library, build: Build) -> None:
     for iv, row in enumerate(build.entries):
         for ig, entry in enumerate(row):
-            made = entry.problem.accelerations(entry.solution.command)[0, 600:]
+            made = entry.problem.accelerations(entry.solution.command)[0, 800:]
             error = made - library.target_after_m_s2[iv, ig]
             energy = float(library.target_m_s2[iv, ig] @ library.target_m_s2[iv, ig])
-            assert library.energy[iv, ig] == pytest.approx(energy, rel=1e-12)
             assert library.error_after[iv, ig] == pytest.approx(np.sqrt(error @ error / energy), rel=1e-6)
             assert library.peak_after_m_s2[iv, ig] == pytest.approx(np.abs(error).max(), rel=1e-6)
-            np.testing.assert_allclose(library.lasting(iv, ig)[0][600:], made, atol=1e-9)
+            np.testing.assert_allclose(library.lasting(iv, ig)[0][800:], made, atol=1e-9)
 
 
 def test_heat_is_the_integral_of_the_squared_current(library: Library) -> None:
@@ -185,7 +184,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("name", "change", "message"),
         [
-            ("plant_input", lambda x: x[:, :, :-1], r"plant_input has shape \(4, 3, 599\), expected \(4, 3, 600\)"),
+            ("plant_input", lambda x: x[:, :, :-1], r"plant_input has shape \(4, 3, 799\), expected \(4, 3, 800\)"),
             ("tap_error", np.ravel, "tap_error has 1 dimensions, expected 2"),
             ("command", lambda x: x.astype(int), "command has type int64, expected float"),
             ("command", lambda x: np.where(x == x.max(), np.nan, x), "command holds a number that is not finite"),
@@ -203,8 +202,8 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            ({"time": {"dt_s": "x", "stages": 600}}, "meta.scene: time.dt_s"),
-            ({"time": {"dt_s": -1e-4, "stages": 600}}, "meta.scene: time.dt_s"),
+            ({"time": {"dt_s": "x", "stages": 800}}, "meta.scene: time.dt_s"),
+            ({"time": {"dt_s": -1e-4, "stages": 800}}, "meta.scene: time.dt_s"),
             ({"time": {"dt_s": 1e-4, "stages": 10**9}}, "meta.scene: "),
             ({"amplifier": {"pole_Hz": "x", "delay_s": 0, "command_limit_A": 6}}, "meta.scene: amplifier"),
             ({"amplifier": {"pole_Hz": 1000.0, "delay_s": -1.0, "command_limit_A": 6}}, "meta.scene: amplifier"),

@@ -127,7 +127,7 @@ def test_a_target_of_zero() -> None:
 
 def test_a_recorded_tap_ends_at_a_tenth_of_its_peak(library: Library) -> None:
     found = trade_figures(library, 1, 1)
-    r = np.abs(np.append(library.target_m_s2[1, 0], library.target_after_m_s2[1, 0]))
+    r = np.abs(np.append(library.target_m_s2[1, 1], library.target_after_m_s2[1, 1]))
     last = round(found.target_ends_s / library.dt_s)
     assert r[last] >= 0.1 * r.max() > r[last + 1 :].max(initial=0.0)
 
