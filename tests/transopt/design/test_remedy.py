@@ -240,12 +240,3 @@ def _reference(scene: Scene) -> Reference:
     from transopt.scene.recordings import recordings_of
 
     return references_of(scene, recordings_of(scene)).at(scene.grid.speeds_m_s[0], scene.grid.grips_N[0])
-
-
-@pytest.mark.parametrize("dt_s", [7e-5, 1.1e-4, 1.5e-4, 3e-4])
-def test_the_high_pass_that_is_named_is_taken(scene: Scene, dt_s: float) -> None:
-    with pytest.raises(InputError, match="must not exceed a tenth") as refusal:
-        with_values(scene, {"time.dt_s": dt_s, "recordings.highpass_Hz": 2e3, "recordings.lowpass_Hz": 3e3})
-    most_Hz = float(str(refusal.value).split("servo rate, ")[1].split(" Hz")[0])
-    assert math.isclose(most_Hz, 0.1 / dt_s, rel_tol=1e-5)
-    with_values(scene, {"time.dt_s": dt_s, "recordings.highpass_Hz": most_Hz, "recordings.lowpass_Hz": 3e3})
