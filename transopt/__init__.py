@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from transopt.scene.builtin import load_scene, scene_names
     from transopt.scene.file import with_model, with_plant
     from transopt.scene.keys import with_values
-    from transopt.scene.recordings import recordings_of
+    from transopt.scene.recordings import recordings_of, references_of
     from transopt.scene.scene import Scene
     from transopt.solvers.choose import solve as solve_problem
     from transopt.solvers.options import SolverOptions

@@ -1,6 +1,5 @@
 """What would do for a refused entry: the search for it, its words, and entries under other numbers."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
