@@ -42,7 +42,19 @@ from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.web.controls import DEVICE, TABLES, Control, controls, input_key
 
 MOST_REMEDY_S = 1.5  # of a processor's time for what would do for one tap
-RECORDED = {"recordings", "targets", "time", "weights", "grid", "model", "motor", "transmission", "tip", "striker"}
+RECORDED = {
+    "recordings",
+    "hand",
+    "targets",
+    "time",
+    "weights",
+    "grid",
+    "model",
+    "motor",
+    "transmission",
+    "tip",
+    "striker",
+}
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class TestCells:
             assert whole.at(cell.speed_m_s, cell.grip_N) is cell
 
     def test_grips_are_not_alike(self, whole: References) -> None:
-        """By more than ten times what the repeats differ by: averaged, no grip would have its tap."""
+        """They differ by more than ten times what repeats do: averaged, no grip would have its tap."""
         own, other = whole.at(0.3, 1.0), whole.at(0.3, 3.0)
         assert nrmse(other.recorded_m_s2, own.recorded_m_s2) > 10 * own.repeatability
 
