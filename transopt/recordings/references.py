@@ -148,7 +148,8 @@ def _listed(values: Sequence[float]) -> str:
 
 
 def _among(grip_N: float, grips_N: Sequence[float]) -> bool:
-    return any(abs(grip_N - each) <= ROUNDING * each for each in grips_N)
+    """Whether a grip is one of those, as far as a sensor can tell."""
+    return any(abs(grip_N - each) <= ALIKE * each for each in grips_N)
 
 
 def _within(grip_N: float, grips_N: Sequence[float]) -> bool:
