@@ -176,7 +176,7 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
         from transopt.proof.nonlinear_replay import played_nonlinear
 
         device = nonlinear_problem(library, drive.iv, drive.ig).stage
-        (found,) = played_nonlinear(device, stage, grid, Target(nothing), limits, [values])
+        (found,) = played_nonlinear(device, stage, library.yardstick, Target(nothing), limits, [values])
     else:
         (found,) = replay(stage, grid, values[None], [Target(nothing)], None, limits=[limits])
 
