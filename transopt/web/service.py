@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.build import build_library
 from transopt.design.context import KEPT_STAGES, Context, Kept, Posed
