@@ -12,8 +12,8 @@ from controller.refine.rounds import Refined
 from transopt.library.library import Library
 
 LEGEND = (
-    "Playback error: the mean tap beside the designed one, by the device's own sensors, low-passed at 1 kHz, until the "
-    "hand can react at 30 ms, less what the taps' scatter adds.\n"
+    "Playback error: the mean tap beside the designed one, by the device's own sensors, low-passed at 1 kHz, until "
+    "the hand can react at 30 ms, less what the taps' scatter adds.\n"
     "Before: the library as it was. Confirmed: what was kept, by new taps that nothing was chosen from.\n"
     "L gain, Q its low-pass; factor: what a round leaves of the error at most, in brackets with two standard "
     "deviations of T; below 1 it converges.\n"

@@ -29,7 +29,7 @@ from controller.waveforms.prediction import scene_of
 from tests.campaigns.harness import LibraryFile, Seed, at_least, library_of, long_form
 from transopt.library.library import Library
 
-PLAYING_TICKS = 600  # of a tap; instants lie between the first reading and its end
+PLAYING_TICKS = 800  # of a tap; instants lie between the first reading and its end
 STROKE_TICKS = 60  # in which a missing current or a stuck encoder must show
 LATCHED_TICKS = 30
 
@@ -123,7 +123,7 @@ def inject(library: Library, table: Bank, injection: Injection, seed: int) -> Ou
     servo.arm()
     needs_time = Detectable(servo, injection.fault)
     before, held, shown = None, math.nan, -1
-    deadline = instant + (STROKE_TICKS + 50 if injection.within is not None else 1) + 600
+    deadline = instant + (STROKE_TICKS + 50 if injection.within is not None else 1) + 800
     for tick in range(deadline):
         readings, active = simulator.readings(), tick >= instant
         if active:

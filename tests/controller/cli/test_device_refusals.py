@@ -23,7 +23,7 @@ def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: p
     Desk(library, samples=3000).put(monkeypatch)
     assert_refused(
         play("upload", "library.npz", *PORT),
-        "library: 4 speeds x 3 grips x 600 samples",
+        "library: 4 speeds x 3 grips x 800 samples",
         "3000 in all",
         "a grid of 2 speeds x 1 grips or 250 samples (25 ms, or 4.16 kHz) would fit",
     )

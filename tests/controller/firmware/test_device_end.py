@@ -180,7 +180,7 @@ def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens(
     bench.step(5000)
     assert bench.heard() == []
     bench.put(m.Lease(0))
-    bench.step(600)
+    bench.step(800)
     assert first.number in [x.number for x in bench.heard() if isinstance(x, m.Event)]
     bench.put(m.EventAck(1))
     bench.step(2000)

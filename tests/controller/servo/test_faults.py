@@ -45,8 +45,8 @@ INJECTIONS = [
 def test_every_fault_latches_at_once_and_silences(bench: Bench, injection: Injection) -> None:
     rng = np.random.default_rng(2)
     # No current can only be seen while one is wanted: within the first stroke.
-    span = (CONTACT, CONTACT + 25) if injection.ticks > 1 else (CONTACT, CONTACT + 590)
-    instants = rng.integers(*(span if injection.playing else (5, CONTACT + 600)), size=25)
+    span = (CONTACT, CONTACT + 25) if injection.ticks > 1 else (CONTACT, CONTACT + 790)
+    instants = rng.integers(*(span if injection.playing else (5, CONTACT + 800)), size=25)
     for instant in sorted(set(instants.tolist())):
         made = Bench(bench.servo.settings, bench.servo.bank)
         made.servo.arm()
@@ -79,7 +79,7 @@ def test_stuck_encoder(stated: Settings, tables: Bank) -> None:
     """The stroke of a transient with no count, and a wall that pushes for a second with no count."""
     frozen = Bench(stated, tables, lambda k: tap_m(min(k, CONTACT - 3), 0.4))
     frozen.servo.arm()
-    frozen.run(CONTACT + 300)
+    frozen.run(CONTACT + 800)
     assert frozen.servo.fault is Fault.ENCODER_STUCK
     stiff = replace(stated, wall=replace(WALL, stiffness_N_m=500.0))
     pressed = Bench(stiff, tables, lambda k: tap_m(min(k, CONTACT + 700)))

@@ -26,9 +26,11 @@ def test_a_tap_runs_through_the_states(bench: Bench) -> None:
     states = [output.state for output in bench.outputs]
     first = states.index(State.PLAYING)
     assert first in (CONTACT - 4, CONTACT - 3)
-    # 600 samples, blended over one tick more.
-    assert states.count(State.PLAYING) in (599, 600)
-    assert bench.events() == [Notice.CONTACT, Notice.FINISHED]
+    # 800 samples, blended over one tick more.
+    assert states.count(State.PLAYING) in (799, 800)
+    # The library was designed without this wall, whose feedback may add to the limit.
+    events = [event for event in bench.events() if event is not Notice.COMMAND_SATURATED]
+    assert events == [Notice.CONTACT, Notice.FINISHED]
     bench.servo.disarm()
     assert bench.step().command_A == 0.0
     assert bench.servo.state is State.IDLE
@@ -50,12 +52,12 @@ def test_phase_is_exact_resampling_of_the_held_commands(
     # A speed near 1.5 counts per tick lets the rounding beat slowly through the window: a tenth of a tick.
     assert due == pytest.approx(CONTACT + part - 3, abs=0.2)
     started = bench.tick - 1
-    bench.run(700)
+    bench.run(900)
     assert bench.servo.play is not None
     samples = np.array(bench.servo.play.samples_A)
     charge = np.concatenate([[0.0], np.cumsum(samples)])
     ticks = np.arange(len(bench.outputs) + 1)
-    wanted = np.diff(np.interp(ticks, due + np.arange(601), charge))
+    wanted = np.diff(np.interp(ticks, due + np.arange(801), charge))
     # The first part of the first period is lost where the last reading moved the contact by a little.
     wanted[:started] = 0.0
     np.testing.assert_allclose(bench.commands(), wanted, atol=1e-9)
@@ -71,7 +73,7 @@ def test_blending_is_linear_between_neighbours(stated: Settings, tables: Bank, p
     while not ended:
         value, ended = servo._next_sample()
         values.append(value)
-    wanted = np.interp(phase + np.arange(len(values)), np.arange(-1, 601), [0.0, *samples, 0.0])
+    wanted = np.interp(phase + np.arange(len(values)), np.arange(-1, 801), [0.0, *samples, 0.0])
     np.testing.assert_allclose(values, wanted, atol=1e-12)
 
 
@@ -120,7 +122,7 @@ def test_near_its_limit_the_coil_gets_feedback_but_no_transient(bench: Bench) ->
 def test_a_transient_is_scaled_to_the_coils_margin(bench: Bench) -> None:
     guard = bench.servo.guard
     assert guard is not None
-    guard.winding_C = guard.housing_C = 94.99
+    guard.winding_C = guard.housing_C = 94.8
     bench.run(CONTACT + 200)
     assert bench.events() == [Notice.CONTACT, Notice.SCALED_FOR_HEAT]
     assert 0.25 <= bench.servo.scale < 1.0
@@ -243,7 +245,7 @@ def test_a_device_without_grip_sensor_plays_the_assumed_grip(stated: Settings, t
     bench = Bench(replace(stated, assumed_grip_N=3.0), tables)
     bench.servo.arm()
     bench.grip_N = NAN
-    bench.run(CONTACT + 700)
+    bench.run(CONTACT + 900)
     assert bench.events() == [Notice.CONTACT, Notice.FINISHED]
     assert bench.servo.play is not None
     assert bench.servo.play.grip_N == 3.0
@@ -252,7 +254,8 @@ def test_a_device_without_grip_sensor_plays_the_assumed_grip(stated: Settings, t
 def test_gain_scales_both_parts_and_moves_slowly(stated: Settings, tables: Bank) -> None:
     made = replace(stated, wall=WALL)
     whole, half = Bench(made, tables), Bench(made, tables)
-    half.servo.set_gain(0.5)
+    whole.servo.set_gain(0.5)  # so that the two together stay below the limit
+    half.servo.set_gain(0.25)
     for bench in (whole, half):
         bench.servo.arm()
         bench.run(CONTACT + 400)
@@ -261,7 +264,7 @@ def test_gain_scales_both_parts_and_moves_slowly(stated: Settings, tables: Bank)
         half.servo.set_gain(asked)
         assert half.servo.wanted_gain == given_gain
     half.step()
-    assert half.servo.gain == pytest.approx(0.5 - 10 * DT_S)
+    assert half.servo.gain == pytest.approx(0.25 - 10 * DT_S)
     half.run(499)
     assert half.servo.gain == pytest.approx(0.0, abs=1e-12)
 
