@@ -131,7 +131,7 @@ def summary(refined: Refined, written: Path) -> tuple[str, bool]:
     peaks = [one.tapped.peak_current_A for results in history.played for one in results.values()]
     held = "" if np.isnan(peaks).all() else f"; at most {np.nanmax(peaks):.3f} A of {limit:g} A"
     return (
-        f"{len(better)} of {_nodes(len(nodes_of(refined.before)))} refined, confirmed by new taps: their playback error "
+        f"{len(better)} of {_nodes(len(nodes_of(refined.before)))} refined, confirmed by new taps: playback error "
         f"{100 * first:.2f} % to {100 * last:.2f} % on average{held}; check it: transopt verify {written}",
         True,
     )

@@ -14,12 +14,13 @@ from controller.servo.settings import Settings
 from controller.sim.simulated_tap import approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
-from controller.sim.user import Habit, TapUser, Tremor
+from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, Method, bank, currents, norms
 from controller.waveforms.prediction import scene_of
 from transopt.library.library import Library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
+from transopt.plant.intention import YIELDINGS, Intention
 from transopt.plant.wall import Wall
 
 DT_S, COUNT_M = 1e-4, 24.5e-6
@@ -188,8 +189,8 @@ def tap_run(library: Library, seed: int) -> Recorder:
     recorder = recorder_of(settings, bank(library, method), TAIL if method is not Method.CLIPPED_OPTIMUM else 1)
     speed, grip = float(random.uniform(0.05, 0.7)), 0.0 if free else float(random.uniform(0.3, 7.0))
     contact = approach_ticks(speed, settings.dt_s)
-    habit = tuple(Habit)[int(random.integers(3))]
-    user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, habit, Tremor())
+    intention = Intention(yields=YIELDINGS[int(random.integers(3))])
+    user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, intention, Tremor())
     imperfections = Imperfections(mismatch=float(random.uniform(0, 0.1)))
     device = replace(device_of(scene_of(library)), amplifier=settings.amplifier)
     simulator = Simulator(device, user, settings.dt_s, imperfections=imperfections, seed=seed)

@@ -23,11 +23,12 @@ from controller.servo.settings import Settings
 from controller.sim.simulated_tap import approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
-from controller.sim.user import Habit, TapUser, Tremor
+from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import scene_of
 from tests.campaigns.harness import LibraryFile, Seed, at_least, library_of, long_form
 from transopt.library.library import Library
+from transopt.plant.intention import Intention
 
 PLAYING_TICKS = 800  # of a tap; instants lie between the first reading and its end
 STROKE_TICKS = 60  # in which a missing current or a stuck encoder must show
@@ -112,8 +113,8 @@ def inject(library: Library, table: Bank, injection: Injection, seed: int) -> Ou
     # Fast enough for the strokes that a missing current and a stuck encoder are seen by.
     speed, grip = float(random.uniform(0.25, 0.6)), float(random.integers(2, 17) / 2)
     contact = approach_ticks(speed, settings.dt_s)
-    habit = Habit.YIELDING if random.uniform() < 0.5 else Habit.MILD
-    user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, habit, Tremor())
+    intention = Intention(yields="brakes" if random.uniform() < 0.5 else "straight")
+    user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, intention, Tremor())
     low, high = (1 - contact, PLAYING_TICKS + 100) if injection.within is None else injection.within
     instant = contact + int(random.integers(low, high))
     device = device_of(scene_of(library))

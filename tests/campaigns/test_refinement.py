@@ -52,7 +52,7 @@ from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.waveforms.bank import bank
-from controller.waveforms.prediction import REACTION_S, scene_of
+from controller.waveforms.prediction import scene_of
 from tests.benches.libraries import part_of
 from tests.benches.other_device import (
     ACCELEROMETER_HZ,
@@ -84,6 +84,7 @@ from transopt.base.threads import one_blas_thread
 from transopt.design.resolve import resolve
 from transopt.library.library import Library
 from transopt.library.meta import entry_left_out
+from transopt.plant.intention import INTENTION_S
 from transopt.recordings.recording import Recording
 
 CASES = ("right", "right_held", "varying", "friction", "mismatch")
@@ -255,7 +256,7 @@ def true_errors(
 ) -> dict[Node, tuple[float, float]]:
     """NRMSE of each node against the recorded tap, until a hand can react and over the whole window."""
     times = library.time_grid().switching_times_s
-    windows, found = (times <= REACTION_S, times <= times[-1]), {}
+    windows, found = (times <= INTENTION_S, times <= times[-1]), {}
     for node in nodes:
         wanted = library.reference_m_s2[node[0]]
         runs = [device.played(library, node, phase) for phase in PHASES]

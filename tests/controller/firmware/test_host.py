@@ -24,7 +24,7 @@ from controller.sim.plant_file import plant_bytes
 from controller.sim.sensors import Sensors
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import Ground, device_of
-from controller.sim.user import Habit, StillHand, TapsInTurn, TapUser
+from controller.sim.user import STRAIGHT, StillHand, TapsInTurn, TapUser
 from tests.benches.commands import Terminal, assert_refused
 from transopt.base.errors import InputError
 from transopt.library.library import Library
@@ -114,7 +114,7 @@ def test_what_the_compiled_plant_cannot_do_is_refused(
 
 
 def test_a_hand_that_lets_go_is_refused() -> None:
-    letting_go = TapUser(0.2, 1.0, 0.0, Habit.MILD, grip_rate_N_s=-1000.0)
+    letting_go = TapUser(0.2, 1.0, 0.0, STRAIGHT, grip_rate_N_s=-1000.0)
     with pytest.raises(InputError, match="holds the stylus all the time, or never"):
         plant_bytes(Simulator(DEFAULT_DEVICE, letting_go, DT_S), letting_go, 0.01)  # type: ignore[arg-type]
 

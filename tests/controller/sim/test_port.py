@@ -68,7 +68,7 @@ def test_a_tap_is_that_of_servo_and_simulator_alone(library: Library) -> None:
     np.testing.assert_allclose(contact.command_A[played[0]], truth.command_A[played[1]], atol=1e-3)
     found = compared(library, contact).compared
     assert found.latency_s == pytest.approx(truth.latency_s, abs=5e-6)
-    assert found.nrmse == pytest.approx(truth.nrmse, abs=5e-3)
+    assert found.playback_error == pytest.approx(truth.playback_error, abs=5e-3)
 
 
 def test_the_same_seed_gives_the_same_tap(library: Library) -> None:
@@ -84,7 +84,7 @@ def test_taps_one_after_the_other_on_an_armed_device(library: Library) -> None:
     assert [contact.speed_m_s for contact in found] == pytest.approx([0.4, 0.1, 0.3], rel=0.01)
     assert [contact.grip_N for contact in found] == pytest.approx([5.0, 1.0, 3.0], abs=0.1)
     assert [contact.missed for contact in found] == [0, 0, 0]
-    assert all(compared(library, contact).compared.nrmse < 0.03 for contact in found)
+    assert all(compared(library, contact).compared.playback_error < 0.03 for contact in found)
     assert device.state is State.IDLE
 
 
