@@ -118,6 +118,7 @@ class Library:
             "m/s^2",
             "y'' after the last command, as predicted",
             made=lambda entry: entry.designed.effect.lasting.acceleration_m_s2[entry.problem.grid.stages :],
+            replayed=True,
         ),
     ]
     recorded_before_m_s2: Annotated[
@@ -198,6 +199,7 @@ class Library:
             "m^2/s^4",
             "E, the sums of J over the target in place of the error",
             made=lambda entry: entry.problem.tracking.energy_m2_s4,
+            replayed=True,
         ),
     ]
     heat_price: Annotated[
@@ -207,6 +209,7 @@ class Library:
             "1/A^2 or 1/V^2",
             "price in J of the sum of i_k^2 over the window",
             made=lambda entry: entry.problem.heat_price,
+            replayed=True,
         ),
     ]
     error_after: Annotated[

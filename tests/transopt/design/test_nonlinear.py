@@ -120,7 +120,7 @@ class TestScene:
         assert entry["nrmse"] < 0.5 * entry["linear_nrmse"]
         assert "stationary" in (out / "nonlinear.md").read_text()
         stored = to.load_library(out / "library.npz")
-        assert stored.nrmse[0, 0] == pytest.approx(entry["nrmse"], rel=1e-9)
+        assert stored.tap_error[0, 0] == pytest.approx(entry["nrmse"], rel=1e-9)
         assert stored.nrmse_linear[0, 0] == pytest.approx(entry["linear_nrmse"], rel=1e-9)
         assert (out / "nonlinear.png").read_bytes().startswith(b"\x89PNG")
         # The command in the file, played by DOP853 on the equations of motion, has the error that the report states.
