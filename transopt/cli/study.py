@@ -211,11 +211,11 @@ def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:
 
     started = time.perf_counter()
     rows = run_plan(plan, request.out, pool)
-    save_figure(study_figure(plan, rows), request.out / "nrmse.png")
+    save_figure(study_figure(plan, rows), request.out / "tap_error.png")
     head = provenance(_command(), time.perf_counter() - started)
-    write_text(study_markdown(plan, rows, "nrmse.png", head), request.out / "report.md")
+    write_text(study_markdown(plan, rows, "tap_error.png", head), request.out / "report.md")
     typer.echo(summary(rows))
-    typer.echo(f"{request.out}: rows.csv, nrmse.png, report.md")
+    typer.echo(f"{request.out}: rows.csv, tap_error.png, report.md")
     return exit_code(rows)
 
 

@@ -9,20 +9,21 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import CoilModel
 from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.proof.continuous import Accurate, accurate
 from transopt.proof.designed import Designed
-from transopt.proof.replay import Replay, errors_of, replay, replayed_errors
+from transopt.proof.replay import Replay, figures_of, replay, replayed_figures
 
 
 @dataclass(frozen=True)
 class Baselines:
-    """NRMSE of the two other methods after replay, at the transient limit and at the steady limit."""
+    """Figures of the two other methods after replay, at the transient limit and at the steady limit."""
 
-    seed: float
-    clipped: float
-    seed_steady: float
-    clipped_steady: float
+    seed: Figures
+    clipped: Figures
+    seed_steady: Figures
+    clipped_steady: Figures
 
 
 class Batch:
@@ -66,15 +67,16 @@ class Batch:
 
     @cached_property
     def rivals(self) -> list[Baselines]:
-        """Errors of the two other methods, of each answer; they know no wall."""
+        """Figures of the two other methods, of each answer; they know no wall."""
         first = self.designed[0]
         if first.nonlinear is not None:
-            errors = np.array([self._errors_on_nonlinear_plant(each) for each in self.designed]).T
-            return _baselines(errors)
-        grid, targets = first.problem.grid, [*self.told] * 4
+            return [Baselines(*self._figures_on_nonlinear_plant(each)) for each in self.designed]
+        yardstick, targets, M = first.problem.yardstick, [*self.told] * 4, len(self.designed)
         if self._share:
-            return _baselines(errors_of(self._together.of(slice(len(self.designed), None)), grid, targets))
-        return _baselines(replayed_errors(first.problem.stage, grid, self._rival_commands, targets))
+            found = figures_of(self._together.of(slice(M, None)), yardstick, targets)
+        else:
+            found = replayed_figures(first.problem.stage, yardstick, self._rival_commands, targets)
+        return [Baselines(*found[m::M]) for m in range(M)]
 
     @property
     def _share(self) -> bool:
@@ -111,6 +113,7 @@ class Batch:
             budgets=budgets or None,
             simulated=simulated,
             spread=problems[0].spread,
+            yardstick=problems[0].yardstick,
         )
 
     @cached_property
@@ -132,11 +135,11 @@ class Batch:
         """(4 M, N) commands of the two other methods, in the order of `Baselines`, each of all answers."""
         return _rivals_of(self.designed, self._steady_input)
 
-    def _errors_on_nonlinear_plant(self, designed: Designed) -> list[float]:
+    def _figures_on_nonlinear_plant(self, designed: Designed) -> list[Figures]:
         assert designed.nonlinear is not None
         # The rivals invert the plant at rest, as the linear design does.
         return [
-            designed.nonlinear.nrmse(each) for each in _rivals_of([designed.linear or designed], self._steady_input)
+            designed.nonlinear.figures(each) for each in _rivals_of([designed.linear or designed], self._steady_input)
         ]
 
 
@@ -150,8 +153,3 @@ def _rivals_of(designed: Sequence[Designed], steady_input: float) -> FloatArray:
     seed = seed_inversion(first.stage, first.grid, references, limits, first.hand_over_samples)
     clipped = clipped_optimum(first.stage, first.grid, free, limits)
     return np.stack([seed, clipped], axis=1).reshape(-1, first.grid.stages)  # limit, method, answer
-
-
-def _baselines(errors: FloatArray) -> list[Baselines]:
-    """From (4 M,) errors in the order of the commands, or (4, M)."""
-    return [Baselines(*(float(error) for error in each)) for each in errors.reshape(4, -1).T]

@@ -59,7 +59,7 @@ class Build:
 
     def __repr__(self) -> str:
         entries = list(self.all_entries())
-        errors = [entry.nrmse for entry in entries if entry.admitted]
+        errors = [entry.figures.tap_error for entry in entries if entry.admitted]
         found = f", NRMSE {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
         certified = "certified stationary" if self.scene.nonlinear else "certified"
         return wrapped(
@@ -71,7 +71,7 @@ class Build:
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
         linear = ("linear",) if self.scene.nonlinear else ()
-        names = ("nrmse", "floor", "after", "after_peak", "seed", "clipped", *linear, "binding", "verdict")
+        names = ("tap", "floor", "after", "after_peak", "seed", "clipped", *linear, "binding", "verdict")
         shown = self.table(names)
         return html_table(repr(self), shown.heads, shown.cells) + html_figure(self.plot())
 

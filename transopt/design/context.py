@@ -11,6 +11,7 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.problem.limits import needed_outputs
+from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
@@ -133,6 +134,12 @@ class Context:
     def posing(self) -> Posing:
         """What the problems of all taps of the scene share, limits of a user's own evaluated."""
         return replace(self._linear.posing(), law_of=law)
+
+    @cached_property
+    def yardstick(self) -> Yardstick:
+        """By what the entries of the scene are told beside the recorded taps."""
+        grid, posing = self.posing.grid, self.posing
+        return Yardstick(grid, grid.end_s if self.scene.targets else posing.intention_s)
 
     @cached_property
     def _linear(self) -> Scene:

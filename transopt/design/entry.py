@@ -22,6 +22,7 @@ from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
+from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
@@ -150,7 +151,7 @@ class Entry:
         if self.problem.intensity > 0:
             # A price on intensity moves that optimum; the floor is that of the waveform alone.
             free = unlimited.solve(self.problem.without_intensity()).command
-        return self.told.nrmse(self.problem.stage.rollout(free)[0])
+        return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(free)[0])
 
     @property
     def free_peak(self) -> float:
@@ -227,17 +228,18 @@ class Entry:
         return None if self.designed.linear is None else self.batch.linear_replays[self.index]
 
     @property
-    def linear_nrmse(self) -> float:
+    def linear_tap_error(self) -> float:
         """NRMSE of that command on the nonlinear plant; NaN for a linear plant, and where its motion has no value."""
         played = self.linear_played
-        return NAN if played is None or not np.isfinite(played.nrmse) else played.nrmse
+        error = NAN if played is None else played.figures.tap_error
+        return error if np.isfinite(error) else NAN
 
     @cached_property
     def linear_promised(self) -> float:
         """NRMSE that the plant at rest would have under that command; NaN for a linear plant."""
         if self.linear_command is None:
             return NAN
-        return self.told.nrmse(self.problem.stage.rollout(self.linear_command)[0])
+        return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(self.linear_command)[0])
 
     @cached_property
     def linear_leaves(self) -> list[str]:
@@ -267,12 +269,13 @@ class Entry:
         return {**not_asked_for(self.problem, self.grip_N), **self.designed.left_out}
 
     def __repr__(self) -> str:
+        error = f"{percent(self.figures.tap_error)} %"
         if not self.admitted:
             found = f"refused: {cut('; '.join(self.shortfalls) or self.status.value)}"
         elif self.designed.linear is not None:
-            found = f"NRMSE {percent(self.nrmse)} %, of the linear design {percent(self.linear_nrmse)} %"
+            found = f"tap error {error}, of the linear design {percent(self.linear_tap_error)} %"
         else:
-            found = f"NRMSE {percent(self.nrmse)} %, floor {percent(self.floor)} %; {self.verdict}"
+            found = f"tap error {error}, felt error {percent(self.figures.felt_error)} %; {self.verdict}"
         binds = f"; binds: {cut(self.binding)}" if self.admitted else ""
         return wrapped(f"Entry({self.place}: {found}{binds})")
 
@@ -317,7 +320,7 @@ class Entry:
 
     def _repr_html_(self) -> str:
         """Table, a row for each column, and figure in a notebook."""
-        names = ("nrmse", "floor", "after", "after_peak", "seed", "clipped", "peak", "gap", "binding", "verdict")
+        names = ("tap", "floor", "felt", "felt_dB", "speed", "bump", "heat", "peak", "gap", "binding", "verdict")
         shown = EntryTable((), names, (self,), self.unit)
         rows = [["entry", self.place], *map(list, zip(shown.heads, shown.figures(self), strict=True))]
         rows += [["why it is refused", said] for said in self.shortfalls]
@@ -338,8 +341,9 @@ class Entry:
         return None if self.solved is None else size(self.solved)
 
     @property
-    def nrmse(self) -> float:
-        return self.played.nrmse
+    def figures(self) -> Figures:
+        """How near the played tap comes to the recorded one."""
+        return self.played.figures
 
     @cached_property
     def heat_A2_s(self) -> float:
@@ -355,14 +359,6 @@ class Entry:
         if self.problem.reference_is_zero:
             return 0.0
         return self.problem.tracking.energy_dB(self.problem.accelerations(self.solution.command))
-
-    @property
-    def weighted_nrmse(self) -> float:
-        """Root of what the terms of the error come to in J for the entry's own device."""
-        if self.problem.reference_is_zero:
-            return self.nrmse
-        losses = self.problem.tracking.losses(self.designed.effect.lasting.acceleration_m_s2)
-        return float(np.sqrt(losses[0]))
 
     @property
     def slopes(self) -> dict[str, float]:
@@ -389,8 +385,10 @@ class Entry:
 
     @cached_property
     def levels(self) -> Levels:
-        """Energies of the prediction over those of r: broadband, as felt, band by band."""
-        return levels(self.predicted_m_s2, self.problem.reference_m_s2, self.problem.grid.dt_s)
+        """Energies of the predicted acceleration over those of r: broadband, as felt, band by band."""
+        target = self.problem.target
+        free, recorded = (target.of_window(each) for each in (target.free_m_s2, target.recorded_m_s2))
+        return levels(self.predicted_m_s2 + free, recorded, self.problem.grid.dt_s)
 
     @property
     def verdict(self) -> str:
@@ -400,16 +398,17 @@ class Entry:
         if self.problem.reference_is_zero:
             return "zero reference"
         floor = self.floor if self.designed.nonlinear is None else NAN
-        return verdict(self.nrmse, floor, self.repeatability, self.levels)
+        named = bool(self.target)
+        return verdict(self.figures, floor, self.repeatability, self.levels, self.binding, named=named)
 
 
 # What an entry has in the columns of `transopt.library.columns.COLUMNS` that no file holds.
 VALUES: dict[str, Callable[[Entry], Any]] = {
-    "linear": lambda entry: PAIR if entry.linear_played is None else (entry.linear_promised, entry.linear_nrmse),
-    "linear_after": lambda entry: NAN if entry.linear_played is None else entry.linear_played.nrmse_after,
+    "linear": lambda entry: PAIR if entry.linear_played is None else (entry.linear_promised, entry.linear_tap_error),
+    "linear_after": lambda entry: NAN if entry.linear_played is None else entry.linear_played.figures.error_after,
+    "seed": lambda entry: (entry.baselines.seed.tap_error, entry.baselines.seed_steady.tap_error),
+    "clipped": lambda entry: (entry.baselines.clipped.tap_error, entry.baselines.clipped_steady.tap_error),
     "repeats": lambda entry: entry.repeatability,
-    "seed": lambda entry: (entry.baselines.seed, entry.baselines.seed_steady),
-    "clipped": lambda entry: (entry.baselines.clipped, entry.baselines.clipped_steady),
     "gap": lambda entry: entry.certificate.relative_gap,
     "result": lambda entry: "; ".join([entry.status.value, *entry.shortfalls]),
     "verdict": lambda entry: entry.verdict,

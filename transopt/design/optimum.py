@@ -180,7 +180,7 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
         ]
     left_out = {"limits": "zero reference: zero waveform"}
     rest = np.zeros(problem.grid.stages)
-    floor = problem.target.nrmse(rest)
+    floor = problem.yardstick.tap_error(problem.target, rest)
     return Designed(problem, answer, proof, effect, rest, floor, 0.0, left_out, None, hopeless)
 
 
@@ -212,7 +212,7 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = unlimited.solve(small)
     effect = Effect(problem, free.command)
-    floor = problem.target.nrmse(effect.motion.acceleration_m_s2)
+    floor = problem.yardstick.tap_error(problem.target, effect.motion.acceleration_m_s2)
     peak = float(np.abs(effect.motion.plant_input).max())
 
     def designed(

@@ -40,9 +40,9 @@ class Price:
     ----------
     limit, unit, step_unit : what it is called, its unit, and that of differences.
     bound : where it stands; for the coil the temperature.
-    nrmse : against r over the window, with the limit there.
-    step, then : by how much it is raised, and the NRMSE that is then the optimum's; NaN where that is not certified.
-    enough, there : the least bound, to the digits that are printed, at which it does not bind, and the NRMSE there;
+    tap_error : against the recorded tap over the intention, with the limit there.
+    step, then : by how much it is raised, and the tap error that is then the optimum's; NaN where that is not certified.
+    enough, there : the least bound, to the digits that are printed, at which it does not bind, and the tap error there;
         NaN where no such answer is certified, infinity and NaN where it still binds at `tried`.
     tried : the widest bound that was solved for; infinite where the problem without the limit was.
     """
@@ -51,7 +51,7 @@ class Price:
     unit: str
     step_unit: str
     bound: float
-    nrmse: float
+    tap_error: float
     step: float
     then: float
     enough: float
@@ -79,10 +79,10 @@ class Price:
 
     @property
     def sentence(self) -> str:
-        now, free = f"{percent(self.nrmse)} %", self.free_from
+        now, free = f"{percent(self.tap_error)} %", self.free_from
         then = f"no certified answer with {self.more} more, so no price"
         if not np.isnan(self.then):
-            then = f"{self.more} more gives NRMSE {percent(self.then)} % in place of {now}"
+            then = f"{self.more} more gives a tap error of {percent(self.then)} % in place of {now}"
         if np.isfinite(self.enough):
             free = f"would not bind from {free} on, with {percent(self.there)} %"
         elif np.isnan(self.enough):
@@ -143,13 +143,13 @@ class _Answer:
     Attributes
     ----------
     effect : of its command in the problem that has been solved. multipliers : its own.
-    nrmse : against r over the window.
+    tap_error : against the recorded tap over the intention.
     binding : of `binding`.
     """
 
     effect: Effect
     multipliers: Multipliers
-    nrmse: float
+    tap_error: float
     binding: dict[str, float]
 
 
@@ -173,7 +173,7 @@ def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect
         certified = designed.is_proven and (designed.certificate.accepted or bent)
     if not certified:
         return None
-    error = small.target.nrmse(effect.motion.acceleration_m_s2)
+    error = small.yardstick.tap_error(small.target, effect.motion.acceleration_m_s2)
     return _Answer(
         effect, answer.multipliers, error, binding(small, answer.command, answer.multipliers, effect=effect)
     )
@@ -202,12 +202,12 @@ class _Pricing:
     Attributes
     ----------
     unlimited : what its optimum without limits does.
-    nrmse : of its own optimum.
+    tap_error : of its own optimum.
     """
 
     problem: TransientProblem
     unlimited: Effect
-    nrmse: float
+    tap_error: float
     options: SolverOptions
 
     def price(self, limit: Limit) -> Price:
@@ -226,9 +226,9 @@ class _Pricing:
             unit=limit.unit,
             step_unit=limit.step_unit,
             bound=limit.stated,
-            nrmse=self.nrmse,
+            tap_error=self.tap_error,
             step=step,
-            then=np.nan if raised is None else raised.nrmse,
+            then=np.nan if raised is None else raised.tap_error,
             enough=enough,
             there=there,
             tried=widest,
@@ -264,7 +264,7 @@ class _Pricing:
         return answer, ample * needed
 
     def _enough(self, limit: Limit, without: _Answer, widest: float) -> tuple[float, float]:
-        """The least bound at which a limit does not bind, and the NRMSE there: solved for, and found not to bind.
+        """The least bound at which a limit does not bind, and the tap error there: solved for, and found not to bind.
 
         What the optimum without the limit takes of it is enough, since any wider one has that same optimum. Only the
         limit on the current also stands in J, as the unit I of the movement's weight, so that the optimum takes p(I)
@@ -275,7 +275,7 @@ class _Pricing:
         without : the optimum with the limit at `widest`, where it does not bind.
         """
         by = max(self._beyond(limit, without), 0.0)
-        free, low, high, nudge = [(widest, limit.stated + by)], limit.stated, (widest, without.nrmse), NUDGE
+        free, low, high, nudge = [(widest, limit.stated + by)], limit.stated, (widest, without.tap_error), NUDGE
         for trial in range(MOST_TRIALS):
             peak = free[0][1] if len(free) < 2 else _crossing(*free[-2:])
             if limit.scales_movement and len(free) < 2 and peak * ASIDE < widest:
@@ -287,14 +287,14 @@ class _Pricing:
             if bound >= high[0]:
                 return high if np.isfinite(high[0]) else (np.nan, np.nan)
             if self._keeps(limit, bound - limit.stated, without):
-                return bound, without.nrmse
+                return bound, without.tap_error
             answer = self._raised(limit, bound - limit.stated)
             if answer is None:
                 break
             if limit.name in answer.binding:
                 low, nudge = bound, 4 * nudge
                 continue
-            high = bound, answer.nrmse
+            high = bound, answer.tap_error
             if not limit.scales_movement:
                 return high
             free.append((bound, limit.stated + self._beyond(limit, answer)))
@@ -339,7 +339,7 @@ def prices(
     binds = binding(problem, command, multipliers, effect=effect)
     if not binds:
         return []
-    error = problem.target.nrmse(effect.motion.acceleration_m_s2)
+    error = problem.yardstick.tap_error(problem.target, effect.motion.acceleration_m_s2)
     trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
     pricing = _Pricing(problem, Effect(problem, unlimited), error, trials)
     found = [pricing.price(limit) for limit in problem.limits if limit.name in binds]

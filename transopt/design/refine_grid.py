@@ -25,7 +25,7 @@ from transopt.design.context import Context
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.problem.answer import Certificate, Status
-from transopt.proof.replay import replayed_errors
+from transopt.proof.replay import replayed_figures
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Grid
@@ -227,10 +227,10 @@ class Errors:
             progress(done, len(missing))
             self.optimum(point)
 
-    def _predicted_nrmse(self, point: Point) -> float:
+    def _predicted_tap_error(self, point: Point) -> float:
         """NRMSE of the optimum at a point, by the stage model."""
         found = self.optimum(point)
-        return found.told.nrmse(found.predicted_m_s2)
+        return self.context.yardstick.tap_error(found.told, found.predicted_m_s2)
 
     def _energy(self, acceleration_m_s2: FloatArray) -> float:
         """Energy of an acceleration (N,) through the filter of the scene's rapid term."""
@@ -258,9 +258,9 @@ class Errors:
             blended = np.stack([self.blend(nodes, point) for point in group])
             played, _ = self.context.stage(grip).rollout(blended)
             for point, acceleration in zip(group, played, strict=True):
-                error = self.context.reference(*point).target.nrmse(acceleration)
+                error = self.context.yardstick.tap_error(self.context.reference(*point).target, acceleration)
                 short = lacking(self.dB(point, acceleration))
-                self._excess[keys[point]] = max(error - self._predicted_nrmse(point), short)
+                self._excess[keys[point]] = max(error - self._predicted_tap_error(point), short)
         return {point: self._excess[key] for point, key in keys.items()}
 
     def replayed(self, points: Sequence[Point], before: Nodes, after: Nodes) -> list[OffNode]:
@@ -276,7 +276,9 @@ class Errors:
                 ]
                 wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
-                played = replayed_errors(self.context.stage(grip), grid, np.stack(commands), wanted).tolist()
+                yardstick, device = self.context.yardstick, self.context.stage(grip)
+                told = replayed_figures(device, yardstick, np.stack(commands), wanted)
+                played = [each.tap_error for each in told]
                 moved, _ = self.context.stage(grip).rollout(np.stack(commands))
                 for j, point in enumerate(part):
                     dB = (self.dB(point, moved[3 * j + 1]), self.dB(point, moved[3 * j + 2]))

@@ -20,7 +20,6 @@ from transopt.plant.discretise import StageModel
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.supply import SupplyLimit
-from transopt.problem.objective.bands import pacinian_dB
 from transopt.proof.certify import boxes_of
 from transopt.recordings.recording import Recording
 from transopt.recordings.references import References
@@ -76,7 +75,7 @@ class Outcome:
     Attributes
     ----------
     status : name of a `Status`, REFUSED or DEFECT. reason : why it is not OPTIMAL.
-    energy_dB, pacinian_dB : energy over the recorded tap's, as the scene counts it and as it is felt.
+    energy_dB : energy in the last term of the error over the target's.
     waveform_dB : the same as `energy_dB` of the nearest waveform; what it is where the scene asks for no energy.
     intensity : lam, the price of the energy; 0 where the scene asks for none, or the nearest waveform has it.
     relative_gap, relative_bound, violation_A, violation_V, violation_K : certificate.
@@ -91,11 +90,14 @@ class Outcome:
     grip_N: float
     target: str
     status: str
-    nrmse: float = NAN
+    tap_error: float = NAN
     floor: float = NAN
-    weighted_nrmse: float = NAN
+    felt_error: float = NAN
+    felt_dB: float = NAN
+    speed_change: float = NAN
+    bump_m_s2: float = NAN
+    heat_A2_s: float = NAN
     energy_dB: float = NAN
-    pacinian_dB: float = NAN
     waveform_dB: float = NAN
     intensity: float = NAN
     free_peak: float = NAN
@@ -110,8 +112,8 @@ class Outcome:
     violation_V: float = NAN
     violation_K: float = NAN
     multipliers: Mapping[str, float] = field(default_factory=dict)
-    nrmse_seed: float = NAN
-    nrmse_clipped: float = NAN
+    tap_error_seed: float = NAN
+    tap_error_clipped: float = NAN
     binding: str = ""
     price: str = ""
     solver: str = ""
@@ -161,14 +163,13 @@ def _intensity(entry: Entry) -> dict[str, float]:
     made_dB = problem.tracking.energy_dB(entry.designed.effect.accelerations_m_s2)
     return {
         "energy_dB": made_dB,
-        "pacinian_dB": pacinian_dB(entry.predicted_m_s2, problem.reference_m_s2, problem.grid.dt_s),
         "waveform_dB": made_dB if attained is None else attained.waveform_dB,
         "intensity": problem.intensity,
     }
 
 
 def _outcome(task: Task, item: Item, entry: Entry) -> Outcome:
-    played, proof = entry.played, entry.certificate
+    played, proof, figures = entry.played, entry.certificate, entry.figures
     finite = bool(np.all(np.isfinite(entry.solution.command)))
     return Outcome(
         index=item.index,
@@ -176,9 +177,13 @@ def _outcome(task: Task, item: Item, entry: Entry) -> Outcome:
         grip_N=task.grip_N,
         target=item.target,
         status=entry.status.name,
-        nrmse=played.nrmse,
+        tap_error=figures.tap_error,
+        felt_error=figures.felt_error,
+        felt_dB=figures.felt_dB,
+        speed_change=figures.speed,
+        bump_m_s2=figures.bump_m_s2,
+        heat_A2_s=entry.heat_A2_s,
         floor=entry.floor,
-        weighted_nrmse=entry.weighted_nrmse,
         **_intensity(entry),
         free_peak=entry.free_peak,
         peak_input=played.peak_input,
@@ -192,8 +197,8 @@ def _outcome(task: Task, item: Item, entry: Entry) -> Outcome:
         violation_V=proof.violation("V"),
         violation_K=proof.violation("K"),
         multipliers=_largest(entry) if finite else {},
-        nrmse_seed=entry.baselines.seed if task.rivals else NAN,
-        nrmse_clipped=entry.baselines.clipped if task.rivals else NAN,
+        tap_error_seed=entry.baselines.seed.tap_error if task.rivals else NAN,
+        tap_error_clipped=entry.baselines.clipped.tap_error if task.rivals else NAN,
         binding=entry.binding,
         price="; ".join(one.sentence for one in entry.prices) if task.rivals else "",
         solver=entry.solution.solver,

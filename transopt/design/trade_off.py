@@ -23,7 +23,7 @@ BEND = 1.5  # of their steps, the shorter ones first
 
 @dataclass(frozen=True)
 class TradeOffPoint:
-    """One optimum of L; NRMSE and levels as predicted, of the entry's own device.
+    """One optimum of L; tap error and levels as predicted, of the entry's own device.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class TradeOffPoint:
     """
 
     price: float
-    nrmse: float
+    tap_error: float
     energy_dB: float
     levels: Levels
 
@@ -98,7 +98,7 @@ def _point(designed: Designed) -> TradeOffPoint:
     own = accelerations[0, : problem.grid.stages]
     return TradeOffPoint(
         price=problem.intensity,
-        nrmse=problem.target.nrmse(own),
+        tap_error=problem.yardstick.tap_error(problem.target, own),
         energy_dB=problem.tracking.energy_dB(accelerations),
         levels=levels(own, problem.reference_m_s2, problem.grid.dt_s),
     )

@@ -93,7 +93,8 @@ def _bare(problem: TransientProblem, answer: Solution, proof: Certificate, effec
     if not problem.reference_is_zero:
         free = unlimited.solve(problem.without_intensity()).command
     motion = problem.stage.motion(free)
-    floor, peak = problem.target.nrmse(motion.acceleration_m_s2), float(np.abs(motion.plant_input).max())
+    floor = problem.yardstick.tap_error(problem.target, motion.acceleration_m_s2)
+    peak = float(np.abs(motion.plant_input).max())
     return Designed(problem, answer, proof, effect, free, floor, peak, {}, None, [])
 
 
@@ -134,7 +135,7 @@ def _of_nonlinear_plant(library: Library, iv: int, ig: int, entry: Entry) -> lis
     found += entry.played.shortfalls(entry.problem, effect.command, library.acceleration_m_s2[iv, ig])
     if proof.finite:
         found += _stored_contradictions(library, iv, ig, entry, effect)
-    found += of_linear_design(library, iv, ig, problem, entry.linear_nrmse, STORED_TOLERANCE)
+    found += of_linear_design(library, iv, ig, problem, entry.linear_tap_error, STORED_TOLERANCE)
     options = SolverOptions()
     designed = optimum(problem.linear, options)
     # Limits that no command meets at rest may be met on the nonlinear plant: then there is no linear design.

@@ -99,8 +99,37 @@ def _pair(values: tuple[float, float]) -> str:
 
 # In the order in which tables show them.
 COLUMNS = {
-    "nrmse": Column("NRMSE %", percent, "|a - r| / |r| after replay, r {target}", array="tap_error"),
-    "floor": Column("floor %", percent, "the same problem without its limits", array="floor"),
+    "tap": Column(
+        "tap %",
+        percent,
+        "error of the stylus' acceleration beside {target}, {over}, after replay",
+        array="tap_error",
+    ),
+    "floor": Column(
+        "floor %", percent, "tap error without any limit: the waveform ends while the hand pushes", array="floor"
+    ),
+    "felt": Column("felt %", percent, "the same error from 120 to 620 Hz, where fingers feel", array="felt_error"),
+    "felt_dB": Column(
+        "felt dB",
+        lambda dB: fixed(dB, 2),
+        f"energy in that band beside the recorded one; {JUST_NOTICED_dB:g} dB are just noticed",
+        array="felt_dB",
+    ),
+    "speed": Column(
+        "speed",
+        lambda share: fixed(share, 2),
+        "change of the stylus' speed beside the recorded one: 1 is as hard, below 0 the surface pulls",
+        array="speed_change",
+    ),
+    "bump": Column(
+        "bump g",
+        lambda m_s2: fixed(m_s2, 2, 1 / STANDARD_GRAVITY_M_S2),
+        "peak error from 10 to 60 Hz afterwards, when the surface lets go",
+        array="bump_m_s2",
+    ),
+    "heat": Column(
+        "heat A2ms", lambda A2_s: fixed(A2_s, 0, 1e3), "integral of the squared current", array="heat_A2_s"
+    ),
     "after": Column(
         "after %",
         percent,
@@ -129,7 +158,7 @@ COLUMNS = {
         PAIR,
     ),
     "linear_after": Column("after, linear %", percent),
-    "repeats": Column("repeats %", percent, "NRMSE of the recordings to their mean"),
+    "repeats": Column("repeats %", percent, "error of the recordings beside their mean"),
     "peak": Column("peak {unit}", lambda value: fixed(value, 3), array="peak_input"),
     "winding": Column("winding C", lambda value: fixed(value, 2), array="peak_temperature_C"),
     "largest_multiplier": Column(
@@ -145,14 +174,14 @@ COLUMNS = {
     "verdict": Column(
         "verdict",
         str,
-        "weak, strong: energy as vibration is felt, around 275 Hz, beside that of r; "
-        f"{JUST_NOTICED_dB:g} dB are just noticed",
+        "what a hand notices, and what holds the entry back",
         unknown="",
     ),
 }
 
-FULL = ("nrmse", "floor", "after", "after_peak", "seed", "clipped", "repeats", "peak", "ms", "binding", "verdict")
-NARROW = ("nrmse", "floor", "peak", "binding", "verdict")  # what decides, for a narrow terminal
+FIGURES = ("tap", "felt", "felt_dB", "speed", "bump", "heat")  # what is told of an entry wherever it is shown
+FULL = ("tap", "floor", *FIGURES[1:], "repeats", "peak", "ms", "binding", "verdict")
+NARROW = ("tap", "felt", "felt_dB", "speed", "heat", "verdict")  # what decides, for a narrow terminal
 
 
 @dataclass(frozen=True)
@@ -204,8 +233,8 @@ class EntryTable:
         ----------
         driven_by : what drives the plant: current or voltage. named : whether named targets are tracked, not taps.
         """
-        target = "the target" if named else "the motor's share of the recorded tap from contact on"
+        target, over = ("the target", "over the waveform") if named else ("the recorded tap", "over the intention")
         said = [(column.head.split(" {at}")[0], column.meaning) for column in self.columns if column.meaning]
         return " ".join(f"{head.removesuffix(' %')}: {meaning}." for head, meaning in said).format(
-            target=target, input=driven_by, unit=self.unit
+            target=target, over=over, input=driven_by, unit=self.unit
         )

@@ -7,9 +7,6 @@ numbers again and refuses a file that states others.
 from collections.abc import Sequence
 from typing import Any
 
-from scipy import signal
-
-from transopt.base.signals import FloatArray
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.limit import Limit
@@ -17,10 +14,11 @@ from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.limits.voltage import SaggingVoltageLimit, VoltageLimit
 from transopt.problem.objective.error_term import ErrorTerm
+from transopt.problem.objective.figures import FELT_Hz
+from transopt.problem.objective.weighting import bandpass
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 
-FELT_Hz = (120.0, 620.0)  # band in which the felt error is told, whatever the terms of the objective are
 WHOLE = (CurrentLimit, VoltageLimit, CommandLimit, SlewLimit)  # limits of which these numbers say all
 
 
@@ -84,5 +82,5 @@ def _felt(dt_s: float) -> dict[str, list[float]] | None:
     """Band-pass of the felt error, of first order; null where the band goes beyond half the servo rate."""
     if not 2 * FELT_Hz[1] * dt_s < 1:
         return None
-    taps: tuple[FloatArray, FloatArray] = signal.butter(1, FELT_Hz, "bandpass", fs=1 / dt_s)
-    return {"b": taps[0].tolist(), "a": taps[1].tolist()}
+    (by,) = bandpass(*FELT_Hz, dt_s, 1)
+    return {"b": by.b.tolist(), "a": by.a.tolist()}

@@ -46,8 +46,8 @@ class PlayedDrive:
     ----------
     drive : what is played.
     acceleration_m_s2 : (N + M,) y'' at the switching instants of the design, in its window and after it.
-    nrmse, nrmse_after : in the window and after it, as `tap_error` and `error_after` of the design.
-    nrmse_designed : of the design.
+    tap_error, error_after : in the window and after it, as `tap_error` and `error_after` of the design.
+    tap_error_designed : of the design.
     figures : the trade's, of this acceleration.
     limits_left : one sentence for each limit of the scene that it leaves; of a library with a wall, whose feedback
         follows the device's own motion, none is watched.
@@ -55,9 +55,9 @@ class PlayedDrive:
 
     drive: Drive
     acceleration_m_s2: FloatArray
-    nrmse: float
-    nrmse_after: float
-    nrmse_designed: float
+    tap_error: float
+    error_after: float
+    tap_error_designed: float
     figures: TradeFigures
     limits_left: tuple[str, ...]
 
@@ -190,7 +190,6 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
 
 def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
     """Play drives of a library, all for the same driver."""
-    stages = library.command.shape[2]
     instants: dict[int, _Instants] = {}
     found = []
     for drive in drives:
@@ -200,14 +199,14 @@ def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
             if drive.ig not in instants:
                 instants[drive.ig] = _Instants.of(library, drive.ig, drive.driver)
             acceleration = instants[drive.ig].accelerations(drive.values)
-        target = library.told(drive.iv, drive.ig)
+        found_figures = library.yardstick.figures(library.told(drive.iv, drive.ig), acceleration)
         found.append(
             PlayedDrive(
                 drive=drive,
                 acceleration_m_s2=acceleration,
-                nrmse=target.nrmse(acceleration[:stages]),
-                nrmse_after=target.nrmse_after(acceleration[stages:]),
-                nrmse_designed=float(library.tap_error[drive.iv, drive.ig]),
+                tap_error=found_figures.tap_error,
+                error_after=found_figures.error_after,
+                tap_error_designed=float(library.tap_error[drive.iv, drive.ig]),
                 figures=entry_trade(library, drive.iv, drive.ig, acceleration),
                 limits_left=limits_left(library, drive),
             )

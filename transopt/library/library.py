@@ -18,7 +18,7 @@ from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
-from transopt.library.columns import COLUMNS, NAN, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FIGURES, NAN, EntryTable, TableRow
 from transopt.library.meta import stated
 from transopt.library.place import Place, Waveform, finite, interpolation_weights, speed_weights
 from transopt.plant.amplifier import Amplifier
@@ -31,6 +31,7 @@ from transopt.problem.limits import KINDS, kinds_of
 from transopt.problem.limits.limit import SIDES, device_row
 from transopt.problem.limits.own import OwnLimit, follows_motion
 from transopt.problem.objective.bands import levels
+from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
@@ -177,7 +178,51 @@ class Library:
             "vg",
             "",
             "|y'' + a_free - r| / |r| over the intention after replay, nothing filtered",
-            made=lambda entry: entry.nrmse,
+            made=lambda entry: entry.figures.tap_error,
+            replayed=True,
+        ),
+    ]
+    felt_error: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "the same through a band-pass of 120 to 620 Hz, over all samples; NaN where the servo cannot carry it",
+            may_be_nan=True,
+            made=lambda entry: entry.figures.felt_error,
+            replayed=True,
+        ),
+    ]
+    felt_dB: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "dB",
+            "energy in that band over that of r",
+            may_be_nan=True,
+            made=lambda entry: entry.figures.felt_dB,
+            replayed=True,
+        ),
+    ]
+    speed_change: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "",
+            "change of speed over the intention, played over recorded; NaN of a target that changes none",
+            may_be_nan=True,
+            made=lambda entry: entry.figures.speed,
+            replayed=True,
+        ),
+    ]
+    bump_m_s2: Annotated[
+        FloatArray,
+        Array(
+            "vg",
+            "m/s^2",
+            "peak error in 10 to 60 Hz after the intention; NaN of a named target",
+            may_be_nan=True,
+            made=lambda entry: entry.figures.bump_m_s2,
             replayed=True,
         ),
     ]
@@ -218,7 +263,7 @@ class Library:
             "vg",
             "",
             "|y'' + a_free - r| after the last command, relative to the target in the window",
-            made=lambda entry: entry.played.nrmse_after,
+            made=lambda entry: entry.played.figures.error_after,
             replayed=True,
         ),
     ]
@@ -228,7 +273,7 @@ class Library:
             "vg",
             "m/s^2",
             "largest |y'' + a_free - r| after the last command",
-            made=lambda entry: entry.played.error_peak_after_m_s2,
+            made=lambda entry: entry.figures.peak_after_m_s2,
             replayed=True,
         ),
     ]
@@ -267,7 +312,7 @@ class Library:
             ),
         ),
     ]
-    nrmse_promised: Annotated[
+    tap_error_promised: Annotated[
         FloatArray,
         Array(
             "vg",
@@ -277,7 +322,7 @@ class Library:
             made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_promised,
         ),
     ]
-    nrmse_linear: Annotated[
+    tap_error_linear: Annotated[
         FloatArray,
         Array(
             "vg",
@@ -285,7 +330,7 @@ class Library:
             "of that command on the nonlinear plant after replay",
             may_be_nan=True,
             needs="nonlinear",
-            made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_nrmse,
+            made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_tap_error,
         ),
     ]
     substeps: Annotated[
@@ -487,7 +532,7 @@ class Library:
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
-        shown = self.table(("nrmse", "floor", "after", "after_peak", "peak", "binding"))
+        shown = self.table((*FIGURES, "peak", "binding"))
         return html_table(repr(self), shown.heads, shown.cells) + html_figure(self.plot())
 
     def table(self, names: Sequence[str]) -> EntryTable:
@@ -500,7 +545,7 @@ class Library:
     def row(self, iv: int, ig: int) -> TableRow:
         """What tables show of an entry."""
         found: dict[str, Any] = {
-            "linear": (self.nrmse_promised[iv, ig], self.nrmse_linear[iv, ig]),
+            "linear": (self.tap_error_promised[iv, ig], self.tap_error_linear[iv, ig]),
             "repeats": self._repeatability(iv, ig),
             "gap": self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE),
             "verdict": self.verdict(iv, ig),
@@ -515,12 +560,28 @@ class Library:
 
         The floor of a library whose plant is nonlinear is that of another plant, the one at rest, and is no measure.
         """
+        target = self.told(iv, ig)
+        free, recorded = (target.of_window(each) for each in (target.free_m_s2, target.recorded_m_s2))
         return verdict(
-            float(self.tap_error[iv, ig]),
+            self.figures(iv, ig),
             NAN if self.nonlinear else float(self.floor[iv, ig]),
             self._repeatability(iv, ig),
-            levels(self.acceleration_m_s2[iv, ig], self.told(iv, ig).window_m_s2, self.dt_s),
+            levels(self.acceleration_m_s2[iv, ig] + free, recorded, self.dt_s),
+            str(self.binding[iv, ig]),
+            named=bool(self.axes.targets),
         )
+
+    @property
+    def yardstick(self) -> Yardstick:
+        """By what its entries are told beside the recorded taps."""
+        named = bool(self.axes.targets)
+        return Yardstick(self.time_grid(), self.time_grid().end_s if named else self.posing().intention_s)
+
+    def figures(self, iv: int, ig: int) -> Figures:
+        """How near an entry comes to the recorded tap, as the file says."""
+        stored = (self.tap_error, self.felt_error, self.felt_dB, self.speed_change, self.bump_m_s2)
+        after = (self.error_after, self.peak_after_m_s2)
+        return Figures(*(float(array[iv, ig]) for array in (*stored, *after)))
 
     def _repeatability(self, iv: int, ig: int) -> float:
         """Trial-to-mean NRMSE of the recordings of an entry; NaN where there is one."""
@@ -624,7 +685,12 @@ class Library:
         wanted = replace(wanted, target=target)
         stage = self.stage(ig) if stage is None else stage
         problem = self.posing().problem(wanted, stage, self.spread(ig))
-        problem = replace(problem, intensity=float(self.intensity[iv, ig]), shares=self._shares(iv, ig))
+        problem = replace(
+            problem,
+            intensity=float(self.intensity[iv, ig]),
+            heat_price=float(self.heat_price[iv, ig]),
+            shares=self._shares(iv, ig),
+        )
         if problem.wall is None:
             return problem
         return pressing_under(problem, self.command[iv, ig])

@@ -52,26 +52,26 @@ def nonlinear_doubts(library: Library, iv: int, ig: int, problem: NonlinearProbl
     yield from predictions(library, iv, ig, effect)
     floor = floor_of(problem.linear, library.told(iv, ig))
     yield from contradictions(library, iv, ig, effect, proof, floor)
-    played = problem.nrmse(library.linear_command[iv, ig])
+    played = problem.figures(library.linear_command[iv, ig]).tap_error
     # If a motion has no value one method may come further than another.
-    if math.isnan(played) or math.isnan(library.nrmse_linear[iv, ig]):
-        played = float(library.nrmse_linear[iv, ig])
+    if math.isnan(played) or math.isnan(library.tap_error_linear[iv, ig]):
+        played = float(library.tap_error_linear[iv, ig])
     yield from of_linear_design(library, iv, ig, problem, played, FIGURE)
 
 
 def of_linear_design(
-    library: Library, iv: int, ig: int, problem: NonlinearProblem, linear_nrmse: float, tolerance: float
+    library: Library, iv: int, ig: int, problem: NonlinearProblem, linear_tap_error: float, tolerance: float
 ) -> Iterator[str]:
     """Errors of the linear design that the file states and that are other ones.
 
     Parameters
     ----------
-    linear_nrmse : of the linear design on the nonlinear plant, as found now; NaN where its motion has no value.
+    linear_tap_error : of the linear design on the nonlinear plant, as found now; NaN where its motion has no value.
     tolerance : relative, of the linear design's errors.
     """
     linear, command = problem.linear, library.linear_command[iv, ig]
-    promised = linear.target.nrmse(linear.stage.rollout(command)[0])
-    for name, value in {"nrmse_promised": promised, "nrmse_linear": linear_nrmse}.items():
+    promised = linear.yardstick.tap_error(linear.target, linear.stage.rollout(command)[0])
+    for name, value in {"tap_error_promised": promised, "tap_error_linear": linear_tap_error}.items():
         stored = float(getattr(library, name)[iv, ig])
         if not np.isclose(stored, value, rtol=tolerance, atol=ROUNDING, equal_nan=True):
             yield f"{name} says {stored:.6g}, recomputed {value:.6g}"

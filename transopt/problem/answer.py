@@ -1,5 +1,6 @@
 """What an answer to the problem consists of: status, multipliers, solution, certificate, verdict."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -11,10 +12,13 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE
 from transopt.problem.objective.bands import JUST_NOTICED_dB, Levels
+from transopt.problem.objective.figures import Figures
 from transopt.problem.problem import TransientProblem
 
 OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
-AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
+AT_FLOOR = 1e-3  # a tap error within 0.1 % of the floor is at the floor
+ENDS = 0.02  # a floor above it is that of a waveform which ends while a hand pushes
+NAMED = re.compile(r" (?=[-+<>=±\d])")  # behind the name of a limit that binds
 
 
 class Status(Enum):
@@ -207,24 +211,35 @@ class Certificate:
         return self.is_stationary and -self.GAP_TOLERANCE <= self.relative_bound <= self.BOUND_TOLERANCE
 
 
-def verdict(nrmse: float, floor: float, repeatability: float, levels: Levels) -> str:
-    """How good an entry is, in terms of what limits it or of what a hand can feel.
+def verdict(
+    figures: Figures, floor: float, repeatability: float, levels: Levels, binding: str, *, named: bool
+) -> str:
+    """How near an entry comes to the tap, what holds it back, and what a hand notices of it.
 
-    Hands know a surface by the intensity of the tap more than by its waveform, so that an entry which neither its
-    floor nor the recordings explain goes by that: within what is just noticed, or too weak, and in which band most.
-    A floor or recordings so poor that the intensity is off are called that too.
+    Hands know a surface by the intensity of the tap more than by its waveform, so that this comes first: within what
+    is just noticed, or too weak, and in which band most. A motor cannot hold the hand for ever: the waveform ends
+    while the hand still pushes, and so even the optimum without limits has an error, the floor.
 
     Parameters
     ----------
-    repeatability : trial-to-mean NRMSE of the recordings, NaN if unknown.
+    floor : tap error of the optimum without limits.
+    repeatability : trial-to-mean error of the recordings, NaN if unknown.
+    binding : the limits that bind, as `proof.certify.binding_limits` says.
+    named : whether it is for a named target, behind which there is no hand.
     """
-    off_dB = levels.felt_dB
-    heard = np.isnan(off_dB) or abs(off_dB) <= JUST_NOTICED_dB
-    off = "" if heard else f"too {'weak' if off_dB < 0 else 'strong'} by {abs(off_dB):.1f} dB, most {levels.where}"
-    if nrmse <= floor + AT_FLOOR:
-        said = "at its floor"
-    elif nrmse <= repeatability:
-        said = "below repeatability"
+    off_dB = levels.felt_dB if np.isnan(figures.felt_dB) else figures.felt_dB
+    if np.isnan(off_dB) or abs(off_dB) <= JUST_NOTICED_dB:
+        said = [f"felt within {JUST_NOTICED_dB:g} dB"]
     else:
-        return off or f"intensity within {JUST_NOTICED_dB:g} dB"
-    return f"{said}, {off}" if off else said
+        said = [f"too {'weak' if off_dB < 0 else 'strong'} by {abs(off_dB):.1f} dB, most {levels.where}"]
+    if figures.tap_error <= repeatability:
+        said.append("nearer than the recordings to each other")
+    elif figures.tap_error <= floor + AT_FLOOR:
+        ends = not named and floor > ENDS
+        said.append("at its floor" + (": the waveform ends while the hand pushes" if ends else ""))
+    elif binding not in ("", "none"):
+        limits = dict.fromkeys(NAMED.split(part)[0].strip() for part in binding.split("; "))
+        said.append(f"held back by {' and '.join(limits)}")
+    if figures.speed < 0:
+        said.append("the surface pulls")
+    return "; ".join(said)

@@ -10,6 +10,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion
 from transopt.plant.nonlinear_stage import Linearised, NonlinearStage
+from transopt.problem.objective.figures import Figures
 from transopt.problem.problem import TransientProblem
 
 
@@ -51,11 +52,10 @@ class NonlinearProblem:
         """What a command (N,) does."""
         return NonlinearEffect(self, command)
 
-    def nrmse(self, command: FloatArray) -> float:
-        """Error of a command (N,) on the nonlinear plant, by its stage; NaN where its motion has no value."""
+    def figures(self, command: FloatArray) -> Figures:
+        """Figures of a command (N,) on the nonlinear plant, by its stage; NaN where its motion has no value."""
         with np.errstate(all="ignore"):
-            error = self.linear.target.nrmse(self.stage.motion(command).acceleration_m_s2)
-        return error if np.isfinite(error) else float("nan")
+            return self.linear.figures(self.effect(command).lasting.acceleration_m_s2)
 
 
 class NonlinearEffect:

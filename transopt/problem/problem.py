@@ -16,6 +16,7 @@ from transopt.problem.after import Feedback
 from transopt.problem.limits.limit import Limit, Limits, Row
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.error_term import ErrorTerm
+from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.heat_price import HeatPrice
 from transopt.problem.objective.movement import Movement
 from transopt.problem.objective.target import Target
@@ -160,6 +161,11 @@ class TransientProblem:
         """The bound on |c| that every admissible command obeys."""
         return self.limits.command_bound(ideal=self.stage.amplifier is None)
 
+    @cached_property
+    def yardstick(self) -> Yardstick:
+        """By what a movement is told beside the recorded tap."""
+        return Yardstick(self.grid, self.intention_s)
+
     @property
     def reference_m_s2(self) -> FloatArray:
         """(N,) r - a_free within the window."""
@@ -227,6 +233,11 @@ class TransientProblem:
         """(S, N + M) y'' of every device, the entry's own first, through the window and after it."""
         lasting = self.continued(command)
         return np.stack([device.rollout(lasting)[0] for device in self.devices])
+
+    def figures(self, accelerations_m_s2: FloatArray) -> Figures:
+        """Figures of y'' (N + M,) of the own device beside the problem's target."""
+        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+            return self.yardstick.figures(self.target, accelerations_m_s2)
 
     def objective(
         self, command: FloatArray, accelerations_m_s2: FloatArray, plant_input: FloatArray | None = None

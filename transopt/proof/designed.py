@@ -20,7 +20,7 @@ class Attained:
     ----------
     asked_dB : energy within the window over that of r, both through the error filter, as the scene asks for it.
     energy_dB : what the entry has, the mean over its devices.
-    waveform_dB, waveform_nrmse : what the optimum of J alone has, and its NRMSE.
+    waveform_dB, waveform_tap_error : what the optimum of J alone has, and its tap error.
     price : lam of the entry; 0 where the optimum of J has what is asked.
     most : the largest lam that was allowed.
     problems : how many were solved for it, that at lam = 0 among them.
@@ -29,7 +29,7 @@ class Attained:
     asked_dB: float
     energy_dB: float
     waveform_dB: float
-    waveform_nrmse: float
+    waveform_tap_error: float
     price: float
     most: float
     problems: int
@@ -82,7 +82,7 @@ class Designed:
     certificate : of the answer for that whole problem.
     effect : what the answer's command does in it, on the nonlinear plant where there is one.
     unlimited_command : (N,) the optimum without limits.
-    floor : NRMSE of that optimum against the problem's target.
+    floor : tap error of that optimum against the problem's target.
     free_peak : its largest plant input [A or V].
     left_out : part -> why the problem that was solved does not have it.
     solved : the problem that a program was made of; None where one linear solve was enough.

@@ -20,6 +20,7 @@ from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.plant.state_space import VELOCITY
 from transopt.problem.limits.limit import Limits
 from transopt.problem.nonlinear import NonlinearProblem
+from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
 from transopt.proof.continuous import Trajectory, after_s, peak_scale
 from transopt.proof.replay import Replay, largest_reached
@@ -110,13 +111,13 @@ def _trajectory(stage: NonlinearStage, grid: TimeGrid, course: _Course) -> Traje
 def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) -> list[Replay]:
     """Play commands (N,) on the nonlinear plant, from rest, against what the problem asks for."""
     linear = problem.linear
-    return played_nonlinear(problem.stage, linear.stage, linear.grid, linear.target, linear.limits, commands)
+    return played_nonlinear(problem.stage, linear.stage, linear.yardstick, linear.target, linear.limits, commands)
 
 
 def played_nonlinear(
     stage: NonlinearStage,
     at_rest: StageModel,
-    grid: TimeGrid,
+    yardstick: Yardstick,
     target: Target,
     watched: Limits,
     commands: Sequence[FloatArray],
@@ -130,9 +131,10 @@ def played_nonlinear(
     ----------
     stage : whose plant and amplifier are played; its steps are not.
     at_rest : the linear device over one period, by whose outputs the limits are stated.
-    target : what shall be done. watched : limits that are looked at.
+    yardstick : by what they are compared. target : what shall be done. watched : limits that are looked at.
     """
-    N, played = grid.stages, np.stack(commands)
+    grid, played = yardstick.grid, np.stack(commands)
+    N = grid.stages
     after = np.zeros(grid.after_stages)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # If a motion has no value the states up to there tell their sizes; at tau_0 they are zero.
@@ -140,7 +142,9 @@ def played_nonlinear(
         if len(played) > 1 and not np.isfinite(states).all():
             # All commands share their steps, and one whose motion has no value would take the others with it.
             return [
-                found for each in played for found in played_nonlinear(stage, at_rest, grid, target, watched, [each])
+                found
+                for each in played
+                for found in played_nonlinear(stage, at_rest, yardstick, target, watched, [each])
             ]
         peaks = np.max([np.nanmax(np.abs(each), axis=0) for each in states], axis=0)
         sizes = np.where(peaks > 0, peaks, 1.0)
@@ -155,9 +159,7 @@ def played_nonlinear(
         Replay(
             acceleration_m_s2=found[m, :N],
             plant_input=run.plant_input[m, course.instants[:N]],
-            nrmse=target.nrmse(found[m, :N]),
-            nrmse_after=target.nrmse_after(found[m, N:]),
-            error_peak_after_m_s2=target.peak_after_m_s2(found[m, N:]),
+            figures=yardstick.figures(target, found[m]),
             after_m_s2=found[m, N:],
             peak_input=float(np.abs(run.plant_input[m]).max()),
             peak_command=float(np.abs(played[m]).max()),

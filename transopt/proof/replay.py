@@ -19,6 +19,7 @@ from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
 from transopt.problem.limits.limit import Limit, Limits, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
@@ -31,9 +32,7 @@ class Replay:
     Attributes
     ----------
     acceleration_m_s2, plant_input : (N,) y'' and i at the switching instants.
-    nrmse : of that acceleration against the reference, what no command can reach counted too (`Target.nrmse`).
-    nrmse_after, error_peak_after_m_s2 : sqrt(sum e^2 / E) and max |e| over the instants after the window that the
-        problem looks at.
+    figures : how near the stylus comes to the recorded tap.
     peak_input, peak_command : over all t.
     after_m_s2 : (M,) y'' at the instants after the window.
     after_peak_m_s2 : largest |y''| after the waveform (`continuous.after_s`), when no current flows any more.
@@ -50,9 +49,7 @@ class Replay:
 
     acceleration_m_s2: FloatArray
     plant_input: FloatArray
-    nrmse: float
-    nrmse_after: float
-    error_peak_after_m_s2: float
+    figures: Figures
     after_m_s2: FloatArray
     peak_input: float
     peak_command: float
@@ -104,15 +101,17 @@ class Replay:
         return found
 
 
-def replayed_errors(stage: StageModel, grid: TimeGrid, commands: FloatArray, targets: Sequence[Target]) -> FloatArray:
-    """(M,) NRMSE of M commands (M, N) against what they shall do, by the same simulation as `replay`."""
-    return errors_of(accurate(stage, grid, commands, None), grid, targets)
+def replayed_figures(
+    stage: StageModel, yardstick: Yardstick, commands: FloatArray, targets: Sequence[Target]
+) -> list[Figures]:
+    """Figures of M commands (M, N) beside what they shall do, by the same simulation as `replay`."""
+    return figures_of(accurate(stage, yardstick.grid, commands, None), yardstick, targets)
 
 
-def errors_of(simulated: Accurate, grid: TimeGrid, targets: Sequence[Target]) -> FloatArray:
-    """(M,) NRMSE of M commands that have been simulated against what they shall do."""
-    found = simulated.acceleration_m_s2[:, : grid.stages]
-    return np.array([target.nrmse(a) for a, target in zip(found, targets, strict=True)])
+def figures_of(simulated: Accurate, yardstick: Yardstick, targets: Sequence[Target]) -> list[Figures]:
+    """Figures of M commands that have been simulated beside what they shall do."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+        return [yardstick.figures(target, a) for a, target in zip(simulated.acceleration_m_s2, targets, strict=True)]
 
 
 def largest_reached(
@@ -213,6 +212,7 @@ def replay(
     count_m: float = 0.0,
     simulated: Accurate | None = None,
     spread: tuple[StageModel, ...] = (),
+    yardstick: Yardstick | None = None,
 ) -> list[Replay]:
     """Play M commands (M, N) through one device, from rest, and compare each with what it shall do.
 
@@ -229,6 +229,7 @@ def replay(
     simulated : these commands, where they have been simulated together with others.
     spread : further devices that the commands shall serve: limits on the motion are followed on each of them, by a
         simulation of its own, and everything else is of the first device.
+    yardstick : by what they are compared; by default a tap's intention of 30 ms.
     """
     if simulated is None:
         loop = None if walls is None else Loop(walls, count_m)
@@ -249,19 +250,12 @@ def replay(
             runs.append(fine(its_own.course(), its_own.flow, grid))
             step_error = np.maximum(step_error, its_own.step_error)
     reached = [({}, {})] * M if limits is None else largest_reached(runs, limits, (stage, *spread), grid)
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-        errors = [target.nrmse(own) for own, target in zip(acceleration, targets, strict=True)]
-        # What is not asked about after the window is not compared.
-        compared = [own[: target.after_m_s2.size] for own, target in zip(later, targets, strict=True)]
-        errors_after = [target.nrmse_after(own) for own, target in zip(compared, targets, strict=True)]
-        peaks_after = [target.peak_after_m_s2(own) for own, target in zip(compared, targets, strict=True)]
+    told = figures_of(found, Yardstick(grid) if yardstick is None else yardstick, targets)
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
             plant_input=current[m],
-            nrmse=errors[m],
-            nrmse_after=errors_after[m],
-            error_peak_after_m_s2=peaks_after[m],
+            figures=told[m],
             after_m_s2=later[m],
             peak_input=float(np.abs(run.plant_input[m]).max()),
             peak_command=float(np.abs(command[m]).max()),

@@ -21,6 +21,7 @@ from transopt.base.sizes import MOST_FILES
 from transopt.recordings.approach import GUARD_S, find_approach
 from transopt.recordings.formats import refuse_idle
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
+from transopt.recordings.pulling import pulled_back_after_s
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
@@ -300,6 +301,12 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     came = find_approach(upright, recording.position, onset, noise, settings.trusted_from_Hz, stated=stated)
     upright, offset = came.acceleration, offset - polarity * came.offset_error_m_s2
     more += came.notes
+    pulled_s = None if recording.position is None else pulled_back_after_s(recording.position, onset)
+    if pulled_s is not None:
+        more.append(
+            f"within {1e3 * pulled_s:.0f} ms of contact the hand pulls the stylus back, which raises the error above "
+            "30 Hz to 14 %: leave it out unless the player's hand pulls too"
+        )
     doubtful = "" if settings.simulated else implausible_time(raw)
     try:
         speed, source, unsure = incoming_speed(recording, onset)

@@ -22,7 +22,7 @@ ABSENT = "not stated"
 Node = tuple[str, ...]
 
 
-FIGURES = ("nrmse", "floor", "after_peak", "peak", "winding", "verdict")
+FIGURES = ("tap", "floor", "after_peak", "peak", "winding", "verdict")
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def comparison_summary(found: Comparison) -> str:
     said += [
         f"{len(nodes)} only in {name}" for name, nodes in (("A", found.only_first), ("B", found.only_second)) if nodes
     ]
-    change = {node: theirs.value("nrmse") - ours.value("nrmse") for node, (ours, theirs) in found.both.items()}
+    change = {node: theirs.value("tap") - ours.value("tap") for node, (ours, theirs) in found.both.items()}
     if change:
         worst = max(change, key=lambda node: abs(change[node]))
         place = worst[0] if len(worst) == 1 else f"{worst[0]} m/s and {worst[1]} N"

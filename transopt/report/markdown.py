@@ -176,7 +176,7 @@ def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
 def _priced(build: Build, *, full: bool) -> list[Entry]:
     """Entries whose prices are told: all, or the one that is farthest above its floor."""
     entries = [entry for entry in build.all_entries() if entry.admitted]
-    return entries if full else sorted(entries, key=lambda entry: entry.floor - entry.nrmse)[:1]
+    return entries if full else sorted(entries, key=lambda entry: entry.floor - entry.tap_error)[:1]
 
 
 def _price_lines(build: Build, *, full: bool) -> list[str]:
@@ -192,7 +192,7 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
         [
             *entry.cells,
             price.stated,
-            percent(price.nrmse),
+            percent(price.tap_error),
             price.more,
             _solved_percent(price.then, price.then),
             price.free_from,
@@ -223,7 +223,7 @@ def _weighted_lines(build: Build) -> list[str]:
     entries = list(build.all_entries())
     if all(term.error_filter is None for entry in entries for term in entry.problem.terms):
         return []
-    rows = [[*e.cells, percent(e.nrmse), percent(e.weighted_nrmse)] for e in entries]
+    rows = [[*e.cells, percent(e.tap_error), percent(e.weighted_tap_error)] for e in entries]
     return [
         "",
         "## Weighted error",
@@ -239,7 +239,7 @@ def _trade_lines(build: Build) -> list[str]:
     if library is None or not build.scene.targets:
         return []
     rows = [
-        [*entry.cells, percent(entry.nrmse), *trade_cells(trade_figures(library, iv, ig))]
+        [*entry.cells, percent(entry.tap_error), *trade_cells(trade_figures(library, iv, ig))]
         for iv, row in enumerate(build.entries)
         for ig, entry in enumerate(row)
     ]
@@ -367,13 +367,13 @@ def build_json(build: Build, *, full: bool = True) -> str:
             "shortfalls": e.shortfalls,
             "remedies": [asdict(remedy) for remedy in e.remedies],
             "verdict": e.verdict,
-            "nrmse": e.nrmse,
+            "tap_error": e.tap_error,
             "floor": e.floor,
             "baselines": asdict(e.baselines),
             "repeatability": e.repeatability,
             peak: e.played.peak_input,
             f"free_{peak}": e.free_peak,
-            "nrmse_after": e.played.nrmse_after,
+            "error_after": e.played.error_after,
             "peak_after_m_s2": e.played.error_peak_after_m_s2,
             "after_peak_m_s2": e.played.after_peak_m_s2,
             "winding_C": e.played.winding_C,
@@ -382,7 +382,7 @@ def build_json(build: Build, *, full: bool = True) -> str:
             "binding": e.binding,
             "prices": [asdict(price) for price in e.prices] if e in priced or not e.admitted else None,
             "size": None if e.size is None else asdict(e.size),
-            "weighted_nrmse": e.weighted_nrmse,
+            "weighted_tap_error": e.weighted_tap_error,
             "levels": levels_row(e.levels),
             "attained": None if e.attained is None else asdict(e.attained),
             "trade_off": trade_off_row(build, e) if full else None,

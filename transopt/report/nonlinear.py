@@ -95,11 +95,11 @@ def _figures(entry: Entry) -> dict[str, Any]:
         "target": entry.target,
         "status": entry.status.name.lower(),
         "shortfalls": refusals(entry),
-        "nrmse": entry.nrmse,
-        "nrmse_after": entry.played.nrmse_after,
+        "tap_error": entry.tap_error,
+        "error_after": entry.played.error_after,
         "linear_promised": entry.linear_promised,
-        "linear_nrmse": entry.linear_nrmse,
-        "linear_nrmse_after": entry.value("linear_after"),
+        "linear_tap_error": entry.linear_tap_error,
+        "linear_error_after": entry.value("linear_after"),
         "linear_leaves": entry.linear_leaves,
         "objective": c.objective,
         "relative_gap": c.relative_gap,
@@ -119,7 +119,7 @@ def refusals(entry: Entry) -> list[str]:
 
 def nonlinear_table(design: Build) -> EntryTable:
     """All targets with the linear design's errors; the figures of a refused one are shown too."""
-    names = ("linear", "nrmse", "linear_after", "after", "ms", "gap", "result")
+    names = ("linear", "tap", "linear_after", "after", "ms", "gap", "result")
     rows = [TableRow(e.cells, {name: e.value(name) for name in names}) for e in design.all_entries()]
     return EntryTable(design.scene.axes.columns, names, rows, design.scene.driven_by.unit)
 

@@ -82,11 +82,11 @@ def summary(build: Build) -> str:
             f"{len(build.refused)} of {len(entries)} entries refused; no library written, an earlier one is kept"
         )
     if admitted:
-        worst = max(admitted, key=lambda entry: entry.nrmse)
-        over = 100 * max(worst.nrmse - worst.floor, 0)
+        worst = max(admitted, key=lambda entry: entry.tap_error)
+        over = 100 * max(worst.tap_error - worst.floor, 0)
         said.append(
             f"{len(admitted)} of {len(entries)} entries certified and replayed: NRMSE "
-            f"{percent(min(entry.nrmse for entry in admitted))} to {percent(worst.nrmse)} % (worst at "
+            f"{percent(min(entry.tap_error for entry in admitted))} to {percent(worst.tap_error)} % (worst at "
             f"{worst.place}: {over:.2f} points over its "
             f"floor), gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
@@ -168,18 +168,18 @@ def library_table(library: Library, name: str) -> Table:
 
     A library of a nonlinear plant has the linear design's error beside its own, and says below what is proven.
     """
-    before, after = ("nrmse", "floor", "after", "after_peak", "seed", "clipped"), ("peak", "winding", "gap", "ms")
+    before, after = ("tap", "floor", "after", "after_peak", "seed", "clipped"), ("peak", "winding", "gap", "ms")
     names = (*before, *(("linear",) if library.nonlinear else ()), *after, "binding", "verdict")
     return printed(library.table(names), name, caption=library.claim or None, columns=library.grips_N.size)
 
 
 def verify_table(checked: Sequence[Entry], name: str) -> Table:
     """The table that `transopt verify` prints; the figures of an entry that falls short are shown too."""
-    names = ("nrmse", "peak", "violation", "gap", "result")
+    names = ("tap", "peak", "violation", "gap", "result")
     unit = checked[0].unit
     rows = []
     for entry in checked:
-        values = {column: entry.value(column) for column in ("nrmse", "peak", "gap")}
+        values = {column: entry.value(column) for column in ("tap", "peak", "gap")}
         values |= {"violation": entry.certificate.violation(unit)}
         values |= {"result": "; ".join(entry.shortfalls) or "certified, replayed clean"}
         rows.append(TableRow(entry.cells, values))

@@ -59,9 +59,9 @@ def drive_table(library: Library, left: Sequence[PlayedDrive]) -> Table:
         drive = each.drive
         table.add_row(
             *library.axes.cells(drive.iv, drive.ig),
-            f"{100 * each.nrmse_designed:.3f}",
-            f"{100 * each.nrmse:.3f}",
-            percent(each.nrmse_after),
+            f"{100 * each.tap_error_designed:.3f}",
+            f"{100 * each.tap_error:.3f}",
+            percent(each.error_after),
             str(drive.saturated),
             f"{drive.peak:.3f}",
             *trade_cells(each.figures),

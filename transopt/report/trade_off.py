@@ -37,7 +37,7 @@ def trade_off_lines(build: "Build") -> list[str]:
     ]
     for each in found:
         for name, point in (("waveform", each.waveform), ("intensity", each.intensity)):
-            cells = [*each.cells, name, f"{point.price:.3g}", percent(point.nrmse)]
+            cells = [*each.cells, name, f"{point.price:.3g}", percent(point.tap_error)]
             thirds = [point.levels.thirds_dB.get(band, np.nan) for band in bands]
             cells += map(_dB, (point.levels.broadband_dB, point.levels.pacinian_dB, point.levels.below_dB, *thirds))
             lines.append("| " + " | ".join(cells) + " |")

@@ -37,15 +37,15 @@ def trade_off_figure(build: "Build") -> Figure:
     lines = []
     for each in found:
         i, j = speeds.index((each.speed_m_s, each.cells[0])), grips.index(each.grip_N)
-        dB, error = ([getattr(p, name) for p in each.path] for name in ("energy_dB", "nrmse"))
+        dB, error = ([getattr(p, name) for p in each.path] for name in ("energy_dB", "tap_error"))
         drawn: dict[str, Any] = {"color": shades[i], "linewidth": 1.2}
         label = each.place
         (line,) = axes.plot(dB, 100 * np.array(error), linestyle=dashes[j % len(dashes)], label=label, **drawn)
         lines.append(line)
         for point, marker in ((each.waveform, "o"), (each.intensity, "s")):
-            axes.plot([point.energy_dB], [100 * point.nrmse], marker=marker, markersize=5, linestyle="", **drawn)
+            axes.plot([point.energy_dB], [100 * point.tap_error], marker=marker, markersize=5, linestyle="", **drawn)
     axes.set_xlim(*_shown(found))
-    within = [100 * p.nrmse for each in found for p in each.path if p.energy_dB <= axes.get_xlim()[1]]
+    within = [100 * p.tap_error for each in found for p in each.path if p.energy_dB <= axes.get_xlim()[1]]
     axes.set_ylim(0.0, 1.08 * max(within))
     axes.set_xlabel("energy within the window over that of the recorded tap [dB]", fontsize=LABEL_PT)
     axes.set_ylabel("NRMSE as predicted [%]", fontsize=LABEL_PT)

@@ -21,10 +21,13 @@ OUTCOME = _outcome()
 VIOLATIONS = ("violation_A", "violation_V", "violation_K")
 # What an inverse question may require a bound of.
 MEASURES = (
-    "nrmse",
-    "weighted_nrmse",
+    "tap_error",
+    "felt_error",
+    "felt_dB",
+    "speed_change",
+    "bump_m_s2",
+    "heat_A2_s",
     "energy_dB",
-    "pacinian_dB",
     "waveform_dB",
     "intensity",
     "floor",

@@ -103,7 +103,7 @@ def entry_lines(axes: Axes, plan: Plan, x: FloatArray, values: FloatArray) -> No
 def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
     """NRMSE and floor over one key: a panel per grip, a line per speed."""
     axis, grips, speeds = plan.axes[0], plan.grips_N, plan.speeds_m_s
-    error, floor = (100 * entry_grid(plan, rows, column) for column in ("nrmse", "floor"))
+    error, floor = (100 * entry_grid(plan, rows, column) for column in ("tap_error", "floor"))
     shade = colours(len(speeds))
     figure, panels = panels_of(len(grips), 4, 2.3, 0.9, share_x=True)
     for ig, (axes, grip) in enumerate(zip(panels.flat, grips, strict=False)):
@@ -161,7 +161,7 @@ def percent_norm(percent: FloatArray) -> LogNorm:
 def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
     """NRMSE over two keys: a heat map per entry, or of the worst entry where there are many."""
     down, across = plan.axes
-    error = 100 * entry_grid(plan, rows, "nrmse")
+    error = 100 * entry_grid(plan, rows, "tap_error")
     speeds, grips = plan.speeds_m_s, plan.grips_N
     if plan.entries_per_point > MOST_PANELS:
         # An entry that is refused makes a point refused.
@@ -203,7 +203,7 @@ def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
         for name in names:
             own = [row for row in there if entry_cells(row)[0] == name]
             x = [places[row[axis.key]] if row[axis.key] in places else float(row[axis.key]) for row in own]
-            y = [100 * number(row, "nrmse") for row in own]
+            y = [100 * number(row, "tap_error") for row in own]
             axes.plot(
                 x, y, linestyle="", marker="o", markersize=size, color=shade[name], alpha=0.6, markeredgewidth=0
             )
@@ -232,7 +232,7 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
     axes = figure.subplots()
     style(axes)
     entries = list(dict.fromkeys((row["target"] or row["speed_m_s"], row["grip_N"]) for row in found.tried[0].rows))
-    scale = 100.0 if "nrmse" in requirement.measure or requirement.measure == "floor" else 1.0
+    scale = 100.0 if "tap_error" in requirement.measure or requirement.measure == "floor" else 1.0
     x = [tried.value for tried in found.tried]
     shade, dashes = ({text: j for j, text in enumerate(dict.fromkeys(each))} for each in zip(*entries, strict=True))
     by_speed = colours(len(shade))

@@ -27,14 +27,14 @@ class Played:
     ----------
     speed_m_s : of the tap.
     made_for_N, played_at_N : grip of the command, and of the hand.
-    nrmse : after replay, as a share of 1.
+    tap_error : after replay, as a share of 1.
     excess : of that over the NRMSE of the optimum for the hand's own grip.
     """
 
     speed_m_s: float
     made_for_N: float
     played_at_N: float
-    nrmse: float
+    tap_error: float
     excess: float
 
 
@@ -79,14 +79,14 @@ def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GR
             line = [p for p in own if p.made_for_N == grip]
             axes.plot(
                 [p.played_at_N for p in line],
-                [100 * p.nrmse for p in line],
+                [100 * p.tap_error for p in line],
                 color=colour,
                 linewidth=1.2,
                 marker="o",
                 markersize=2.5,
             )
         best = [p for p in own if p.made_for_N == p.played_at_N]
-        axes.plot([p.played_at_N for p in best], [100 * p.nrmse for p in best], color=SEED, linewidth=1.6)
+        axes.plot([p.played_at_N for p in best], [100 * p.tap_error for p in best], color=SEED, linewidth=1.6)
         axes.set_title(f"{speed:g} m/s", fontsize=LABEL_PT)
         axes.set_xlabel("grip of the hand [N]", fontsize=LABEL_PT)
         percent_axis(axes)
@@ -101,7 +101,7 @@ def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GR
 def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
     """The finding."""
     blind = [p for p in found if p.made_for_N == blind_N]
-    worst = max(blind, key=lambda p: p.nrmse)
+    worst = max(blind, key=lambda p: p.tap_error)
     near = [
         p
         for p in found
@@ -109,9 +109,9 @@ def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
         == min(abs(q.made_for_N - q.played_at_N) for q in found if q.made_for_N != q.played_at_N)
     ]
     return (
-        f"A library for {blind_N:g} N alone errs by up to {100 * worst.nrmse:.0f} % at {worst.played_at_N:g} N "
+        f"A library for {blind_N:g} N alone errs by up to {100 * worst.tap_error:.0f} % at {worst.played_at_N:g} N "
         f"({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
-        f"{100 * (worst.nrmse - worst.excess):.1f} %; a grip misread by "
+        f"{100 * (worst.tap_error - worst.excess):.1f} %; a grip misread by "
         f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to "
         f"{100 * max(p.excess for p in near):.1f} percentage points."
     )

@@ -46,7 +46,7 @@ class Requirement:
 
 
 def parse_requirement(text: str) -> Requirement:
-    """`nrmse<=0.10` and the like.
+    """`tap_error<=0.10` and the like.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def parse_requirement(text: str) -> Requirement:
     except ValueError:
         bound = math.nan
     if found is None or not math.isfinite(bound):
-        raise InputError(f"--require {text}: must be MEASURE<=NUMBER or MEASURE>=NUMBER, as nrmse<=0.10")
+        raise InputError(f"--require {text}: must be MEASURE<=NUMBER or MEASURE>=NUMBER, as tap_error<=0.10")
     if found[1] not in MEASURES:
         raise InputError(
             f"--require {text}: {found[1]}: no such measure{did_you_mean(found[1], MEASURES)}; "

@@ -80,7 +80,7 @@ class Selection:
 
     def errors(self) -> FloatArray:
         """(motors, ratios, speeds, grips) NRMSE; NaN where there is no certified answer."""
-        return np.stack([entry_grid(plan, rows, "nrmse") for plan, rows in self.studies.values()])
+        return np.stack([entry_grid(plan, rows, "tap_error") for plan, rows in self.studies.values()])
 
     @property
     def ratios(self) -> Axis:
@@ -196,7 +196,7 @@ def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
     motor = plan.scene.motor
     assert motor is not None
     measures = (
-        ("nrmse", 100.0, "NRMSE [%]", None),
+        ("tap_error", 100.0, "NRMSE [%]", None),
         ("peak_input", 1.0, "peak current [A]", plan.scene.limits.transient_input),
         ("peak_voltage_V", 1.0, "peak voltage [V]", plan.scene.limits.supply_V),
         ("peak_temperature_C", 1.0, "winding [C]", motor.winding_max_C),

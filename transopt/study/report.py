@@ -51,7 +51,7 @@ def shown_row(row: Row) -> TableRow:
     """What the table shows of a row."""
     refused = row["status"] == REFUSED
     values = {
-        "nrmse": number(row, "nrmse"),
+        "tap": number(row, "tap_error"),
         "floor": number(row, "floor"),
         "peak": number(row, "peak_input"),
         "winding": number(row, "peak_temperature_C"),
@@ -63,7 +63,7 @@ def shown_row(row: Row) -> TableRow:
     return TableRow(place_cells(row), values, row["reason"] if refused else "")
 
 
-COLUMNS = ("nrmse", "floor", "peak", "winding", "largest_multiplier", "gap", "ms", "binding")
+COLUMNS = ("tap", "floor", "peak", "winding", "largest_multiplier", "gap", "ms", "binding")
 
 
 def rows_table(rows: Sequence[Row], keys: Sequence[str], unit: str) -> list[str]:
@@ -115,7 +115,7 @@ def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
             if not own:
                 lines.append([*place, "0", "-", "-", "-", "-"])
                 continue
-            errors = [number(row, "nrmse") for row in own]
+            errors = [number(row, "tap_error") for row in own]
             best = own[int(np.argmin(errors))]
             at = ", ".join(f"{axis.key} = {best[axis.key]}" for axis in plan.axes)
             cells = [percent(value) for value in (min(errors), float(np.median(errors)), max(errors))]

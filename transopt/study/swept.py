@@ -46,7 +46,7 @@ class Swept:
 
 
 def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    names = ("nrmse", "floor", "free_peak", "pacinian_dB")
+    names = ("tap_error", "floor", "free_peak", "felt_dB")
     error, floor, needed, felt = (entry_grid(plan, rows, name) for name in names)
     limits = plan.axes[0].values
     cut = int(np.sum(needed[0] > limits[0]))
@@ -63,7 +63,7 @@ def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def intensity_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    names = ("energy_dB", "waveform_dB", "nrmse", "free_peak")
+    names = ("energy_dB", "waveform_dB", "tap_error", "free_peak")
     energy, wave, error, needed = (entry_grid(plan, rows, name) for name in names)
     limits = np.array(plan.axes[0].values)
     asked_dB = plan.scene.weights.intensity_dB
@@ -89,7 +89,7 @@ def intensity_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     limits = np.array(plan.axes[0].values)
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")
     panels = figure.subplots(1, 2)
-    drawn = (entry_grid(plan, rows, "waveform_dB"), 100 * entry_grid(plan, rows, "nrmse"))
+    drawn = (entry_grid(plan, rows, "waveform_dB"), 100 * entry_grid(plan, rows, "tap_error"))
     words = ("energy of the nearest waveform [dB]", "NRMSE with the energy asked for [%]")
     for axes, values, label in zip(panels, drawn, words, strict=True):
         style(axes)
@@ -102,7 +102,7 @@ def intensity_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
 
 
 def bandwidth_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    error = entry_grid(plan, rows, "nrmse")
+    error = entry_grid(plan, rows, "tap_error")
     poles = plan.axes[0].values
     worse = (error - error[-1]).max(axis=(1, 2))
     enough = next(f for j, f in enumerate(poles) if np.all(worse[j:] <= 0.01))
@@ -116,7 +116,7 @@ def bandwidth_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def lead_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    error = entry_grid(plan, rows, "nrmse")
+    error = entry_grid(plan, rows, "tap_error")
     leads = plan.axes[0].values
     slow = error[:, 0].max(axis=1)
     best = int(np.argmin(slow))
@@ -132,7 +132,7 @@ def lead_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
     used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
-    error = entry_grid(plan, rows, "nrmse")
+    error = entry_grid(plan, rows, "tap_error")
     rates = plan.axes[0].values
     at = np.unravel_index(int(np.nanargmax(used[0] - used[-1])), used[-1].shape)
     beta, own = used[:, at[0], at[1]], error[:, at[0], at[1]]
@@ -149,7 +149,7 @@ def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
 def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     """Beta that the optimum uses, and its error, over the tap rate; a line per entry."""
     used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
-    error = 100 * entry_grid(plan, rows, "nrmse")
+    error = 100 * entry_grid(plan, rows, "tap_error")
     rates = plan.axes[0].values
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")
     panels = figure.subplots(1, 2)

@@ -28,13 +28,13 @@ class Found:
     words: str
 
 
-def asked(service: Service, index: int, control: Control, nrmse: float) -> Found:
+def asked(service: Service, index: int, control: Control, tap_error: float) -> Found:
     """The least value of a key at which one tap has at most this NRMSE, every value solved and certified.
 
     Parameters
     ----------
     control : of the number that is asked for; its slider is the range.
-    nrmse : 0.05 for 5 %.
+    tap_error : 0.05 for 5 %.
 
     Raises
     ------
@@ -42,8 +42,8 @@ def asked(service: Service, index: int, control: Control, nrmse: float) -> Found
     """
     if control.choices:
         raise InputError(f"{control.key}: a choice and no number: ask about a limit")
-    if not 0 < nrmse < 1:
-        raise InputError(f"error {100 * nrmse:g} %: must be between 0 and 100 %")
+    if not 0 < tap_error < 1:
+        raise InputError(f"error {100 * tap_error:g} %: must be between 0 and 100 %")
     place, reference = service.places[index], service.reference(service.places[index])
     question = Question(
         find_key(service.scene, control.key),
@@ -51,7 +51,7 @@ def asked(service: Service, index: int, control: Control, nrmse: float) -> Found
         control.high,
         max(PRECISION * control.start, 1.0 if control.integer else 0.0),
         greatest=False,
-        requirements=(Requirement("nrmse", at_most=True, bound=nrmse),),
+        requirements=(Requirement("tap_error", at_most=True, bound=tap_error),),
     )
 
     def row(value: float) -> Row:
@@ -61,18 +61,23 @@ def asked(service: Service, index: int, control: Control, nrmse: float) -> Found
             posed = service.context.varied(scene).posed_as(reference, place.grip_N)
             (found,) = design([posed], options=service.trial)
         except InputError as error:
-            return {**cells, "status": "REFUSED", "reason": str(error), "nrmse": ""}
+            return {**cells, "status": "REFUSED", "reason": str(error), "tap_error": ""}
         if found.solution.status is not Status.OPTIMAL or not found.certificate.accepted:
             said = found.solution.status.value
-            return {**cells, "status": Status.NOT_CERTIFIED.name, "reason": said, "nrmse": ""}
-        return {**cells, "status": OPTIMAL, "reason": "", "nrmse": repr(found.told.nrmse(found.predicted_m_s2))}
+            return {**cells, "status": Status.NOT_CERTIFIED.name, "reason": said, "tap_error": ""}
+        return {
+            **cells,
+            "status": OPTIMAL,
+            "reason": "",
+            "tap_error": repr(found.problem.yardstick.tap_error(found.told, found.predicted_m_s2)),
+        }
 
     answered = answer(question, lambda values: [[row(value)] for value in values])
     unit = f" {control.unit}" if control.unit else ""
-    wanted = f"{place.title}: an error of at most {100 * nrmse:.3g} %"
+    wanted = f"{place.title}: an error of at most {100 * tap_error:.3g} %"
     if answered.met is None:
         nearest = min(answered.tried, key=lambda tried: tried.excess)
-        reached = nearest.rows[0]["nrmse"]
+        reached = nearest.rows[0]["tap_error"]
         how_near = f"; the nearest is {100 * float(reached):.3g} % at {nearest.value:.4g}{unit}" if reached else ""
         return Found(
             None,

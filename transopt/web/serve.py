@@ -87,7 +87,7 @@ class Page:
         entries = [service.entry(index) for index in places]
         width = len(axes.grips_N)
         figure = entries_figure([entries[at : at + width] for at in range(0, len(entries), width)])
-        names = ("nrmse", "floor", "binding", "verdict")
+        names = ("tap", "floor", "binding", "verdict")
         shown = EntryTable(axes.columns, names, entries, service.scene.driven_by.unit)
         return html_table(repr(self), shown.heads, shown.cells) + html_figure(figure)
 

@@ -100,7 +100,7 @@ class Shown:
     certified : whether the project's certificate is accepted; what is not is greyed.
     replayed : whether it is admitted too, as an entry of a library is.
     reason : why it is not certified; empty if it is.
-    nrmse, floor, clipped : NRMSE of the optimum, without limits, and of the clipped inversion.
+    tap_error, floor, clipped : NRMSE of the optimum, without limits, and of the clipped inversion.
     energy_dB : of the optimum over the recorded tap within the window.
     after : NRMSE after the window. after_peak_g : largest error there.
     binds : what holds it back, in words.
@@ -113,7 +113,7 @@ class Shown:
     certified: bool
     replayed: bool
     reason: str
-    nrmse: float
+    tap_error: float
     floor: float
     clipped: float
     energy_dB: float
@@ -314,11 +314,11 @@ class Service:
             certified=admitted,
             replayed=admitted,
             reason=reason,
-            nrmse=entry.nrmse if admitted else np.nan,
+            tap_error=entry.tap_error if admitted else np.nan,
             floor=entry.floor,
             clipped=entry.baselines.clipped,
             energy_dB=entry.energy_dB if admitted else np.nan,
-            after=played.nrmse_after if admitted else np.nan,
+            after=played.error_after if admitted else np.nan,
             after_peak_g=played.error_peak_after_m_s2 / STANDARD_GRAVITY_M_S2 if admitted else np.nan,
             binds=entry.binding if admitted else "",
             price=entry.prices[0].sentence if entry.prices else "",
@@ -492,11 +492,11 @@ def _shown(index: int, entry: Entry, *, words: bool) -> Shown:
         certified=certified,
         replayed=False,
         reason="" if certified else said,
-        nrmse=target.nrmse(optimum[:N]) if certified else np.nan,
+        tap_error=target.tap_error(optimum[:N]) if certified else np.nan,
         floor=entry.floor,
-        clipped=target.nrmse(clipped_m_s2[:N]),
+        clipped=target.tap_error(clipped_m_s2[:N]),
         energy_dB=entry.energy_dB if certified and words else np.nan,
-        after=target.nrmse_after(optimum[N:]) if certified else np.nan,
+        after=target.error_after(optimum[N:]) if certified else np.nan,
         after_peak_g=target.peak_after_m_s2(optimum[N:]) / STANDARD_GRAVITY_M_S2 if certified else np.nan,
         binds=entry.binding if certified and words else "",
         curves=curves,

@@ -180,7 +180,7 @@ class Session:
         if control is None:
             raise InputError(f"{message['key']}: no slider of this scene")
         self._say({"type": "progress", "words": "searching the limit", "done": 0, "of": 1})
-        found = asked(service, self._index(message), control, float(message["nrmse"]))
+        found = asked(service, self._index(message), control, float(message["tap_error"]))
         self._say({"type": "answer", "key": control.key, "value": found.value, "words": found.words})
 
     def _index(self, message: Message) -> int:

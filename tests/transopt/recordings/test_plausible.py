@@ -11,7 +11,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
 from transopt.recordings.plausible import pulse_length_s
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import assign
+from transopt.recordings.references import assign
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import prepare, read_recordings
 from transopt.scene.recordings import recordings_of

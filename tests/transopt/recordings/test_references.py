@@ -10,8 +10,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import COURSES, Reference
-from transopt.recordings.references import References, assign, grip_groups
-from transopt.recordings.tap import prepare
+from transopt.recordings.references import References, grip_groups
 from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
@@ -149,10 +148,3 @@ class TestWithoutGrip:
         found = references_of(coupled, blind)
         known = [found.at(v, 1.0).slow_part_known for v in (0.1, 0.15, 0.2, 0.3)]
         assert known == [False, False, True, True]
-
-
-class TestAssign:
-    def test_a_tap_goes_to_its_speed_scaled(self, scene: Scene, taps: list[Recording]) -> None:
-        prepared = [prepare(replace(tap, speed_m_s=v), scene.recordings) for tap, v in zip(taps, (0.19, 0.42))]
-        groups = assign(prepared, [0.2, 0.4], scene.recordings)
-        assert [factor for ((_, factor),) in groups] == [pytest.approx(0.2 / 0.19), pytest.approx(0.4 / 0.42)]

@@ -90,6 +90,16 @@ class Target:
         r = self.window_m_s2
         return self.is_zero or float(r @ r) < ZERO_M_S2**2 * r.size
 
+    @cached_property
+    def recorded_m_s2(self) -> FloatArray:
+        """(L + N + M,) r there, the whole acceleration that the stylus shall have."""
+        return np.asarray(self.whole_m_s2 + self.free_m_s2)
+
+    def of_window(self, whole: FloatArray) -> FloatArray:
+        """(N,) the samples of the window among (L + N + M,)."""
+        lost = self.before_m_s2.size
+        return whole[lost : lost + self.window_m_s2.size]
+
     def moved(self, by_m_s2: FloatArray) -> "Target":
         """Add (N,) to the window: what a device has to be asked for so that it makes r."""
         return replace(self, window_m_s2=self.window_m_s2 + by_m_s2)
@@ -111,26 +121,3 @@ class Target:
     def continued_m_s2(self) -> FloatArray:
         """(N + M,) r - a_free in the window and after it."""
         return np.append(self.window_m_s2, self.after_m_s2)
-
-    def nrmse(self, acceleration_m_s2: FloatArray) -> float:
-        """sqrt((lost + sum_(k<N) (y''_k - r_k)^2) / E) of (N,) accelerations.
-
-        Of a tap that is zero: 0 where nothing moves, else infinite.
-        """
-        error, asked = acceleration_m_s2 - self.window_m_s2, np.append(self.before_m_s2, self.window_m_s2)
-        squares, energy = float(self.before_m_s2 @ self.before_m_s2 + error @ error), float(asked @ asked)
-        if energy == 0:
-            return 0.0 if squares == 0 else float("inf")
-        return float(np.sqrt(squares / energy))
-
-    def nrmse_after(self, acceleration_m_s2: FloatArray) -> float:
-        """sqrt(sum_(j<M) e^2 / E) of (M,) accelerations after the window; 0 where none are looked at."""
-        error, asked = acceleration_m_s2 - self.after_m_s2, np.append(self.before_m_s2, self.window_m_s2)
-        squares, energy = float(error @ error), float(asked @ asked)
-        if energy == 0:
-            return 0.0 if squares == 0 else float("inf")
-        return float(np.sqrt(squares / energy))
-
-    def peak_after_m_s2(self, acceleration_m_s2: FloatArray) -> float:
-        """Largest error after the window, of (M,) accelerations there; 0 where none are looked at."""
-        return float(np.abs(acceleration_m_s2 - self.after_m_s2).max(initial=0.0))

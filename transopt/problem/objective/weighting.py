@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -73,6 +74,35 @@ def highpass(from_Hz: float, dt_s: float) -> ErrorFilter:
     scale = 1 + np.sqrt(2) * w + w * w
     a = np.array([1.0, 2 * (w * w - 1) / scale, (1 - np.sqrt(2) * w + w * w) / scale])
     return ErrorFilter(np.array([1.0, -2.0, 1.0]) / scale, a)
+
+
+@lru_cache(maxsize=8)
+def bandpass(low_Hz: float, high_Hz: float, dt_s: float, order: Literal[1, 2]) -> tuple[ErrorFilter, ...]:
+    """Butterworth band-pass by the bilinear transform, as second-order sections one behind the other.
+
+    The prototype's poles go to those of the band by s -> (s^2 + w0^2) / (bw s), with the edges prewarped.
+
+    Parameters
+    ----------
+    low_Hz, high_Hz : edges, where it has lost 3 dB; below half the servo rate.
+    order : of the prototype and number of sections, 1 or 2.
+    """
+    low, high = (np.tan(np.pi * edge * dt_s) for edge in (low_Hz, high_Hz))
+    width, middle = high - low, low * high
+    if order == 1:
+        pairs = [np.roots([1.0, width, middle])]
+    else:
+        # Each root of one of the prototype's two conjugate poles stands for a pair.
+        pairs = [np.array([root, root.conj()]) for root in np.roots([1.0, -width * np.exp(0.75j * np.pi), middle])]
+    sections = []
+    centre = np.exp(2j * np.arctan(np.sqrt(middle)))
+    for pair in pairs:
+        z = (1 + pair) / (1 - pair)
+        a = np.array([1.0, -float(np.real(z.sum())), float(np.real(z.prod()))])
+        b = np.array([1.0, 0.0, -1.0])
+        gain = abs(np.polyval(b, centre) / np.polyval(a, centre))
+        sections.append(ErrorFilter(b / gain, a))
+    return tuple(sections)
 
 
 @lru_cache(maxsize=8)  # every entry's verdict asks for it

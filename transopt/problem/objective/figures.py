@@ -1,0 +1,140 @@
+"""How near a movement comes to the recorded tap: the figures that every table, report and verdict tell.
+
+What is compared is a = y'' + a_free, the whole acceleration of the stylus, with r as it was recorded, whatever the
+objective weighs. Samples run from contact, or from tau_0 where that comes first, to the end of the tail; the L that
+no command can reach are among them.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transopt.base.signals import FloatArray
+from transopt.plant.discretise import TimeGrid
+from transopt.plant.intention import INTENTION_S
+from transopt.problem.objective.target import Target
+from transopt.problem.objective.weighting import ErrorFilter, bandpass
+
+NAN = float("nan")
+FELT_Hz = (120.0, 620.0)  # band of first order in which vibration is felt, whatever filter an objective has
+BUMP_Hz = (10.0, 60.0)  # band of second order in which a surface that lets go is noticed
+ROUNDING_s = 1e-9
+STILL = 1e-3  # of the integral of |r|: a change of speed that is none
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What is told of one movement beside the recorded tap.
+
+    Attributes
+    ----------
+    tap_error : |a - r| / |r| over the intention, nothing filtered.
+    felt_error : |B (a - r)| / |B r| over all samples, B the band-pass of 120 to 620 Hz; NaN at a servo rate that
+        cannot carry it.
+    felt_dB : energy of B a over that of B r [dB].
+    speed : change of speed over the intention, of a over that of r: 1 is a surface as hard as the real one, and below
+        0 the surface pulls. NaN for a target that changes no speed.
+    bump_m_s2 : peak of the error in 10 to 60 Hz after the intention, when the surface lets go; NaN for a named
+        target, and where nothing is looked at there.
+    error_after : |a - r| over the tail, over |r| of the intention.
+    peak_after_m_s2 : largest |a - r| over the tail.
+    """
+
+    tap_error: float
+    felt_error: float
+    felt_dB: float
+    speed: float
+    bump_m_s2: float
+    error_after: float
+    peak_after_m_s2: float
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """By what a movement is told.
+
+    Attributes
+    ----------
+    grid : where accelerations are sampled.
+    intention_s : for so long after contact a tap is compared as it is; a named target for its whole window.
+    """
+
+    grid: TimeGrid
+    intention_s: float = INTENTION_S
+
+    @cached_property
+    def _felt(self) -> tuple[ErrorFilter, ...]:
+        return bandpass(*FELT_Hz, self.grid.dt_s, 1) if 2 * FELT_Hz[1] * self.grid.dt_s < 1 else ()
+
+    @cached_property
+    def _bump(self) -> tuple[ErrorFilter, ...]:
+        return bandpass(*BUMP_Hz, self.grid.dt_s, 2) if 2 * BUMP_Hz[1] * self.grid.dt_s < 1 else ()
+
+    def _instants_s(self, lost: int) -> FloatArray:
+        """(L + N + M,) tau."""
+        grid = self.grid
+        count = np.arange(-lost, grid.stages + grid.after_stages)
+        return np.asarray(grid.switching_times_s[0] + grid.dt_s * count)
+
+    def _first(self, lost: int, count: int) -> NDArray[np.bool_]:
+        """(count,) which samples are of the intention."""
+        tau = self._instants_s(lost)[:count]
+        return np.asarray((tau >= -ROUNDING_s) & (tau < self.intention_s - ROUNDING_s))
+
+    def tap_error(self, target: Target, acceleration_m_s2: FloatArray) -> float:
+        """`Figures.tap_error` alone, of y'' (K,) from tau_0 on, K at least the samples of the window."""
+        recorded, lost = target.recorded_m_s2, target.before_m_s2.size
+        first = self._first(lost, recorded.size)
+        made = np.append(np.zeros(lost), acceleration_m_s2)
+        made = np.append(made, np.zeros(max(recorded.size - made.size, 0)))[: recorded.size] + target.free_m_s2
+        return _over(float(np.linalg.norm((made - recorded)[first])), float(np.linalg.norm(recorded[first])))
+
+    def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
+        """Figures of y'' (K,) from tau_0 on, K the samples of the target's window and tail or more.
+
+        Of a tap that is zero the errors are 0 where nothing moves, else infinite.
+        """
+        lost = target.before_m_s2.size
+        free, recorded = target.free_m_s2, target.recorded_m_s2
+        made = free.copy()
+        made[lost:] += acceleration_m_s2[: made.size - lost]
+        off = made - recorded
+        tau = self._instants_s(lost)[: off.size]
+        first = self._first(lost, off.size)
+        tail = off[lost + target.window_m_s2.size :]
+        size = float(np.linalg.norm(recorded[first]))
+        heard_off, heard_made, heard = (_through(self._felt, each) for each in (off, made, recorded))
+        named = self.intention_s >= self.grid.end_s - ROUNDING_s
+        later = tau >= self.intention_s - ROUNDING_s
+        change, swept = float(np.sum(recorded[first])), float(np.sum(np.abs(recorded[first])))
+        return Figures(
+            tap_error=_over(float(np.linalg.norm(off[first])), size),
+            felt_error=_over(float(np.linalg.norm(heard_off)), float(np.linalg.norm(heard))) if self._felt else NAN,
+            felt_dB=_dB(float(heard_made @ heard_made), float(heard @ heard)) if self._felt else NAN,
+            speed=NAN if abs(change) <= STILL * swept else float(np.sum(made[first])) / change,
+            bump_m_s2=NAN
+            if named or not later.any() or not self._bump
+            else float(np.abs(_through(self._bump, off)[later]).max()),
+            error_after=_over(float(np.linalg.norm(tail)), size),
+            peak_after_m_s2=float(np.abs(tail).max(initial=0.0)),
+        )
+
+
+def _through(filters: tuple[ErrorFilter, ...], course: FloatArray) -> FloatArray:
+    for each in filters:
+        course = each.apply(course)
+    return course
+
+
+def _over(error: float, size: float) -> float:
+    if size == 0:
+        return 0.0 if error == 0 else float("inf")
+    return error / size
+
+
+def _dB(made: float, wanted: float) -> float:
+    if not wanted > 0:
+        return NAN
+    return float(10 * np.log10(max(made / wanted, np.finfo(float).tiny)))
