@@ -27,7 +27,6 @@ class TradeFigures:
 
     Attributes
     ----------
-    tap_error : of a against r in the window (`Target.tap_error`), which the trade does not state.
     peak_m_s2 : max |a|.
     rise_s : from the first instant with |a| = 10 % of the peak to the first with 90 %.
     duration_s : from the first to the last instant with |a| = 10 % of the peak.
@@ -42,7 +41,6 @@ class TradeFigures:
     Rise, duration and ratio are NaN where nothing moves at all.
     """
 
-    tap_error: float
     peak_m_s2: float
     rise_s: float
     duration_s: float
@@ -96,7 +94,6 @@ def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float, ends_s:
         rung = float(np.ptp(ring)) if ring.size else float("nan")
         ratio = float(np.ptp(pulse)) / rung if rung != 0 else float("inf")
     return TradeFigures(
-        tap_error=target.tap_error(a[: target.window_m_s2.size]),
         peak_m_s2=peak,
         rise_s=rise,
         duration_s=duration,
