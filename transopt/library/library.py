@@ -573,7 +573,7 @@ class Library:
 
     @property
     def yardstick(self) -> Yardstick:
-        """By what its entries are told beside the recorded taps."""
+        """How its entries are compared with the recorded taps."""
         named = bool(self.axes.targets)
         return Yardstick(self.time_grid(), self.time_grid().end_s if named else self.posing().intention_s)
 
@@ -724,7 +724,7 @@ class Library:
         return self._wanted(float(self.speeds_m_s[iv]), lambda course: course[iv, ig], ends_s, known)
 
     def wanted(self, speed_m_s: float, grip_N: float) -> Wanted:
-        """The same between the nodes: the shape r / v linear in speed (`speed_weights`), and linear in grip."""
+        """What a tap between the nodes asks for: the shape r / v linear in speed (`speed_weights`), and in grip."""
         by_grip = interpolation_weights(self.grips_N, grip_N)
         weights = np.outer(speed_weights(self.speeds_m_s, speed_m_s), by_grip)
         known = bool(np.all(np.array(self.meta["slow_part_known"])[weights > 0]))

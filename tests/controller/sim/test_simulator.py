@@ -333,7 +333,7 @@ class TestUsers:
 
     def test_recorded_hand_moves_the_undriven_stylus_as_recorded(self, scene: Scene, library: Library) -> None:
         """Carried along, all masses keep their distance: the stylus does r_u and goes along z_nom."""
-        tau, own = library.time_grid().switching_times_s, library.reference_raw_m_s2[2] - library.reference_m_s2[2]
+        tau, own = library.time_grid().switching_times_s, library.free_m_s2[2, 2]
         speed = float(library.speeds_m_s[2])
         user = RecordedUser(speed, 3.0, 0.05, tau, own)
         trace = play(Simulator(device_of(scene), user, DT, trace=True), np.zeros(1150))

@@ -134,8 +134,14 @@ class TestLibrary:
             (lambda library: replace(library, command=0.9999 * library.command), "no stationary point"),
             (lambda library: replace(library, command=-library.command), "no stationary point"),
             (lambda library: replace(library, tap_error=0.5 * library.tap_error), "tap_error says"),
-            (lambda library: replace(library, tap_error_linear=2 * library.tap_error_linear), "tap_error_linear says"),
-            (lambda library: replace(library, linear_command=0.9 * library.linear_command), "tap_error_promised says"),
+            (
+                lambda library: replace(library, tap_error_linear=2 * library.tap_error_linear),
+                "tap_error_linear says",
+            ),
+            (
+                lambda library: replace(library, linear_command=0.9 * library.linear_command),
+                "tap_error_promised says",
+            ),
         ],
         ids=["perturbed command", "flipped sign", "tap error", "error of the linear design", "linear command"],
     )
