@@ -83,7 +83,7 @@ def model_errors(build: Build) -> list[tuple[Entry, float]]:
 
 def below_the_model(build: Build) -> list[Entry]:
     """Entries whose error by design is smaller than what their model is expected to be off by."""
-    return [entry for entry, error in model_errors(build) if entry.nrmse < error]
+    return [entry for entry, error in model_errors(build) if entry.figures.tap_error < error]
 
 
 def model_warning(build: Build) -> str:
@@ -100,10 +100,10 @@ def model_warning(build: Build) -> str:
     below = below_the_model(build)
     if not below:
         return text
-    one = min(below, key=lambda entry: entry.nrmse)
+    one = min(below, key=lambda entry: entry.figures.tap_error)
     return (
         f"{text}: above the design's own in {len(below)} of {sum(1 for _ in build.all_entries())} entries, as at "
-        f"{one.speed_m_s:g} m/s, {one.grip_N:g} N, where the design says {percent(one.nrmse)} %: expect the model's "
+        f"{one.speed_m_s:g} m/s, {one.grip_N:g} N, where the design says {percent(one.figures.tap_error)} %: expect the model's "
         "error on the device"
     )
 

@@ -176,7 +176,7 @@ def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
 def _priced(build: Build, *, full: bool) -> list[Entry]:
     """Entries whose prices are told: all, or the one that is farthest above its floor."""
     entries = [entry for entry in build.all_entries() if entry.admitted]
-    return entries if full else sorted(entries, key=lambda entry: entry.floor - entry.tap_error)[:1]
+    return entries if full else sorted(entries, key=lambda entry: entry.floor - entry.figures.tap_error)[:1]
 
 
 def _price_lines(build: Build, *, full: bool) -> list[str]:
@@ -186,8 +186,8 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
         return []
     other = ""
     if any(len(entry.problem.terms) > 1 or entry.problem.spread for entry, _ in priced):
-        other = " What a wider limit lowers is the error that the design minimises; this NRMSE need not fall with it."
-    head = ["limit", "NRMSE %", "raised by", "NRMSE % then", "would not bind from", "NRMSE % there"]
+        other = " What a wider limit lowers is the error that the design minimises; the tap error need not fall with it."
+    head = ["limit", "tap %", "raised by", "tap % then", "would not bind from", "tap % there"]
     rows = [
         [
             *entry.cells,
@@ -214,23 +214,8 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
 
 
 def _solved_percent(error: float, of: float) -> str:
-    """An NRMSE that was solved for; where there is none, whether its answer was not certified or there is no such."""
+    """A tap error that was solved for; where there is none, whether its answer was not certified or there is no such."""
     return "not certified" if np.isnan(of) else percent(error)
-
-
-def _weighted_lines(build: Build) -> list[str]:
-    """The section on the error as the filter of the weights sees it; empty without a filter."""
-    entries = list(build.all_entries())
-    if all(term.error_filter is None for entry in entries for term in entry.problem.terms):
-        return []
-    rows = [[*e.cells, percent(e.tap_error), percent(e.weighted_tap_error)] for e in entries]
-    return [
-        "",
-        "## Weighted error",
-        "",
-        *table([*build.scene.axes.columns, "NRMSE %", "weighted %"], rows),
-        "weighted: |F e| / |F r|, F the Pacinian band-pass (275 Hz, Q 0.5, floor -20 dB).",
-    ]
 
 
 def _trade_lines(build: Build) -> list[str]:
@@ -239,11 +224,11 @@ def _trade_lines(build: Build) -> list[str]:
     if library is None or not build.scene.targets:
         return []
     rows = [
-        [*entry.cells, percent(entry.tap_error), *trade_cells(trade_figures(library, iv, ig))]
+        [*entry.cells, percent(entry.figures.tap_error), *trade_cells(trade_figures(library, iv, ig))]
         for iv, row in enumerate(build.entries)
         for ig, entry in enumerate(row)
     ]
-    head = [*build.scene.axes.columns, "NRMSE %", *TRADE_COLUMNS]
+    head = [*build.scene.axes.columns, "tap %", *TRADE_COLUMNS]
     return ["", "## The figures of the trade", "", *table(head, rows), TRADE_LEGEND]
 
 
@@ -326,7 +311,6 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
         *_price_lines(build, full=full),
         *(trade_off_lines(build) if full else []),
         *attained_lines(entries),
-        *_weighted_lines(build),
         *_spread_lines(build),
     ]
     lines += [*_trade_lines(build), *identified_lines(build)]
@@ -367,14 +351,13 @@ def build_json(build: Build, *, full: bool = True) -> str:
             "shortfalls": e.shortfalls,
             "remedies": [asdict(remedy) for remedy in e.remedies],
             "verdict": e.verdict,
-            "tap_error": e.tap_error,
+            **asdict(e.figures),
+            "heat_A2_s": e.heat_A2_s,
             "floor": e.floor,
             "baselines": asdict(e.baselines),
             "repeatability": e.repeatability,
             peak: e.played.peak_input,
             f"free_{peak}": e.free_peak,
-            "error_after": e.played.error_after,
-            "peak_after_m_s2": e.played.error_peak_after_m_s2,
             "after_peak_m_s2": e.played.after_peak_m_s2,
             "winding_C": e.played.winding_C,
             "housing_C": e.played.housing_C,
@@ -382,7 +365,6 @@ def build_json(build: Build, *, full: bool = True) -> str:
             "binding": e.binding,
             "prices": [asdict(price) for price in e.prices] if e in priced or not e.admitted else None,
             "size": None if e.size is None else asdict(e.size),
-            "weighted_tap_error": e.weighted_tap_error,
             "levels": levels_row(e.levels),
             "attained": None if e.attained is None else asdict(e.attained),
             "trade_off": trade_off_row(build, e) if full else None,

@@ -40,7 +40,7 @@ def nonlinear_figure(entries: Sequence[Entry]) -> Figure:
         below.step(issued_ms, entry.solution.command, where="post", **OWN)
         for side in (-1, 1):
             below.axhline(side * problem.limits.input_limit, **BOUND)
-        errors = f"linear {percent(entry.linear_tap_error)} %, nonlinear {percent(entry.tap_error)} %"
+        errors = f"linear {percent(entry.linear_tap_error)} %, nonlinear {percent(entry.figures.tap_error)} %"
         above.set_title(f"{entry.target}\n{errors}", fontsize=SMALL_PT)
         below.set_xlabel("time [ms]", fontsize=LABEL_PT)
         for axes in (above, below):

@@ -82,13 +82,12 @@ def summary(build: Build) -> str:
             f"{len(build.refused)} of {len(entries)} entries refused; no library written, an earlier one is kept"
         )
     if admitted:
-        worst = max(admitted, key=lambda entry: entry.tap_error)
-        over = 100 * max(worst.tap_error - worst.floor, 0)
+        worst = max(admitted, key=lambda entry: entry.figures.tap_error)
+        felt = [entry.figures.felt_error for entry in admitted]
         said.append(
-            f"{len(admitted)} of {len(entries)} entries certified and replayed: NRMSE "
-            f"{percent(min(entry.tap_error for entry in admitted))} to {percent(worst.tap_error)} % (worst at "
-            f"{worst.place}: {over:.2f} points over its "
-            f"floor), gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
+            f"{len(admitted)} of {len(entries)} entries certified and replayed: tap error "
+            f"{percent(min(entry.figures.tap_error for entry in admitted))} to {percent(worst.figures.tap_error)} % "
+            f"(worst at {worst.place}), felt error {percent(min(felt))} to {percent(max(felt))} %, gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
         )
     times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]
@@ -104,7 +103,7 @@ def aftermath(build: Build) -> str:
     looked = build.scene.time_grid().after_stages > 0
 
     def after_m_s2(entry: Entry) -> float:
-        return entry.played.error_peak_after_m_s2 if looked else entry.played.after_peak_m_s2
+        return entry.figures.peak_after_m_s2 if looked else entry.played.after_peak_m_s2
 
     admitted = [entry for entry in build.all_entries() if entry.status is Status.OPTIMAL]
     loudest = max(admitted, key=after_m_s2, default=None)

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from transopt.base.plotting import LABEL_PT, SEED, colours, style
 from transopt.design.refine_grid import Errors
-from transopt.proof.replay import replayed_errors
+from transopt.proof.replay import replayed_figures
 from transopt.scene.scene import Scene
 from transopt.study.figures import legend_above, percent_axis
 from transopt.study.optima import Proven, errors_of, proven
@@ -28,7 +28,7 @@ class Played:
     speed_m_s : of the tap.
     made_for_N, played_at_N : grip of the command, and of the hand.
     tap_error : after replay, as a share of 1.
-    excess : of that over the NRMSE of the optimum for the hand's own grip.
+    excess : of that over that of the optimum for the hand's own grip.
     """
 
     speed_m_s: float
@@ -42,9 +42,8 @@ def _errors_at(errors: Errors, scene: Scene, grip: float, speed: float, grips: S
     """Errors at a grip of the commands that were made for all of them."""
     commands = np.stack([errors.optimum((speed, F)).solution.command for F in grips])
     wanted = [errors.context.reference(speed, grip).target] * len(grips)
-    return [
-        float(error) for error in replayed_errors(errors.context.stage(grip), scene.time_grid(), commands, wanted)
-    ]
+    yardstick = errors.context.yardstick
+    return [each.tap_error for each in replayed_figures(errors.context.stage(grip), yardstick, commands, wanted)]
 
 
 def mismatch(
@@ -68,7 +67,7 @@ def mismatch(
 
 
 def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GRIPS_N) -> Figure:
-    """NRMSE over the grip of the hand: compensated, and blind with a library for one grip."""
+    """Tap error over the grip of the hand: compensated, and blind with a library for one grip."""
     speeds = list(dict.fromkeys(p.speed_m_s for p in found))
     figure = Figure(figsize=(1.0 + 3.1 * len(speeds), 3.5), layout="constrained")
     panels = figure.subplots(1, len(speeds), sharey=True, squeeze=False)[0]

@@ -27,7 +27,7 @@ def service_figure(service: Service) -> "plotly.graph_objects.Figure":
     taps = [service.quick(index) for index in range(len(service.places))]
     driven = service.scene.driven_by
     titles = [
-        f"{place.title}: " + (f"{percent(tap.tap_error)} %" if tap.certified else tap.reason)
+        f"{place.title}: " + (f"{percent(tap.figures.tap_error)} %" if tap.figures is not None else tap.reason)
         for place, tap in zip(service.places, taps, strict=True)
     ]
     figure = make_subplots(

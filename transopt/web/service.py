@@ -29,6 +29,7 @@ from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.figures import Figures
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
@@ -100,9 +101,9 @@ class Shown:
     certified : whether the project's certificate is accepted; what is not is greyed.
     replayed : whether it is admitted too, as an entry of a library is.
     reason : why it is not certified; empty if it is.
-    tap_error, floor, clipped : NRMSE of the optimum, without limits, and of the clipped inversion.
-    energy_dB : of the optimum over the recorded tap within the window.
-    after : NRMSE after the window. after_peak_g : largest error there.
+    figures : how near the optimum comes to the recorded tap; None where there is none.
+    floor, clipped : tap error of the optimum without limits, and of that one clipped.
+    heat_A2_ms : integral of the squared current.
     binds : what holds it back, in words.
     curves : as drawn; None in the answer of `settled`, which changes no curve.
     price : of the dearest limit, in a sentence; known when settled.
@@ -113,12 +114,10 @@ class Shown:
     certified: bool
     replayed: bool
     reason: str
-    tap_error: float
+    figures: Figures | None
     floor: float
     clipped: float
-    energy_dB: float
-    after: float
-    after_peak_g: float
+    heat_A2_ms: float
     binds: str
     curves: Curves | None = None
     price: str = ""
@@ -302,7 +301,7 @@ class Service:
     def settled(self, index: int) -> Shown:
         """One tap as a library would hold it; of a refused one the reason, and what would do."""
         place, entry = self.places[index], self.entry(index)
-        played, admitted = entry.played, entry.admitted
+        admitted = entry.admitted
         reason = ""
         if not admitted:
             said = list(dict.fromkeys([entry.status.value, *entry.shortfalls]))
@@ -314,12 +313,10 @@ class Service:
             certified=admitted,
             replayed=admitted,
             reason=reason,
-            tap_error=entry.tap_error if admitted else np.nan,
+            figures=entry.figures if admitted else None,
             floor=entry.floor,
-            clipped=entry.baselines.clipped,
-            energy_dB=entry.energy_dB if admitted else np.nan,
-            after=played.error_after if admitted else np.nan,
-            after_peak_g=played.error_peak_after_m_s2 / STANDARD_GRAVITY_M_S2 if admitted else np.nan,
+            clipped=entry.baselines.clipped.tap_error,
+            heat_A2_ms=1e3 * entry.heat_A2_s if admitted else np.nan,
             binds=entry.binding if admitted else "",
             price=entry.prices[0].sentence if entry.prices else "",
             verdict=entry.verdict,
@@ -475,9 +472,9 @@ def _shown(index: int, entry: Entry, *, words: bool) -> Shown:
         warm = thermal.temperatures_C(current[:N], answer.command) if certified else nothing[:N]
     curves = Curves(
         times_s=np.append(grid.switching_times_s, grid.after_times_s),
-        recorded_m_s2=target.continued_m_s2,
-        optimum_m_s2=optimum,
-        clipped_m_s2=clipped_m_s2,
+        recorded_m_s2=target.lasting(target.recorded_m_s2),
+        optimum_m_s2=optimum + target.lasting(target.free_m_s2),
+        clipped_m_s2=clipped_m_s2 + target.lasting(target.free_m_s2),
         input=current,
         clipped_input=clipped_input,
         input_limit=problem.limits.input_limit,
@@ -492,12 +489,10 @@ def _shown(index: int, entry: Entry, *, words: bool) -> Shown:
         certified=certified,
         replayed=False,
         reason="" if certified else said,
-        tap_error=target.tap_error(optimum[:N]) if certified else np.nan,
+        figures=problem.figures(optimum) if certified else None,
         floor=entry.floor,
-        clipped=target.tap_error(clipped_m_s2[:N]),
-        energy_dB=entry.energy_dB if certified and words else np.nan,
-        after=target.error_after(optimum[N:]) if certified else np.nan,
-        after_peak_g=target.peak_after_m_s2(optimum[N:]) / STANDARD_GRAVITY_M_S2 if certified else np.nan,
+        clipped=problem.yardstick.tap_error(target, clipped_m_s2),
+        heat_A2_ms=1e3 * entry.heat_A2_s if certified else np.nan,
         binds=entry.binding if certified and words else "",
         curves=curves,
     )

@@ -100,6 +100,10 @@ class Target:
         lost = self.before_m_s2.size
         return whole[lost : lost + self.window_m_s2.size]
 
+    def lasting(self, whole: FloatArray) -> FloatArray:
+        """(N + M,) the samples from tau_0 on among (L + N + M,)."""
+        return whole[self.before_m_s2.size :]
+
     def moved(self, by_m_s2: FloatArray) -> "Target":
         """Add (N,) to the window: what a device has to be asked for so that it makes r."""
         return replace(self, window_m_s2=self.window_m_s2 + by_m_s2)

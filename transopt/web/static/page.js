@@ -226,12 +226,14 @@ function complain(words) {
 }
 
 function percent(share) {
-  return share === null || share === undefined ? "-" : (100 * share).toFixed(3);
+  return share === null || share === undefined ? "-" : (100 * share).toFixed(1);
 }
 
 function came(tap) {
   if (!tap) return "...";
-  return tap.certified ? `${percent(tap.nrmse)} %${tap.nrmse > 1.05 * tap.floor ? ", limited" : ""}` : "refused";
+  if (!tap.certified) return "refused";
+  const error = tap.figures.tap_error;
+  return `${percent(error)} %${error > 1.05 * tap.floor ? ", limited" : ""}`;
 }
 
 // ---- the small plots
@@ -307,7 +309,7 @@ function large(anew) {
 
 function about(tap) {
   const place = state.places[tap.index];
-  const found = tap.certified ? `error ${percent(tap.nrmse)} %, floor ${percent(tap.floor)} %, clipped ${percent(tap.clipped)} %` : "";
+  const found = tap.certified ? `tap error ${percent(tap.figures.tap_error)} %, felt error ${percent(tap.figures.felt_error)} %, floor ${percent(tap.floor)} %` : "";
   by("selected").textContent = [place.title, found].filter(Boolean).join(": ");
   by("reason").hidden = tap.certified;
   by("reason").textContent = tap.certified ? "" : `Not shown: ${tap.reason}`;
@@ -355,7 +357,7 @@ by("handle").addEventListener("keydown", (event) => {
 
 function rows() {
   const table = by("table");
-  const columns = ["NRMSE %", "floor %", "clipped %", "energy dB", "after %", "after g", "what binds", "price", "state"];
+  const columns = ["tap %", "floor %", "clipped %", "felt %", "felt dB", "speed", "bump g", "heat A2ms", "what binds", "price", "state"];
   const line = table.tHead.insertRow ? table.tHead : table.createTHead();
   line.replaceChildren();
   const head = line.insertRow();
@@ -369,7 +371,7 @@ function rows() {
     const own = table.tBodies[0].insertRow();
     const names = place.target ? [place.target] : [place.speed_m_s, place.grip_N].map((v) => String(Number(v.toPrecision(4))));
     for (const name of names) own.insertCell().textContent = name;
-    columns.forEach((_, j) => { own.insertCell().className = j < 6 ? "number" : "words"; });
+    columns.forEach((_, j) => { own.insertCell().className = j < 8 ? "number" : "words"; });
     own.onclick = () => select(index);
     if (state.taps[index]) row(state.taps[index]);
   });
@@ -390,9 +392,11 @@ function row(tap) {
   if (!line) return;
   line.classList.toggle("refused", !tap.certified);
   const fixed = (value, digits) => (value === null || value === undefined ? "-" : value.toFixed(digits));
+  const figures = tap.figures ?? {};
   const words = [
-    percent(tap.nrmse), percent(tap.floor), percent(tap.clipped), fixed(tap.energy_dB, 2), percent(tap.after),
-    fixed(tap.after_peak_g, 3), tap.binds || "-", tap.price || "-",
+    percent(figures.tap_error), percent(tap.floor), percent(tap.clipped), percent(figures.felt_error),
+    fixed(figures.felt_dB, 2), fixed(figures.speed, 2), fixed(figures.bump_m_s2 && figures.bump_m_s2 / 9.80665, 2),
+    fixed(tap.heat_A2_ms, 0), tap.binds || "-", tap.price || "-",
     tap.certified ? (tap.replayed ? `certified, replayed; ${tap.verdict}` : "certified") : tap.reason,
   ];
   const from = state.scene.columns.length;
