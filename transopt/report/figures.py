@@ -72,9 +72,14 @@ def _methods(build: "Build") -> list[_Method]:
         _Method("floor (no limits)", lambda e: e.floor, 0.0, {"marker": "_", "markersize": 13, "color": "black"}),
         _Method(f"seed inversion, {high}", lambda e: e.baselines.seed.tap_error, -0.26, dot("s", SEED, True)),
         _Method(f"seed inversion, {low}", lambda e: e.baselines.seed_steady.tap_error, -0.26, dot("s", SEED, False)),
-        _Method(f"clipped optimum, {high}{only}", lambda e: e.baselines.clipped.tap_error, 0.26, dot("^", CLIPPED, True)),
         _Method(
-            f"clipped optimum, {low}{only}", lambda e: e.baselines.clipped_steady.tap_error, 0.26, dot("^", CLIPPED, False)
+            f"clipped optimum, {high}{only}", lambda e: e.baselines.clipped.tap_error, 0.26, dot("^", CLIPPED, True)
+        ),
+        _Method(
+            f"clipped optimum, {low}{only}",
+            lambda e: e.baselines.clipped_steady.tap_error,
+            0.26,
+            dot("^", CLIPPED, False),
         ),
     ]
 

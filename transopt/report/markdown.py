@@ -186,7 +186,9 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
         return []
     other = ""
     if any(len(entry.problem.terms) > 1 or entry.problem.spread for entry, _ in priced):
-        other = " What a wider limit lowers is the error that the design minimises; the tap error need not fall with it."
+        other = (
+            " What a wider limit lowers is the error that the design minimises; the tap error need not fall with it."
+        )
     head = ["limit", "tap %", "raised by", "tap % then", "would not bind from", "tap % there"]
     rows = [
         [

@@ -54,12 +54,12 @@ def test_every_rendering_of_an_entry_prints_the_same_cells(build: to.Build) -> N
     by_name = dict(zip(FULL, cells[2:], strict=True))
     assert printed(build_table(build, 400)) == cells
     assert "| " + " | ".join(cells) + " |" in build_markdown(build)
-    names = ("tap", "floor", "felt", "felt_dB", "speed", "bump", "heat", "peak", "binding")
+    names = ("tap", "felt", "felt_dB", "speed", "bump", "heat", "peak", "binding")
     for html in (build._repr_html_(), build.library._repr_html_()):
-        for name in ("tap", "floor", "felt", "binding"):
+        for name in ("tap", "felt", "felt_dB", "heat", "binding"):
             assert f"<td>{by_name[name]}</td>" in html
     of_file = printed(library_table(build.library, "file"))
-    assert of_file[2:4] == [by_name[name] for name in names[:2]]
+    assert {by_name[name] for name in names[:6]} <= set(of_file)
     (from_library,) = build.library.table(names).cells
     assert from_library[2:] == [by_name[name] for name in names]
 
