@@ -93,9 +93,6 @@ class StraightTaps:
         z = self._height_m(tap) - speed * (started**2 / (2 * STARTING_S) + onward - started)
         return z + (self._height_m(tap + 1) - z) * self._back(into)
 
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
     def grip_N(self, time_s: float) -> float:
         tap, into = self._at(time_s)
         grip, following = self.taps[tap][1], self.taps[(tap + 1) % len(self.taps)][1]

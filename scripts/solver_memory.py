@@ -28,7 +28,6 @@ from transopt.design.context import Context
 from transopt.plant.wall import reference_course
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
-from transopt.recordings.reference import build_references
 from transopt.scene.strikes import recordings
 from transopt.solvers import stage_data
 from transopt.solvers.native import extension
@@ -47,8 +46,8 @@ MISSING = 3
 def hardest(name: str) -> TransientProblem:
     """The fastest tap under the firmest grip of a scene."""
     scene = problems.load(name)
-    references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
-    problem = Context(scene).posed_as(references[-1], scene.grid.grips_N[-1]).problem
+    fastest, firmest = scene.grid.speeds_m_s[-1], scene.grid.grips_N[-1]
+    problem = Context.recorded(scene, recordings(scene)).posed(fastest, firmest).problem
     if problem.wall is None:
         return problem
     return pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))

@@ -10,7 +10,7 @@ major version. Everything else, the rooms `transopt.design`, `transopt.library` 
 versions; who imports from there follows.
 
 A tap runs through the names in this order. `load_scene` reads a `Scene`; `recordings_of` has its `Recording`s, which
-`prepare` and `build_references` turn into references; `build` poses a `TransientProblem` for every speed and grip,
+`prepare` and `references_of` turn into references; `build` poses a `TransientProblem` for every speed and grip,
 solves, certifies and replays it, and returns a `Build` of `Entry`s; `solve` returns its `Library` alone. `Online`
 solves a library's problem anew for what was measured.
 
@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from transopt.proof.replay import Replay, replay
     from transopt.recordings.recording import Recording
     from transopt.recordings.reference import Reference
-    from transopt.recordings.references import build_references
+    from transopt.recordings.references import References
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import prepare, read_recordings
     from transopt.report.write import write_report
     from transopt.scene.builtin import load_scene, scene_names
     from transopt.scene.file import with_model, with_plant
     from transopt.scene.keys import with_values
-    from transopt.scene.recordings import recordings_of
+    from transopt.scene.recordings import recordings_of, references_of
     from transopt.scene.scene import Scene
     from transopt.solvers.choose import solve as solve_problem
     from transopt.solvers.options import SolverOptions
@@ -69,6 +69,7 @@ __all__ = [
     "Recording",
     "Recordings",
     "Reference",
+    "References",
     "Replay",
     "Scene",
     "Solution",
@@ -78,7 +79,6 @@ __all__ = [
     "TransientProblem",
     "Waveform",
     "build",
-    "build_references",
     "certify",
     "design_nonlinear",
     "export_drive",
@@ -90,6 +90,7 @@ __all__ = [
     "prepare",
     "read_recordings",
     "recordings_of",
+    "references_of",
     "replay",
     "scene_names",
     "solve",
@@ -117,6 +118,7 @@ _HOME = {
     "Recording": "recordings.recording",
     "Recordings": "recordings.settings",
     "Reference": "recordings.reference",
+    "References": "recordings.references",
     "Replay": "proof.replay",
     "Scene": "scene.scene",
     "Solution": "problem.answer",
@@ -126,7 +128,6 @@ _HOME = {
     "TransientProblem": "problem.problem",
     "Waveform": "library.place",
     "build": "design.solve",
-    "build_references": "recordings.references",
     "certify": "design.solve",
     "export_drive": "library.drive_files",
     "design_nonlinear": "design.solve",
@@ -138,6 +139,7 @@ _HOME = {
     "prepare": "recordings.tap",
     "read_recordings": "recordings.tap",
     "recordings_of": "scene.recordings",
+    "references_of": "scene.recordings",
     "replay": "proof.replay",
     "scene_names": "scene.builtin",
     "solve": "design.solve",

@@ -21,7 +21,6 @@ from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import SETTLE_S, TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
-from controller.sim.user import Habit
 from controller.sim.wiring import Wired
 from transopt.scene.scene import Scene
 
@@ -41,7 +40,6 @@ class Bench:
     hold : asks for the stylus to be held still at a grip [N], to be let go at 0, to be held in any way at None.
     done : whether the run ends, given whether enough was played: with a person then, with a simulated hand once it
         has done all its taps and is at rest.
-    as_recorded : the hand is known to move as those in the library's recordings did.
     remark : on the run, once it is over; empty without one.
     """
 
@@ -49,7 +47,6 @@ class Bench:
     console: Console
     hold: Callable[[float | None], None] = _nobody
     done: Callable[[bool], bool] = lambda enough: enough
-    as_recorded: bool = False
     remark: Callable[[], str] = lambda: ""
 
     @property
@@ -89,8 +86,7 @@ def simulated_bench(
     def fell_behind() -> str:
         return "" if clock is None else f"fell behind the clock by {port.behind_s * 1e3:.1f} ms at most"
 
-    as_recorded = any(tap.habit is Habit.RECORDED for tap in taps)
-    bench = Bench(port, Console(quiet=True), done=lambda _: hand.done, as_recorded=as_recorded, remark=fell_behind)
+    bench = Bench(port, Console(quiet=True), done=lambda _: hand.done, remark=fell_behind)
     return bench, hand
 
 

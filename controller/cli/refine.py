@@ -172,13 +172,13 @@ def refine(
 def _stated(library: "Library", source: str, accelerometer_Hz: float) -> dict[str, Any]:
     """What `meta["refinement"]` says beside the history."""
     from controller.record.played import CUTOFF_HZ
-    from controller.waveforms.prediction import REACTION_S
+    from transopt.plant.intention import INTENTION_S
 
     return {
         "library_sha256": library.content_sha256,
         "before": library.meta.get("refinement"),
         "source": source,
-        "compared_until_s": REACTION_S,
+        "compared_until_s": INTENTION_S,
         "lowpass_Hz": CUTOFF_HZ,
         "accelerometer_Hz": accelerometer_Hz,
     }

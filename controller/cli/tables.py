@@ -34,7 +34,7 @@ def taps_table(taps: Sequence[PlayedTap], events: Mapping[object, int], title: s
     """Every tap with its figures, then the events that are not part of every tap."""
     table = Table(title=title)
     table.add_column("tap", justify="right")
-    for name in ("speed m/s", "grip N", "latency µs", "NRMSE %", "peak g", "predicted g"):
+    for name in ("speed m/s", "grip N", "latency µs", "tap %", "playback %", "peak g", "predicted g"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("note", overflow="fold")
     for tap in taps:
@@ -44,14 +44,15 @@ def taps_table(taps: Sequence[PlayedTap], events: Mapping[object, int], title: s
             f"{contact.speed_m_s:.3f}",
             f"{contact.grip_N:.2f}",
             _number(1e6 * found.latency_s, ".1f"),
-            _number(100 * found.nrmse, ".2f"),
+            _number(100 * found.tap_error, ".1f"),
+            _number(100 * found.playback_error, ".2f"),
             _number(found.peak_m_s2 / g, ".2f"),
             _number(found.predicted_peak_m_s2 / g, ".2f"),
             tap.why,
         )
     for what, count in events.items():
         if what not in EVERY_TAP and isinstance(what, Notice | Fault | LinkNotice):
-            table.add_row("", "", "", "", "", "", "", f"{count} x {what.value}")
+            table.add_row("", "", "", "", "", "", "", "", f"{count} x {what.value}")
     return table
 
 
@@ -100,13 +101,14 @@ def figures_table(
     table.add_column("compare with", overflow="fold")
     for row in (
         ("latency", figure("latency_s", 1e6, ".1f", "µs"), "the one shift that aligns played and predicted"),
-        ("NRMSE after the shift", figure("nrmse", 100, ".2f", "%"), by_hand),
         (
-            "",
-            figure("nrmse_reference", 100, ".2f", "%"),
-            f"against the reference; floor {floor}",
+            "tap error",
+            figure("tap_error", 100, ".1f", "%"),
+            f"against the recorded tap, until the hand can react; floor {floor}",
         ),
-        ("peak", figure("peak_m_s2", 1 / g, ".2f", "g"), f"predicted {predicted}, reference {reference}"),
+        ("speed", figure("speed", 1, ".2f", ""), "change of speed over the recorded one; 1 is as hard"),
+        ("playback error", figure("playback_error", 100, ".2f", "%"), by_hand),
+        ("peak", figure("peak_m_s2", 1 / g, ".2f", "g"), f"predicted {predicted}, recorded {reference}"),
         ("spectral error", figure("spectral_error_dB", 1, ".2f", "dB"), "rms over third octaves 10 Hz to 1 kHz"),
         (
             "rate-hardness",

@@ -4,7 +4,7 @@ Heavy imports stand inside the command, so that help and errors come at once.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from controller.sim.simulator import Imperfections
     from controller.waveforms.bank import Bank
     from transopt.library.library import Library
+    from transopt.plant.intention import Yielding
+
+RECORDED = "recorded"  # the simulated user whose hand does what that of the recordings did
 
 
 def tap(
@@ -58,7 +61,7 @@ def tap(
             "decaying-sinusoid, fixed-width-pulse, momentum-cancellation, seed-inversion, clipped-optimum."
         ),
     ] = "bilinear",
-    user: Annotated[str, with_simulate("mild, yielding, stopping or recorded.")] = "mild",
+    user: Annotated[str, with_simulate("recorded, straight, brakes, stops, decays or pulls.")] = RECORDED,
     real_time: Annotated[bool, with_simulate("Paced by the clock, to watch telemetry.", "--real-time")] = False,
     device: DeviceName = None,
     true_device: TrueDeviceName = None,
@@ -122,13 +125,13 @@ def _simulated(
     from controller.sim.chosen_device import scene_like
     from controller.sim.simulated_tap import SimulatedTap
     from controller.sim.true_device import device_of
-    from controller.sim.user import Habit
     from controller.waveforms.bank import Method, bank
     from controller.waveforms.playable import load_playable
     from controller.waveforms.prediction import scene_of
+    from transopt.plant.intention import YIELDINGS
 
     one_of("method", method, (choice.value for choice in Method))
-    one_of("user", user, (choice.value for choice in Habit))
+    one_of("user", user, (RECORDED, *YIELDINGS))
     library = load_playable(path)
     speed_m_s, grip_N = _middle(library, speed, grip)
     table = bank(library, Method(method))
@@ -147,7 +150,9 @@ def _simulated(
         raise InputError(f"--grip {grip_N:g}: this library is of the free device, which nobody holds: give --grip 0")
     if method == Method.PROPORTIONAL.value and settings.wall is None:
         raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
-    wanted = SimulatedTap(speed_m_s, grip_N, gain, Habit(user), seed, wrong)
+    wanted = SimulatedTap(
+        speed_m_s, grip_N, gain, None if user == RECORDED else cast(Yielding, user), seed=seed, imperfections=wrong
+    )
     true = device_of(scene_of(library) if true_device is None else scene_like(true_device))
     clock = WallClock() if real_time else None
     bench, _ = simulated_bench(given, true, [wanted], described=found.device, clock=clock)
@@ -209,8 +214,7 @@ def _play(
         )
     accelerometer_Hz = found.device.accelerometer.bandwidth_Hz
     played = [
-        played_tap(contact, given.library, settings, played_at, accelerometer_Hz, as_recorded=bench.as_recorded)
-        for contact in recorder.contacts
+        played_tap(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts
     ]
     console.print(taps_table(played, shown.events, title))
     console.print(figures_table(played, given.library, shown.events, _yardstick(given.library, played)))

@@ -10,7 +10,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 BEFORE_MS = 5.0
 REFERENCE = "0.6"
-WANTED = "reference, the motor's share of the recorded tap"
+WANTED = "recorded tap"
 
 
 def _axis(axes: Axes, label: str) -> None:
@@ -34,8 +34,9 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
     contact, prediction = tap.contact, tap.prediction
     # What the library looks at: the waveform, and how the stylus comes to rest after it.
     predicted_ms = np.append(prediction.times_s, prediction.after_times_s) * 1e3
-    predicted = np.append(prediction.acceleration_m_s2, prediction.after_m_s2)
-    reference = np.append(prediction.reference_m_s2, prediction.reference_after_m_s2)
+    predicted = np.append(prediction.whole_m_s2, prediction.after_m_s2 + prediction.own_after_m_s2)
+    after = prediction.gain * prediction.reference_after_m_s2 + prediction.own_after_m_s2
+    recorded = np.append(prediction.recorded_m_s2, after)
     shown = (-BEFORE_MS, float(predicted_ms[-1]))
     inside = (tap.times_s * 1e3 >= shown[0]) & (tap.times_s * 1e3 <= shown[1])
     times_s = tap.times_s[inside]
@@ -58,7 +59,7 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
         position.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
 
     g = STANDARD_GRAVITY_M_S2
-    acceleration.plot(predicted_ms, tap.gain * reference / g, color=REFERENCE, linewidth=3.0, label=WANTED)
+    acceleration.plot(predicted_ms, recorded / g, color=REFERENCE, linewidth=3.0, label=WANTED)
     acceleration.plot(predicted_ms, predicted / g, color=SEED, linewidth=1.2, label="predicted")
     played = tap.acceleration_m_s2[inside] / g
     acceleration.plot(ms, played, color=OPTIMUM, linestyle="--", linewidth=1.0, label="played, as measured")
@@ -90,7 +91,7 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
     temperature.set_xlim(*shown)
     if not tap.why:
         found = tap.compared
-        title += f": latency {found.latency_s * 1e6:.0f} µs, NRMSE {100 * found.nrmse:.2f} % after it"
+        title += f": latency {found.latency_s * 1e6:.0f} µs, tap error {100 * found.tap_error:.1f} %, playback error {100 * found.playback_error:.2f} %"
     figure.suptitle(title, fontsize=LABEL_PT)
     leave_room(figure, left_in=0.85, right_in=0.1, below_in=0.48, above_in=0.35)
     return figure

@@ -6,7 +6,7 @@ passed through the accelerometer's own pole. Both are low-passed as recordings a
 react, since nobody predicts what it does of its own accord afterwards.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,12 +15,14 @@ from scipy import signal
 from controller.record.metrics import MOST_SHIFT_S, align, rate_hardness_N_m, spectral_error_dB
 from controller.record.recorder import Contact
 from controller.servo.settings import Settings
-from controller.waveforms.prediction import REACTION_S, Prediction, predict
+from controller.waveforms.prediction import Prediction, predict
 from transopt.base.filters import lowpass
 from transopt.base.signals import FloatArray, Signal, nrmse
 from transopt.library.library import Library
+from transopt.plant.intention import INTENTION_S
 from transopt.problem.answer import verdict
 from transopt.problem.objective.bands import Levels, levels
+from transopt.problem.objective.figures import Figures
 
 FIT_S = 0.03  # of straight approach that the parabola is laid through
 LEAST_FIT = 10  # records of it
@@ -31,22 +33,24 @@ NOTHING = float("nan")
 
 @dataclass(frozen=True)
 class Compared:
-    """What a played tap is beside its prediction and its recorded reference, until the hand can react.
+    """What a played tap is beside the recorded tap and its prediction, until the hand can react.
 
     Attributes
     ----------
     latency_s : the one shift within 1 ms that aligns played and predicted, positive if played late.
-    nrmse : after it, against the prediction.
+    tap_error : after it, against the recorded tap.
+    playback_error : after it, against the prediction.
     scale : after it, the factor of the prediction that is nearest to what was played in the mean square.
-    nrmse_reference : after it, against the recorded tap.
+    speed : change of speed, played over recorded.
     peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration|, low-passed alike.
     spectral_error_dB : against the recorded tap, see `metrics.spectral_error_dB`.
     levels : energies over those of the recorded tap; None where nothing is compared.
     """
 
     latency_s: float
-    nrmse: float
-    nrmse_reference: float
+    tap_error: float
+    playback_error: float
+    speed: float
     peak_m_s2: float
     predicted_peak_m_s2: float
     reference_peak_m_s2: float
@@ -55,7 +59,7 @@ class Compared:
     scale: float = float("nan")
 
 
-NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, None)
+NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, None)
 
 
 @dataclass(frozen=True)
@@ -95,10 +99,9 @@ class PlayedTap:
         """In words: what limits the tap, or what a hand can feel of its error."""
         if self.why or self.compared.levels is None:
             return self.why
-        prediction = self.prediction
-        return verdict(
-            self.compared.nrmse_reference, prediction.floor, prediction.repeatability, self.compared.levels
-        )
+        prediction, compared = self.prediction, self.compared
+        figures = Figures(compared.tap_error, NOTHING, NOTHING, compared.speed, NOTHING, NOTHING, NOTHING)
+        return verdict(figures, prediction.floor, prediction.repeatability, self.compared.levels, "", named=False)
 
     def rate_hardness_N_m(self, force_per_current_N_A: float) -> float:
         """Rate-hardness of the rendered surface, from the measured current; NaN if nothing was compared."""
@@ -180,8 +183,6 @@ def played_tap(
     settings: Settings,
     gain: float,
     bandwidth_Hz: float,
-    *,
-    as_recorded: bool = False,
 ) -> PlayedTap:
     """Compare a recorded contact with what the library says of it.
 
@@ -189,11 +190,9 @@ def played_tap(
     ----------
     gain : of the device.
     bandwidth_Hz : of the accelerometer, one pole.
-    as_recorded : the hand is known to move as those in the library's recordings did; what they gave the stylus of
-        their own accord is taken off what was measured.
     """
     prediction = predict(library, contact.speed_m_s, contact.grip_N, gain)
-    compared = _compare(contact, prediction, settings, gain, bandwidth_Hz, as_recorded)
+    compared = _compare(contact, prediction, settings, gain, bandwidth_Hz)
     return PlayedTap(
         contact=contact,
         times_s=(contact.ticks - contact.tick) * contact.dt_s - met_surface(contact, settings)[0],
@@ -206,36 +205,31 @@ def played_tap(
 
 
 def _compare(
-    contact: Contact, prediction: Prediction, settings: Settings, gain: float, bandwidth_Hz: float, as_recorded: bool
+    contact: Contact, prediction: Prediction, settings: Settings, gain: float, bandwidth_Hz: float
 ) -> Compared | str:
     """Figures, or why there are none."""
     if gain == 0:
         return "nothing is played at gain 0"
     if prediction.silent or not np.any(prediction.acceleration_m_s2):
         return "the library is silent there"
-    until = prediction.times_s <= REACTION_S
+    until = prediction.times_s <= INTENTION_S
     at = prediction.times_s[until]
     measured = since_contact(contact, settings, float(at[0]), float(at[-1]))
     if isinstance(measured, str):
         return measured
-    if as_recorded:
-        own = contact.speed_m_s / prediction.speed_m_s * prediction.own_m_s2
-        known = through_pole(own, contact.dt_s, bandwidth_Hz)
-        measured = replace(
-            measured, values=measured.values - np.interp(measured.times_s, prediction.times_s, known, 0.0)
-        )
 
     def sensed(acceleration_m_s2: FloatArray) -> FloatArray:
         behind = through_pole(acceleration_m_s2, contact.dt_s, bandwidth_Hz)
         return lowpass(Signal(float(at[0]), contact.dt_s, behind), CUTOFF_HZ).values[until]
 
-    played, expected = lowpass(measured, CUTOFF_HZ), sensed(prediction.acceleration_m_s2)
+    played, expected = lowpass(measured, CUTOFF_HZ), sensed(prediction.whole_m_s2)
     aligned = align(played.times_s, played.values, at, expected)
-    reference = sensed(gain * prediction.reference_m_s2)
+    reference = sensed(prediction.recorded_m_s2)
     return Compared(
         latency_s=aligned.latency_s,
-        nrmse=aligned.nrmse,
-        nrmse_reference=nrmse(aligned.played_m_s2, reference),
+        tap_error=nrmse(aligned.played_m_s2, reference),
+        playback_error=aligned.nrmse,
+        speed=float(aligned.played_m_s2.sum() / reference.sum()),
         peak_m_s2=float(np.abs(aligned.played_m_s2).max()),
         predicted_peak_m_s2=float(np.abs(expected).max()),
         reference_peak_m_s2=float(np.abs(reference).max()),

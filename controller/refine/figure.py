@@ -9,9 +9,9 @@ from controller.refine.heard import Node, smooth
 from controller.refine.learning import SIGMAS
 from controller.refine.rounds import Refined
 from controller.refine.tables import place
-from controller.waveforms.prediction import REACTION_S
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.plant.intention import INTENTION_S
 
 COLOURS = (OPTIMUM, CLIPPED, SEED)
 
@@ -91,7 +91,7 @@ def _tap(axes: Axes, refined: Refined) -> None:
 
     node, g = max(first, key=gained), STANDARD_GRAVITY_M_S2
     times = before.time_grid().switching_times_s
-    shown = times <= REACTION_S
+    shown = times <= INTENTION_S
     ms = 1e3 * times[shown]
     wanted = smooth(before.told(*node).window_m_s2, window.dt_s)
     axes.plot(ms, wanted[shown] / g, color="0.6", linewidth=3.0, label="reference")

@@ -13,12 +13,13 @@ from controller.record.metrics import align
 from controller.record.played import CUTOFF_HZ, before_pole, since_contact
 from controller.record.recorder import Contact
 from controller.servo.settings import Settings
-from controller.waveforms.prediction import REACTION_S, Prediction, predict
+from controller.waveforms.prediction import Prediction, predict
 from transopt.base.filters import lowpass
 from transopt.base.signals import FloatArray, Signal
 from transopt.library.library import Library
+from transopt.plant.intention import INTENTION_S
 
-FADE_S = 5e-3  # in which what is measured fades out after `REACTION_S`
+FADE_S = 5e-3  # in which what is measured fades out after `INTENTION_S`
 SPEED_PART = 0.15  # a tap this near to a node's speed counts for it, scaled
 GRIP_PART, GRIP_N = 0.15, 0.5  # the same of the grip, whichever is more
 
@@ -57,7 +58,7 @@ def node_near(library: Library, speed_m_s: float, grip_N: float) -> Node | None:
 
 def fade_of(times_s: FloatArray) -> FloatArray:
     """(N,) 1 until a hand can react, then down to 0 within `FADE_S`."""
-    after = np.clip((times_s - REACTION_S) / FADE_S, 0.0, 1.0)
+    after = np.clip((times_s - INTENTION_S) / FADE_S, 0.0, 1.0)
     return np.asarray(0.5 * (1 + np.cos(np.pi * after)))
 
 
@@ -95,7 +96,7 @@ def heard(
     speed_m_s : of the node, to which the difference is scaled.
     """
     times = prediction.times_s
-    fade, compared = fade_of(times), times <= REACTION_S
+    fade, compared = fade_of(times), times <= INTENTION_S
     whole = lowpass(replace(measured, values=before_pole(measured.values, measured.dt_s, bandwidth_Hz)), CUTOFF_HZ)
     predicted = smooth(prediction.acceleration_m_s2, float(times[1] - times[0]))
     latency = align(whole.times_s, whole.values, times[compared], predicted[compared]).latency_s

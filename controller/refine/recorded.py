@@ -12,9 +12,10 @@ from scipy import signal
 from controller.record.metrics import MOST_SHIFT_S
 from controller.record.played import REST_S
 from controller.refine.heard import Heard, Node, fade_of, heard, node_near, smooth
-from controller.waveforms.prediction import REACTION_S, Prediction, predict
+from controller.waveforms.prediction import Prediction, predict
 from transopt.base.signals import FloatArray, Signal
 from transopt.library.library import Library
+from transopt.plant.intention import INTENTION_S
 from transopt.recordings.recording import Recording
 
 LEAST_REST_S = 2e-3  # before the tap
@@ -83,7 +84,7 @@ def _hear(
 def _where(x: Signal, prediction: Prediction) -> float | str:
     """Time in the record that is the prediction's 0 [s], by the largest correlation; or why it is none."""
     times, dt = prediction.times_s, float(prediction.times_s[1] - prediction.times_s[0])
-    known = times <= REACTION_S
+    known = times <= INTENTION_S
     p = Signal(float(times[0]), dt, smooth(prediction.acceleration_m_s2, dt)[known])
     steps = int(np.floor((p.end_s - p.start_s) / x.dt_s)) + 1
     wanted = p.at(np.asarray(p.start_s + x.dt_s * np.arange(steps), dtype=float))

@@ -9,7 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
 MAGIC = 0x4C504E54  # "TNPL"
-VERSION = 1
+VERSION = 2
 MOST_SEGMENTS = 2
 
 
@@ -25,8 +25,7 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
 
     Raises
     ------
-    InputError : friction, which the plant does not have; a hand that lets go and takes hold again; a user who moves
-        the stylus by an acceleration of his own.
+    InputError : friction, which the plant does not have; a hand that lets go and takes hold again.
     """
     s = simulator
     device, sensors, dt_s = s.device, s.sensors, s.dt_s
@@ -39,8 +38,6 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
         raise InputError("user: the compiled plant's hand holds the stylus all the time, or never")
     for k in range(ticks):
         start_s = k * dt_s
-        if user.carried_m_s2(start_s) != 0:
-            raise InputError("user: the compiled plant knows the hand's intention only")
         for segment, step_s in enumerate(s.step_s):
             for j in range(steps):
                 intention[k, segment, j] = user.intention_m(start_s + (j + 1) * step_s) + s.ahead_m

@@ -31,14 +31,13 @@ class Played:
     tap : that was asked for.
     prediction : of the library.
     times_s : (K,) of the truth at every integration step; so are current_A and winding_C.
-    acceleration_m_s2 : (K,) of the stylus without the user's own share, so that it compares with the predicted y''. A
-        mild, a yielding and a stopping user are all taken to go straight on: what they do otherwise is error.
+    acceleration_m_s2 : (K,) of the stylus.
     command_A : (T,) of the servo at its ticks.
     events : of the servo, in the order they came.
     latency_s : the one shift within 1 ms that aligns played and predicted acceleration, positive if played late;
         like both errors NaN if no transient was played.
-    nrmse : after that shift, against the library's prediction.
-    nrmse_reference : after that shift, against the recorded reference r.
+    tap_error : after that shift, against the recorded tap, until the hand's intention is over.
+    playback_error : after that shift, against the library's prediction.
     """
 
     tap: SimulatedTap
@@ -50,23 +49,18 @@ class Played:
     command_A: FloatArray
     events: tuple[Event, ...]
     latency_s: float = float("nan")
-    nrmse: float = float("nan")
-    nrmse_reference: float = float("nan")
+    tap_error: float = float("nan")
+    playback_error: float = float("nan")
 
     @property
     def played(self) -> bool:
-        return not np.isnan(self.nrmse)
+        return not np.isnan(self.playback_error)
 
     @property
     def peak_m_s2(self) -> float:
         """Largest |acceleration| within the library's window."""
         first, last = self.prediction.times_s[[0, -1]]
         return float(np.abs(self.acceleration_m_s2[(self.times_s >= first) & (self.times_s <= last)]).max())
-
-    @property
-    def reference_m_s2(self) -> FloatArray:
-        """(N,) the recorded reference at the tap's gain."""
-        return np.asarray(self.tap.gain * self.prediction.reference_m_s2)
 
     @property
     def peak_current_A(self) -> float:
@@ -115,13 +109,13 @@ def play_tap(
     run(simulator, servo, ticks, grid.dt_s, observe=lambda _, output: outputs.append(output))
     trace = simulator.trace()
     times = trace.times_s - _contact_s(trace, expected, grid.lead_s)
-    acceleration = trace.acceleration_m_s2 - trace.own_m_s2
+    acceleration = trace.acceleration_m_s2
     events = tuple(event for output in outputs for event in output.events)
     commands = np.array([output.command_A for output in outputs])
     truth_of = (tap, prediction, times, acceleration, trace.current_A, trace.winding_C, commands, events)
-    wanted = prediction.acceleration_m_s2
-    if prediction.silent or not np.any(wanted) or not np.any(trace.current_A):
+    if prediction.silent or not np.any(prediction.acceleration_m_s2) or not np.any(trace.current_A):
         return Played(*truth_of)
-    aligned = align(times, acceleration, prediction.times_s, wanted)
-    error = nrmse(aligned.played_m_s2, tap.gain * prediction.reference_m_s2)
-    return Played(*truth_of, aligned.latency_s, aligned.nrmse, error)
+    aligned = align(times, acceleration, prediction.times_s, prediction.whole_m_s2)
+    first = (prediction.times_s >= 0) & (prediction.times_s < library.yardstick.intention_s)
+    error = nrmse(aligned.played_m_s2[first], prediction.recorded_m_s2[first])
+    return Played(*truth_of, aligned.latency_s, error, aligned.nrmse)

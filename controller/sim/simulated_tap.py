@@ -4,17 +4,17 @@ The world behind the port `sim:` is made of these taps (`controller.sim.tapping`
 one without the protocol between and asks for the truth.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from controller.record.metrics import rate_hardness_N_m
 from controller.sim.simulator import NONE, Imperfections, Simulator
 from controller.sim.true_device import TrueDevice
-from controller.sim.user import Habit, RecordedUser, TapUser, Tremor, User
-from controller.waveforms.prediction import predict
+from controller.sim.user import STRAIGHT, TapUser, Tremor, User
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
+from transopt.plant.intention import Intention, Yielding
 from transopt.recordings.settings import SimulatedTaps
 
 APPROACH_S, APPROACH_M = 60e-3, 5e-3  # the straight way in: at least so long and so far
@@ -29,13 +29,16 @@ class SimulatedTap:
     Attributes
     ----------
     gain : that the servo was set to; for the prediction.
+    yields : what the hand does when its intention is over; None for what the hand of the recordings does.
+    incoming_m_s2 : acceleration with which the hand comes.
     phase : of the contact within a servo tick, 0 to 1; drawn from the seed if None.
     """
 
     speed_m_s: float
     grip_N: float
     gain: float = 1.0
-    habit: Habit = Habit.MILD
+    yields: Yielding | None = None
+    incoming_m_s2: float = 0.0
     seed: int = 0
     imperfections: Imperfections = NONE
     tremor: Tremor | None = None
@@ -66,12 +69,14 @@ def strike_real(
     grip_N: float,
     duration_s: float,
     dt_s: float,
+    intention: Intention = STRAIGHT,
+    incoming_m_s2: float = 0.0,
 ) -> Struck:
-    """Let the undriven stylus strike a real object at z = 0 (seed Fig. 1); the mild user goes on."""
+    """Let the undriven stylus strike a real object at z = 0 (seed Fig. 1)."""
     approach = 100
     simulator = Simulator(
         device,
-        TapUser(speed_m_s, grip_N, approach * dt_s),
+        TapUser(speed_m_s, grip_N, approach * dt_s, intention, incoming_m_s2=incoming_m_s2),
         dt_s,
         target=target,
         steps=STEPS_AT_CONTACT,
@@ -86,12 +91,10 @@ def strike_real(
 
 
 def _user(library: Library, tap: SimulatedTap, contact_s: float) -> User:
-    if tap.habit is Habit.RECORDED:
-        prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
-        scale = tap.speed_m_s / prediction.speed_m_s
-        own = scale * prediction.own_m_s2
-        return RecordedUser(tap.speed_m_s, tap.grip_N, contact_s, prediction.times_s, own)
-    return TapUser(tap.speed_m_s, tap.grip_N, contact_s, tap.habit, tap.tremor, tap.grip_rate_N_s)
+    intention = library.scene().hand.intention()
+    if tap.yields is not None:
+        intention = replace(intention, yields=tap.yields)
+    return TapUser(tap.speed_m_s, tap.grip_N, contact_s, intention, tap.tremor, tap.grip_rate_N_s, tap.incoming_m_s2)
 
 
 def _contact_s(tap: SimulatedTap, dt_s: float) -> float:
@@ -118,7 +121,7 @@ def tap_simulator(
 
 
 def object_simulator(target: SimulatedTaps, device: TrueDevice, tap: SimulatedTap, dt_s: float) -> Simulator:
-    """Put the device into a mild user's hand, on the way to a real object at the surface; the user goes on."""
+    """Put the device into a hand on the way to a real object at the surface; the hand goes straight on."""
     user = TapUser(tap.speed_m_s, tap.grip_N, _contact_s(tap, dt_s))
     wrong, steps = tap.imperfections, STEPS_AT_CONTACT
     return Simulator(device, user, dt_s, imperfections=wrong, seed=tap.seed, target=target, steps=steps)

@@ -13,7 +13,6 @@ import numpy as np
 from controller.servo.interface import Readings
 from controller.sim.sensors import SEED_SENSORS, SensorBench, Sensors
 from controller.sim.true_device import (
-    CARRIED,
     COMMAND,
     CONTACT_FORCE,
     INPUTS,
@@ -63,14 +62,12 @@ class Trace:
 
     Attributes
     ----------
-    times_s : simulator's time. acceleration_m_s2 : of the stylus, all of it. own_m_s2 : the part that the user gives
-    of the hand's own accord. motor_m, stylus_m : positions. current_A : in the coil. contact_N : force of a real
+    times_s : simulator's time. acceleration_m_s2 : of the stylus. motor_m, stylus_m : positions. current_A : in the coil. contact_N : force of a real
     object on the stylus. winding_C : NaN without a coil.
     """
 
     times_s: FloatArray
     acceleration_m_s2: FloatArray
-    own_m_s2: FloatArray
     motor_m: FloatArray
     motor_m_s: FloatArray
     stylus_m: FloatArray
@@ -314,7 +311,6 @@ class Simulator:
         x[S + COMMAND] = felt_A
         x[S + INTENTION] = before
         x[S + INTENTION_SPEED] = (self._intention_m - before) / step_s
-        x[S + CARRIED] = user.carried_m_s2(end_s - step_s / 2)
         if self._nonlinear:
             self._push(x)
             middle = x.copy()
@@ -331,11 +327,10 @@ class Simulator:
         now = x.copy()
         # The inputs as they are at this instant, not over the step that led here.
         now[S + INTENTION] = self._intention_m
-        own = now[S + CARRIED] = self._user.carried_m_s2(time_s)
         if self._nonlinear:
             self._push(now)
         stylus = self.device.stylus
         acceleration = float(self._flow.acceleration @ now)
         motor_m, motor_m_s, stylus_m = float(x[0]), float(x[n]), float(x[stylus])
         current, contact = float(x[self._at.current]), float(now[S + CONTACT_FORCE])
-        self._rows.append((time_s, acceleration, own, motor_m, motor_m_s, stylus_m, current, contact, self.winding_C))
+        self._rows.append((time_s, acceleration, motor_m, motor_m_s, stylus_m, current, contact, self.winding_C))

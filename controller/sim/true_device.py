@@ -185,8 +185,8 @@ def device_of(scene: Scene) -> TrueDevice:
 
 
 # Inputs of the linear flow, all held over a step except the intention, which moves at a held velocity.
-COMMAND, INTENTION, INTENTION_SPEED, CARRIED, MOTOR_FORCE, CONTACT_FORCE = range(6)
-INPUTS = 6
+COMMAND, INTENTION, INTENTION_SPEED, MOTOR_FORCE, CONTACT_FORCE = range(5)
+INPUTS = 5
 
 
 class Layout:
@@ -212,8 +212,7 @@ def nonlinear(device: TrueDevice, target: SimulatedTaps | None) -> bool:
 def rates(device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float) -> FloatArray:
     """(S + U, S + U) generator of the linear motion of states and inputs; the inputs' own rows are zero but one.
 
-    CARRIED is an acceleration that the user gives every mass of the chain alike; the contact force acts on the
-    stylus outwards and on the object inwards.
+    The contact force acts on the stylus outwards and on the object inwards.
     """
     masses, stiffness, damping = device.at(grip_N)
     n = masses.size
@@ -236,7 +235,6 @@ def rates(device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float,
     G[n, n] -= device.ground.damping_N_s_m / masses[0]
     G[n, at.current] += device.force_per_current_N_A / masses[0]
     G[n, S + MOTOR_FORCE] += 1 / masses[0]
-    G[n : 2 * n, S + CARRIED] = 1.0
     G[n + device.stylus, S + CONTACT_FORCE] += 1 / masses[device.stylus]
     if device.amplifier is not None:
         G[at.current, at.current] = -device.amplifier.rate_rad_s

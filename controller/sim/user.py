@@ -1,48 +1,32 @@
 """The user: where the hand means to be, and how firmly it holds.
 
-Nobody reacts to a tap within 30 ms, so until then the intention of every user goes on at the incoming speed, as in
-the seed; what comes after is a law of its own.
+What a hand means to do from contact on is `transopt.plant.intention`, for recordings and for simulated users alike.
 """
 
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from controller.waveforms.prediction import REACTION_S
-from transopt.base.signals import FloatArray
+from transopt.plant.intention import BRAKING_S, INTENTION_S, Intention, Path
 
-BRAKING_S = 60e-3  # in which a yielding hand comes to rest, evenly
 RETREAT_S = 200e-3
 REST_S = 30e-3  # above the surface between two taps
 HOLD_S = 50e-3  # below it
 STARTING_S = 30e-3  # in which the hand reaches the approach's speed, evenly
 STRAIGHT_S, STRAIGHT_M = 40e-3, 3e-3  # straight approach: at least so long and so far together
-
-
-class Habit(Enum):
-    """What the hand does after the contact; the value is its name on the command line."""
-
-    MILD = "mild"  # the intention goes on at the incoming speed: the design's assumption
-    YIELDING = "yielding"  # from 30 ms on it brakes evenly and rests after another 60 ms
-    STOPPING = "stopping"  # at 30 ms it stops dead
-    RECORDED = "recorded"  # it moves as the hands in the recordings did: z_nom, the nominal path
+STRAIGHT = Intention(yields="straight")
 
 
 class User(Protocol):
-    """Functions of the simulator's time; most users give the device no acceleration of their own accord."""
+    """Functions of the simulator's time."""
 
     def intention_m(self, time_s: float) -> float:
         """Position that the hand means to have along the surface normal."""
         ...
-
-    def carried_m_s2(self, time_s: float) -> float:
-        """Acceleration that the hand gives to all it moves, of its own accord: r_u = r_raw - r."""
-        return 0.0
 
     def grip_N(self, time_s: float) -> float: ...
 
@@ -59,91 +43,35 @@ class Tremor:
         return self.amplitude_m * math.sin(2 * math.pi * self.frequency_Hz * time_s + self.phase_rad)
 
 
-def _after_reaction(habit: Habit, speed_m_s: float, after_s: float) -> float:
-    """How far the intention has come since `REACTION_S` after contact [m], positive inwards."""
-    if habit is Habit.STOPPING:
-        return 0.0
-    if habit is Habit.YIELDING:
-        braked = min(after_s, BRAKING_S)
-        return speed_m_s * (braked - braked**2 / (2 * BRAKING_S))
-    return speed_m_s * after_s
-
-
 @dataclass(frozen=True)
 class TapUser(User):
     """One tap: straight in at `speed_m_s`, the intention reaches the surface at `contact_s`.
 
     Attributes
     ----------
+    intention : what the hand means to do from contact on.
+    incoming_m_s2 : acceleration with which it comes.
     grip_rate_N_s : ramp of the grip from contact on.
     """
 
     speed_m_s: float
     held_N: float
     contact_s: float
-    habit: Habit = Habit.MILD
+    intention: Intention = STRAIGHT
     tremor: Tremor | None = None
     grip_rate_N_s: float = 0.0
+    incoming_m_s2: float = 0.0
+
+    @cached_property
+    def _path(self) -> Path:
+        return Path(self.speed_m_s, self.intention, self.incoming_m_s2)
 
     def intention_m(self, time_s: float) -> float:
-        t = time_s - self.contact_s
-        if t <= REACTION_S:
-            z = -self.speed_m_s * t
-        else:
-            z = -self.speed_m_s * REACTION_S - _after_reaction(self.habit, self.speed_m_s, t - REACTION_S)
+        z = self._path.at(time_s - self.contact_s)
         return z if self.tremor is None else z + self.tremor.at(time_s)
 
     def grip_N(self, time_s: float) -> float:
         return max(self.held_N + self.grip_rate_N_s * max(time_s - self.contact_s, 0.0), 0.0)
-
-
-class RecordedUser(User):
-    """One tap by a hand that moves as in the recordings: along z_nom, giving all it moves the acceleration r_u.
-
-    After the library's window it goes on straight.
-
-    Parameters
-    ----------
-    times_s, carried_m_s2 : (N,) r_u at times from contact on.
-    """
-
-    STEP_S = 2.5e-5
-
-    def __init__(
-        self, speed_m_s: float, held_N: float, contact_s: float, times_s: FloatArray, carried_m_s2: FloatArray
-    ) -> None:
-        self._speed_m_s, self._held_N, self._contact_s = speed_m_s, held_N, contact_s
-        times = np.arange(0.0, times_s[-1] + 2 * self.STEP_S, self.STEP_S)
-        carried = np.interp(times, times_s, carried_m_s2)
-        # Integrated here, so that position and acceleration agree on this grid exactly.
-        velocity = -speed_m_s + np.append(0.0, np.cumsum((carried[1:] + carried[:-1]) / 2 * self.STEP_S))
-        steps = velocity[:-1] * self.STEP_S + (2 * carried[:-1] + carried[1:]) / 6 * self.STEP_S**2
-        self._position: list[float] = np.append(0.0, np.cumsum(steps)).tolist()
-        self._carried: list[float] = carried.tolist()
-        self._last_m_s = float(velocity[-1])
-
-    def _at(self, time_s: float) -> tuple[int, float]:
-        place = (time_s - self._contact_s) / self.STEP_S
-        j = min(int(place), len(self._position) - 2)
-        return j, place - j
-
-    def intention_m(self, time_s: float) -> float:
-        t = time_s - self._contact_s
-        if t <= 0:
-            return -self._speed_m_s * t
-        j, part = self._at(time_s)
-        if part > 1:
-            return self._position[-1] + (part - 1) * self.STEP_S * self._last_m_s
-        return (1 - part) * self._position[j] + part * self._position[j + 1]
-
-    def carried_m_s2(self, time_s: float) -> float:
-        if time_s <= self._contact_s:
-            return 0.0
-        j, part = self._at(time_s)
-        return 0.0 if part > 1 else (1 - part) * self._carried[j] + part * self._carried[j + 1]
-
-    def grip_N(self, time_s: float) -> float:
-        return self._held_N
 
 
 def _minimum_jerk(part: float) -> float:
@@ -171,8 +99,12 @@ class _Cycle:
         return self.start_s + REST_S + STARTING_S + self.straight_s
 
     @cached_property
+    def _path(self) -> Path:
+        return Path(self.speed_m_s)
+
+    @cached_property
     def retreat_s(self) -> float:
-        return self.contact_s + REACTION_S + BRAKING_S + HOLD_S
+        return self.contact_s + INTENTION_S + BRAKING_S + HOLD_S
 
     @cached_property
     def end_s(self) -> float:
@@ -186,10 +118,7 @@ class _Cycle:
                 return self.height_m
             started = min(moving, STARTING_S)
             return self.height_m - v * (started**2 / (2 * STARTING_S) + moving - started)
-        t = time_s - self.contact_s
-        if t <= REACTION_S:
-            return -v * t
-        z = -v * REACTION_S - _after_reaction(Habit.YIELDING, v, t - REACTION_S)
+        z = self._path.at(time_s - self.contact_s)
         back = max(time_s - self.retreat_s, 0.0) / RETREAT_S
         return z + (self.next_height_m - z) * _minimum_jerk(min(back, 1.0))
 

@@ -12,8 +12,6 @@ from transopt.plant.wall import HandOver
 from transopt.proof.replay import replay
 from transopt.scene.scene import Scene
 
-REACTION_S = 30e-3  # until a hand can answer the tap: beyond, no prediction holds
-
 
 @dataclass(frozen=True)
 class Prediction:
@@ -25,8 +23,10 @@ class Prediction:
     silent : too little grip or no speed: nothing is played.
     times_s : (N,) tau_k, from contact. acceleration_m_s2 : (N,) y'' there, what the command adds.
     reference_m_s2, own_m_s2 : (N,) the target r - a_free, and a_free. current_A : (N,).
-    after_times_s, after_m_s2, reference_after_m_s2 : (M,) instants after the waveform, y'' and the target there.
+    after_times_s, after_m_s2, reference_after_m_s2, own_after_m_s2 : (M,) instants after the waveform, y'', the
+        target and a_free there.
     floor, repeatability : blended like the waveforms; NaN where the recordings have no repeats.
+    gain : by which the transient is multiplied.
     """
 
     speed_m_s: float
@@ -40,8 +40,20 @@ class Prediction:
     after_times_s: FloatArray
     after_m_s2: FloatArray
     reference_after_m_s2: FloatArray
+    own_after_m_s2: FloatArray
     floor: float
     repeatability: float
+    gain: float = 1.0
+
+    @property
+    def whole_m_s2(self) -> FloatArray:
+        """(N,) acceleration of the stylus as predicted: what the current adds and what it does without."""
+        return self.acceleration_m_s2 + self.own_m_s2
+
+    @property
+    def recorded_m_s2(self) -> FloatArray:
+        """(N,) acceleration of the recorded tap at this gain."""
+        return self.gain * self.reference_m_s2 + self.own_m_s2
 
 
 def scene_of(library: Library) -> Scene:
@@ -99,6 +111,8 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         after_times_s=grid.after_times_s,
         after_m_s2=after,
         reference_after_m_s2=target.after_m_s2,
+        own_after_m_s2=target.free_after_m_s2,
         floor=float(by_v @ library.floor @ by_F),
         repeatability=float(repeats[used] @ shares[used]),
+        gain=gain,
     )

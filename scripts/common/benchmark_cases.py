@@ -38,7 +38,7 @@ from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
-from transopt.recordings.reference import build_references
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers import riccati, unlimited
@@ -91,8 +91,7 @@ def row(
 
 def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> TransientProblem:
     """One entry of the scene; a longer horizon goes on with nothing to do."""
-    references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
-    wanted = references[scene.grid.speeds_m_s.index(speed_m_s)].target.window_m_s2
+    wanted = references_of(scene, recordings(scene)).at(speed_m_s, grip_N).target.window_m_s2
     amplifier = scene.amplifier_model()
     assert amplifier is not None
     return TransientProblem(
@@ -132,8 +131,7 @@ def designed_entry(name: str, scene: Scene, speed_m_s: float, grip_N: float, aft
     """A library's entry from its reference to its prices, looked at so long after the window."""
     weights = scene.weights.model_copy(update={"after_s": after_s})
     scene = scene.model_copy(update={"weights": weights})
-    references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
-    wanted, options = references[scene.grid.speeds_m_s.index(speed_m_s)], SolverOptions()
+    wanted, options = references_of(scene, recordings(scene)).at(speed_m_s, grip_N), SolverOptions()
 
     def run() -> Entry:
         return design([Context(scene).posed_as(wanted, grip_N)], options=options)[0]

@@ -14,7 +14,6 @@ from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, boxes, certify
 from transopt.proof.replay import replayed_errors
-from transopt.recordings.reference import build_references
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.choose import solve
@@ -206,5 +205,4 @@ def case_of_scene(name: str) -> Case:
     check_name(name)
     scene = problems.load(name)
     speed, grip = scene.grid.speeds_m_s[-1], scene.grid.grips_N[-1]
-    reference = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)[-1]
-    return make_case(name, scene, Context(scene).posed_as(reference, grip).problem, speed, grip)
+    return make_case(name, scene, Context.recorded(scene, recordings(scene)).posed(speed, grip).problem, speed, grip)

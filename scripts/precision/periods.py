@@ -15,7 +15,7 @@ from transopt.plant.discretise import discretise
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import replay
-from transopt.recordings.reference import Reference, build_references
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.choose import capable, solve
@@ -35,15 +35,9 @@ def at_rate(scene: Scene, rate_Hz: float) -> Scene:
     return scene.model_copy(update={"time": servo, "hand_over_samples": hand_over})
 
 
-def reference_of(scene: Scene, speed_m_s: float) -> Reference:
-    speeds = scene.grid.speeds_m_s
-    built = build_references(recordings(scene), speeds, scene.time_grid(), scene.recordings)
-    return built[speeds.index(speed_m_s)]
-
-
 def _problem(case: Case, rate_Hz: float) -> TransientProblem:
     scene = at_rate(case.scene, rate_Hz)
-    return Context(scene).posed_as(reference_of(scene, case.speed_m_s), case.grip_N).problem
+    return Context.recorded(scene, recordings(scene)).posed(case.speed_m_s, case.grip_N).problem
 
 
 def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATES_Hz) -> list[Row]:
@@ -91,13 +85,13 @@ def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float,
     A command held over its period is the same held over the fine periods within it, so one replay plays all.
     """
     scene = at_rate(case.scene, FINE_Hz)
-    reference = reference_of(scene, case.speed_m_s)
+    target = references_of(scene, recordings(scene)).at(case.speed_m_s, case.grip_N).target
     grid = scene.time_grid()
     fine = np.stack([np.repeat(c, round(FINE_Hz / rate))[: grid.stages] for rate, c in commands_A.items()])
     stage = discretise(case.problem.stage.plant, case.problem.stage.amplifier, grid.dt_s)
     budget = None if case.small.thermal is None else [case.small.thermal.budget] * len(fine)
     coil = None if case.small.thermal is None else case.small.thermal.coil
-    found = replay(stage, grid, fine, [reference.target] * len(fine), coil, budgets=budget)
+    found = replay(stage, grid, fine, [target] * len(fine), coil, budgets=budget)
     current_A, command_A = case.problem.limits.input_limit, case.problem.command_bound
     thermal = case.small.thermal
     violation = {}

@@ -31,8 +31,7 @@ from transopt.base.writing import table
 from transopt.design.build import build_library
 from transopt.library.library import Library
 from transopt.problem.objective.target import Target
-from transopt.recordings.reference import build_references
-from transopt.scene.recordings import recordings_of
+from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 
 LAST_S = 5e-3  # of the window, in which the kick is looked for
@@ -93,10 +92,7 @@ def targets(scene: Scene) -> list[Target]:
     """What every speed asks for, through the window and `AFTER_S` after it."""
     weights = scene.weights.model_copy(update={"after_s": AFTER_S})
     lasting = scene.model_copy(update={"weights": weights})
-    references = build_references(
-        recordings_of(lasting), scene.grid.speeds_m_s, lasting.time_grid(), scene.recordings
-    )
-    return [reference.target for reference in references]
+    return [reference.target for reference in references_of(lasting, recordings_of(lasting))]
 
 
 def played(

@@ -28,7 +28,8 @@ from transopt.design.refine_grid import DEFAULT_CAP, refine_grid
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 from transopt.proof.replay import replayed_errors
-from transopt.recordings.reference import Reference, between, build_references
+from transopt.recordings.references import References
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.study.grid_spacing import soft_hand
@@ -43,12 +44,12 @@ def random_points(scene: Scene, count: int, seed: int = SEED) -> FloatArray:
     return np.random.default_rng(seed).uniform(low, high, (count, 2))
 
 
-def excess(scene: Scene, references: list[Reference], points: FloatArray, *libraries: Library) -> FloatArray:
+def excess(scene: Scene, references: References, points: FloatArray, *libraries: Library) -> FloatArray:
     """(n, libraries) NRMSE of what each library plays at points (n, 2) less that of the optimum there, replayed."""
     grid, found = scene.time_grid(), []
     for speed, grip in points:
         stage = discretise(scene.plant(grip), scene.amplifier_model(), grid.dt_s)
-        reference = between(references, speed)
+        reference = references.at(speed, grip)
         (entry,) = design([Context(scene).posed_as(reference, grip)])
         exactly = entry.solution.command
         commands = np.stack([exactly, *(library.at(speed, grip).command for library in libraries)])
@@ -69,7 +70,7 @@ def demonstrate(
     start = time.perf_counter()
     libraries = [build_library(scene, taps, refinement=r).library for r in (None, refinement)]
     built_s = time.perf_counter() - start
-    references = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    references = references_of(scene, taps)
     places = random_points(scene, points)
     found = 100 * excess(scene, references, places, *(library for library in libraries if library is not None))
     if found.shape[1] != 2:

@@ -32,7 +32,6 @@ from transopt.problem.leave_out import leave_out
 from transopt.problem.objective.bands import levels
 from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Designed, TOLERANCE_dB
-from transopt.recordings.reference import build_references
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -156,15 +155,12 @@ def start_outputs(statement: Statement, command_A: FloatArray) -> FloatArray:
 def entries(scene: Scene, current_A: float, starts: int, seed: int) -> list[Found]:
     """All entries of a scene under one current limit, with the energy of the recorded tap asked for."""
     changed = with_values(scene, {"limits.current_A": current_A})
-    references = build_references(
-        recordings(changed), changed.grid.speeds_m_s, changed.time_grid(), changed.recordings
-    )
+    context = Context.recorded(changed, recordings(changed))
     rng, found = np.random.default_rng(seed), []
     for grip in changed.grid.grips_N:
-        context = Context(changed)
-        for reference in references:
-            problem = replace(context.posed_as(reference, grip).problem, intensity_dB=0.0)
-            found.append(_found(intense(problem, SolverOptions()), current_A, reference.speed_m_s, grip, starts, rng))
+        for speed in changed.grid.speeds_m_s:
+            problem = replace(context.posed(speed, grip).problem, intensity_dB=0.0)
+            found.append(_found(intense(problem, SolverOptions()), current_A, speed, grip, starts, rng))
     return found
 
 

@@ -239,7 +239,11 @@ def _print(console: "Console", build: "Build", written: str, unfit: str) -> None
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
-    for warning in (*warnings(build), *filter(None, [model_warning(build), moving_target(build.scene)])):
+    for warning in (
+        *build.recorded_remarks,
+        *warnings(build),
+        *filter(None, [model_warning(build), moving_target(build.scene)]),
+    ):
         line(warning, "yellow")
     for entry in build.refused:
         line(f"refused: {entry.place}: {refusal(entry)}", "red")

@@ -136,6 +136,12 @@ class Build:
         return Errors(self.context, SolverOptions(self.solver)).replayed(asked, own, own)
 
     @property
+    def recorded_remarks(self) -> list[str]:
+        """What the scene's own grips rest on that was not recorded, one sentence each."""
+        grid = self.scene.grid if self.refinement is None else self.refinement.recorded
+        return self.references.remarks(grid.grips_N)
+
+    @property
     def context(self) -> Context:
         """Devices and references by which its entries were posed."""
         return Context(self.scene, self.references)

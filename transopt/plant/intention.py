@@ -4,6 +4,7 @@ Nobody answers a tap within some 30 ms: for so long the intention goes on at the
 comes after it is a law of yielding. All motions here are per m/s of incoming speed, beside the straight line -v t.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -93,6 +94,52 @@ class Intention:
                 last = phase.after(u, rate, np.array([end - phase.start_s]))
                 u, rate = float(last[0][0]), float(last[1][0])
         return found[0], found[1], found[2]
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where a hand means to be on its way through one tap, contact at 0.
+
+    Attributes
+    ----------
+    speed_m_s : incoming, at contact.
+    intention : what the hand means to do from contact on.
+    incoming_m_s2 : acceleration with which it comes, and goes on until the intention is over.
+    """
+
+    speed_m_s: float
+    intention: Intention = Intention()
+    incoming_m_s2: float = 0.0
+
+    @cached_property
+    def _phases(self) -> list[tuple[float, float, float, Phase]]:
+        """Start, u and u' of every phase, the jump included."""
+        found, u, rate = list[tuple[float, float, float, Phase]](), 0.0, 0.0
+        for phase in self.intention.phases:
+            if found:
+                start, u, rate, before = found[-1]
+                way, slope, _ = before.after(u, rate, np.array([phase.start_s - start]))
+                u, rate = float(way[0]), float(slope[0])
+            found.append((phase.start_s, u, rate + phase.jump, phase))
+        return found
+
+    def at(self, time_s: float) -> float:
+        """Position of the intention along the surface normal [m], outwards positive."""
+        v, a, T = self.speed_m_s, self.incoming_m_s2, self.intention.intention_s
+        if time_s <= 0:
+            return -v * time_s + a * time_s**2 / 2
+        carried = min(time_s, T)
+        z = -v * time_s + a * carried**2 / 2 + a * carried * (time_s - carried)
+        if time_s <= T:
+            return z
+        start, u, rate, phase = next(each for each in reversed(self._phases) if each[0] <= time_s)
+        t = time_s - start
+        if phase.decay_1_s == 0:
+            u += rate * t + phase.rate_1_s * t**2 / 2
+        else:
+            end = phase.rate_1_s / phase.decay_1_s
+            u += end * t - (rate - end) * math.expm1(-phase.decay_1_s * t) / phase.decay_1_s
+        return z + (v - a * T) * u
 
 
 class FreeMotion:

@@ -124,27 +124,32 @@ class References:
 
     def remarks(self, grips_N: Sequence[float]) -> list[str]:
         """What a design for some grips rests on that was not recorded, one sentence each; `notes` among them."""
-        found = list(self.notes)
         held = [F for F in grips_N if F > 0]  # nobody holds a free device, whoever struck for it
+        speeds: dict[str, list[float]] = {}  # at which the same is to be said
         for speed, row in self._rows.items():
             known = [grip for cell in row for grip in cell.of_grips_N]
-            if not known:
-                continue
-            said = " and ".join(f"{grip:g}" for grip in known)
-            beyond = [f"{F:g}" for F in held if not _within(F, known)]
-            blended = [f"{F:g}" for F in held if _within(F, known) and not _among(F, known)]
+            beyond = [F for F in held if known and not _within(F, known)]
+            blended = [F for F in held if known and _within(F, known) and not _among(F, known)]
             if beyond:
-                edge = "that of the nearest grip serves"
-                found.append(f"{speed:g} m/s, {' and '.join(beyond)} N: taps of {said} N only, {edge}")
+                said = f"{_listed(beyond)} N: taps of {_listed(known)} N only, that of the nearest grip serves"
+                speeds.setdefault(said, []).append(speed)
             if blended:
-                found.append(f"{speed:g} m/s, {' and '.join(blended)} N: blended from the taps of {said} N")
+                said = f"{_listed(blended)} N: blended from the taps of {_listed(known)} N"
+                speeds.setdefault(said, []).append(speed)
+        found = [*self.notes, *(f"{_listed(which)} m/s, {said}" for said, which in speeds.items())]
         if len(grips_N) > 1 and any(not cell.of_grips_N and not cell.name for cell in self.cells):
             found.append(f"the taps state no grip and serve every grip; state it (`# grip_N: 3`): {COST}")
         return found
 
 
+def _listed(values: Sequence[float]) -> str:
+    *others, last = (f"{value:g}" for value in values)
+    return f"{', '.join(others)} and {last}" if others else last
+
+
 def _among(grip_N: float, grips_N: Sequence[float]) -> bool:
-    return any(abs(grip_N - each) <= ROUNDING * each for each in grips_N)
+    """Whether a grip is one of those, as far as a sensor can tell."""
+    return any(abs(grip_N - each) <= ALIKE * each for each in grips_N)
 
 
 def _within(grip_N: float, grips_N: Sequence[float]) -> bool:

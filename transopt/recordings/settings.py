@@ -32,7 +32,9 @@ class SimulatedTaps(Section):
 
 
 class Recordings(Section):
-    """Settings that say where the taps come from and how they become references."""
+    """Settings that say where the taps come from and how they become references.
+    `trusted_from_Hz` is the cut-off of an accelerometer that reads no constant, 0.5 to 5 Hz for one of the IEPE type.
+    """
 
     files: Annotated[list[str], Field(max_length=MOST_FILES)] = Field(default_factory=list)
     folder: str = "."

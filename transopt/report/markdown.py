@@ -110,8 +110,7 @@ def _recorded_lines(build: Build) -> list[str]:
     if derived:
         rule = "r = v ((1 - w) r_1 / v_1 + w r_2 / v_2), w = (v - v_1) / (v_2 - v_1)"
         more.append(f"- not recorded but derived from the two neighbours: {', '.join(derived)} m/s, by {rule}")
-    remarks = references.remarks(axes.grips_N)
-    return [*table(heads, rows), "", *(f"- {note}" for note in [*remarks, *shown[:10]]), *more]
+    return [*table(heads, rows), "", *(f"- {note}" for note in [*build.recorded_remarks, *shown[:10]]), *more]
 
 
 def _peak_g(reference: Reference) -> float:
@@ -130,7 +129,7 @@ def _origin(build: Build) -> str:
         striking = f"the undriven device{whose}"
         return (
             f"The recordings are **simulated**: {striking} at {grip} strikes the object of "
-            f"the scene, {simulated.repeats} repeats per speed, accelerometer noise "
+            f"the scene, {simulated.repeats} repeats per speed and grip, accelerometer noise "
             f"{simulated.noise_g_rtHz * 1e6:g} ug/sqrt(Hz), range +-{simulated.range_g:g} g."
         )
     settings = build.scene.recordings

@@ -185,9 +185,9 @@ def scene_of_taps(
     """
     grid, recordings = ("\n".join(lines) for lines in _lines(taps, paths, settings, home))
     device = template[template.index("motor = ") :]
-    text, speeds = re.subn(r"(?m)^speeds_m_s = .*$", lambda _: grid, device)
     if "grips_N" in grid:
-        text = re.sub(r"(?m)^grips_N = \[1\.0.*\n", "", text)
+        device = re.sub(r"(?m)^grips_N = .*\n", "", device)
+    text, speeds = re.subn(r"(?m)^speeds_m_s = .*$", lambda _: grid, device)
     text, files = re.subn(r"(?ms)^# Three recordings.*?^files = .*?$", lambda _: recordings, text)
     assert (speeds, files) == (1, 1)
     about = "taps of one's own on the built-in device"

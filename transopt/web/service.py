@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.build import build_library
 from transopt.design.context import KEPT_STAGES, Context, Kept, Posed
@@ -43,7 +43,19 @@ from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.web.controls import DEVICE, TABLES, Control, controls, input_key
 
 MOST_REMEDY_S = 1.5  # of a processor's time for what would do for one tap
-RECORDED = {"recordings", "targets", "time", "weights", "grid", "model", "motor", "transmission", "tip", "striker"}
+RECORDED = {
+    "recordings",
+    "hand",
+    "targets",
+    "time",
+    "weights",
+    "grid",
+    "model",
+    "motor",
+    "transmission",
+    "tip",
+    "striker",
+}
 
 
 @dataclass(frozen=True)

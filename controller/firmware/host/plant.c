@@ -8,7 +8,7 @@
 #include "td_bytes.h"
 
 #define MAGIC 0x4c504e54u /* "TNPL" */
-#define VERSION 1
+#define VERSION 2
 #define HEAD_BYTES 40 /* magic, version, masses, segments, steps, ticks, flows, behind[2], ideal: u32 each */
 #define HEAD_NUMBERS (PLANT_MOST_SEGMENTS + 11)
 #define PI 3.141592653589793

@@ -9,7 +9,7 @@
 #include "td_interface.h"
 
 #define PLANT_MOST_STATES 16
-#define PLANT_INPUTS 6
+#define PLANT_INPUTS 5
 #define PLANT_MOST_SEGMENTS 2
 #define PLANT_MOST_DELAY 16 /* servo periods */
 

@@ -21,7 +21,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
 from transopt.library.place import speed_weights
-from transopt.recordings.reference import Reference, between
+from transopt.recordings.references import References
 
 DT = 1e-4
 LEAD_TICKS = 3
@@ -124,7 +124,7 @@ class TestPrediction:
     def test_at_a_node_it_is_the_library(self, library: Library) -> None:
         found = predict(library, 0.3, 5.0)
         np.testing.assert_array_equal(found.acceleration_m_s2, library.acceleration_m_s2[2, 2])
-        np.testing.assert_array_equal(found.reference_m_s2, library.target_m_s2[2, 2])
+        np.testing.assert_array_equal(found.reference_m_s2, library.told(2, 2).window_m_s2)
         assert found.floor == library.floor[2, 2]
 
     def test_replay_at_a_node_agrees_with_the_library(self, library: Library) -> None:
@@ -135,12 +135,12 @@ class TestPrediction:
         )
 
     def test_reference_between_speeds_follows_the_rule_of_the_references(
-        self, library: Library, references: list[Reference]
+        self, library: Library, recorded: References
     ) -> None:
         found = predict(library, 0.27, 2.0)
-        expected = between(references, 0.27)
+        expected = recorded.at(0.27, 2.0)
         np.testing.assert_allclose(found.reference_m_s2, expected.target.window_m_s2, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found.own_m_s2, expected.raw_m_s2 - expected.target.window_m_s2, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.own_m_s2, expected.free_m_s2, rtol=0, atol=1e-9)
         np.testing.assert_allclose(speed_weights(np.array([0.1, 0.2]), 0.2), [0.0, 1.0])
 
     def test_outside_the_grid_it_is_the_edge_and_below_the_least_grip_silence(self, library: Library) -> None:

@@ -6,6 +6,8 @@ import numpy as np
 
 import problems
 from tests.benches.commands import Run, assert_refused
+from transopt.scene.builtin import load_scene
+from transopt.scene.recordings import recordings_of, references_of
 
 EXAMPLES = problems.FOLDER / "recordings"
 
@@ -113,6 +115,71 @@ class TestTaps:
         assert_refused(
             run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than or equal to 0.0001"
         )
+
+
+def tap_file(path: Path, speed_m_s: float, grip_N: float | None, *, gravity_g: float = 1.0) -> None:
+    """One of the built-in taps under another name, of a stated speed and grip."""
+    text = (EXAMPLES / "tap_0.2_m_s.csv").read_text()
+    rows = text.split("time_s,acceleration_g,position_m\n")[1]
+    a = np.array([[float(cell) for cell in row.split(",")] for row in rows.splitlines()])
+    a[:, 1] = (a[:, 1] - 1.0) * speed_m_s / 0.209 + gravity_g
+    grip = "" if grip_N is None else f"# grip_N: {grip_N:g}\n"
+    body = "\n".join(f"{t:.4f},{g:.5f},{z * speed_m_s / 0.209:.7f}" for t, g, z in a)
+    path.write_text(f"# speed_m_s: {speed_m_s:g}\n{grip}time_s,acceleration_g,position_m\n{body}\n")
+
+
+class TestGrips:
+    def test_cells_are_counted_and_missing_ones_named(self, run: Run) -> None:
+        for speed, grips in ((0.1, (1, 5)), (0.2, (1, 3, 5)), (0.3, (1, 3))):
+            for grip in grips:
+                tap_file(Path(f"tap_{speed}_{grip}.csv"), speed, grip)
+        outcome = run("taps", *sorted(Path().glob("tap_*.csv")), "--scene", "mine.toml")
+        assert outcome.code == 0
+        table = outcome.out[outcome.out.index("taps by speed and grip") :]
+        cells = [line.replace("│", " ").split() for line in table.splitlines() if line.strip().startswith("│")]
+        assert cells[:3] == [
+            ["0.1", "1", "interpolated", "1"],
+            ["0.2", "1", "1", "1"],
+            ["0.3", "1", "1", "clamped"],
+        ]
+        text = Path("mine.toml").read_text()
+        assert "speeds_m_s = [0.1, 0.2, 0.3]\ngrips_N = [1.0, 3.0, 5.0]\n" in text
+        scene = load_scene("mine.toml")
+        found = references_of(scene, recordings_of(scene))
+        assert found.remarks(scene.grid.grips_N) == [
+            "0.1 m/s, 3 N: blended from the taps of 1 and 5 N",
+            "0.3 m/s, 5 N: taps of 1 and 3 N only, that of the nearest grip serves",
+        ]
+
+    def test_taps_without_a_grip(self, run: Run) -> None:
+        tap_file(Path("tap_1.csv"), 0.2, None)
+        tap_file(Path("tap_2.csv"), 0.3, None)
+        outcome = run("taps", "tap_1.csv", "tap_2.csv")
+        assert "no tap states its grip, so each serves every grip" in outcome.out
+        assert "taps by speed and grip" not in outcome.out
+        stated = run("taps", "tap_1.csv", "tap_2.csv", "--grip", 3)
+        assert "serves every grip" not in stated.out
+        assert "grip_N = 3.0" in stated.out
+        assert_refused(run("taps", "tap_1.csv", "--grip", -1), "--grip -1", "greater than or equal to 0")
+
+    def test_a_mixture_is_said_and_refused_by_solve(self, run: Run) -> None:
+        tap_file(Path("tap_1.csv"), 0.2, None)
+        tap_file(Path("tap_2.csv"), 0.3, 3.0)
+        outcome = run("taps", "tap_1.csv", "tap_2.csv", "--scene", "mine.toml")
+        assert "1 of 2 taps state no grip, and solve refuses such a mixture" in outcome.out
+        assert_refused(run("solve", "mine.toml"), "tap_1.csv: states no grip", "# grip_N: 3")
+
+
+class TestSensors:
+    def test_one_that_shows_no_gravity_is_asked_after(self, run: Run) -> None:
+        tap_file(Path("tap.csv"), 0.2, 3.0, gravity_g=0.0)
+        hint = "if the sensor is of the IEPE type"
+        assert hint in run("taps", "tap.csv").out
+        assert hint not in run("taps", EXAMPLES / "tap_0.2_m_s.csv").out
+        stated = run("taps", "tap.csv", "--trusted-from-Hz", 2)
+        assert hint not in stated.out
+        assert "trusted_from_Hz = 2.0" in stated.out
+        assert_refused(run("taps", "tap.csv", "--trusted-from-Hz", 50), "--trusted-from-Hz 50", "less than or equal")
 
 
 def test_a_pattern_that_matches_nothing(run: Run, tmp_path: Path) -> None:

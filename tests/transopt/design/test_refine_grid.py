@@ -10,18 +10,18 @@ import problems
 from tests.benches.commands import Outcome, Terminal
 from tests.campaigns.test_grid_refinement import excess, random_points, soft_hand
 from transopt.base.errors import InputError
-from transopt.base.filters import highpass
-from transopt.base.signals import Signal
 from transopt.design.build import Build, build_library
 from transopt.design.refine_grid import OffNode, Refinement, lacking, refine_grid
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between, build_references
+from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.report.markdown import build_json, build_markdown
 from transopt.report.tables import refinement_summary
 from transopt.scene.keys import with_values
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -45,48 +45,42 @@ def refined(scene: Scene, taps: list[Recording], refinement: Refinement) -> Buil
 class TestBetween:
     def test_recorded_speeds_are_themselves(self, references: list[Reference]) -> None:
         for reference in references:
-            assert between(references, reference.speed_m_s) is reference
+            assert References(tuple(references)).at(reference.speed_m_s, 3.0) is reference
 
     def test_shape_is_linear_in_speed(self, references: list[Reference]) -> None:
         slow, fast = references[:2]
-        middle = between(references, 0.15)
-        for name in ("motor_m_s2", "raw_m_s2", "nominal_position_m", "nominal_velocity_m_s"):
+        middle = References(tuple(references)).at(0.15, 3.0)
+        for name in ("recorded_m_s2", "free_m_s2", "nominal_position_m", "nominal_velocity_m_s"):
             of_slow, of_middle, of_fast = (getattr(r, name) / r.speed_m_s for r in (slow, middle, fast))
             np.testing.assert_allclose(of_middle, (of_slow + of_fast) / 2, rtol=1e-12, atol=1e-12)
         assert middle.between_m_s == (0.1, 0.2)
 
     def test_it_is_a_reference_of_its_speed(self, scene: Scene, references: list[Reference]) -> None:
-        """z_nom integrates r_raw - r from dz/dt = -v, and r = H r_raw, since every step is linear in (r, v)."""
-        reference, grid = between(references, 0.33), scene.time_grid()
+        """z_nom integrates a_free from dz/dt = -v."""
+        reference, grid = References(tuple(references)).at(0.33, 3.0), scene.time_grid()
         tau, v = grid.switching_times_s, reference.nominal_velocity_m_s
-        user = reference.raw_m_s2 - reference.motor_m_s2
+        user = reference.free_m_s2
         mean = (user[1:] + user[:-1]) / 2
         np.testing.assert_allclose(np.diff(v), mean * np.diff(tau), atol=2e-2 * np.abs(np.diff(v)).max())
         assert np.interp(0.0, tau, v) == pytest.approx(-0.33, rel=1e-9, abs=1e-3)
         assert np.interp(0.0, tau, reference.nominal_position_m) == pytest.approx(0.0, abs=1e-6)
         ticks = np.interp(tau[:-1], grid.all_issue_times_s, reference.nominal_position_at_ticks_m)
         np.testing.assert_allclose(ticks, reference.nominal_position_m[:-1], atol=1e-6)
-        step = reference.times_s[1] - reference.times_s[0]
-        slow, fast = (r.repeats_m_s2.mean(axis=0) / r.speed_m_s for r in references[2:])
-        raw = Signal(float(reference.times_s[0]), float(step), 0.33 * (0.7 * slow + 0.3 * fast))
-        np.testing.assert_allclose(
-            highpass(raw, scene.recordings.highpass_Hz).at(tau), reference.motor_m_s2, atol=1e-9
-        )
 
     def test_repeatability_and_taps_of_both_neighbours(self, references: list[Reference]) -> None:
         slow, fast = references[2:]
-        reference = between(references, 0.36)
+        reference = References(tuple(references)).at(0.36, 3.0)
         assert reference.repeatability == max(slow.repeatability, fast.repeatability)
         assert reference.taps == slow.taps + fast.taps
         np.testing.assert_allclose(reference.factors[:3], 1.2 * slow.factors)
         np.testing.assert_allclose(reference.repeats_m_s2[3:], 0.9 * fast.repeats_m_s2)
         once = replace(slow, repeatability=float("nan"))
-        assert np.isnan(between([once, fast], 0.36).repeatability)
+        assert np.isnan(References((once, fast)).at(0.36, 3.0).repeatability)
 
     @pytest.mark.parametrize("speed", [0.05, 0.41, float("nan")])
     def test_outside_the_recorded_speeds(self, references: list[Reference], speed: float) -> None:
         with pytest.raises(InputError, match=r"known from 0\.1 to 0\.4 m/s only"):
-            between(references, speed)
+            References(tuple(references)).at(speed, 3.0)
 
 
 class TestTolerance:
@@ -110,7 +104,7 @@ class TestTolerance:
         assert max(p.excess_after for p in found.points) <= 0.02
         built = build_library(soft, taps, refinement=found)
         assert built.library is not None
-        recorded = build_references(taps, soft.grid.speeds_m_s, soft.time_grid(), soft.recordings)
+        recorded = references_of(soft, taps)
         assert excess(soft, recorded, random_points(soft, 15), built.library).max() <= 0.02
 
     def test_nodes_of_the_scene_stay(self, scene: Scene, refinement: Refinement) -> None:

@@ -1,7 +1,7 @@
 """What would do for a refused entry: the search for it, its words, and entries under other numbers."""
 
-import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,8 +23,10 @@ from transopt.design.remedy import NEAR, Values, does, remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.problem.answer import Status
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between, build_references
+from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
 from transopt.scene.keys import with_values
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions, TrialOptions
 
@@ -177,12 +179,20 @@ class TestOfAScene:
     ) -> None:
         values = {"time.dt_s": 5e-5, "time.stages": 1200.0}
         finer = with_values(scene, values)
-        wanted = build_references(taps, finer.grid.speeds_m_s, finer.time_grid(), finer.recordings)[-1]
-        found = self.entry(scene, references, {}).posed(values).problem
-        np.testing.assert_allclose(found.reference_m_s2, wanted.motor_m_s2, rtol=1e-12)
-        derived = SceneEntry(Context(scene), 5.0, between(references, 0.35))
-        with pytest.raises(InputError, match="not recorded"):
-            derived.posed(values)
+        wanted, recorded = references_of(finer, taps), Context.recorded(scene, taps)
+        for speed_m_s in (0.4, 0.35):
+            found = SceneEntry(recorded, 5.0, recorded.reference(speed_m_s, 5.0)).posed(values).problem
+            np.testing.assert_allclose(
+                found.target.window_m_s2, wanted.at(speed_m_s, 5.0).target.window_m_s2, rtol=1e-12, atol=1e-12
+            )
+
+    def test_without_the_recordings_there_is_no_other_time_axis(
+        self, scene: Scene, references: list[Reference]
+    ) -> None:
+        unknown = References((replace(references[-1], taps=(), factors=np.zeros(0)),))
+        entry = SceneEntry(Context(scene, unknown), 5.0, references[-1])
+        with pytest.raises(InputError, match="its recordings are not at hand"):
+            entry.posed({"time.dt_s": 5e-5, "time.stages": 1200.0})
 
     def test_a_refused_library_says_what_would_do(self, taps: list[Recording], scene: Scene) -> None:
         """Both entries take the same rail: what does for one is tried for the next."""
@@ -228,13 +238,4 @@ def test_the_rate_of_taps_that_is_named_is_taken(rate_Hz: float) -> None:
 def _reference(scene: Scene) -> Reference:
     from transopt.scene.recordings import recordings_of
 
-    return build_references(recordings_of(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)[0]
-
-
-@pytest.mark.parametrize("dt_s", [7e-5, 1.1e-4, 1.5e-4, 3e-4])
-def test_the_high_pass_that_is_named_is_taken(scene: Scene, dt_s: float) -> None:
-    with pytest.raises(InputError, match="must not exceed a tenth") as refusal:
-        with_values(scene, {"time.dt_s": dt_s, "recordings.highpass_Hz": 2e3, "recordings.lowpass_Hz": 3e3})
-    most_Hz = float(str(refusal.value).split("servo rate, ")[1].split(" Hz")[0])
-    assert math.isclose(most_Hz, 0.1 / dt_s, rel_tol=1e-5)
-    with_values(scene, {"time.dt_s": dt_s, "recordings.highpass_Hz": most_Hz, "recordings.lowpass_Hz": 3e3})
+    return references_of(scene, recordings_of(scene)).at(scene.grid.speeds_m_s[0], scene.grid.grips_N[0])

@@ -12,6 +12,7 @@ from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, prepare
 from transopt.scene.keys import with_values
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 
 INCOMING_M_S2 = (5.0, -2.0)
@@ -92,6 +93,18 @@ class TestIncomingAcceleration:
         assert tap.incoming_source == AT_REST
         assert tap.offset_m_s2 == pytest.approx(9.81, abs=0.05)
         assert tap.incoming_acceleration_m_s2 == pytest.approx(-5.0, abs=0.2)
+
+    @pytest.mark.parametrize("incoming", INCOMING_M_S2)
+    def test_the_stylus_moves_on_with_it(self, scene: Scene, taps: list[Recording], incoming: float) -> None:
+        """What is asked of the motor is the tap less a0 (1 - exp(-t / 2.5 ms))."""
+        onsets = [prepare(tap, scene.recordings).onset_s for tap in taps]
+        moved = [accelerated(tap, at_s, incoming) for tap, at_s in zip(taps, onsets, strict=True)]
+        found, steady = references_of(scene, moved).at(0.3, 3.0), references_of(scene, taps).at(0.3, 3.0)
+        tau = scene.time_grid().switching_times_s
+        within = (tau > 0) & (tau < 30e-3)
+        wanted = found.incoming_acceleration_m_s2 * -np.expm1(-tau[within] / 2.5e-3)
+        np.testing.assert_allclose((found.free_m_s2 - steady.free_m_s2)[within], wanted, atol=1e-2)
+        assert found.incoming_acceleration_m_s2 == pytest.approx(incoming, abs=0.1)
 
     def test_it_is_scaled_like_the_acceleration(self, scene: Scene, taps: list[Recording]) -> None:
         steady = prepare(taps[0], scene.recordings)

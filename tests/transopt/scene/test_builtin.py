@@ -33,7 +33,7 @@ def test_an_unknown_name_is_refused_with_the_known_ones() -> None:
 
 
 def test_recordings_are_read_or_simulated_as_the_scene_says(scene: Scene) -> None:
-    assert recordings_of(scene)[0].name == "wood_on_foam_0.1_m_s_1"
+    assert recordings_of(scene)[0].name == "wood_on_foam_0.1_m_s_1_N_1"
     own = builtin.load_scene("own_taps")
     assert own.recordings.simulated is None
     assert all(tap.source.endswith(".csv") for tap in recordings_of(own))

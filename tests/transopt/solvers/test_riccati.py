@@ -31,7 +31,7 @@ from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
 from transopt.report.markdown import build_markdown
-from transopt.scene.recordings import recordings_of, references_of
+from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
 from transopt.solvers import choose, riccati
 from transopt.solvers.choose import solve
@@ -55,8 +55,8 @@ def hardest() -> Callable[[str], TransientProblem]:
 
     def make(name: str) -> TransientProblem:
         scene = problems.load(name)
-        references = references_of(scene, recordings_of(scene))
-        problem = Context(scene).posed_as(references[-1], scene.grid.grips_N[-1]).problem
+        context, (speed_m_s, target) = Context.recorded(scene, recordings_of(scene)), scene.axes.rows[-1]
+        problem = context.posed(speed_m_s, scene.grid.grips_N[-1], target).problem
         return (
             problem
             if problem.wall is None

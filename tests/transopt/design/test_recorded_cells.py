@@ -1,0 +1,56 @@
+"""What an entry asks of its recordings: its grip's cell, and no plain error where the slow part is unknown."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from transopt.base.errors import InputError
+from transopt.design.build import build_library
+from transopt.design.context import Context
+from transopt.design.verify import verify_library
+from transopt.library.file import load_library
+from transopt.recordings.recording import Recording
+from transopt.recordings.references import References
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
+
+
+def test_every_grip_is_asked_for_its_own_tap(scene: Scene, taps: list[Recording], recorded: References) -> None:
+    context = Context.recorded(scene, taps)
+    for speed_m_s, grip_N in ((0.1, 1.0), (0.4, 5.0), (0.25, 2.2)):
+        wanted = recorded.at(speed_m_s, grip_N).target
+        asked = context.posed(speed_m_s, grip_N).problem.target
+        np.testing.assert_allclose(asked.window_m_s2, wanted.window_m_s2, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(asked.after_m_s2, wanted.after_m_s2, rtol=1e-12, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def one() -> Scene:
+    """One entry, struck with a sensor that loses what is slower than 5 Hz."""
+    values = {"grid.speeds_m_s": [0.2], "grid.grips_N": [3.0], "recordings.trusted_from_Hz": 5.0}
+    return with_values(problems.load("wood_on_foam"), values)
+
+
+class TestSlowPart:
+    def test_without_a_position_the_rapid_error_alone_is_minimised(self, one: Scene, tmp_path: Path) -> None:
+        blind = [replace(tap, position=None) for tap in recordings(one)]
+        assert [term.name for term in Context.recorded(one, blind).posed(0.2, 3.0).problem.terms] == ["rapid"]
+        library = build_library(one, blind).library
+        assert library is not None
+        library.save(tmp_path / "library.npz")
+        loaded = load_library(tmp_path / "library.npz")
+        assert not loaded.wanted_of(0, 0).slow_part_known
+        assert all(not entry.shortfalls for entry in verify_library(loaded))
+
+    def test_with_one_both_are(self, one: Scene) -> None:
+        context = Context.recorded(one, recordings(one))
+        assert [term.name for term in context.posed(0.2, 3.0).problem.terms] == ["plain", "rapid"]
+
+    def test_without_either_nothing_is_left(self, one: Scene) -> None:
+        blind = [replace(tap, position=None) for tap in recordings(one)]
+        with pytest.raises(InputError, match="no term of the error is left"):
+            Context.recorded(with_values(one, {"weights.rapid": "none"}), blind).posed(0.2, 3.0)
