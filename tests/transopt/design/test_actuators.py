@@ -244,8 +244,8 @@ class TestSag:
         sagging = built(lra({"limits.sag": [[0.0, 0.8]]}))
         weaker = built(lra({"limits.voltage_V": 2.4, "limits.steady_voltage_V": 2.0}))
         for (one,), (other,), (free,) in zip(sagging.entries, weaker.entries, click.entries, strict=True):
-            assert one.nrmse == pytest.approx(other.nrmse, rel=1e-4)  # the movement is weighed by the limit
-            assert one.nrmse > free.nrmse
+            assert one.figures.tap_error == pytest.approx(other.figures.tap_error, rel=1e-4)  # the movement is weighed by the limit
+            assert one.figures.tap_error > free.figures.tap_error
 
 
 def test_calm_costs_little_and_rings_less() -> None:
@@ -257,7 +257,7 @@ def test_calm_costs_little_and_rings_less() -> None:
             return float(np.sum(entry.predicted_m_s2[after] ** 2))
 
         assert ring(other) < 0.1 * ring(one)
-        assert other.nrmse < one.nrmse + 0.03
+        assert other.figures.tap_error < one.figures.tap_error + 0.03
 
 
 SPREAD: dict[str, Any] = {
@@ -331,4 +331,4 @@ class TestCurrentDriven:
         tight = built(self.scene({"limits.supply_V": 5.0}))
         for (one,), (other,) in zip(free.entries, tight.entries, strict=True):
             assert other.played.reached["supply"] <= 5.0 * (1 + 1e-3)
-            assert other.nrmse > one.nrmse
+            assert other.figures.tap_error > one.figures.tap_error

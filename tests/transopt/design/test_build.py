@@ -68,7 +68,7 @@ def test_unsaturated_entries_reach_their_floor(build: Build) -> None:
     free = [entry for entry in build.all_entries() if entry.binding == "none"]
     assert len(free) == 9
     for entry in free:
-        assert entry.nrmse <= entry.floor + 1e-3
+        assert entry.figures.tap_error <= entry.floor + 1e-3
         assert entry.floor <= 0.01
         assert entry.solution.solver == "unlimited"
         assert "inside all limits" in entry.left_out["limits"]
@@ -87,7 +87,7 @@ def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
     """Floors, and 0.4 m/s at 4 A, as a dense program of another make (Clarabel) finds them on these recordings."""
     for entry in build.all_entries():
         assert entry.floor == pytest.approx({1.0: 0.0068, 3.0: 0.0068, 5.0: 0.0066}[entry.grip_N], abs=5e-4)
-    fast = [entry.nrmse for entry in build.entries[3]]
+    fast = [entry.figures.tap_error for entry in build.entries[3]]
     np.testing.assert_allclose(fast, [0.0133, 0.1045, 0.1932], rtol=0.03)
     clipped = [entry.baselines.clipped for entry in build.entries[3]]
     np.testing.assert_allclose(clipped, [0.027, 0.165, 0.335], rtol=0.15)
@@ -112,10 +112,10 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
     weights = scene.weights.model_copy(update={"after_s": 0.0})
     alone = build_library(scene.model_copy(update={"weights": weights}), read_recordings(settings))
     first, _, last = alone.entries[3]
-    assert (first.nrmse, last.nrmse) == (pytest.approx(0.145, abs=0.03), pytest.approx(0.23, abs=0.035))
+    assert (first.tap_error, last.tap_error) == (pytest.approx(0.145, abs=0.03), pytest.approx(0.23, abs=0.035))
     # What the calm after it costs within the window.
     for lasting, ended in zip(build.entries[3], alone.entries[3], strict=True):
-        assert ended.nrmse <= lasting.nrmse <= ended.nrmse + 0.015
+        assert ended.tap_error <= lasting.tap_error <= ended.tap_error + 0.015
         assert lasting.played.error_peak_after_m_s2 < 0.1 * ended.played.after_peak_m_s2
     first, _, last = build.entries[3]
     assert (first.baselines.clipped, last.baselines.clipped) == (
@@ -407,7 +407,7 @@ def test_what_few_readers_ask_for_is_made_when_it_is_read(
     brief = build_markdown(built, full=False)
     assert len(priced) == 1
     assert "## Waveform and intensity" not in brief
-    worst = max(built.all_entries(), key=lambda entry: entry.nrmse - entry.floor)
+    worst = max(built.all_entries(), key=lambda entry: entry.figures.tap_error - entry.floor)
     assert worst.prices
     assert worst.prices[0].stated in brief
     assert len(priced) == 1
