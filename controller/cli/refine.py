@@ -235,7 +235,7 @@ def _finish(refined: "Refined", path: Path, out: Path) -> None:
     from transopt.base.plotting import save_figure
 
     console = terminal.console()
-    console.print(refine_table(refined, f"{path}, NRMSE against the reference in %"))
+    console.print(refine_table(refined, f"{path}, playback error in %"))
     console.print(LEGEND, style="dim", highlight=False)
     console.print(reasons(refined), highlight=False, soft_wrap=True)
     words, good = summary(refined, out / "library.npz")

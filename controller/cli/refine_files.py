@@ -81,7 +81,7 @@ def step(
         )
         return
     refined = Refined.of(library, learner)
-    console.print(refine_table(refined, f"{path}, NRMSE against the reference in %"))
+    console.print(refine_table(refined, f"{path}, playback error in %"))
     console.print(LEGEND, style="dim", highlight=False)
     console.print(reasons(refined), highlight=False, soft_wrap=True)
     words, good = summary(refined, written)

@@ -91,7 +91,8 @@ def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
     temperature.set_xlim(*shown)
     if not tap.why:
         found = tap.compared
-        title += f": latency {found.latency_s * 1e6:.0f} µs, tap error {100 * found.tap_error:.1f} %, playback error {100 * found.playback_error:.2f} %"
+        errors = f"tap error {100 * found.tap_error:.1f} %, playback error {100 * found.playback_error:.2f} %"
+        title += f": latency {found.latency_s * 1e6:.0f} µs, {errors}"
     figure.suptitle(title, fontsize=LABEL_PT)
     leave_room(figure, left_in=0.85, right_in=0.1, below_in=0.48, above_in=0.35)
     return figure

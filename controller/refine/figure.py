@@ -41,11 +41,13 @@ def _errors(axes: Axes, refined: Refined) -> None:
     styles = {True: "--", False: "-"}
     labels = {True: "a node, limits bind", False: "a node"}
     for node, is_limited in limited.items():
-        course = [(number, 100 * r[node].nrmse) for number, r in enumerate(refined.history.rounds) if node in r]
+        course = [
+            (number, 100 * r[node].playback_error) for number, r in enumerate(refined.history.rounds) if node in r
+        ]
         label = labels.pop(is_limited, None)
         axes.plot(*zip(*course, strict=True), color="0.65", linestyle=styles[is_limited], marker=".", label=label)
     if refined.history.confirmed:
-        last = [100 * refined.history.confirmed[node].nrmse for node in kept]
+        last = [100 * refined.history.confirmed[node].playback_error for node in kept]
         axes.plot([len(played) - 1] * len(kept), last, "o", color=OPTIMUM, label="confirmed")
     axes.set_yscale("log")
     low, high = axes.get_ylim()
@@ -55,7 +57,7 @@ def _errors(axes: Axes, refined: Refined) -> None:
     ticks = [value for value in (0.5, 1, 2, 5, 10, 20, 50, 100) if axes.get_ylim()[0] <= value <= axes.get_ylim()[1]]
     axes.set_yticks(ticks, [f"{value:g}" for value in ticks])
     axes.minorticks_off()
-    _axes(axes, "round", "measured NRMSE %")
+    _axes(axes, "round", "playback error %")
     axes.legend(fontsize=SMALL_PT, framealpha=0.9)
 
 
@@ -87,19 +89,19 @@ def _tap(axes: Axes, refined: Refined) -> None:
     first, last = history.rounds[0], history.confirmed or {}
 
     def gained(node: Node) -> float:
-        return first[node].nrmse - last[node].nrmse if node in refined.better else 0.0
+        return first[node].playback_error - last[node].playback_error if node in refined.better else 0.0
 
     node, g = max(first, key=gained), STANDARD_GRAVITY_M_S2
     times = before.time_grid().switching_times_s
     shown = times <= INTENTION_S
     ms = 1e3 * times[shown]
-    wanted = smooth(before.told(*node).window_m_s2, window.dt_s)
-    axes.plot(ms, wanted[shown] / g, color="0.6", linewidth=3.0, label="reference")
+    wanted = smooth(refined.designed.acceleration_m_s2[node], window.dt_s)
+    axes.plot(ms, wanted[shown] / g, color="0.6", linewidth=3.0, label="designed")
     taps = [(first[node], "before", SEED, "-")]
     taps += [(last[node], "confirmed", OPTIMUM, "--")] if node in refined.better else []
     for one, name, colour, style in taps:
         measured = wanted + window.values(one.tapped.error)
-        label = f"{name}, {100 * one.nrmse:.1f} %"
+        label = f"{name}, {100 * one.playback_error:.1f} %"
         axes.plot(ms, measured[shown] / g, color=colour, linestyle=style, linewidth=1.2, label=label)
     axes.set_title(place(before, node), fontsize=LABEL_PT)
     _axes(axes, "time from contact ms", "acceleration g")

@@ -98,7 +98,7 @@ def heard(
     times = prediction.times_s
     fade, compared = fade_of(times), times <= INTENTION_S
     whole = lowpass(replace(measured, values=before_pole(measured.values, measured.dt_s, bandwidth_Hz)), CUTOFF_HZ)
-    predicted = smooth(prediction.acceleration_m_s2, float(times[1] - times[0]))
+    predicted = smooth(prediction.whole_m_s2, float(times[1] - times[0]))
     latency = align(whole.times_s, whole.values, times[compared], predicted[compared]).latency_s
     difference = whole.at(times + latency) - predicted
     return Heard(fade * speed_m_s / prediction.speed_m_s * difference, latency, peak_current_A)

@@ -47,7 +47,7 @@ def _round(library: Library, results: Round) -> dict[str, Any]:
         return lambda node: None if node.condition is None else getattr(node.condition, name)
 
     return {
-        "nrmse": _table(library, results, lambda node: node.nrmse),
+        "playback_error": _table(library, results, lambda node: node.playback_error),
         "better": _table(library, results, lambda node: node.better),
         "peak_current_A": _table(library, results, lambda node: _number(node.tapped.peak_current_A)),
         **{

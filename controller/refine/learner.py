@@ -54,8 +54,8 @@ class NodeRound:
     condition: Condition | None
 
     @property
-    def nrmse(self) -> float:
-        return self.tapped.nrmse
+    def playback_error(self) -> float:
+        return self.tapped.playback_error
 
 
 Round = Mapping[Node, NodeRound]
@@ -139,6 +139,8 @@ class Learner:
     ----------
     library : to be played next; once nothing is asked, the result.
     asked : the nodes at which it is to be tapped; empty when it is over.
+    designed : the library without any correction, whose prediction the device shall make: no device can make all of a
+        recorded tap, and what its design lacks is not the device's fault.
     """
 
     def __init__(
@@ -154,6 +156,10 @@ class Learner:
         self.history = history or History(courses={node: Course() for node in nodes_of(library)})
         self.asked = list(nodes_of(library) if asked is None else asked)
         self.window = Window.over(library.time_grid().switching_times_s)
+        self.designed = library
+        if library.correction_m_s2.any():
+            nothing = {node: np.zeros(library.command.shape[2]) for node in nodes_of(library)}
+            self.designed, _ = resolve(library, nothing, {})
 
     @property
     def number(self) -> int:
@@ -213,8 +219,8 @@ class Learner:
         }
 
     def _reference(self, node: Node) -> FloatArray:
-        """(N,) as far as it is measured."""
-        return self.window.fade * smooth(self.library.told(*node).window_m_s2, self.window.dt_s)
+        """(N,) y'' that the device shall make, as far as it is measured."""
+        return self.window.fade * smooth(self.designed.acceleration_m_s2[node], self.window.dt_s)
 
     def _tapped(self, node: Node, heard: Sequence[Heard]) -> Tapped:
         window = self.window

@@ -85,7 +85,7 @@ def _where(x: Signal, prediction: Prediction) -> float | str:
     """Time in the record that is the prediction's 0 [s], by the largest correlation; or why it is none."""
     times, dt = prediction.times_s, float(prediction.times_s[1] - prediction.times_s[0])
     known = times <= INTENTION_S
-    p = Signal(float(times[0]), dt, smooth(prediction.acceleration_m_s2, dt)[known])
+    p = Signal(float(times[0]), dt, smooth(prediction.whole_m_s2, dt)[known])
     steps = int(np.floor((p.end_s - p.start_s) / x.dt_s)) + 1
     wanted = p.at(np.asarray(p.start_s + x.dt_s * np.arange(steps), dtype=float))
     if steps >= x.values.size or steps < 2:

@@ -24,6 +24,7 @@ class Refined:
     history : rounds, courses, and what was confirmed.
     ratios : T of each grip that was tapped at, by index, from all taps.
     window : in whose cosines the history stands. scatter : of all taps.
+    designed : as solved for the model, without any correction: what the device shall do.
     """
 
     before: Library
@@ -32,10 +33,12 @@ class Refined:
     ratios: dict[int, Ratio]
     window: Window
     scatter: Scatter
+    designed: Library
 
     @classmethod
     def of(cls, before: Library, learner: Learner) -> "Refined":
-        return cls(before, learner.library, learner.history, learner.ratios, learner.window, learner.scatter)
+        history, ratios, window = learner.history, learner.ratios, learner.window
+        return cls(before, learner.library, history, ratios, window, learner.scatter, learner.designed)
 
     @property
     def better(self) -> list[Node]:

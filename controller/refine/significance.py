@@ -94,7 +94,7 @@ class Tapped:
     Attributes
     ----------
     correction_m_s2 : (N,) that the design was solved with.
-    predicted : (K,) prediction less reference, p - r.
+    predicted : (K,) prediction less what the device shall make, p - r, r the prediction of the uncorrected design.
     differences : (n, K) measured less predicted, w of each tap; n >= 2.
     reference : sum of the squares of r over the window.
     peak_current_A : largest that was measured; NaN where none was.
@@ -117,7 +117,7 @@ class Tapped:
 
     @property
     def error(self) -> FloatArray:
-        """(K,) mean tap less reference."""
+        """(K,) mean tap less what the device shall make."""
         return self.predicted + self.difference
 
     @cached_property
@@ -131,13 +131,13 @@ class Tapped:
         return sum(float((self.error**2 - noise)[band].sum()) for band in bands) / self.reference
 
     @property
-    def nrmse(self) -> float:
-        """Against r, in all bands."""
+    def playback_error(self) -> float:
+        """Playback error: |a - r| / |r| in all bands."""
         return float(np.sqrt(max(self.squared_in([slice(None)]), 0.0)))
 
     @property
-    def predicted_nrmse(self) -> float:
-        """NRMSE of the prediction against r, over the same window."""
+    def predicted_error(self) -> float:
+        """The same error of the prediction, over the same window."""
         return float(np.sqrt(self.predicted @ self.predicted / self.reference))
 
 
@@ -231,9 +231,9 @@ class Scatter:
         return Gain(value, deviation, float(stats.t.sf(t, degrees)), float(stats.t.cdf(t, degrees)))
 
     def deviation(self, tapped: Tapped) -> float:
-        """Standard deviation of `Tapped.nrmse`."""
+        """Standard deviation of `Tapped.playback_error`."""
         more = float(np.sqrt(self._variances_of_squared(tapped).sum()))
-        return float(np.sqrt(tapped.nrmse**2 + more)) - tapped.nrmse
+        return float(np.sqrt(tapped.playback_error**2 + more)) - tapped.playback_error
 
     def _variances_of_squared(self, tapped: Tapped) -> FloatArray:
         """(bands,) of the squared error in each."""

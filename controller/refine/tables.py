@@ -12,8 +12,8 @@ from controller.refine.rounds import Refined
 from transopt.library.library import Library
 
 LEGEND = (
-    "NRMSE of the mean tap against the reference, by the device's own sensors, low-passed at 1 kHz, until the hand "
-    "can react at 30 ms, less what the taps' scatter adds.\n"
+    "Playback error: the mean tap beside the designed one, by the device's own sensors, low-passed at 1 kHz, until the "
+    "hand can react at 30 ms, less what the taps' scatter adds.\n"
     "Before: the library as it was. Confirmed: what was kept, by new taps that nothing was chosen from.\n"
     "L gain, Q its low-pass; factor: what a round leaves of the error at most, in brackets with two standard "
     "deviations of T; below 1 it converges.\n"
@@ -27,9 +27,9 @@ def place(library: Library, node: Node) -> str:
     return f"{library.speeds_m_s[node[0]]:g} m/s at {library.grips_N[node[1]]:g} N"
 
 
-def mean_nrmse(results: Round) -> float:
+def mean_error(results: Round) -> float:
     """Over the nodes that were tapped at."""
-    each = [node.nrmse for node in results.values()]
+    each = [node.playback_error for node in results.values()]
     return float(np.mean(each)) if each else float("nan")
 
 
@@ -43,7 +43,7 @@ def round_line(number: int, learner: Learner, results: Round) -> str:
     name = "confirming round" if confirming else f"round {number}"
     if not results:
         return f"{name}: no node was tapped at twice"
-    worst = max(node.nrmse for node in results.values())
+    worst = max(node.playback_error for node in results.values())
     better = sum(node.better for node in results.values())
     said = (
         f", gain confirmed at {better}"
@@ -55,7 +55,7 @@ def round_line(number: int, learner: Learner, results: Round) -> str:
     peaks = [node.tapped.peak_current_A for node in results.values()]
     at_most = "" if np.isnan(peaks).all() else f"; at most {np.nanmax(peaks):.3f} A"
     return (
-        f"{name}: NRMSE {100 * mean_nrmse(results):.2f} % on average over {_nodes(len(results))}, worst "
+        f"{name}: playback error {100 * mean_error(results):.2f} % on average over {_nodes(len(results))}, worst "
         f"{100 * worst:.2f} %{said}{at_most}"
     )
 
@@ -88,7 +88,7 @@ def refine_table(refined: Refined, title: str) -> Table:
         table.add_row(
             f"{before.speeds_m_s[node[0]]:g}",
             f"{before.grips_N[node[1]]:g}",
-            "-" if first is None else f"{100 * first.tapped.predicted_nrmse:.2f}{bound}",
+            "-" if first is None else f"{100 * first.tapped.predicted_error:.2f}{bound}",
             *(_percent(refined, one) for one in (first, confirmed.get(node) if kept else None)),
             *_condition_cells(history.rounds[course.best].get(node) if kept else None),
             course.why,
@@ -97,7 +97,9 @@ def refine_table(refined: Refined, title: str) -> Table:
 
 
 def _percent(refined: Refined, one: NodeRound | None) -> str:
-    return "-" if one is None else f"{100 * one.nrmse:.2f} ± {100 * refined.scatter.deviation(one.tapped):.2f}"
+    return (
+        "-" if one is None else f"{100 * one.playback_error:.2f} ± {100 * refined.scatter.deviation(one.tapped):.2f}"
+    )
 
 
 def _condition_cells(node: NodeRound | None) -> tuple[str, str, str]:
@@ -123,13 +125,13 @@ def summary(refined: Refined, written: Path) -> tuple[str, bool]:
         return f"no node became better beyond chance: the library is unchanged in {written}", False
     assert history.confirmed is not None
     first, last = (
-        np.mean([found[node].nrmse for node in better]) for found in (history.rounds[0], history.confirmed)
+        np.mean([found[node].playback_error for node in better]) for found in (history.rounds[0], history.confirmed)
     )
     limit = refined.before.input_limit
     peaks = [one.tapped.peak_current_A for results in history.played for one in results.values()]
     held = "" if np.isnan(peaks).all() else f"; at most {np.nanmax(peaks):.3f} A of {limit:g} A"
     return (
-        f"{len(better)} of {_nodes(len(nodes_of(refined.before)))} refined, confirmed by new taps: their NRMSE "
+        f"{len(better)} of {_nodes(len(nodes_of(refined.before)))} refined, confirmed by new taps: their playback error "
         f"{100 * first:.2f} % to {100 * last:.2f} % on average{held}; check it: transopt verify {written}",
         True,
     )

@@ -62,8 +62,8 @@ class Trace:
 
     Attributes
     ----------
-    times_s : simulator's time. acceleration_m_s2 : of the stylus. motor_m, stylus_m : positions. current_A : in the coil. contact_N : force of a real
-    object on the stylus. winding_C : NaN without a coil.
+    times_s : simulator's time. acceleration_m_s2 : of the stylus. motor_m, stylus_m : positions. current_A : in the
+    coil. contact_N : force of a real object on the stylus. winding_C : NaN without a coil.
     """
 
     times_s: FloatArray

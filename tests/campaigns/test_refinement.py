@@ -180,7 +180,7 @@ class BuiltIn:
         return Signal(float(times[0]), step, CubicSpline(one.times_s, one.acceleration_m_s2)(times))
 
     def known(self, library: Library) -> list[float]:
-        return without_servo(TRUTH, library, self._device, known_optimum).nrmse
+        return without_servo(TRUTH, library, self._device, known_optimum).playback_error
 
 
 class OtherMake:
@@ -241,7 +241,7 @@ class OtherMake:
 
     def known(self, library: Library) -> list[float]:
         """An optimum is known for a linear device only: nobody solves for friction here."""
-        return [float("nan")] * library.nrmse.size
+        return [float("nan")] * library.playback_error.size
 
 
 def device_of_case(library: Library, case: str, seed: int) -> BuiltIn | OtherMake:
@@ -259,7 +259,9 @@ def true_errors(
     for node in nodes:
         wanted = library.reference_m_s2[node[0]]
         runs = [device.played(library, node, phase) for phase in PHASES]
-        errors = [[align(run.times_s, run.values, times[at], wanted[at]).nrmse for at in windows] for run in runs]
+        errors = [
+            [align(run.times_s, run.values, times[at], wanted[at]).playback_error for at in windows] for run in runs
+        ]
         early, whole = np.sqrt(np.mean(np.square(errors), axis=0)).tolist()
         found[node] = early, whole
     return found

@@ -41,9 +41,10 @@ class Price:
     limit, unit, step_unit : what it is called, its unit, and that of differences.
     bound : where it stands; for the coil the temperature.
     tap_error : against the recorded tap over the intention, with the limit there.
-    step, then : by how much it is raised, and the tap error that is then the optimum's; NaN where that is not certified.
-    enough, there : the least bound, to the digits that are printed, at which it does not bind, and the tap error there;
-        NaN where no such answer is certified, infinity and NaN where it still binds at `tried`.
+    step, then : by how much it is raised, and the tap error that is then the optimum's; NaN where that is not
+        certified.
+    enough, there : the least bound, to the digits that are printed, at which it does not bind, and the tap error
+        there; NaN where no such answer is certified, infinity and NaN where it still binds at `tried`.
     tried : the widest bound that was solved for; infinite where the problem without the limit was.
     """
 

@@ -265,7 +265,6 @@ class Errors:
 
     def replayed(self, points: Sequence[Point], before: Nodes, after: Nodes) -> list[OffNode]:
         """The final word, by the independent replay: optimum and both blends at every point."""
-        grid = self.context.scene.time_grid()
         found = []
         for grip, group in _by_grip(points):
             for part in (group[j : j + REPLAYED_TOGETHER] for j in range(0, len(group), REPLAYED_TOGETHER)):

@@ -103,8 +103,8 @@ def model_warning(build: Build) -> str:
     one = min(below, key=lambda entry: entry.figures.tap_error)
     return (
         f"{text}: above the design's own in {len(below)} of {sum(1 for _ in build.all_entries())} entries, as at "
-        f"{one.speed_m_s:g} m/s, {one.grip_N:g} N, where the design says {percent(one.figures.tap_error)} %: expect the model's "
-        "error on the device"
+        f"{one.speed_m_s:g} m/s, {one.grip_N:g} N, where the design says {percent(one.figures.tap_error)} %: expect "
+        "the model's error on the device"
     )
 
 

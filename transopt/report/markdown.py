@@ -215,7 +215,7 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
 
 
 def _solved_percent(error: float, of: float) -> str:
-    """A tap error that was solved for; where there is none, whether its answer was not certified or there is no such."""
+    """A tap error that was solved for, or why there is none."""
     return "not certified" if np.isnan(of) else percent(error)
 
 

@@ -87,7 +87,8 @@ def summary(build: Build) -> str:
         said.append(
             f"{len(admitted)} of {len(entries)} entries certified and replayed: tap error "
             f"{percent(min(entry.figures.tap_error for entry in admitted))} to {percent(worst.figures.tap_error)} % "
-            f"(worst at {worst.place}), felt error {percent(min(felt))} to {percent(max(felt))} %, gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
+            f"(worst at {worst.place}), felt error {percent(min(felt))} to {percent(max(felt))} %, "
+            f"gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
         )
     times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]

@@ -125,7 +125,7 @@ class TestCommand:
         told = done.meta["refinement"]
         assert told["learning"] is None
         for iv in (0, 1):
-            assert told["confirmed"]["nrmse"][iv][1] < told["rounds"][0]["nrmse"][iv][1] / 3
+            assert told["confirmed"]["playback_error"][iv][1] < told["rounds"][0]["playback_error"][iv][1] / 3
         np.testing.assert_array_equal(done.command[2:], library.command[2:])
 
     def test_what_does_not_go_together(self, play: Run, library: Library) -> None:

@@ -26,7 +26,7 @@ from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import DT_S, PORT, Desk
-from tests.benches.libraries import part_of, under
+from tests.benches.libraries import part_of
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray, nrmse
@@ -160,24 +160,24 @@ class TestResolve:
         zero = np.zeros(small.command.shape[2])
         again, kept = resolve(small, dict.fromkeys(nodes_of(small), zero), {"rounds": []})
         assert not kept
-        for name in ("command", "nrmse", "floor", "objective", "peak_input", "mu_current_upper"):
+        for name in ("command", "playback_error", "floor", "objective", "peak_input", "mu_current_upper"):
             # A command that is as exact as its proof needs, and figures that follow from it.
             atol = 1e-6 if name == "command" else 1e-8
             np.testing.assert_allclose(again.array(name), small.array(name), rtol=1e-8, atol=atol)
         assert again.meta["left_out"] == small.meta["left_out"]
-        assert again.meta["derived"] == small.meta["derived"]
+        assert again.meta["limits"] == small.meta["limits"]
 
     def test_corrected_entries_are_certified_from_the_file_alone(self, small: Library, tmp_path: Path) -> None:
-        asked = {(0, 0): 0.2 * small.target_m_s2[0, 0], (1, 1): 0.3 * small.target_m_s2[1, 1]}
+        asked = {(0, 0): 0.2 * small.reference_m_s2[0], (1, 1): 0.3 * small.reference_m_s2[1]}
         refined, kept = resolve(small, asked, {"rounds": []})
         assert not kept
         refined.save(tmp_path / "refined.npz")
         loaded = load_library(tmp_path / "refined.npz")
         assert [check.shortfalls for check in verify_library(loaded)] == [[]] * 4
         # What no limit binds follows its correction; what one does stays within it.
-        assert loaded.tap_error[0, 0] == pytest.approx(0.2, abs=5e-3)
-        assert loaded.floor[0, 0] == pytest.approx(loaded.tap_error[0, 0], abs=1e-6)
-        assert loaded.peak_input.max() <= loaded.input_limit + 1e-6
+        assert loaded.playback_error[0, 0] == pytest.approx(0.2, abs=5e-3)
+        assert loaded.floor[0, 0] == pytest.approx(loaded.playback_error[0, 0], abs=1e-6)
+        assert loaded.peak_input.max() <= loaded.meta["limits"]["current_A"] + 1e-6
         np.testing.assert_array_equal(loaded.command[0, 1], small.command[0, 1])
         assert loaded.at(0.2, 3.0).command == pytest.approx(loaded.command[0, 0])
 
@@ -185,7 +185,7 @@ class TestResolve:
         louder = {"weights.objective": "intensity", "grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
         priced = to.solve(with_values(scene, louder))
         assert priced.intensity[0, 0] > 0.1
-        refined, kept = resolve(priced, {(0, 0): 0.002 * priced.target_m_s2[0, 0]}, {"rounds": []})
+        refined, kept = resolve(priced, {(0, 0): 0.002 * priced.reference_m_s2[0]}, {"rounds": []})
         assert not kept
         assert refined.floor[0, 0] == pytest.approx(priced.floor[0, 0], abs=2e-3)
         assert [entry.shortfalls for entry in verify_library(refined)] == [[]]
@@ -194,7 +194,7 @@ class TestResolve:
     def test_a_tap_solved_anew_asks_for_the_same(self, small: Library, scene: Scene) -> None:
         """At a node, and between nodes by a correction blended like the reference."""
         share = 0.2
-        asked = {node: share * small.target_m_s2[node] for node in nodes_of(small)}
+        asked = {node: share * small.reference_m_s2[node[0]] for node in nodes_of(small)}
         refined, _ = resolve(small, asked, {"rounds": []})
         online = Online(refined, scene.plant, lambda grip: ())
         at_node = online.solve(0.2, 3.0).wave
@@ -205,7 +205,7 @@ class TestResolve:
         assert nrmse(between.command, (1 + share) * plain.command) < 0.02
 
     def test_another_correction_than_the_one_solved_for_is_found_out(self, small: Library) -> None:
-        refined, _ = resolve(small, {(0, 0): 0.2 * small.target_m_s2[0, 0]}, {"rounds": []})
+        refined, _ = resolve(small, {(0, 0): 0.2 * small.reference_m_s2[0]}, {"rounds": []})
         wrong = refined.correction_m_s2.copy()
         wrong[0, 0] *= 0.9
         shortfalls = verify_library(replace(refined, correction_m_s2=wrong))[0].shortfalls
@@ -216,7 +216,7 @@ class TestResolve:
         assert not small.correction_m_s2.any()
 
     def test_a_wall_is_refused(self, small: Library) -> None:
-        walled = under(small, {"feedback": {"stiffness_N_m": 100.0, "damping_N_s_m": 5.0}})
+        walled = replace(small, meta={**small.meta, "feedback": {}})
         with pytest.raises(InputError, match="wall"):
             resolve(walled, {}, {})
 
@@ -263,12 +263,12 @@ class TestRounds:
     ) -> None:
         first, last = refined.history.rounds[0], refined.history.confirmed
         assert last is not None
-        assert first[0, 0].nrmse == pytest.approx(0.2, abs=0.01)
-        assert last[0, 0].nrmse < 0.012
+        assert first[0, 0].playback_error == pytest.approx(0.2, abs=0.01)
+        assert last[0, 0].playback_error < 0.012
         assert not last[0, 0].limited
         assert last[1, 1].limited
-        assert last[1, 1].nrmse < first[1, 1].nrmse
-        assert last[1, 1].nrmse > small.tap_error[1, 1]  # a weaker motor under the same limit
+        assert last[1, 1].playback_error < first[1, 1].playback_error
+        assert last[1, 1].playback_error > small.playback_error[1, 1]  # a weaker motor under the same limit
         for results in refined.history.rounds[1:]:
             assert all(node.condition is not None and node.condition.met for node in results.values())
         learnt = refined.history.rounds[1][0, 0].condition
@@ -330,13 +330,15 @@ class TestRounds:
         kept = loaded.meta["refinement"]
         assert kept["source"] == "a test"
         assert kept["learning"] is None
-        assert {np.array(one["nrmse"]).shape for one in (*kept["rounds"], kept["confirmed"])} == {(2, 2)}
+        assert {np.array(one["playback_error"]).shape for one in (*kept["rounds"], kept["confirmed"])} == {(2, 2)}
         assert kept["rounds"][0]["gain"] == [[None] * 2] * 2
-        np.testing.assert_array_equal(loaded.recorded_m_s2, small.recorded_m_s2)
+        np.testing.assert_array_equal(loaded.reference_m_s2, small.reference_m_s2)
         # Refined once more there is little left.
         again = refine(loaded, Bent(0.8), resolve, 1, STATED)
         assert refined.history.confirmed is not None
-        assert again.history.rounds[0][0, 0].nrmse == pytest.approx(refined.history.confirmed[0, 0].nrmse, abs=2e-3)
+        assert again.history.rounds[0][0, 0].playback_error == pytest.approx(
+            refined.history.confirmed[0, 0].playback_error, abs=2e-3
+        )
 
     def test_the_wrong_polarity_is_left_alone(self, small: Library) -> None:
         refined = refine(small, Bent(-1.0), resolve, 1, STATED)
@@ -355,7 +357,7 @@ class TestRounds:
         refined = refine(small, Without(0.8), resolve, 1, STATED)
         assert (1, 0) not in refined.history.rounds[0]
         np.testing.assert_array_equal(refined.library.command[1, 0], small.command[1, 0])
-        assert refined.library.meta["refinement"]["rounds"][0]["nrmse"][1][0] is None
+        assert refined.library.meta["refinement"]["rounds"][0]["playback_error"][1][0] is None
         assert refined.library.meta["refinement"]["why"][1][0] == NOT_TAPPED
 
     def test_table_and_figure(self, refined: Refined, tmp_path: Path) -> None:
@@ -402,7 +404,7 @@ class TestCommand:
         refined = load_library(Path("better/library.npz"))
         assert [check.shortfalls for check in verify_library(refined)] == [[]]
         told = refined.meta["refinement"]
-        before, after = (one["nrmse"][0][0] for one in (told["rounds"][0], told["confirmed"]))
+        before, after = (one["playback_error"][0][0] for one in (told["rounds"][0], told["confirmed"]))
         assert before > 0.05
         assert after < before / 3
         assert told["rounds"][1]["sure_factor"][0][0] < 1
@@ -438,7 +440,7 @@ class TestCommand:
         assert "round 0: tap 3 times at each of 1 nodes: 0.2 m/s at 3 N x 3" in outcome.out
         assert "counts for 0.2 m/s at 3 N; missing: none" in outcome.out
         told = load_library(Path("better/library.npz")).meta["refinement"]
-        before, after = (one["nrmse"][0][0] for one in (told["rounds"][0], told["confirmed"]))
+        before, after = (one["playback_error"][0][0] for one in (told["rounds"][0], told["confirmed"]))
         assert after < before / 2
         assert sorted(path.name for path in Path("better/round_1").glob("tap_*.csv")) == [
             "tap_001.csv",

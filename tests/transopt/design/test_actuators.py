@@ -244,7 +244,9 @@ class TestSag:
         sagging = built(lra({"limits.sag": [[0.0, 0.8]]}))
         weaker = built(lra({"limits.voltage_V": 2.4, "limits.steady_voltage_V": 2.0}))
         for (one,), (other,), (free,) in zip(sagging.entries, weaker.entries, click.entries, strict=True):
-            assert one.figures.tap_error == pytest.approx(other.figures.tap_error, rel=1e-4)  # the movement is weighed by the limit
+            assert one.figures.tap_error == pytest.approx(
+                other.figures.tap_error, rel=1e-4
+            )  # the movement is weighed by the limit
             assert one.figures.tap_error > free.figures.tap_error
 
 

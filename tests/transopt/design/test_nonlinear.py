@@ -128,7 +128,7 @@ class TestScene:
         [own] = design_nonlinear(stated(tmp_path)).all_entries()
         assert own.designed.nonlinear is not None
         [played] = replay_nonlinear(own.designed.nonlinear, [command])
-        assert played.tap_error == pytest.approx(entry["tap_error"], rel=1e-6)
+        assert played.figures.tap_error == pytest.approx(entry["tap_error"], rel=1e-6)
 
     def test_solve_hands_out_no_command_that_is_not_proven(
         self, tmp_path: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
