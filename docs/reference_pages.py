@@ -86,7 +86,7 @@ def library_arrays() -> str:
         [code(name), " x ".join(array.shape), array.type_word, array.unit, array.meaning, code(array.needs)]
         for name, array in ARRAYS.items()
     ]
-    rows.append([code("meta"), "", "text", "", "JSON: time axis, limits, weights, scene, recordings, versions", ""])
+    rows.append([code("meta"), "", "text", "", "JSON: scene, numbers that follow from it, recordings, versions", ""])
     rows.append([code(HASH_FIELD), "", "text", "", "SHA-256 over names, types, shapes and bytes of all others", ""])
     return table(["array", "shape", "type", "unit", "meaning", "only where stated"], rows)
 
@@ -96,8 +96,7 @@ def library_meta() -> str:
     rows = []
     for path, stated in META.items():
         kept = f"{stated.meaning} (kept whole)" if stated.whole else stated.meaning
-        since = f"schema {stated.since}" if stated.needed and stated.since > 1 else ""
-        rows.append([code(path), unit_of(path), kept, stated.null, since or ("always" if stated.needed else "")])
+        rows.append([code(path), unit_of(path), kept, stated.null, "always" if stated.needed else ""])
     return table(["key", "unit", "meaning", "null", "has to be there"], rows)
 
 

@@ -160,4 +160,4 @@ def solved(scene: Scene, taps: list[Recording]) -> Library:
 
 
 def assert_clean(library: Library) -> None:
-    assert [check.shortfalls for check in verify_library(library)] == [[]] * library.nrmse.size
+    assert [check.shortfalls for check in verify_library(library)] == [[]] * library.tap_error.size

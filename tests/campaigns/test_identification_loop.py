@@ -212,7 +212,7 @@ def without_servo(
     """
     errors, peak = [], 0.0
     for iv, ig in nodes_of(library):
-        stage = discretise(plant_of(device, float(library.grips_N[ig])), device.amplifier, library.meta["dt_s"])
+        stage = discretise(plant_of(device, float(library.grips_N[ig])), device.amplifier, library.dt_s)
         grid = replace(library.time_grid(), delay_s=device.delay_s)
         problem = replace(library.problem(iv, ig).without("temperature"), stage=stage, grid=grid)
         acceleration, current = stage.rollout(command((iv, ig), problem))
@@ -356,7 +356,7 @@ def figure(results: dict[float, list[Stage]]) -> Figure:
 
 def shortfalls(mismatch: float, stages: Sequence[Stage], library: Library, unstated_pole: bool) -> list[str]:
     """What is not as asked."""
-    limit_A = float(library.meta["limits"]["current_A"])
+    limit_A = library.input_limit
     found, truth = [], stages[-1]
     slow = [bool(library.speeds_m_s[iv] <= SLOW_M_S + 1e-9) for iv, _ in nodes_of(library)]
     named = {stage.name: stage for stage in stages}

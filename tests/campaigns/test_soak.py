@@ -245,7 +245,7 @@ def main(
         print(f"{count:6d} {type(what).__name__.lower()} {what.name}")
     margin = "" if math.isinf(tally.margin_K) else f", {tally.margin_K:.3f} K below its limit"
     print(
-        f"largest |i| {tally.largest_A:.6f} A, limit {solved.meta['limits']['current_A']:g} A; "
+        f"largest |i| {tally.largest_A:.6f} A, limit {solved.input_limit:g} A; "
         f"hottest winding {tally.hottest_C:.3f} °C{margin}"
     )
     for violation in tally.violations:

@@ -145,7 +145,7 @@ def _nominal() -> tuple[Scene, Sequence[Recording], Library]:
 
 def _errors(effect: str, seed: int, library: Library) -> tuple[FloatArray, FloatArray]:
     """(ng, nv) true NRMSE against the library's prediction, and against the recorded taps."""
-    delay = float(library.meta["amplifier"]["delay_s"])
+    delay = library.amplifier().delay_s
     shape = library.grips_N.size, library.speeds_m_s.size
     predicted, recorded = np.empty(shape), np.empty(shape)
     for ig, grip in enumerate(library.grips_N):

@@ -83,11 +83,7 @@ class TestMeta:
 
     def test_all_that_is_needed_is_written(self, library: Library) -> None:
         written = set(paths(library.meta))
-        # The library here is one of currents, so that only what schema 2 needs of it is asked for.
-        before = {path: stated for path, stated in META.items() if stated.since < 3 and stated.of_unit != "V"}
-        needed = {path for path, stated in before.items() if stated.needed}
-        missing = needed - written
-        assert {path.partition(".")[0] for path in missing} <= {"feedback"}  # the scene has no wall
+        assert {path for path, stated in META.items() if stated.needed} <= written
 
 
 class TestModelFile:

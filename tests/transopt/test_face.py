@@ -186,7 +186,7 @@ class TestShown:
     def test_what_a_repr_says(self, build: to.Build, library: to.Library) -> None:
         assert repr(library) == (
             "Library(wood_on_foam: 4 speeds 0.1 to 0.4 m/s, 3 grips 1 to 5 N, 600 commands of 0.1 ms, limit 4 A,\n"
-            f"    NRMSE {100 * library.nrmse.min():.2f} to {100 * library.nrmse.max():.1f} %)"
+            f"    tap error {100 * library.tap_error.min():.1f} to {100 * library.tap_error.max():.1f} %)"
         )
         assert "12 of 12 entries certified and replayed" in repr(build).replace("\n    ", " ")
         assert "0.4 m/s, 5 N: NRMSE 19.3 %" in repr(build.entries[3][2])

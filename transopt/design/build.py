@@ -20,7 +20,7 @@ from transopt.design.entry import Entry
 from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
-from transopt.library.columns import EntryTable
+from transopt.library.columns import FIGURES, EntryTable
 from transopt.library.derived import derived
 from transopt.library.library import ARRAYS, PLANT, Library, further_arrays, multiplier_arrays
 from transopt.library.meta import SCHEMA, heat_is_in, shared_left_out
@@ -60,7 +60,7 @@ class Build:
     def __repr__(self) -> str:
         entries = list(self.all_entries())
         errors = [entry.figures.tap_error for entry in entries if entry.admitted]
-        found = f", NRMSE {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
+        found = f", tap error {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
         certified = "certified stationary" if self.scene.nonlinear else "certified"
         return wrapped(
             f"Build({cut(self.scene.name)}: {self.scene.axes.said}, "
@@ -71,7 +71,7 @@ class Build:
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
         linear = ("linear",) if self.scene.nonlinear else ()
-        names = ("tap", "floor", "after", "after_peak", "seed", "clipped", *linear, "binding", "verdict")
+        names = ("tap", "floor", *FIGURES[1:], *linear, "binding", "verdict")
         shown = self.table(names)
         return html_table(repr(self), shown.heads, shown.cells) + html_figure(self.plot())
 

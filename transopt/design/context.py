@@ -137,7 +137,7 @@ class Context:
 
     @cached_property
     def yardstick(self) -> Yardstick:
-        """By what the entries of the scene are told beside the recorded taps."""
+        """How the entries of the scene are compared with the recorded taps."""
         grid, posing = self.posing.grid, self.posing
         return Yardstick(grid, grid.end_s if self.scene.targets else posing.intention_s)
 

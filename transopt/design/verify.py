@@ -161,8 +161,12 @@ def _stored_contradictions(library: Library, iv: int, ig: int, entry: Entry, eff
     for name, array in ARRAYS.items():
         if array.made is None or not array.replayed:
             continue
-        stored, value = float(getattr(library, name)[iv, ig]), array.made(entry)
-        if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
+        stored, value = getattr(library, name)[iv, ig], array.made(entry)
+        if np.ndim(value):
+            off = float(np.abs(stored - value).max(initial=0.0))
+            if not off <= STORED_TOLERANCE * max(float(np.abs(value).max(initial=0.0)), ROUNDING):
+                found.append(f"{name} is off by {off:.3g}")
+        elif not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
     found += contradictions(library, iv, ig, effect, certificate, entry.floor, of_bound=Certificate.GAP_TOLERANCE)
     current_off = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())

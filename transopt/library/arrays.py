@@ -34,7 +34,7 @@ class Array:
         the array is zero or empty, or of no device.
     made : its value for one entry (`transopt.design.entry.Entry`), from which a library is assembled and by which an
         entry that is solved again takes its place; None for what is not of single entries.
-    replayed : whether `verify` makes it again from a replay of the file's own command, to compare.
+    replayed : whether `verify` makes it again to compare, from the problem and a replay of the file's own command.
     """
 
     shape: str

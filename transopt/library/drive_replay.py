@@ -26,6 +26,7 @@ from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limit, Limits, Setting
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
 from transopt.proof.replay import replay
 
@@ -176,7 +177,7 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
         from transopt.proof.nonlinear_replay import played_nonlinear
 
         device = nonlinear_problem(library, drive.iv, drive.ig).stage
-        (found,) = played_nonlinear(device, stage, library.yardstick, Target(nothing), limits, [values])
+        (found,) = played_nonlinear(device, stage, Yardstick(grid), Target(nothing), limits, [values])
     else:
         (found,) = replay(stage, grid, values[None], [Target(nothing)], None, limits=[limits])
 

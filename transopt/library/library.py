@@ -119,6 +119,7 @@ class Library:
             "m/s^2",
             "y'' after the last command, as predicted",
             made=lambda entry: entry.designed.effect.lasting.acceleration_m_s2[entry.problem.grid.stages :],
+            replayed=True,
         ),
     ]
     recorded_before_m_s2: Annotated[
@@ -243,6 +244,7 @@ class Library:
             "m^2/s^4",
             "E, the sums of J over the target in place of the error",
             made=lambda entry: entry.problem.tracking.energy_m2_s4,
+            replayed=True,
         ),
     ]
     heat_price: Annotated[
@@ -252,6 +254,7 @@ class Library:
             "1/A^2 or 1/V^2",
             "price in J of the sum of i_k^2 over the window",
             made=lambda entry: entry.problem.heat_price,
+            replayed=True,
         ),
     ]
     error_after: Annotated[
@@ -570,7 +573,7 @@ class Library:
 
     @property
     def yardstick(self) -> Yardstick:
-        """By what its entries are told beside the recorded taps."""
+        """How its entries are compared with the recorded taps."""
         named = bool(self.axes.targets)
         return Yardstick(self.time_grid(), self.time_grid().end_s if named else self.posing().intention_s)
 
@@ -721,7 +724,7 @@ class Library:
         return self._wanted(float(self.speeds_m_s[iv]), lambda course: course[iv, ig], ends_s, known)
 
     def wanted(self, speed_m_s: float, grip_N: float) -> Wanted:
-        """The same between the nodes: the shape r / v linear in speed (`speed_weights`), and linear in grip."""
+        """What a tap between the nodes asks for: the shape r / v linear in speed (`speed_weights`), and in grip."""
         by_grip = interpolation_weights(self.grips_N, grip_N)
         weights = np.outer(speed_weights(self.speeds_m_s, speed_m_s), by_grip)
         known = bool(np.all(np.array(self.meta["slow_part_known"])[weights > 0]))

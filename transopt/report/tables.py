@@ -13,7 +13,7 @@ from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.library.columns import COLUMNS, FULL, NARROW, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FIGURES, FULL, NARROW, EntryTable, TableRow
 from transopt.library.library import Library
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
@@ -168,8 +168,8 @@ def library_table(library: Library, name: str) -> Table:
 
     A library of a nonlinear plant has the linear design's error beside its own, and says below what is proven.
     """
-    before, after = ("tap", "floor", "after", "after_peak", "seed", "clipped"), ("peak", "winding", "gap", "ms")
-    names = (*before, *(("linear",) if library.nonlinear else ()), *after, "binding", "verdict")
+    linear = ("linear",) if library.nonlinear else ()
+    names = ("tap", "floor", *FIGURES[1:], *linear, "peak", "winding", "gap", "ms", "binding", "verdict")
     return printed(library.table(names), name, caption=library.claim or None, columns=library.grips_N.size)
 
 

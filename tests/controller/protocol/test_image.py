@@ -32,13 +32,13 @@ def changed(image: bytes, **values: float) -> bytes:
 def test_the_built_in_library_survives_within_half_a_count(library: Library) -> None:
     original = bank(library)
     settings = Settings.of(library)
-    image = image_of(original, settings.dt_s, settings.lead_s, library.meta["hand_over_samples"])
+    image = image_of(original, settings.dt_s, settings.lead_s, library.hand_over_samples)
     assert len(image) == image_bytes(*original.command_A.shape)
     stored, _ = bank_of(image)
     scale = np.max(np.abs(original.command_A)) / 32767
     assert np.max(np.abs(stored.command_A - original.command_A)) <= 0.5000001 * scale
     # What is stored survives a second trip to the bit.
-    again = image_of(stored, settings.dt_s, settings.lead_s, library.meta["hand_over_samples"])
+    again = image_of(stored, settings.dt_s, settings.lead_s, library.hand_over_samples)
     np.testing.assert_array_equal(bank_of(again)[0].command_A, stored.command_A)
     for name in ("speeds_m_s", "grips_N", "feedback_A", "grip_min_N", "by_grip", "nearest", "method"):
         assert getattr(stored, name) == getattr(original, name)

@@ -74,7 +74,7 @@ def test_proportional_plays_no_transient(banks: dict[Method, Bank]) -> None:
 @pytest.mark.parametrize("method", Method)
 def test_every_method_keeps_the_current_limit(library: Library, banks: dict[Method, Bank], method: Method) -> None:
     current = currents(banks[method].command_A, library.amplifier(), 1e-4)
-    assert np.abs(current).max(initial=0.0) <= library.meta["limits"]["current_A"] + 1e-6
+    assert np.abs(current).max(initial=0.0) <= library.input_limit + 1e-6
 
 
 def test_baselines_are_those_whose_errors_stand_in_the_library(library: Library, banks: dict[Method, Bank]) -> None:
@@ -125,7 +125,7 @@ def test_momentum_cancellation_has_the_impulse_of_the_moving_mass(library: Libra
     # The impulse is given as quickly as possible: at the limit from the contact on, but for the last tick.
     for row in command:
         on = row[row != 0]
-        assert np.all(on[:-1] == library.meta["limits"]["current_A"])
+        assert np.all(on[:-1] == library.input_limit)
         assert not row[:3].any()
 
 

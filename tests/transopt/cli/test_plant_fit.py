@@ -72,7 +72,7 @@ def test_the_design_for_a_noisy_response_is_as_good_as_its_fit(fit: Callable[...
     true, found = (to.solve(f"{name}.toml") for name in ("written", "measured"))
     # Played on the true device the command of the fitted one loses about the noise of the response.
     stage = true.stage(0)
-    target = true.reference_m_s2[0]
+    target = true.target_m_s2[0, 0]
     made = stage.rollout(found.command[0, 0])[0]
     best = stage.rollout(true.command[0, 0])[0]
     errors = [float(np.linalg.norm(a - target) / np.linalg.norm(target)) for a in (made, best)]

@@ -73,7 +73,7 @@ def test_the_scene_solves_as_it_is(run: Run, name: str) -> None:
     assert run("solve", f"{name}.toml", "--no-figures").code == 0
     library = load_library(Path(f"out/{name}/library.npz"))
     # A burst of whole cycles well inside the limits: what is left is what a spring and a rail leave.
-    assert library.nrmse.max() < 0.12
+    assert library.tap_error.max() < 0.12
     assert library.input_limit == pytest.approx(SHEETS[name]["--peak"])
     assert library.steady_input == pytest.approx(SHEETS[name].get("--rated", SHEETS[name]["--peak"]))
 

@@ -36,7 +36,7 @@ class TestOneCommand:
         outcome = run("solve", quick("mine.toml"), "--model", MODEL, "--no-figures")
         assert outcome.code == 0, outcome.err
         library = load_library(Path("out/mine/library.npz"))
-        assert library.meta["amplifier"]["pole_Hz"] == 900.0
+        assert library.amplifier().pole_Hz == 900.0
         assert {source["origin"] for source in library.meta["sources"]} >= {"model file"}
 
     def test_the_printed_line_works_where_all_else_stays(self, run: Run) -> None:

@@ -34,8 +34,8 @@ class TestDesign:
         assert entry.status is Status.STATIONARY
         assert not entry.shortfalls
         assert entry.certificate.is_stationary
-        assert entry.nrmse <= 0.5 * entry.linear_nrmse
-        assert entry.linear_promised < entry.linear_nrmse
+        assert entry.figures.tap_error <= 0.5 * entry.linear_tap_error
+        assert entry.linear_promised < entry.linear_tap_error
 
     def test_replay_agrees_with_the_prediction(self, design: Build) -> None:
         (entry,) = design.all_entries()
@@ -117,18 +117,18 @@ class TestScene:
         assert "1 of 1 targets certified stationary" in solved.out
         [entry] = json.loads((out / "nonlinear.json").read_text())["entries"]
         assert entry["status"] == "stationary"
-        assert entry["nrmse"] < 0.5 * entry["linear_nrmse"]
+        assert entry["tap_error"] < 0.5 * entry["linear_tap_error"]
         assert "stationary" in (out / "nonlinear.md").read_text()
         stored = to.load_library(out / "library.npz")
-        assert stored.nrmse[0, 0] == pytest.approx(entry["nrmse"], rel=1e-9)
-        assert stored.nrmse_linear[0, 0] == pytest.approx(entry["linear_nrmse"], rel=1e-9)
+        assert stored.tap_error[0, 0] == pytest.approx(entry["tap_error"], rel=1e-9)
+        assert stored.tap_error_linear[0, 0] == pytest.approx(entry["linear_tap_error"], rel=1e-9)
         assert (out / "nonlinear.png").read_bytes().startswith(b"\x89PNG")
         # The command in the file, played by DOP853 on the equations of motion, has the error that the report states.
         command = np.loadtxt(out / "nonlinear.csv", delimiter=",", skiprows=1)[:, 1]
         [own] = design_nonlinear(stated(tmp_path)).all_entries()
         assert own.designed.nonlinear is not None
         [played] = replay_nonlinear(own.designed.nonlinear, [command])
-        assert played.nrmse == pytest.approx(entry["nrmse"], rel=1e-6)
+        assert played.figures.tap_error == pytest.approx(entry["tap_error"], rel=1e-6)
 
     def test_solve_hands_out_no_command_that_is_not_proven(
         self, tmp_path: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch

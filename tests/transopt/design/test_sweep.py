@@ -27,7 +27,7 @@ def test_same_as_the_library(scene: Scene, taps: list[Recording], build: Build) 
     own = [row[2] for row in build.entries]
     assert [outcome.status for outcome in found] == ["OPTIMAL"] * 4
     for outcome, entry in zip(found, own, strict=True):
-        assert outcome.nrmse == pytest.approx(entry.nrmse, rel=1e-9)
+        assert outcome.tap_error == pytest.approx(entry.figures.tap_error, rel=1e-9)
         assert outcome.floor == pytest.approx(entry.floor, rel=1e-9)
         assert outcome.peak_input == pytest.approx(entry.played.peak_input, rel=1e-9)
         assert outcome.peak_temperature_C == pytest.approx(entry.played.winding_C, rel=1e-9)
@@ -54,7 +54,7 @@ def test_points_of_other_devices_in_one_task_come_out_as_alone(scene: Scene, tap
     together = run_task(task(scene, taps, points, [0.4]))
     for outcome, point in zip(together, points, strict=True):
         [alone] = run_task(task(scene, taps, [point], [0.4]))
-        assert alone.nrmse == pytest.approx(outcome.nrmse, rel=1e-8)
+        assert alone.tap_error == pytest.approx(outcome.tap_error, rel=1e-8)
         assert alone.status == outcome.status == "OPTIMAL"
     assert together[2].peak_voltage_V <= 9.0 * 1.001
     assert together[0].peak_voltage_V != together[0].peak_voltage_V  # NaN: no rail, no voltage
@@ -94,9 +94,9 @@ def test_baselines_and_prices_only_where_wanted(scene: Scene, taps: list[Recordi
     entry = build.entries[3][2]
     assert without.price == ""
     assert full.price == "; ".join(price.sentence for price in entry.prices)
-    assert full.nrmse_clipped == pytest.approx(entry.baselines.clipped, rel=1e-9)
-    assert full.nrmse_seed == pytest.approx(entry.baselines.seed, rel=1e-9)
-    same = {"price", "nrmse_seed", "nrmse_clipped", "solve_ms", "total_ms"}
+    assert full.tap_error_clipped == pytest.approx(entry.baselines.clipped.tap_error, rel=1e-9)
+    assert full.tap_error_seed == pytest.approx(entry.baselines.seed.tap_error, rel=1e-9)
+    same = {"price", "tap_error_seed", "tap_error_clipped", "solve_ms", "total_ms"}
     for name in Outcome.__dataclass_fields__:
         value, alone = getattr(full, name), getattr(without, name)
         if isinstance(value, float):
@@ -111,9 +111,9 @@ def test_other_methods_are_told_at_the_limit_of_their_own_point(scene: Scene, ta
     together = run_task(replace(task(scene, taps, points, [0.4]), rivals=True))
     for outcome, point in zip(together, points, strict=True):
         [alone] = run_task(replace(task(scene, taps, [point], [0.4]), rivals=True))
-        assert outcome.nrmse_clipped == pytest.approx(alone.nrmse_clipped, rel=1e-9)
-        assert outcome.nrmse_seed == pytest.approx(alone.nrmse_seed, rel=1e-9)
-    assert together[0].nrmse_clipped > 1.2 * together[1].nrmse_clipped
+        assert outcome.tap_error_clipped == pytest.approx(alone.tap_error_clipped, rel=1e-9)
+        assert outcome.tap_error_seed == pytest.approx(alone.tap_error_seed, rel=1e-9)
+    assert together[0].tap_error_clipped > 1.2 * together[1].tap_error_clipped
 
 
 @pytest.mark.parametrize("rivals", [False, True])

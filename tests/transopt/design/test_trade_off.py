@@ -26,13 +26,13 @@ def louder(scene: Scene, taps: list[Recording]) -> Build:
 
 
 def test_only_entries_that_a_limit_cuts_have_one(cut: Build) -> None:
-    over = {(e.speed_m_s, e.grip_N) for e in cut.all_entries() if e.nrmse > e.floor + 1e-3}
+    over = {(e.speed_m_s, e.grip_N) for e in cut.all_entries() if e.figures.tap_error > e.floor + 1e-3}
     assert {(t.speed_m_s, t.grip_N) for t in cut.trade_offs} == over
 
 
 def test_a_path_rises_in_energy_and_in_error(cut: Build) -> None:
     for each in cut.trade_offs:
-        dB, error = ([getattr(point, name) for point in each.path] for name in ("energy_dB", "nrmse"))
+        dB, error = ([getattr(point, name) for point in each.path] for name in ("energy_dB", "tap_error"))
         assert len(dB) >= 8
         assert dB == sorted(dB)
         assert error[0] == min(error)
@@ -44,7 +44,7 @@ def test_a_path_rises_in_energy_and_in_error(cut: Build) -> None:
 def test_the_waveform_of_both_objectives_is_the_same(cut: Build, scene: Scene, taps: list[Recording]) -> None:
     changed = with_values(scene, {"limits.current_A": 2.5, "weights.objective": "intensity"})
     for one, other in zip(cut.trade_offs, build_library(changed, taps).trade_offs, strict=True):
-        assert one.waveform.nrmse == pytest.approx(other.waveform.nrmse, rel=1e-6)
+        assert one.waveform.tap_error == pytest.approx(other.waveform.tap_error, rel=1e-6)
         assert one.intensity.energy_dB == pytest.approx(other.intensity.energy_dB, abs=0.02)
 
 

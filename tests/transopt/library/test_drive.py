@@ -156,9 +156,9 @@ class TestPlayed:
         driver = driver_for(lra, bits="32")
         found = played(lra, [drive_of(lra, iv, 0, driver) for iv in (0, 1)])
         for iv, each in enumerate(found):
-            assert each.nrmse == pytest.approx(lra.tap_error[iv, 0], rel=1e-6)
-            assert each.nrmse_after == pytest.approx(lra.error_after[iv, 0], rel=1e-4)
-            assert each.nrmse_designed == pytest.approx(lra.tap_error[iv, 0], rel=1e-12)
+            assert each.tap_error == pytest.approx(lra.tap_error[iv, 0], rel=1e-6)
+            assert each.error_after == pytest.approx(lra.error_after[iv, 0], rel=1e-4)
+            assert each.tap_error_designed == pytest.approx(lra.tap_error[iv, 0], rel=1e-12)
             assert each.limits_left == ()
             scale = np.abs(lra.acceleration_m_s2[iv, 0]).max()
             predicted, _ = lra.lasting(iv, 0)
@@ -182,14 +182,14 @@ class TestPlayed:
         assert amplifier.delay_s > 0
         drive = drive_of(library, 3, 2, driver_for(library, rate_Hz=50000.0, bits="32"))
         (found,) = played(library, [drive])
-        assert found.nrmse == pytest.approx(library.tap_error[3, 2], rel=1e-6)
-        assert found.nrmse_after == pytest.approx(library.error_after[3, 2], rel=1e-4)
+        assert found.tap_error == pytest.approx(library.tap_error[3, 2], rel=1e-6)
+        assert found.error_after == pytest.approx(library.error_after[3, 2], rel=1e-4)
         assert found.limits_left == ()
 
     def test_eight_bits_and_a_slow_driver_cost_and_clipping_costs_more(self, lra: Library) -> None:
         def nrmse(**driver: float | str) -> float:
             (found,) = played(lra, [drive_of(lra, 1, 0, driver_for(lra, **driver))])  # type: ignore[arg-type]
-            return found.nrmse
+            return found.tap_error
 
         design = float(lra.tap_error[1, 0])
         assert abs(nrmse(bits="16") - design) < 1e-5
@@ -207,7 +207,7 @@ class TestPlayed:
         assert (mean.saturated, mean.samples.size) == (0, samples.size)
         assert saturated > 0
         found, usual = played(lra, [mean, replace(mean, samples=samples)])
-        assert found.nrmse < usual.nrmse
+        assert found.tap_error < usual.tap_error
 
     @pytest.mark.parametrize("bits", ["8", "16"])
     def test_rounding_alone_leaves_no_limit(self, lra: Library, bits: str) -> None:

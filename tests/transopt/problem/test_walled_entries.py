@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from tests.benches.libraries import under
 from tests.benches.limits import with_numbers
 from tests.benches.tails import without_tail
 from tests.conftest import WalledMaker, walled_scene
@@ -138,10 +139,9 @@ class TestLibrary:
         replace(walled_library, transient_command=transient).save(tmp_path / "library.npz")
         clean, tampered = verify_library(load_library(tmp_path / "library.npz"))
         assert clean.shortfalls == []
-        assert any("transient_command_A" in text for text in tampered.shortfalls)
+        assert any("transient_command" in text for text in tampered.shortfalls)
         assert any("wall's feedback the command differs" in text for text in tampered.shortfalls)
 
     def test_another_wall_than_the_designs_is_noticed(self, walled_library: Library) -> None:
-        feedback = {**walled_library.meta["feedback"], "stiffness_N_m": 450.0}
-        softer = replace(walled_library, meta={**walled_library.meta, "feedback": feedback})
+        softer = under(walled_library, {"feedback.stiffness_N_m": 450.0})
         assert all(check.shortfalls for check in verify_library(softer))

@@ -87,7 +87,7 @@ class TestLibrary:
             for iv in range(4):
                 drawn, N = predicted[iv].get_ydata(), grid.stages
                 np.testing.assert_allclose(drawn[:N], library.acceleration_m_s2[iv, ig] / G)
-                wanted = np.append(library.reference_m_s2[iv], library.reference_after_m_s2[iv]) / G
+                wanted = np.append(library.target_m_s2[iv, ig], library.target_after_m_s2[iv, ig]) / G
                 np.testing.assert_allclose(references[iv].get_ydata(), wanted)
                 # The largest error after the waveform is what the file says.
                 after = np.abs(drawn - wanted)[N:].max()
@@ -124,7 +124,7 @@ class TestLibrary:
         on_paper = axis.transform(times_ms)
         assert np.all(np.diff(on_paper) > 0)
         np.testing.assert_allclose(axis.inverted().transform(on_paper), times_ms, atol=1e-9)
-        lasting = replace(library, reference_m_s2=np.ones_like(library.reference_m_s2))
+        lasting = replace(library, target_m_s2=np.ones_like(library.target_m_s2))
         assert "compressed" not in library_figure(lasting).get_supxlabel()
 
     @pytest.mark.parametrize(("speeds", "grips"), [(1, 1), (8, 6)])
@@ -132,7 +132,7 @@ class TestLibrary:
         assert_nothing_clipped(library_figure(resized(library, speeds, grips)))
 
     def test_a_zero_reference_of_the_free_device_can_be_drawn(self, library: Library) -> None:
-        zero = {name: 0 * getattr(library, name) for name in ("reference_m_s2", "acceleration_m_s2", "plant_input")}
+        zero = {name: 0 * getattr(library, name) for name in ("target_m_s2", "acceleration_m_s2", "plant_input")}
         figure = library_figure(replace(resized(library, 4, 1), grips_N=np.zeros(1)))
         assert figure.axes[0].get_title() == "free device"
         assert_nothing_clipped(library_figure(replace(library, **zero)))

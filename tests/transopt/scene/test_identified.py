@@ -66,8 +66,8 @@ class TestTheSameDevice:
         ):
             ours, theirs = getattr(own, name), getattr(library, name)
             assert np.abs(ours - theirs).max() <= 1e-9 * max(np.abs(theirs).max(), 1), name
-        assert own.meta["amplifier"] == library.meta["amplifier"]
-        assert own.meta["circuit"] == library.meta["circuit"]
+        assert own.amplifier() == library.amplifier()
+        assert own.posing().circuit == library.posing().circuit
         own.save(tmp_path / "library.npz")
         (tmp_path / "MODEL.json").unlink()  # the library needs it no more
         assert_clean(load_library(tmp_path / "library.npz"))

@@ -127,7 +127,7 @@ def test_a_library_opens_without_its_recordings(tmp_path: Path) -> None:
     library = to.solve("lra_click")
     library.save(tmp_path / "library.npz")
     service = opened(tmp_path / "library.npz")
-    assert service.quick(0).nrmse == pytest.approx(float(library.nrmse[0, 0]), rel=1e-8)
+    assert service.quick(0).nrmse == pytest.approx(float(library.tap_error[0, 0]), rel=1e-8)
     assert described(service)["driven_by"]["unit"] == "V"
 
 
@@ -138,7 +138,7 @@ def test_the_saved_library_is_the_one_that_is_shown(service: Service) -> None:
     assert told[0] == (0, 2)
     assert told[-1] == (2, 2)
     assert (library.status == Status.OPTIMAL.value).all()
-    assert float(library.nrmse[1, 0]) == pytest.approx(service.quick(1).nrmse, rel=1e-8)
+    assert float(library.tap_error[1, 0]) == pytest.approx(service.quick(1).nrmse, rel=1e-8)
 
 
 def test_a_library_that_was_refined_on_its_device_is_said_to_be_shown_anew(library: to.Library) -> None:

@@ -282,7 +282,7 @@ class TestArraysOfALibrary:
     def test_one_that_is_not_in_force_has_none_in_the_file(self, library: Library) -> None:
         names = set(library.arrays())
         for kind in kinds_of(CURRENT_INPUT):
-            asked = library.meta["limits"].get(kind.key) is not None
+            asked = library.posing().asked.get(kind.key) is not None
             for row in kind.row_names:
                 for side in kind.sides:
                     name = f"mu_{row}_{side}"

@@ -164,7 +164,6 @@ class TestLibrary:
     def test_is_saved_and_verified(self, library: Library, tmp_path: Path) -> None:
         library.save(tmp_path / "library.npz")
         read = load_library(tmp_path / "library.npz")
-        assert read.meta["schema"] == 3
         assert read.multipliers_of["mu_stroke_device_4_upper"].shape == read.command.shape
         assert all(not each.shortfalls for each in verify_library(read))
 
@@ -198,7 +197,6 @@ def test_what_all_devices_share_has_one_row(scene: Scene, taps: list[Recording])
     assert {row.device for _, row in made.entries[0][0].problem.rows()} == {0}
     assert made.library is not None
     assert not [name for name in made.library.arrays() if "_device_" in name]
-    assert made.library.meta["schema"] == 2
 
 
 COIL = "to.own_limit('coil_current', 'A', lambda s: s.current, lower=-0.25, upper=0.25)"

@@ -10,19 +10,15 @@ import pytest
 import problems as built_in
 from tests.benches.limits import supply_of, with_rail
 from tests.benches.rail import Tap, terminal_voltages
-from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.design.context import Context, wanted_of
 from transopt.design.optimum import optimum
-from transopt.design.resolve import resolve
-from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.library.other_limits import with_limits
 from transopt.library.proven import doubts
 from transopt.problem.answer import Status
 from transopt.problem.leave_out import leave_out
-from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify
 from transopt.recordings.reference import Reference
@@ -184,43 +180,13 @@ def low() -> Library:
 
 
 class TestLibrary:
-    def test_the_file_says_at_which_temperatures(self, low: Library, tmp_path: Path) -> None:
-        assert low.meta["limits"]["supply_copper_C"] == [25.0, 100.0]
+    def test_the_rail_is_kept_at_both_temperatures(self, low: Library, tmp_path: Path) -> None:
+        assert supply_of(low.problem(0, 0)).copper_C == [25.0, 100.0]
         assert low.array("mu_supply_hot_after_upper").any()
         low.save(tmp_path / "low.npz")
         assert not list(doubts(load_library(tmp_path / "low.npz")))
 
-    def test_temperatures_that_the_coil_does_not_have_are_refused(self, low: Library, tmp_path: Path) -> None:
-        limits = {**low.meta["limits"], "supply_copper_C": [25.0, 30.0]}
-        replace(low, meta={**low.meta, "limits": limits}).save(tmp_path / "low.npz")
-        with pytest.raises(InputError, match=r"limits.supply_copper_C = \[25.0, 30.0\]: the coil and its budget"):
-            load_library(tmp_path / "low.npz")
-
-    def test_one_that_does_not_say_keeps_the_rail_at_the_stated_resistance(
-        self, low: Library, tmp_path: Path
-    ) -> None:
-        """Files from before there were two ends do not name them; they are solved, proven and verified unchanged."""
-        limits = {key: value for key, value in low.meta["limits"].items() if key != "supply_copper_C"}
-        plain = replace(low, meta={**low.meta, "limits": limits})
-        nothing = np.zeros(low.command.shape[2])
-        solved, kept = resolve(plain, {(0, ig): nothing for ig in range(low.grips_N.size)}, {})
-        assert not kept
-        solved.save(tmp_path / "plain.npz")
-        with np.load(tmp_path / "plain.npz") as file:
-            assert not [name for name in file.files if "supply_hot" in name]
-        found = load_library(tmp_path / "plain.npz")
-        (end,) = supply_of(found.problem(0, 0)).ends
-        assert end.circuit.R_ohm == pytest.approx(found.meta["circuit"]["R_ohm"], rel=1e-15)
-        assert "supply +9 V at " in str(found.binding[0, 1])
-        assert not list(doubts(found))
-        assert not any(check.shortfalls for check in verify_library(found))
-        # Cold copper takes less of the rail, so that more is left for the tap.
-        assert np.all(found.nrmse < low.nrmse)
-
     def test_a_rail_for_a_single_tap_is_kept_at_both_ends(self, low: Library, library: Library) -> None:
         for of in (low, library):
-            for end_of_copper in ({}, {"supply_copper_C": None}):
-                meta = {**of.meta, "limits": {**of.meta["limits"], **end_of_copper}}
-                posing = with_limits({"supply_V": 9.0}, Posing.of(meta, of.command.shape[2]))
-                wanted = of.wanted(float(of.speeds_m_s[0]), np.eye(of.speeds_m_s.size)[0])
-                assert supply_of(posing.problem(wanted, of.stage(0))).copper_C == [25.0, 100.0]
+            posing = with_limits({"supply_V": 9.0}, of.posing())
+            assert supply_of(posing.problem(of.wanted_of(0, 0), of.stage(0))).copper_C == [25.0, 100.0]
