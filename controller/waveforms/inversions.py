@@ -27,7 +27,7 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
     stage = linear_stage(problem)
     A, b, C, E = stage.A, stage.A[:, -1], stage.C, stage.E
     values = tracking_values(problem, stage)
-    wanted, weights, movement = values["r"], values["w"] / len(problem.devices), float(values["rho"][0])
+    wanted, weights, movement = values["r"], values["w"], float(values["rho"][0])
     rows, constants = hand_over.rows(problem, stage)
     rows[:, -1] -= 1.0
     # What the device still does when the waveform is over.
@@ -39,14 +39,14 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
         if k >= problem.free_stages:
             K, constant = rows[k - problem.free_stages], constants[k - problem.free_stages]
         else:
-            H = movement + w * (E @ E) + b @ P @ b
-            K = -(w * (E @ C) + b @ P @ A) / H
-            constant = -(b @ p - w * E.sum() * wanted[k]) / H
+            H = movement + (w * E) @ E + b @ P @ b
+            K = -((w * E) @ C + b @ P @ A) / H
+            constant = -(b @ p - (w * E) @ wanted[k]) / H
         laws.append((K, constant))
         closed, tracked = A + np.outer(b, K), C + np.outer(E, K)
         error = E * constant - wanted[k]
-        p = w * (error @ tracked) + movement * constant * K + (P @ b * constant + p) @ closed
-        P = w * (tracked.T @ tracked) + movement * np.outer(K, K) + closed.T @ P @ closed
+        p = (w * error) @ tracked + movement * constant * K + (P @ b * constant + p) @ closed
+        P = (tracked.T * w) @ tracked + movement * np.outer(K, K) + closed.T @ P @ closed
     x = np.zeros(b.size)
     command = np.empty(N)
     for k, (K, constant) in enumerate(reversed(laws)):

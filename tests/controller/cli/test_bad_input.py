@@ -34,7 +34,7 @@ from tests.benches.desk import Desk
         ("tap library.npz --simulate --grip -1", "--grip -1"),
         ("tap library.npz --simulate --method magic", "--method magic: must be one of bilinear"),
         ("tap library.npz --simulate --method proportional", "--method proportional: plays a wall's feedback alone"),
-        ("tap library.npz --simulate --user robot", "--user robot: must be one of mild, yielding"),
+        ("tap library.npz --simulate --user robot", "--user robot: must be one of recorded, brakes"),
         ("tap library.npz --simulate --out library.npz", "--out library.npz"),
         ("refine library.npz --out x", "refine: name one device"),
         ("refine library.npz --out x --simulate --port desk", "refine: name one device"),

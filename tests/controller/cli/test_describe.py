@@ -64,10 +64,11 @@ def test_a_simulated_tap_on_the_device_of_a_file(play: Run, text: str) -> None:
     assert outcome.code == 0, outcome.out + outcome.err
     assert "device: device.toml" in outcome.out
     [row] = [line.split("│") for line in outcome.out.splitlines() if line.startswith("│   1 ")]
-    speed, grip, latency_us, error = (float(cell) for cell in row[2:6])
+    speed, grip, latency_us, tap_error, error = (float(cell) for cell in row[2:7])
     assert speed == pytest.approx(0.3, rel=0.01)
     assert grip == pytest.approx(3.0, abs=0.2)
     assert abs(latency_us) < 15
+    assert tap_error == pytest.approx(20, abs=1)
     assert error < 1.5
 
 

@@ -63,10 +63,11 @@ def test_check_then_tap_quietly_then_in_full(play: Run, library: Library, monkey
     assert "gain 1\n" in second.out.replace("gain 1 ", "gain 1\n")
     # One tap at 0.2 m/s: its figures stand in the table's row.
     [row] = [line.split("│") for line in second.out.splitlines() if line.startswith("│   1 ")]
-    speed, grip, latency_us, error = (float(cell) for cell in row[2:6])
+    speed, grip, latency_us, tap_error, error = (float(cell) for cell in row[2:7])
     assert speed == pytest.approx(0.2, abs=0.01)
     assert grip == pytest.approx(3.0, abs=0.2)
     assert abs(latency_us) <= 20
+    assert tap_error == pytest.approx(20, abs=2)
     assert error <= 3
     assert f"taps: {FILES}, all whole" in second.out
     recording = load_recording(Path("taps/tap_001.csv"))

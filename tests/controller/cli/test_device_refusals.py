@@ -25,7 +25,7 @@ def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: p
         play("upload", "library.npz", *PORT),
         "library: 4 speeds x 3 grips x 800 samples",
         "3000 in all",
-        "a grid of 2 speeds x 1 grips or 250 samples (25 ms, or 4.16 kHz) would fit",
+        "a grid of 2 speeds x 1 grips or 250 samples (25 ms, or 3.12 kHz) would fit",
     )
     Desk(library, hardware=Hardware(current_A=2.0)).put(monkeypatch)
     assert_refused(play("upload", "library.npz", *PORT), "more than the device's hardware allows (device saw 4)")

@@ -12,7 +12,17 @@ from transopt.library.library import Library
 def test_tap_with_figure_and_telemetry(play: Run) -> None:
     outcome = play("tap", "library.npz", "--simulate", "--speed", 0.3, "--grip", 3, "--out", "run")
     assert (outcome.code, outcome.err) == (0, "")
-    for word in ("latency", "NRMSE", "peak", "spectral error", "rate-hardness", "winding", "clamps", "verdict"):
+    for word in (
+        "latency",
+        "tap error",
+        "playback error",
+        "peak",
+        "spectral error",
+        "rate-hardness",
+        "winding",
+        "clamps",
+        "verdict",
+    ):
         assert word in outcome.out
     assert {path.name for path in Path("run").iterdir()} == {
         "tap.png",

@@ -11,7 +11,7 @@ from tests.benches.commands import Terminal
 pytestmark = pytest.mark.usefixtures("c_compiler")
 
 LATENCY = re.compile(r"latency +│ +(-?[\d.]+) µs")
-NRMSE = re.compile(r"NRMSE after the shift +│ +([\d.]+) %")
+ERROR = re.compile(r"playback error +│ +([\d.]+) %")
 
 
 def library(terminal: Terminal, folder: Path, rate_Hz: int) -> Path:
@@ -54,8 +54,8 @@ def test_a_tap_is_played_whatever_servo_and_encoder_are(
         asked = ("--simulate", "--device", device, "--speed", 0.2, "--grip", 3)
         outcome = terminal("transopt-play", "tap", solved, *asked)
         assert outcome.code == 0, outcome.err
-        latency, nrmse = LATENCY.search(outcome.out), NRMSE.search(outcome.out)
+        latency, error = LATENCY.search(outcome.out), ERROR.search(outcome.out)
         assert latency is not None
-        assert nrmse is not None
+        assert error is not None
         assert abs(float(latency.group(1))) < most_us
-        assert float(nrmse.group(1)) < most_percent
+        assert float(error.group(1)) < most_percent

@@ -120,7 +120,9 @@ def test_taps_on_an_object(play: Run) -> None:
 def test_a_touch_too_light_for_the_trigger_is_named(play: Run) -> None:
     outcome = play(*OBJECT, "--speeds", "0.03,0.2")
     assert outcome.code == 1
-    assert outcome.err.strip() == "nothing above 1 g (--trigger) in tap_0.03m_s_3N_1.npz"
+    assert outcome.err.strip() == (
+        "nothing above 1 g (--trigger) in tap_0.03m_s_1N_1.npz, tap_0.03m_s_3N_1.npz, tap_0.03m_s_5N_1.npz"
+    )
     assert play(*OBJECT[:-1], "light", "--speeds", 0.03, "--trigger", 0.3).code == 0
 
 

@@ -209,14 +209,14 @@ def played(
 def test_latency_and_error_are_found(library: Library, stated: Settings, late_s: float) -> None:
     found = played_tap(played(library, stated, late_s=late_s), library, stated, 1.0, BANDWIDTH_HZ).compared
     assert found.latency_s == pytest.approx(late_s, abs=5e-6)
-    assert found.nrmse < 0.01
+    assert found.playback_error < 0.01
     assert found.peak_m_s2 == pytest.approx(found.predicted_peak_m_s2, rel=0.01)
 
 
 def test_what_is_too_large_is_an_error_and_a_gain_is_none(library: Library, stated: Settings) -> None:
     def error(size: float, gain: float, stated_gain: float) -> float:
         contact = played(library, stated, size=size, gain=gain)
-        return played_tap(contact, library, stated, stated_gain, BANDWIDTH_HZ).compared.nrmse
+        return played_tap(contact, library, stated, stated_gain, BANDWIDTH_HZ).compared.playback_error
 
     assert error(1.1, 1.0, 1.0) == pytest.approx(0.1, abs=0.01)
     assert error(1.0, 0.5, 0.5) < 0.01
@@ -240,7 +240,7 @@ def test_where_there_is_nothing_to_compare(library: Library, stated: Settings) -
     for why, (case, gain) in cases.items():
         found = played_tap(case, library, stated, gain, BANDWIDTH_HZ)
         assert (found.why, found.verdict) == (why, why)
-        assert np.isnan(found.compared.nrmse)
+        assert np.isnan(found.compared.playback_error)
         assert np.isnan(found.compared.latency_s)
     sparse = replace(good, **{name: getattr(good, name)[::3] for name in ("ticks", "counts", "acceleration_m_s2")})
     assert played_tap(sparse, library, stated, 1.0, BANDWIDTH_HZ).why == "telemetry of every tick is needed"

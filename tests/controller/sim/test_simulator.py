@@ -387,7 +387,7 @@ class TestRealTap:
         target = scene.recordings.simulated
         assert target is not None
         struck = strike_real(device_of(scene), target, 0.3, 3.0, 40e-3, scene.time.dt_s)
-        plant = scene.plant(target.grip_N, struck=True)
+        plant = scene.plant(3.0, struck=True)
         times, [expected], [encoder] = strike(plant, target, np.array([0.3]), 40e-3)
         after = (struck.times_s >= 0) & (struck.times_s <= times[-1])
         wanted = np.interp(struck.times_s[after], times, expected)
