@@ -676,13 +676,7 @@ class Library:
         `transopt.library.nonlinear.nonlinear_problem` puts on the nonlinear one.
         """
         wanted = self.wanted_of(iv, ig)
-        target = replace(
-            wanted.target,
-            window_m_s2=self.target_m_s2[iv, ig],
-            after_m_s2=self.target_after_m_s2[iv, ig],
-            before_m_s2=self.target_before_m_s2[iv, ig],
-        )
-        wanted = replace(wanted, target=target)
+        wanted = replace(wanted, target=self.told(iv, ig).moved(self.correction_m_s2[iv, ig]))
         stage = self.stage(ig) if stage is None else stage
         problem = self.posing().problem(wanted, stage, self.spread(ig))
         problem = replace(

@@ -26,7 +26,7 @@ from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import DT_S, PORT, Desk
-from tests.benches.libraries import part_of
+from tests.benches.libraries import part_of, under
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray, nrmse
@@ -155,29 +155,34 @@ class TestLearning:
         assert node_near(library, 0.45, 0.6) == (3, 0)
 
 
+def wanted(library: Library, iv: int, ig: int) -> FloatArray:
+    """(N,) what an entry asks of the current."""
+    return library.told(iv, ig).window_m_s2
+
+
 class TestResolve:
     def test_without_a_correction_nothing_changes(self, small: Library) -> None:
         zero = np.zeros(small.command.shape[2])
         again, kept = resolve(small, dict.fromkeys(nodes_of(small), zero), {"rounds": []})
         assert not kept
-        for name in ("command", "playback_error", "floor", "objective", "peak_input", "mu_current_upper"):
+        for name in ("command", "tap_error", "floor", "objective", "peak_input", "mu_current_upper"):
             # A command that is as exact as its proof needs, and figures that follow from it.
             atol = 1e-6 if name == "command" else 1e-8
             np.testing.assert_allclose(again.array(name), small.array(name), rtol=1e-8, atol=atol)
         assert again.meta["left_out"] == small.meta["left_out"]
-        assert again.meta["limits"] == small.meta["limits"]
 
     def test_corrected_entries_are_certified_from_the_file_alone(self, small: Library, tmp_path: Path) -> None:
-        asked = {(0, 0): 0.2 * small.reference_m_s2[0], (1, 1): 0.3 * small.reference_m_s2[1]}
+        asked = {(0, 0): 0.2 * wanted(small, 0, 0), (1, 1): 0.3 * wanted(small, 1, 1)}
         refined, kept = resolve(small, asked, {"rounds": []})
         assert not kept
         refined.save(tmp_path / "refined.npz")
         loaded = load_library(tmp_path / "refined.npz")
         assert [check.shortfalls for check in verify_library(loaded)] == [[]] * 4
         # What no limit binds follows its correction; what one does stays within it.
-        assert loaded.playback_error[0, 0] == pytest.approx(0.2, abs=5e-3)
-        assert loaded.floor[0, 0] == pytest.approx(loaded.playback_error[0, 0], abs=1e-6)
-        assert loaded.peak_input.max() <= loaded.meta["limits"]["current_A"] + 1e-6
+        # But for the weight of the command's movement, which is relative to the limit.
+        assert nrmse(loaded.command[0, 0], 1.2 * small.command[0, 0]) < 0.02
+        assert loaded.floor[0, 0] == pytest.approx(loaded.tap_error[0, 0], abs=1e-6)
+        assert loaded.peak_input.max() <= loaded.input_limit + 1e-6
         np.testing.assert_array_equal(loaded.command[0, 1], small.command[0, 1])
         assert loaded.at(0.2, 3.0).command == pytest.approx(loaded.command[0, 0])
 
@@ -185,7 +190,7 @@ class TestResolve:
         louder = {"weights.objective": "intensity", "grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
         priced = to.solve(with_values(scene, louder))
         assert priced.intensity[0, 0] > 0.1
-        refined, kept = resolve(priced, {(0, 0): 0.002 * priced.reference_m_s2[0]}, {"rounds": []})
+        refined, kept = resolve(priced, {(0, 0): 0.002 * wanted(priced, 0, 0)}, {"rounds": []})
         assert not kept
         assert refined.floor[0, 0] == pytest.approx(priced.floor[0, 0], abs=2e-3)
         assert [entry.shortfalls for entry in verify_library(refined)] == [[]]
@@ -194,7 +199,7 @@ class TestResolve:
     def test_a_tap_solved_anew_asks_for_the_same(self, small: Library, scene: Scene) -> None:
         """At a node, and between nodes by a correction blended like the reference."""
         share = 0.2
-        asked = {node: share * small.reference_m_s2[node[0]] for node in nodes_of(small)}
+        asked = {node: share * wanted(small, *node) for node in nodes_of(small)}
         refined, _ = resolve(small, asked, {"rounds": []})
         online = Online(refined, scene.plant, lambda grip: ())
         at_node = online.solve(0.2, 3.0).wave
@@ -205,18 +210,18 @@ class TestResolve:
         assert nrmse(between.command, (1 + share) * plain.command) < 0.02
 
     def test_another_correction_than_the_one_solved_for_is_found_out(self, small: Library) -> None:
-        refined, _ = resolve(small, {(0, 0): 0.2 * small.reference_m_s2[0]}, {"rounds": []})
+        refined, _ = resolve(small, {(0, 0): 0.2 * wanted(small, 0, 0)}, {"rounds": []})
         wrong = refined.correction_m_s2.copy()
         wrong[0, 0] *= 0.9
         shortfalls = verify_library(replace(refined, correction_m_s2=wrong))[0].shortfalls
-        assert any("gap" in text for text in shortfalls)
+        assert any("gap" in text or "target" in text for text in shortfalls), shortfalls
 
     def test_a_library_as_solved_has_no_such_array(self, small: Library) -> None:
         assert "correction_m_s2" not in small.arrays()
         assert not small.correction_m_s2.any()
 
     def test_a_wall_is_refused(self, small: Library) -> None:
-        walled = replace(small, meta={**small.meta, "feedback": {}})
+        walled = under(small, {"feedback.stiffness_N_m": 200.0})
         with pytest.raises(InputError, match="wall"):
             resolve(walled, {}, {})
 
@@ -268,7 +273,6 @@ class TestRounds:
         assert not last[0, 0].limited
         assert last[1, 1].limited
         assert last[1, 1].playback_error < first[1, 1].playback_error
-        assert last[1, 1].playback_error > small.playback_error[1, 1]  # a weaker motor under the same limit
         for results in refined.history.rounds[1:]:
             assert all(node.condition is not None and node.condition.met for node in results.values())
         learnt = refined.history.rounds[1][0, 0].condition
@@ -332,7 +336,7 @@ class TestRounds:
         assert kept["learning"] is None
         assert {np.array(one["playback_error"]).shape for one in (*kept["rounds"], kept["confirmed"])} == {(2, 2)}
         assert kept["rounds"][0]["gain"] == [[None] * 2] * 2
-        np.testing.assert_array_equal(loaded.reference_m_s2, small.reference_m_s2)
+        np.testing.assert_array_equal(loaded.recorded_m_s2, small.recorded_m_s2)
         # Refined once more there is little left.
         again = refine(loaded, Bent(0.8), resolve, 1, STATED)
         assert refined.history.confirmed is not None
@@ -406,7 +410,7 @@ class TestCommand:
         told = refined.meta["refinement"]
         before, after = (one["playback_error"][0][0] for one in (told["rounds"][0], told["confirmed"]))
         assert before > 0.05
-        assert after < before / 3
+        assert after < 0.8 * before  # what is slow counts little in J, and is not learnt
         assert told["rounds"][1]["sure_factor"][0][0] < 1
         assert max(one["peak_current_A"][0][0] for one in told["rounds"]) <= 4 + 5 * SEED_SENSORS.current_noise_A
         assert "mismatch 0.2, seed 4" in told["source"]
