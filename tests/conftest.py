@@ -23,6 +23,7 @@ from tests.benches.desk import PORT, Desk
 from tests.benches.device import need_compiler
 from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
+from tests.benches.quick_part import without_slow_part
 from tests.benches.servo import WALL, Bench
 from transopt.design.build import Build, build_library
 from transopt.design.context import Context
@@ -120,7 +121,7 @@ def references(scene: Scene, recorded: References) -> list[Reference]:
 
 
 class ProblemMaker:
-    """Entries of the default scene, varied where a test wants it."""
+    """Entries of the default scene over 60 ms, for the quick part of its taps, varied where a test wants it."""
 
     def __init__(self, scene: Scene, references: list[Reference]) -> None:
         self.scene, self.references = scene, references
@@ -142,9 +143,9 @@ class ProblemMaker:
         if delay_s is not None:
             grid = replace(grid, delay_s=delay_s)
             amplifier = None if amplifier is None else replace(amplifier, delay_s=delay_s)
-        if stages is not None:
-            grid = replace(grid, stages=stages)
-        reference = next(r for r in self.references if r.speed_m_s == speed_m_s).target.window_m_s2
+        grid = replace(grid, stages=600 if stages is None else stages)
+        recorded = next(r for r in self.references if r.speed_m_s == speed_m_s)
+        reference = without_slow_part(recorded, scene.time_grid()).target.window_m_s2
         # A longer horizon goes on with nothing to do, a shorter one is cut.
         padded = np.concatenate([reference, np.zeros(max(0, grid.stages - reference.size))])[: grid.stages]
         # Neither nominal motion nor coil: what a limit needs of them is put in by the test that has it.
@@ -167,7 +168,9 @@ def make_problem(scene: Scene, references: list[Reference]) -> ProblemMaker:
 
 
 def walled_scene(scene: Scene, stiffness_N_m: float, **feedback: float) -> Scene:
+    """The scene with a wall, and with a hand that does not press into it for ever."""
     data = scene.model_dump()
+    data["hand"]["yields"] = "brakes"
     data["feedback"] = {"stiffness_N_m": stiffness_N_m, "damping_N_s_m": 5.0, **feedback}
     return Scene.model_validate(data)
 
@@ -182,6 +185,7 @@ def walled(scene: Scene, references: list[Reference]) -> WalledMaker:
     def make(stiffness_N_m: float, speed_m_s: float, grip_N: float = 3.0, **feedback: float) -> TransientProblem:
         varied = walled_scene(scene, max(stiffness_N_m, 1.0), **feedback)
         reference = next(r for r in references if r.speed_m_s == speed_m_s)
+        reference = without_slow_part(reference, varied.time_grid())
         problem = Context(varied).posed_as(reference, grip_N).problem
         assert problem.wall is not None
         wall = replace(problem.wall.wall, stiffness_N_m=stiffness_N_m)

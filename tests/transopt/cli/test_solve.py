@@ -156,7 +156,7 @@ class TestSolve:
         [
             ("speeds_m_s = [0.2]", "speeds_m_s = [0.3]", ["tap_0.2_m_s.csv", "0.209 m/s", "limit 15%"]),
             ("speeds_m_s = [0.2]", "speeds_m_s = [0.2, 0.4]", ["no recording within 15% of 0.4 m/s"]),
-            ("stages = 600", "stages = 6000", ["tap_0.2_m_s.csv", "the window needs 599.7", "record longer"]),
+            ("stages = 800", "stages = 8000", ["tap_0.2_m_s.csv", "the window needs 599.7", "record longer"]),
             ("beta = 3.2", "current_A = -1.0", ["limits.current_A = -1.0", "greater than 0"]),
             (
                 "mass_kg = 0.010",
@@ -203,7 +203,7 @@ class TestLostStart:
 
     def late(self, delay_s: str, lead_s: str, after_s: str = "0.0") -> Path:
         text = WOOD.replace("delay_s = 68e-6", f"delay_s = {delay_s}").replace("[1.0, 3.0, 5.0]", "[3.0]")
-        text = text.replace("stages = 600 ", f"lead_s = {lead_s}\nstages = 600 ") + f"after_s = {after_s}\n"
+        text = text.replace("stages = 800 ", f"lead_s = {lead_s}\nstages = 600 ") + f"after_s = {after_s}\n"
         path = Path("late.toml")
         path.write_text(text)
         return path

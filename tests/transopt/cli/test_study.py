@@ -50,7 +50,7 @@ class TestCommandLine:
         short = short_scene(scene)
         path = tmp_path / "short.toml"
         path.write_text(
-            text.replace("stages = 600", f"stages = {short.time.stages}") + "after_s = 0.0\n", encoding="utf-8"
+            text.replace("stages = 800", f"stages = {short.time.stages}") + "after_s = 0.0\n", encoding="utf-8"
         )
         return path
 

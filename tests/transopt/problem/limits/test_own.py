@@ -29,7 +29,7 @@ def solved(folder: Path, taps: list[Recording], limit: str) -> Build:
     (folder / "my_limits.py").write_text(f"import casadi as ca\nimport transopt as to\nLIMITS = [{limit}]\n")
     text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
     text = text.replace("[limits]", '[limits]\nown = ["my_limits.py"]').replace("[1.0, 3.0, 5.0]", "[3.0]")
-    text = text.replace("stages = 600", "stages = 150")
+    text = text.replace("stages = 800", "stages = 150")
     scene = folder / "mine.toml"
     scene.write_text(text, encoding="utf-8")
     return build_library(problems.load(scene), taps)
