@@ -85,9 +85,9 @@ def terminal_voltages(scene: Scene, taps: Sequence[Tap], copper_C: Sequence[floa
 
 
 def _nominal_velocity(scene: Scene, reference: Reference) -> FloatArray:
-    """(N,) velocity of the hand's own motion: -v at contact, then the integral of what is not the motor's share."""
+    """(N,) velocity of the hand's own motion: -v at contact, then the integral of a_free."""
     amplifier = scene.amplifier
-    own, dt = reference.raw_m_s2 - reference.motor_m_s2, scene.time.dt_s
+    own, dt = reference.free_m_s2, scene.time.dt_s
     times = -scene.lead_s + amplifier.delay_s + dt * np.arange(own.size)
     course = np.append(0.0, np.cumsum(0.5 * dt * (own[1:] + own[:-1])))
     return np.asarray(course - np.interp(0.0, times, course) - reference.speed_m_s)

@@ -75,7 +75,7 @@ def fitted(t: FloatArray, z: FloatArray, count: float, terms: int) -> tuple[Floa
     rest = z - powers / scale @ solution
     free = t.size - terms
     scatter = max(float(np.sqrt(rest @ rest / free)), count / np.sqrt(12.0))
-    errors = float(scipy.stats.t.ppf(0.975, free)) * scatter * np.linalg.norm(inverse, axis=1)
+    errors = float(scipy.special.stdtrit(free, 0.975)) * scatter * np.linalg.norm(inverse, axis=1)
     return np.asarray(solution / scale), np.asarray(errors / scale)
 
 

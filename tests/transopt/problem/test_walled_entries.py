@@ -42,11 +42,12 @@ class TestRefusal:
         (reason,) = designed.remarks
         assert reason.endswith(" below the surface, where the reference goes, limit 0.3 A")
         # The deepest point of the recorded motion from the hand-over on: the wall pushes on after the waveform.
-        fast = references[-1]
-        recorded = np.append(fast.raw_m_s2, fast.raw_after_m_s2)
+        problem = walled(2000, 0.4)
+        fast, target = references[-1], problem.target
+        recorded = target.lasting(target.recorded_m_s2)
         velocity = -fast.speed_m_s + integrate.cumulative_trapezoid(recorded, dx=DT_S, initial=0)
         course = integrate.cumulative_trapezoid(velocity, dx=DT_S, initial=0)
-        depth_mm = -1e3 * float(course[590:].min())
+        depth_mm = -1e3 * float(course[problem.free_stages :].min())
         said = re.match(r"hand-over: K_p z / k_f = (\S+) A at (\S+) mm", reason)
         assert said is not None
         assert [float(number) for number in said.groups()] == pytest.approx([2 * depth_mm / 1.25, depth_mm], rel=0.03)
@@ -99,7 +100,7 @@ class TestMask:
 
 @pytest.fixture(scope="module")
 def walled_library(scene: Scene, taps: list[Recording]) -> Library:
-    data = walled_scene(scene, 500.0).model_dump()
+    data = walled_scene(scene, 200.0).model_dump()
     data["grid"] = {"speeds_m_s": [0.3, 0.4], "grips_N": [3.0]}
     # The loaded file's references come from these taps alone.
     chosen = [tap for tap in taps if tap.speed_m_s is None or tap.speed_m_s > 0.25]
@@ -116,7 +117,7 @@ class TestLibrary:
         for iv, speed in enumerate(lib.speeds_m_s):
             problem = lib.problem(iv, 0)
             deviation = problem.feedback.course(problem.stage.motion(lib.command[iv, 0]))
-            law = plain_feedback(wall, lib.nominal_position_at_ticks_m[iv] + deviation, speed)
+            law = plain_feedback(wall, lib.nominal_position_at_ticks_m[iv, 0] + deviation, speed)
             assert law.max() > 0.3
             expected = lib.command[iv, 0] - plain_prefilter(law)
             np.testing.assert_allclose(lib.transient_command[iv, 0], expected, atol=1e-8)

@@ -58,7 +58,7 @@ class TestTheSameDevice:
         for name in (
             "command",
             "acceleration_m_s2",
-            "nrmse",
+            "tap_error",
             "floor",
             "objective",
             "peak_temperature_C",
@@ -86,7 +86,7 @@ class TestTheSameDevice:
         self, make: Make, library: Library, taps: list[Recording]
     ) -> None:
         own = solved(make(BOX, {"device": state_space_device()}), taps)
-        for name in ("command", "acceleration_m_s2", "nrmse", "floor"):
+        for name in ("command", "acceleration_m_s2", "tap_error", "floor"):
             ours, theirs = getattr(own, name), getattr(library, name)
             assert np.abs(ours - theirs).max() <= 1e-7 * max(np.abs(theirs).max(), 1), name
         assert own.plant_A.shape == (3, 12, 12)
@@ -230,7 +230,7 @@ def test_keys_of_a_scene_on_a_model_file(make: Make) -> None:
     scene = make(ON_FILE, {"device": drive_device()})
     paths = {key.path: key for key in keys(scene)}
     assert paths["model.device.moving_mass_kg"].unit == "kg"
-    assert not [path for path in paths if "covariance" in path or "nrmse" in path or "sources" in path]
+    assert not [path for path in paths if "covariance" in path or "tap_error" in path or "sources" in path]
     assert with_values(scene, {"limits.beta": 2.0}).limits.transient_input == 2.5
     heavier = with_values(scene, {"model.device.stylus_mass_kg": 0.05})
     assert isinstance(heavier.model, IdentifiedModel)

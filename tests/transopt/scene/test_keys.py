@@ -44,7 +44,7 @@ def test_keys_of_tables_that_a_scene_does_not_have_are_listed_too(scene: Scene) 
         assert listed[path].value is None
     assert listed["feedback.derivative_filter_Hz"].default == 500.0
     assert listed["time.lead_s"].bounds == ">= 0, <= 0.02"
-    assert listed["weights.error_filter"].choices == ("none", "pacinian")
+    assert listed["weights.rapid"].choices == ("highpass", "pacinian", "none")
     assert listed["time.stages"].integer
     assert listed["thermal.tap_rate_Hz"].optional
     assert not any(path.startswith("motor.") for path in listed)
@@ -138,7 +138,7 @@ class TestRefusals:
 
     @pytest.mark.parametrize(
         ("path", "text"),
-        [("limits.current_A", "much"), ("limits.current_A", "nan"), ("weights.error_filter", "loud")],
+        [("limits.current_A", "much"), ("limits.current_A", "nan"), ("weights.rapid", "loud")],
     )
     def test_text_that_is_no_value(self, scene: Scene, path: str, text: str) -> None:
         with pytest.raises(InputError, match=f"{path} = {text}: must be "):
@@ -148,6 +148,6 @@ class TestRefusals:
         assert parse_value(find_key(scene, "time.stages"), "6e2") == 600
         assert isinstance(parse_value(find_key(scene, "time.stages"), "6e2"), int)
         assert parse_value(find_key(scene, "limits.supply_V"), "none") is None
-        assert parse_value(find_key(scene, "weights.error_filter"), "none") == "none"
+        assert parse_value(find_key(scene, "weights.rapid"), "none") == "none"
         assert parse_value(find_key(scene, "recordings.onset_s"), "0.01") == 0.01
         assert parse_value(find_key(scene, "recordings.onset_s"), "auto") == "auto"

@@ -274,6 +274,6 @@ class TestCertificate:
 
 
 def test_parts_that_no_nonlinear_plant_can_have_are_refused() -> None:
-    heard = Scene.model_validate({**CASES["voltage"].model_dump(), "weights": {"error_filter": "pacinian"}})
-    with pytest.raises(InputError, match=r"weights\.error_filter: not with model\.nonlinear"):
-        posed(heard)
+    pressed = replace(posed(CASES["voltage"]).linear, spread=(posed(CASES["voltage"]).linear.stage,))
+    with pytest.raises(InputError, match=r"robust: not with model\.nonlinear"):
+        replace(posed(CASES["voltage"]), linear=pressed)

@@ -98,7 +98,7 @@ class TestAnswers:
         own, other = (solve(problem, SolverOptions(method)) for method in ("riccati", "casadi-ipopt"))
         proofs = [certify(problem, answer.command, answer.multipliers) for answer in (own, other)]
         assert abs(proofs[0].objective - proofs[1].objective) <= 1e-6 * max(proofs[0].objective, OBJECTIVE_SCALE)
-        np.testing.assert_allclose(own.command, other.command, rtol=0, atol=2e-4)
+        np.testing.assert_allclose(own.command, other.command, rtol=0, atol=3e-4)
 
     @pytest.mark.parametrize("stages", [11, 12, 30])
     def test_short_horizons(self, make_problem: ProblemMaker, stages: int) -> None:

@@ -260,10 +260,11 @@ class TestRepetitionOnAWall:
 
     def test_the_pause_heats(self, scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
         data = scene.model_dump()
-        data["grid"].update(speeds_m_s=[0.2], grips_N=[3.0])
-        data["feedback"] = {"stiffness_N_m": 200.0}
+        data["grid"].update(speeds_m_s=[0.1], grips_N=[3.0])
+        data["feedback"] = {"stiffness_N_m": 40.0}
+        data["hand"]["yields"] = "brakes"
         data["thermal"]["tap_rate_Hz"] = 6.0
-        own = [tap for tap in taps if "_0.2_m_s_" in tap.name]
+        own = [tap for tap in taps if "_0.1_m_s_3_N_" in tap.name]
         hottest = []
         for idle in (None, 0.0):
             data["thermal"]["idle_A"] = idle
@@ -278,15 +279,16 @@ class TestRepetitionOnAWall:
                 at_the_end = entry.solution.command[-1]
                 # Known before the solve, from the reference's course, and no less than what is left at the end.
                 assert at_the_end <= thermal.budget.pause_A <= 1.5 * at_the_end
-                # 64 % of the time: R i^2 over both resistances.
-                coil, share = thermal.coil, 1 - 6.0 * 0.06
+                # 52 % of the time: R i^2 over both resistances.
+                coil, share = thermal.coil, 1 - 6.0 * 0.08
                 extra = (
                     coil.R_ohm
                     * ((thermal.budget.pause_A + 0.02) ** 2 - 0.02**2)
                     * share
                     * (coil.R_wh_K_W + coil.R_ha_K_W)
                 )
-        assert hottest[0] - hottest[1] == pytest.approx(extra, rel=0.1)
+        warm = 1 + 0.0039 * (hottest[1] - 25)  # copper that is that much hotter already
+        assert hottest[0] - hottest[1] == pytest.approx(extra * warm, rel=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -298,7 +298,10 @@ class TestCompiledPass:
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
 def test_a_gap_that_is_only_rounding_asks_no_other_method(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first bound may be above what the pass may leave; that by the movement's curvature is far below."""
-    problem = drawn(2, 727).problem()
+    case = drawn(2, 727)
+    weights = "one" if case.demand.weights == "intention" else case.demand.weights
+    demand = replace(case.demand, weights=weights, rapid="none", heat_price=0.0)
+    problem = replace(case, demand=demand).problem()
 
     def asked(_: TransientProblem) -> Solution:
         raise AssertionError("another method was asked")

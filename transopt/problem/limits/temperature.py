@@ -21,9 +21,9 @@ from transopt.plant.coil import (
     effective_square,
     following_square_mean,
 )
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.state_space import CURRENT_INPUT
-from transopt.plant.wall import HandOver, reference_course
+from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget, HeatModel, heat_model, steady_margin_K, winding_limit_C
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting
 
@@ -79,7 +79,7 @@ class TemperatureLimit(Limit):
         if setting.coil is None:
             return None
         amplifier = setting.stage.amplifier
-        budget = leaning(setting.budget, setting.wall, setting.grid, setting.reference_m_s2)
+        budget = leaning(setting.budget, setting.wall, setting.stage, setting.grid)
         return temperature_limit(setting.coil, amplifier, setting.grid, budget)
 
     @classmethod
@@ -222,14 +222,23 @@ class TemperatureLimit(Limit):
         )
 
 
-def leaning(budget: Budget, wall: HandOver | None, grid: TimeGrid, reference_m_s2: FloatArray) -> Budget:
+def leaning(budget: Budget, wall: HandOver | None, stage: StageModel, grid: TimeGrid) -> Budget:
     """The budget with what flows between taps: what it states, or else what the wall asks for at the window's end.
 
-    The hand leans on the wall until it comes in again, which heats more than lifting off.
+    By then the transient has let go of the stylus. The hand leans on the wall until it comes in again, which heats
+    more than lifting off: where the hand means to be z_nom deep, the wall of stiffness K pushes with
+    i = -K (z_nom + g i) / k_f, g the displacement that an ampere holds.
     """
     if budget.idle_A is not None or wall is None:
         return budget
-    return replace(budget, idle_A=float(wall.feedback(reference_course(grid, reference_m_s2), grid.dt_s)[-1]))
+    deep = float(wall.feedback(np.zeros(grid.stages), grid.dt_s)[-1])
+    plant, law = stage.plant, wall.wall
+    try:
+        held_m_A = -float((plant.Ce @ np.linalg.solve(plant.A, plant.B))[0, 0])
+    except np.linalg.LinAlgError:
+        held_m_A = 0.0  # nothing holds a free device
+    yielded = law.stiffness_N_m * max(held_m_A, 0.0) / law.force_per_current_N_A
+    return replace(budget, idle_A=deep / (1 + yielded))
 
 
 @lru_cache(maxsize=64)  # all entries of a scene without a wall have the same

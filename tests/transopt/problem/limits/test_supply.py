@@ -90,13 +90,13 @@ def test_at_any_temperature_of_the_copper_the_rail_is_kept(highest_V: dict[tuple
 
 
 def test_neither_end_alone_is_enough(highest_V: dict[tuple[Case, str], np.ndarray]) -> None:
-    """Cold rows alone let 13.1 V pass an 11 V rail at 90 C, hot ones alone 12.9 V at 25 C behind a fast amplifier."""
+    """Cold rows alone let 12.8 V pass an 11 V rail at 90 C, hot ones alone 11.7 V at 25 C behind a fast amplifier."""
     cold_only = highest_V[SLOW, "cold end"]
     assert cold_only[WINDING_C.index(25.0)] == pytest.approx(11.0, abs=1e-4)
-    assert cold_only[WINDING_C.index(90.0)] == pytest.approx(13.14, abs=0.05)
+    assert cold_only[WINDING_C.index(90.0)] == pytest.approx(12.77, abs=0.05)
     hot_only = highest_V[FAST, "hot end"]
     assert hot_only[WINDING_C.index(100.0)] == pytest.approx(11.0, abs=1e-4)
-    assert hot_only[WINDING_C.index(25.0)] == pytest.approx(12.86, abs=0.05)
+    assert hot_only[WINDING_C.index(25.0)] == pytest.approx(11.65, abs=0.05)
 
 
 class TestEnds:
