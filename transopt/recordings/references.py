@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
@@ -38,6 +39,8 @@ class References:
 
     cells: tuple[Reference, ...] = ()
     notes: tuple[str, ...] = ()
+
+    __repr__ = brief
 
     def __iter__(self) -> Iterator[Reference]:
         return iter(self.cells)

@@ -20,6 +20,7 @@ APPROACH_S = 30e-3  # recorded before contact
 BEYOND_S = 10e-3  # recorded after all that a scene looks at
 USUAL_LEAD_S = 3e-4  # a scene's lead moves its window, but not the noise that is drawn
 ENCODER_COUNT_M = 24.5e-6
+GRIP_STEP_N = 1e-6  # to which a grip is rounded where it seeds its random numbers
 LIGHT_N = 1.0  # grip of the hand that strikes for a scene of a free stylus
 STRAIGHT = Intention(yields="straight")
 
@@ -211,12 +212,12 @@ def recordings(scene: Scene) -> list[Recording]:
             f"recordings.simulated: {taps} taps of {duration:g} s are {samples} samples, at most "
             f"{MOST_SAMPLES}: lower repeats, rate_Hz or the number of speeds and grips"
         )
-    return [recording for j, grip in enumerate(grips) for recording in _at_grip(scene, target, grip, j, within)]
+    return [recording for grip in grips for recording in _at_grip(scene, target, grip, within)]
 
 
-def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, number: int, within_s: float) -> list[Recording]:
-    """The recordings of one grip, with random numbers of their own."""
-    random = np.random.default_rng([target.seed, number])
+def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, within_s: float) -> list[Recording]:
+    """The recordings of one grip, with random numbers of its own, whatever the scene's other grips are."""
+    random = np.random.default_rng([target.seed, round(grip_N / GRIP_STEP_N)])
     nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
     speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
     grid = scene.time_grid()

@@ -7,7 +7,7 @@ is what a library would hold.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,7 @@ class Curves:
     Attributes
     ----------
     times_s : (N + M,) the switching instants, and those after the window.
-    recorded_m_s2 : (N + M,) r, the motor's share of what was recorded.
+    recorded_m_s2 : (N + M,) r, the recorded acceleration.
     optimum_m_s2, clipped_m_s2 : (N + M,) y'' of the optimum, and of the unlimited one cut at the limit.
     input, clipped_input : (N + M,) what drives the plant [A or V].
     input_limit : that they stay within.
@@ -542,8 +542,11 @@ def described(service: Service) -> dict[str, Any]:
 
 def plain(shown: Shown) -> dict[str, Any]:
     """An answer without its curves, as JSON has it: null where there is no number."""
-    bare = replace(shown, curves=None)
-    found = {name: value for name, value in vars(bare).items() if name != "curves"}
+    figures = None if shown.figures is None else _finite(vars(shown.figures))
+    return {**_finite({name: value for name, value in vars(shown).items() if name != "curves"}), "figures": figures}
+
+
+def _finite(table: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        name: None if isinstance(value, float) and not np.isfinite(value) else value for name, value in found.items()
+        name: None if isinstance(value, float) and not np.isfinite(value) else value for name, value in table.items()
     }

@@ -1,7 +1,5 @@
 """The built-in scene end to end: what the issue asks for, entry by entry."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +8,11 @@ import pytest
 
 import problems
 from problems.stress.judge import played
+from tests.benches.independent import assert_independent_check_is_clean
 from tests.benches.limits import with_limit
 from tests.benches.places import IMPACTS
 from tests.conftest import ProblemMaker
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.design import entry as entries_room
 from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
@@ -21,6 +21,7 @@ from transopt.library.proven import doubts
 from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.bands import Levels, levels
+from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.weighting import pacinian
 from transopt.proof.admit import admit
 from transopt.proof.certify import Effect, certify
@@ -33,8 +34,6 @@ from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve, solve_certified
 from transopt.solvers.options import SolverOptions
-
-CHECKER = IMPACTS.parents[1] / "tools" / "check_library.py"
 
 
 def assert_entries_are_proven(build: Build) -> None:
@@ -50,15 +49,6 @@ def assert_entries_are_proven(build: Build) -> None:
         assert np.isnan(entry.played.winding_C) or entry.played.winding_C <= 100 + (7.5e-3 if steady else 1e-5)
 
 
-def assert_independent_check_is_clean(library: Library, path: Path) -> None:
-    if not CHECKER.exists():
-        pytest.skip(f"the independent checker is not at {CHECKER}")
-    library.save(path)
-    run = subprocess.run([sys.executable, str(CHECKER), str(path)], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert "0 shortfalls" in run.stdout
-
-
 def test_every_entry_is_certified_and_replayed_clean(build: Build) -> None:
     assert_entries_are_proven(build)
     assert not build.refused
@@ -66,10 +56,10 @@ def test_every_entry_is_certified_and_replayed_clean(build: Build) -> None:
 
 def test_unsaturated_entries_reach_their_floor(build: Build) -> None:
     free = [entry for entry in build.all_entries() if entry.binding == "none"]
-    assert len(free) == 9
+    assert len(free) == 8
     for entry in free:
         assert entry.figures.tap_error <= entry.floor + 1e-3
-        assert entry.floor <= 0.01
+        assert 0.15 < entry.floor < 0.22  # the hand pushes on, and the waveform ends
         assert entry.solution.solver == "unlimited"
         assert "inside all limits" in entry.left_out["limits"]
 
@@ -83,15 +73,29 @@ def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
         assert (1 - 1e-9) * after <= entry.played.after_peak_m_s2 <= 1.1 * after
 
 
-def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
-    """Floors, and 0.4 m/s at 4 A, as a dense program of another make (Clarabel) finds them on these recordings."""
+def test_figures_are_within_the_bounds_measured_when_played(build: Build) -> None:
+    """Tap error, felt error, least speed, most heat [A^2 ms at 0.1 m/s], as independent equations found them played."""
+    unbound = {1.0: (0.182, 0.040, 0.50, 28.0), 3.0: (0.215, 0.043, 0.45, 64.0), 5.0: (0.233, 0.045, 0.43, 108.0)}
+    bound = {1.0: (0.27, 0.158, 0.30, 250.0), 3.0: (0.32, 0.17, 0.22, 460.0), 5.0: (0.39, 0.17, 0.10, 435.0)}
     for entry in build.all_entries():
-        assert entry.floor == pytest.approx({1.0: 0.0068, 3.0: 0.0068, 5.0: 0.0066}[entry.grip_N], abs=5e-4)
-    fast = [entry.figures.tap_error for entry in build.entries[3]]
-    np.testing.assert_allclose(fast, [0.0133, 0.1045, 0.1932], rtol=0.03)
-    clipped = [entry.baselines.clipped for entry in build.entries[3]]
-    np.testing.assert_allclose(clipped, [0.027, 0.165, 0.335], rtol=0.15)
-    assert all(0.12 < entry.baselines.seed < 0.16 for row in build.entries[:3] for entry in row)
+        v, grip, figures = entry.speed_m_s, entry.grip_N, entry.figures
+        tap, felt, speed, heat = bound[grip] if v > 0.35 else unbound[grip]
+        if (v, grip) == (0.3, 5.0):
+            tap, felt, speed, heat = 0.277, 0.063, 0.30, 640.0
+        elif v < 0.35:
+            heat *= (v / 0.1) ** 2
+            assert figures.felt_dB >= -0.15
+            assert figures.bump_m_s2 / STANDARD_GRAVITY_M_S2 <= 0.12 * v / 0.1
+        assert figures.tap_error <= tap
+        assert figures.felt_error <= felt
+        assert figures.speed >= speed
+        assert 1e3 * entry.heat_A2_s <= heat
+
+
+def test_the_optimum_beats_what_is_clipped_and_the_inverse(build: Build) -> None:
+    for entry in build.entries[3]:
+        rivals = (entry.baselines.clipped, entry.baselines.seed)
+        assert all(entry.figures.tap_error < rival.tap_error for rival in rivals)
 
 
 def test_independent_checker_finds_nothing(library: Library, tmp_path: Path) -> None:
@@ -106,22 +110,23 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
     scene = scene.model_copy(update={"recordings": settings})
     build = build_library(scene, read_recordings(settings))
     assert_entries_are_proven(build)
-    assert build.references[0].repeatability == pytest.approx(0.030, abs=0.005)
-    assert build.references[0].repeatability_unaligned == pytest.approx(0.055, abs=0.005)
-    # Found independently, with nothing after the window: optimum / clipped 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
-    weights = scene.weights.model_copy(update={"after_s": 0.0})
-    alone = build_library(scene.model_copy(update={"weights": weights}), read_recordings(settings))
-    first, _, last = alone.entries[3]
-    assert (first.tap_error, last.tap_error) == (pytest.approx(0.145, abs=0.03), pytest.approx(0.23, abs=0.035))
-    # What the calm after it costs within the window.
-    for lasting, ended in zip(build.entries[3], alone.entries[3], strict=True):
-        assert ended.tap_error <= lasting.tap_error <= ended.tap_error + 0.015
-        assert lasting.played.error_peak_after_m_s2 < 0.1 * ended.played.after_peak_m_s2
-    first, _, last = build.entries[3]
-    assert (first.baselines.clipped, last.baselines.clipped) == (
-        pytest.approx(0.25, abs=0.02),
-        pytest.approx(0.51, abs=0.02),
-    )
+    first = build.references.cells[0]
+    assert first.repeatability == pytest.approx(0.030, abs=0.005)
+    assert first.repeatability_unaligned == pytest.approx(0.055, abs=0.005)
+    # A repeated shock is smooth: at its floor the errors are below those of the struck foam.
+    for row in build.entries[:2]:
+        for entry in row:
+            assert 0.15 < entry.figures.tap_error < 0.20
+            assert entry.figures.felt_error < 0.04
+    # Where nothing after the window counts, the device may hold the hand to its end, and lets go all at once.
+    alone = build_library(with_values(scene, {"weights.after_s": 0.0}), read_recordings(settings))
+    for lasting, ended in zip(build.entries[0], alone.entries[0], strict=True):
+        assert ended.figures.tap_error < 0.5 * lasting.figures.tap_error
+        assert ended.played.after_peak_m_s2 > 3 * lasting.played.after_peak_m_s2
+    for entry in build.entries[3]:
+        for rival in (entry.baselines.clipped, entry.baselines.seed):
+            assert entry.figures.tap_error < rival.tap_error
+            assert entry.figures.felt_error < 0.5 * rival.felt_error
     assert "scaled to every grid speed" in build.library.meta["sources"][0]["speed_source"]
     assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
 
@@ -143,11 +148,11 @@ def warm(scene: Scene, **start_C: float) -> Scene:
     return scene.model_copy(update={"thermal": scene.thermal.model_copy(update=start_C)})
 
 
-@pytest.mark.parametrize(("start_C", "binding"), [(99.9, 0), (99.995, 4)])
+@pytest.mark.parametrize(("start_C", "binding"), [(99.8, 0), (99.995, 5)])
 def test_temperature_that_could_bind_is_kept_and_proven(
     scene: Scene, taps: list[Recording], build: Build, tmp_path: Path, start_C: float, binding: int
 ) -> None:
-    """From 99.9 C, 4 A held throughout would reach 100.61 C: the bound proves nothing, the solved entries do."""
+    """From 99.8 C, 4 A held throughout would pass 100 C: the bound proves nothing, the solved entries do."""
     hot = warm(scene, start_winding_C=start_C)
     without, build = build, build_library(hot, taps)
     assert_entries_are_proven(build)
@@ -361,20 +366,29 @@ class TestVerify:
         assert "status in the file" in checks[0].shortfalls[0]
 
 
+
+
 def of_intensity(dB: float, wanted: np.ndarray) -> Levels:
     return levels(10 ** (dB / 20) * wanted, wanted, 1e-4)
 
 
 def test_verdicts() -> None:
     tap = np.sin(2 * np.pi * 250 * 1e-4 * np.arange(600)) * np.exp(-np.arange(600) / 100)
-    as_strong, weak, strong = (of_intensity(dB, tap) for dB in (0.0, -3.0, 2.0))
-    assert verdict(0.0055, 0.005, np.nan, as_strong) == "at its floor"
-    assert verdict(0.02, 0.005, 0.03, as_strong) == "below repeatability"
-    assert verdict(0.3, 0.005, 0.05, as_strong) == "intensity within 1.6 dB"
-    assert verdict(0.3, 0.005, np.nan, of_intensity(-1.5, tap)) == "intensity within 1.6 dB"
-    assert verdict(0.3, 0.005, 0.05, weak) == "too weak by 3.0 dB, most at 250 Hz"
-    assert verdict(0.3, 0.005, 0.05, strong) == "too strong by 2.0 dB, most at 250 Hz"
-    assert verdict(0.97, 0.97, 0.05, weak) == "at its floor, too weak by 3.0 dB, most at 250 Hz"
+
+    def said(
+        tap_error: float, dB: float = 0.0, *, speed: float = 0.5, binding: str = "none", named: bool = False
+    ) -> str:
+        found = Figures(tap_error, 0.04, dB, speed, 0.1, 0.1, 0.1)
+        return verdict(found, 0.17, 0.03, of_intensity(dB, tap), binding, named=named)
+
+    held = "command +6 A at -0.13, 0.97 ms; current +4 A at 0.07 ms"
+    assert said(0.02) == "felt within 1.6 dB; nearer than the recordings to each other"
+    assert said(0.17) == "felt within 1.6 dB; at its floor: the waveform ends while the hand pushes"
+    assert said(0.17, named=True) == "felt within 1.6 dB; at its floor"
+    assert said(0.3, -1.5, binding=held) == "felt within 1.6 dB; held back by command and current"
+    assert said(0.3, -3.0, binding=held) == "too weak by 3.0 dB, most at 250 Hz; held back by command and current"
+    assert said(0.3, 2.0) == "too strong by 2.0 dB, most at 250 Hz"
+    assert said(0.3, speed=-0.1) == "felt within 1.6 dB; the surface pulls"
 
 
 def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, taps: list[Recording]) -> None:

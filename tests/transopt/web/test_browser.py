@@ -87,7 +87,7 @@ def test_everything_comes_from_this_machine_and_is_certified(window: Window, add
     assert window.see("#cells .refused").count() == 0
     cells = window.see("#table tbody tr").nth(1).locator("td").all_inner_texts()
     assert cells[:2] == ["0.4", "3"]
-    assert float(cells[2]) == pytest.approx(100 * Service(small).quick(1).nrmse, abs=6e-4)
+    assert float(cells[2]) == pytest.approx(100 * Service(small).quick(1).figures.tap_error, abs=6e-4)
     assert "certified, replayed" in cells[-1]
 
 
@@ -143,7 +143,7 @@ def test_the_error_is_dragged_instead(window: Window) -> None:
     window.rests()
     assert window.limit() > 4.0
     wanted = float(window.see("#error-value").inner_text().split()[0]) / 100
-    assert window.state("taps[1].nrmse") <= wanted
+    assert window.state("taps[1].figures.tap_error") <= wanted
 
 
 def test_a_tap_between_the_nodes(window: Window) -> None:
@@ -182,7 +182,7 @@ def test_the_scene_and_the_library_are_saved_by_the_browser(window: Window, tmp_
     assert read_scene(tmp_path / f"{small.name}.toml") == small
     from transopt.library.proven import load_proven
 
-    assert load_proven(tmp_path / "library.npz").nrmse.shape == (2, 1)
+    assert load_proven(tmp_path / "library.npz").tap_error.shape == (2, 1)
 
 
 @pytest.mark.parametrize(("kind", "begins"), [("png", b"\x89PNG"), ("svg", b"<svg")])

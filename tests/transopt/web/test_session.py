@@ -129,7 +129,7 @@ def test_the_saved_library_is_whole(window: Window, tmp_path: Path) -> None:
     (tmp_path / head["name"]).write_bytes(body)
     from transopt.library.proven import load_proven
 
-    assert load_proven(tmp_path / head["name"]).nrmse.shape == (2, 1)
+    assert load_proven(tmp_path / head["name"]).tap_error.shape == (2, 1)
 
 
 def test_all_three_sounds_have_one_gain(window: Window) -> None:

@@ -477,7 +477,7 @@ function errorSaid() {
 by("error").oninput = errorSaid;
 by("error").onchange = () => {
   by("answer").textContent = "searching ...";
-  link.say({ type: "ask", tap: state.selected, key: by("error-key").value, nrmse: valueAt(error, by("error").value / STEPS) });
+  link.say({ type: "ask", tap: state.selected, key: by("error-key").value, tap_error: valueAt(error, by("error").value / STEPS) });
 };
 by("error").value = Math.round(STEPS * shareOf(error, 0.05));
 errorSaid();
