@@ -1,7 +1,7 @@
 """The example recordings of problems/recordings, made as a format to copy.
 
 `python -m problems.generators.strikes FOLDER` writes the first recording of each speed from 0.2 m/s on of the default
-scene as canonical CSV files.
+scene, at 3 N, as canonical CSV files.
 """
 
 import sys
@@ -13,6 +13,8 @@ from transopt.base.files import whole_file
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.recordings.recording import Recording
 from transopt.scene.strikes import recordings
+
+GRIP_N = 3.0
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -41,7 +43,8 @@ def write_examples(folder: Path) -> None:
     """The three files of problems/recordings."""
     scene = problems.load("wood_on_foam")
     assert scene.recordings.simulated is not None
-    firsts = recordings(scene)[:: scene.recordings.simulated.repeats]
+    held = [recording for recording in recordings(scene) if recording.grip_N == GRIP_N]
+    firsts = held[:: scene.recordings.simulated.repeats]
     for speed, recording in list(zip(scene.grid.speeds_m_s, firsts, strict=True))[1:]:
         write_csv(recording, folder / f"tap_{speed:g}_m_s.csv")
 

@@ -41,7 +41,7 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
     S = len(problem.devices)
     # One column a device and term, the terms of one device side by side.
     wanted = np.tile(term.solved_wanted.T, (1, S))
-    weights = np.einsum("s,tk->kst", problem.shared, term.solved_weights).reshape(wanted.shape)
+    weights = np.ascontiguousarray(np.hstack([share * term.solved_weights.T for share in problem.shared]))
     if problem.heat_price > 0:
         price = problem.heat_price * stage.input_scale**2
         wanted, weights = (

@@ -35,7 +35,7 @@ def test_the_table_is_the_librarys(name: str) -> None:
             assert shown.figures is not None
             assert vars(shown.figures) == pytest.approx(vars(entry.figures), rel=1e-6, nan_ok=True)
             assert shown.floor == pytest.approx(entry.floor, rel=1e-8)
-            assert shown.heat_A2_ms == pytest.approx(1e3 * entry.heat_A2_s, rel=1e-8)
+            assert shown.heat_A2_ms == pytest.approx(1e3 * entry.heat_A2_s, rel=1e-8, nan_ok=True)
             assert shown.binds == entry.binding
         assert settled.replayed
         assert settled.verdict == entry.verdict
@@ -105,12 +105,12 @@ def test_what_cannot_be_met_is_not_shown_and_says_what_would_do() -> None:
 
 def test_the_inverse_question_finds_the_limit_that_an_error_needs(service: Service) -> None:
     (control,) = [each for each in controls(service.scene) if each.key == "limits.current_A"]
-    found = asked(service, 1, control, 0.05)
+    found = asked(service, 1, control, 0.25)
     assert isinstance(found.value, float)
     service.change({control.key: found.value})
-    assert _tap_error(service.quick(1)) <= 0.05
+    assert _tap_error(service.quick(1)) <= 0.25
     service.change({control.key: found.value - 0.02})
-    assert _tap_error(service.quick(1)) > 0.05
+    assert _tap_error(service.quick(1)) > 0.25
     none = asked(service, 1, control, 1e-4)
     assert none.value is None
     assert "met by no" in none.words
@@ -121,7 +121,7 @@ def test_own_taps_take_the_place_of_the_scenes(tmp_path: Path, small: to.Scene) 
     (tmp_path / "mine.csv").write_text(text)
     service = own_taps(small, tmp_path, ["mine.csv"], None)
     assert len(service.places) == 1
-    assert service.places[0].speed_m_s == pytest.approx(0.31)
+    assert service.places[0].speed_m_s == pytest.approx(0.3)
     assert service.quick(0).certified
     (tmp_path / "none.csv").write_text("a,b\n1,2\n")
     with pytest.raises(to.InputError, match=r"none\.csv"):
