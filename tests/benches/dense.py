@@ -209,11 +209,11 @@ class Limited:
 
     Attributes
     ----------
-    nrmse : of y'' against r.
+    tap_error : |y'' - r| / |r| from contact to the end of the intention, of a target without a_free.
     reached : name of a limit -> largest size of what it bounds.
     """
 
-    nrmse: float
+    tap_error: float
     reached: dict[str, float]
 
 
@@ -239,6 +239,9 @@ def limited(problem: TransientProblem, step_A: float | None, rail: Rail | None) 
     command, _ = optimum(problem, rows[moved], -bound[moved] - offset[moved], bound[moved] - offset[moved])
     error, target = found.acceleration[:N] @ command - r, problem.target
     lost = float(np.sum(target.before_m_s2**2))
+    tau = problem.grid.switching_times_s
+    first = (tau >= 0) & (tau < problem.intention_s)
+    error, r = error[first], r[first]
     sizes = np.abs(rows @ command + offset)
     reached = {
         "current": float(np.abs(found.current[:N] @ command).max()),

@@ -1,4 +1,4 @@
-"""The independent checker of library files, which uses none of the project's code; where it is absent a test skips."""
+"""The independent checker of library files, which uses none of the project's code; without it a test skips."""
 
 import subprocess
 import sys

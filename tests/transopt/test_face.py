@@ -189,7 +189,9 @@ class TestShown:
             f"    tap error {100 * library.tap_error.min():.1f} to {100 * library.tap_error.max():.1f} %)"
         )
         assert "12 of 12 entries certified and replayed" in repr(build).replace("\n    ", " ")
-        assert f"0.4 m/s, 5 N: tap error {100 * build.entries[3][2].figures.tap_error:.1f} %" in repr(build.entries[3][2])
+        assert f"0.4 m/s, 5 N: tap error {100 * build.entries[3][2].figures.tap_error:.1f} %" in repr(
+            build.entries[3][2]
+        )
         assert "command=<800, " in repr(build.entries[3][2].solution)
         assert "stage=StageModel(...)" in repr(build.entries[3][2].problem)
 

@@ -228,14 +228,15 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 def _print(console: "Console", build: "Build", written: str, unfit: str) -> None:
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
     from transopt.report.identified import model_warning, moving_target
-    from transopt.report.tables import build_table, legend, refinement_summary, refusal, summary, warnings
+    from transopt.report.tables import build_table, fitting, legend, refinement_summary, refusal, summary, warnings
     from transopt.report.taps import implausible_lines
 
     def line(text: str, style: str | None = None) -> None:
         console.print(text, style=style, highlight=False, soft_wrap=True)
 
-    console.print(build_table(build, console.width))
-    console.print(legend(build.scene), style="dim", highlight=False)
+    shown = fitting(build, console.width)
+    console.print(build_table(build, shown))
+    console.print(legend(shown, build.scene), style="dim", highlight=False)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")

@@ -79,7 +79,7 @@ class Build:
         """All entries, speeds outermost, in columns of `transopt.library.columns.COLUMNS`."""
         scene = self.scene
         limits = (scene.limits.transient_input, scene.limits.steady_input)
-        return EntryTable(scene.axes.columns, names, list(self.all_entries()), scene.driven_by.unit, limits)
+        return EntryTable(scene.axes.columns, names, list(self.all_entries()), scene.driven_by.unit, limits).known
 
     def plot(self) -> "Figure":
         """Every waveform over time; of a refused entry only its reference.
@@ -111,7 +111,7 @@ class Build:
 
         Returns
         -------
-        One for each point, sorted by grip: `optimum`, the NRMSE of the optimum there, and `after`, that of the
+        One for each point, sorted by grip: `optimum`, the tap error of the optimum there, and `after`, that of the
         blend, both replayed. `before` is the same as `after`, since there is one grid.
 
         Raises

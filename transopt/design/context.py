@@ -61,7 +61,7 @@ class Posed:
     objective : "waveform" minimises J, "intensity" asks for the energy of the tap too.
     coil : of the motor, for the replay; None where nothing is known of it.
     steady_input : what the actuator stands for ever [A or V], at which the other methods are looked at.
-    repeatability : trial-to-mean NRMSE of its recordings; NaN if unknown.
+    repeatability : trial-to-mean error of its recordings; NaN if unknown.
     told : the target against which errors are told; None for what the problem tracks.
     plant : the nonlinear plant; None for a linear one.
     """

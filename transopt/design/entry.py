@@ -74,7 +74,7 @@ class Entry:
     target : its name; empty for a tap.
     designed : the answer with its proof.
     batch : the answers of the same device, which are replayed together. index : of this one among them.
-    repeatability : trial-to-mean NRMSE of the recordings; NaN if unknown.
+    repeatability : trial-to-mean error of the recordings; NaN if unknown.
     options : by which further optima are solved.
     objective : "waveform" or "intensity", as the scene asks.
     """
@@ -144,7 +144,7 @@ class Entry:
 
     @cached_property
     def floor(self) -> float:
-        """NRMSE of the optimum without limits."""
+        """Tap error of the optimum without limits."""
         if self.told is self.problem.target:
             return self.designed.floor
         free = self.designed.unlimited_command
@@ -229,14 +229,14 @@ class Entry:
 
     @property
     def linear_tap_error(self) -> float:
-        """NRMSE of that command on the nonlinear plant; NaN for a linear plant, and where its motion has no value."""
+        """Tap error of that command on the nonlinear plant; NaN for a linear plant, and without a finite motion."""
         played = self.linear_played
         error = NAN if played is None else played.figures.tap_error
         return error if np.isfinite(error) else NAN
 
     @cached_property
     def linear_promised(self) -> float:
-        """NRMSE that the plant at rest would have under that command; NaN for a linear plant."""
+        """Tap error that the plant at rest would have under that command; NaN for a linear plant."""
         if self.linear_command is None:
             return NAN
         return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(self.linear_command)[0])

@@ -1,13 +1,12 @@
 """Nodes added to a library's grid until the blend between them is as good as wanted.
 
-A blend of feasible commands is feasible, but it is not the optimum: it is further from the reference, and it is
-weaker, since blending adds what is not in phase. Its excess at (v, F) is the larger of two shares: the NRMSE of the
-bilinear blend of the node commands, played through the device of grip F against the reference at v, minus the NRMSE
-of the optimum solved exactly there; and the share of amplitude that the blend lacks beside that optimum, 1 - 10^(dB /
-20) with the energies of both within the window through the filter of the scene's rapid term. A tolerance of 0.02
-so allows 2 points of NRMSE and 0.18 dB. An optimum of intensity is not the least in NRMSE; its blend is held by the
-second.
-References between recorded speeds come from `reference.between`.
+A blend of feasible commands is feasible, but it is not the optimum: it is further from the tap, and it is weaker,
+since blending adds what is not in phase. Its excess at (v, F) is the larger of two: the tap error of the
+bilinear blend of the node commands, played through the device of grip F, minus that of the optimum solved exactly
+there; and the share of amplitude that the blend lacks beside that optimum, 1 - 10^(dB / 20) with the energies of both
+within the window through the filter of the scene's rapid term. A tolerance of 0.02 so allows 2 points of error and
+0.18 dB. An optimum of intensity has not the least tap error; its blend is held by the second.
+References between recorded speeds come from `References.at`.
 """
 
 import itertools
@@ -55,8 +54,8 @@ class OffNode:
 
     Attributes
     ----------
-    optimum : NRMSE of the optimum solved exactly there.
-    before, after : NRMSE of the blend of the recorded grid's commands and of the refined grid's.
+    optimum : tap error of the optimum solved exactly there.
+    before, after : tap error of the blend of the recorded grid's commands and of the refined grid's.
     before_dB, after_dB : energy of both within the window over that of the optimum there, as predicted.
     """
 
@@ -88,7 +87,7 @@ class Refinement:
 
     Attributes
     ----------
-    tolerance : largest excess wanted, absolute in NRMSE and as a share of amplitude (0.02: two points, 0.18 dB).
+    tolerance : largest excess wanted, absolute in tap error and as a share of amplitude (0.02: two points, 0.18 dB).
     recorded, grid : the grid of the scene, and what became of it.
     points : all that were tried in the cells of the refined grid, nodes among them.
     shortfall : what is missing and what to do, if the cap came before the tolerance; empty if it is met.
@@ -228,7 +227,7 @@ class Errors:
             self.optimum(point)
 
     def _predicted_tap_error(self, point: Point) -> float:
-        """NRMSE of the optimum at a point, by the stage model."""
+        """Tap error of the optimum at a point, by the stage model."""
         found = self.optimum(point)
         return self.context.yardstick.tap_error(found.told, found.predicted_m_s2)
 
@@ -357,7 +356,7 @@ def refine_grid(
 
     Parameters
     ----------
-    tolerance : largest excess, absolute in NRMSE and as a share of amplitude.
+    tolerance : largest excess, absolute in tap error and as a share of amplitude.
     cap : most entries (speeds times grips) of the refined grid; reaching it is no error but a `shortfall`.
     progress : called with what is being done, how many of its optima are done, and of how many.
 

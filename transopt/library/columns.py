@@ -5,7 +5,7 @@ Entries of a build, of a library, of a check and of a study are rows (`Row`); te
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -62,7 +62,7 @@ class Column:
     head : what stands above it; `{unit}` is that of the commands, `{at}` the transient and the steady limit.
     show : the cell of a value.
     meaning : a sentence for the legend; empty where the head says it. `{input}` is what drives the plant, `{target}`
-        what is tracked.
+        what is tracked, `{over}` for how long, `{ends}` why no limit is not enough.
     unknown : the value of an entry of which it is not known. A column of words is set to the left, one of numbers to
         the right and is empty for a refused entry.
     array : of `Library` in which the column stands, and whose declaration says how it is made of an entry
@@ -105,9 +105,7 @@ COLUMNS = {
         "error of the stylus' acceleration beside {target}, {over}, after replay",
         array="tap_error",
     ),
-    "floor": Column(
-        "floor %", percent, "tap error without any limit: the waveform ends while the hand pushes", array="floor"
-    ),
+    "floor": Column("floor %", percent, "the same error without any limit{ends}", array="floor"),
     "felt": Column("felt %", percent, "the same error from 120 to 620 Hz, where fingers feel", array="felt_error"),
     "felt_dB": Column(
         "felt dB",
@@ -226,6 +224,21 @@ class EntryTable:
         said = {"binding": row.refusal, "verdict": "refused"}
         return [UNKNOWN if COLUMNS[name].is_number else said.get(name, "") for name in self.names]
 
+    @property
+    def known(self) -> "EntryTable":
+        """This table without columns of numbers that no row knows."""
+
+        def is_known(value: Any) -> bool:
+            return any(not np.isnan(each) for each in (value if isinstance(value, tuple) else (value,)))
+
+        shown = [row for row in self.rows if not row.refusal]
+        names = [
+            name
+            for name in self.names
+            if not COLUMNS[name].is_number or not shown or any(is_known(row.value(name)) for row in shown)
+        ]
+        return replace(self, names=names)
+
     def legend(self, driven_by: str, *, named: bool) -> str:
         """What the columns mean, in one paragraph.
 
@@ -234,7 +247,8 @@ class EntryTable:
         driven_by : what drives the plant: current or voltage. named : whether named targets are tracked, not taps.
         """
         target, over = ("the target", "over the waveform") if named else ("the recorded tap", "over the intention")
+        ends = "" if named else ": the waveform ends while the hand pushes"
         said = [(column.head.split(" {at}")[0], column.meaning) for column in self.columns if column.meaning]
         return " ".join(f"{head.removesuffix(' %')}: {meaning}." for head, meaning in said).format(
-            target=target, over=over, input=driven_by, unit=self.unit
+            target=target, over=over, ends=ends, input=driven_by, unit=self.unit
         )

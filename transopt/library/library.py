@@ -540,7 +540,7 @@ class Library:
         nv, ng, _ = self.command.shape
         rows = [self.row(iv, ig) for iv in range(nv) for ig in range(ng)]
         limits = (self.input_limit, self.steady_input)
-        return EntryTable(self.axes.columns, names, rows, self.driven_by.unit, limits)
+        return EntryTable(self.axes.columns, names, rows, self.driven_by.unit, limits).known
 
     def row(self, iv: int, ig: int) -> TableRow:
         """What tables show of an entry."""
@@ -584,7 +584,7 @@ class Library:
         return Figures(*(float(array[iv, ig]) for array in (*stored, *after)))
 
     def _repeatability(self, iv: int, ig: int) -> float:
-        """Trial-to-mean NRMSE of the recordings of an entry; NaN where there is one."""
+        """trial-to-mean error of the recordings of an entry; NaN where there is one."""
         spread = self.meta["repeatability"][iv][ig]
         return NAN if spread is None else float(spread)
 

@@ -210,7 +210,7 @@ def contradictions(
     Parameters
     ----------
     effect : of the entry's command in its problem.
-    floor : NRMSE of the optimum without limits, as found now; NaN where it was not.
+    floor : tap error of the optimum without limits, as found now; NaN where it was not.
     of_bound : relative, by which the stated lower bound may lie above the one found; other methods find others.
     """
     problem = effect.problem

@@ -54,7 +54,7 @@ class Reference:
     nominal_position_m : (N,) z_nom.
     nominal_velocity_m_s : (N,) its derivative.
     nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks t_k, where the encoder is read.
-    repeatability : mean NRMSE of the aligned repeats against their mean; NaN for one tap.
+    repeatability : mean relative error of the aligned repeats against their mean; NaN for one tap.
     repeatability_unaligned : the same before they were aligned.
     taps : the n recordings used.
     factors : (n,) by which each was scaled to the grid speed.
@@ -166,7 +166,7 @@ def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
 
 
 def _spread(repeats: FloatArray) -> float:
-    """Mean NRMSE of repeats (n, K) against their mean; NaN for one."""
+    """Mean relative error of repeats (n, K) against their mean; NaN for one."""
     if repeats.shape[0] < 2:
         return float("nan")
     mean = repeats.mean(axis=0)

@@ -32,7 +32,7 @@ BASELINE_SAMPLES = 8  # fewer are no baseline
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
 NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
-TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of NRMSE: contact is then put where the pulse begins
+TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of the error: contact is then put where the pulse begins
 TOE_LEVEL = 5e-3  # of the peak, from which on it has begun; below it lies no energy to speak of
 TOE_TO_NOISE = 3.0  # nor is it told from noise below this
 
@@ -158,7 +158,7 @@ def find_onset(x: Signal) -> float:
     """Contact time of a tap without offset and with positive polarity [s].
 
     The line through the first rise's 10 % and 30 % points (of the highest peak) is followed back to zero. A
-    threshold alone would be late by a part of the rise, and a servo tick of error costs 8 % NRMSE; and the highest
+    threshold alone would be late by a part of the rise, and a servo tick of error costs 8 % of error; and the highest
     peak need not be the first.
     """
     height = float(x.values.max())

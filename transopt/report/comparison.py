@@ -197,7 +197,7 @@ def comparison_summary(found: Comparison) -> str:
         worst = max(change, key=lambda node: abs(change[node]))
         place = worst[0] if len(worst) == 1 else f"{worst[0]} m/s and {worst[1]} N"
         points = f"{100 * change[worst]:+.2g} points" if change[worst] else "nothing"
-        said.append(f"NRMSE changes most by {points}, at {place}")
+        said.append(f"tap error changes most by {points}, at {place}")
     said.append(f"{len(found.changes)} values stated differently")
     return "; ".join([*said, *claims])
 

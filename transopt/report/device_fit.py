@@ -146,7 +146,7 @@ def _motion(axes: Axes, transients: list[Transient]) -> None:
     axes.plot(times_ms, one.measured[shown] / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=2.2, alpha=0.4)
     axes.plot(times_ms, one.predicted[shown] / STANDARD_GRAVITY_M_S2, color=SEED, linewidth=1.0)
     kind = "tap" if one.run.held_out else "sweep"
-    _say(axes, 0.985, "right", f"{kind}, NRMSE {100 * one.nrmse:.2g} %", SMALL_PT)
+    _say(axes, 0.985, "right", f"{kind}, relative error {100 * one.nrmse:.2g} %", SMALL_PT)
 
 
 def _say(axes: Axes, at: float, side: Literal["center", "right"], words: str, size: float) -> None:
@@ -168,7 +168,7 @@ def show(console: Console, result: DeviceResult) -> None:
         console.print(table)
     elif result.black_box is not None:
         console.print(f"state space of order {result.black_box.order} at each grip")
-    table = Table("grip", "trials", "held-out NRMSE %", "unknown to the model %", "residual", "hand of its own")
+    table = Table("grip", "trials", "held-out error %", "unknown to the model %", "residual", "hand of its own")
     recorded, between = result.chosen.recorded, result.chosen.between
     residual = dict(zip([grip.grip_N for grip in result.grips], result.residuals, strict=True))
     own = {one.grip_N: one.own_scatter for one in result.own_hands if result.chosen.kind is Kind.DRIVE}
@@ -182,7 +182,7 @@ def show(console: Console, result: DeviceResult) -> None:
         table.add_row(called(grip), str(trials.get(grip, 0)), *errors, number(residual, grip), number(own, grip))
     console.print(table)
     console.print(
-        "unknown to the model: NRMSE at this grip of a fit without it. residual: mean square over the noise's, 1 for "
+        "unknown to the model: error at this grip of a fit without it. residual: mean square over the noise's, 1 for "
         "a model that is right; hand of its own: the same with a hand fitted to this grip alone",
         style="dim",
         highlight=False,

@@ -40,7 +40,7 @@ BODE_POINTS = 500
 
 @dataclass(frozen=True)
 class _Method:
-    """One series of `method_figure`: where its NRMSE is found and how it is drawn."""
+    """One series of `method_figure`: where its tap error is found and how it is drawn."""
 
     label: str
     value: Callable[["Entry"], float]
@@ -89,7 +89,7 @@ def _refused(entry: "Entry") -> list[str]:
 
 
 def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> None:
-    """The grip below each entry and its speed below each stripe; above, the NRMSE of the optimum.
+    """The grip below each entry and its speed below each stripe; above, the tap error of the optimum.
 
     Many entries are turned, each with speed and grip of its own.
     """
@@ -112,7 +112,7 @@ def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> N
     numbers = [f"{value:#.3g}".rstrip(".") for value in optimum_percent]
     above.set_xticks(positions, numbers, rotation=rotation, fontsize=SMALL_PT)
     above.tick_params(length=0)
-    above.set_xlabel("NRMSE of the optimum [%]", fontsize=LABEL_PT)
+    above.set_xlabel("tap error of the optimum [%]", fontsize=LABEL_PT)
 
 
 def _middles(build: "Build") -> FloatArray:
@@ -122,7 +122,7 @@ def _middles(build: "Build") -> FloatArray:
 
 
 def method_figure(build: "Build") -> Figure:
-    """NRMSE [%] of the optimum, its floor and its rivals for every entry, with the marks that tell if it matters.
+    """Tap error [%] of the optimum, its floor and its rivals for every entry, with the marks that tell if it matters.
 
     A value of zero (a zero reference) stands at the lower edge.
     """
@@ -156,7 +156,7 @@ def method_figure(build: "Build") -> Figure:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if top < 1e4 * bottom else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(plain))
     axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_ylabel("NRMSE after replay [%]", fontsize=LABEL_PT)
+    axes.set_ylabel("tap error after replay [%]", fontsize=LABEL_PT)
     axes.set_xlim(-0.5, len(entries) - 0.5)
     if len(entries) > MOST_LABELLED:
         # One label for each speed, and what stands in its stripe.

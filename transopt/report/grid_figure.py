@@ -52,7 +52,7 @@ def grid_figure(refinement: Refinement) -> Figure:
             image = _map(axes, at, excess[:, j], grid, top, tolerance)
             axes.plot(*at[worst], **WORST, clip_on=False, zorder=4)
             axes.set_xlabel(names[0], fontsize=LABEL_PT)
-    label = "excess of the blend over the optimum, NRMSE or amplitude [%]"
+    label = "excess of the blend over the optimum, tap error or amplitude [%]"
     if single:
         panels[0].set_ylabel(label, fontsize=LABEL_PT)
     else:

@@ -68,7 +68,7 @@ def line_table(fit: HandFit) -> Table:
 
 def chain_table(chain: ChainFit) -> Table:
     """The fourth-order hand: lines with their 95 % intervals, and how well the middle is known."""
-    title = f"fourth order (stylus - skin - hand - arm), NRMSE of the acceleration {100 * chain.unexplained:.1f} %"
+    title = f"fourth order (stylus - skin - hand - arm), error of the acceleration {100 * chain.unexplained:.1f} %"
     table = Table(title=title)
     table.add_column("quantity")
     for heading in ("constant", "95 %", "per newton", "95 %", "known to"):

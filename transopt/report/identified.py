@@ -67,7 +67,7 @@ def _spread_words(scene: Scene) -> list[str]:
 
 
 def model_errors(build: Build) -> list[tuple[Entry, float]]:
-    """Admitted entries with the NRMSE between their prediction and the device, as the model file tells it."""
+    """Admitted entries with the error between their prediction and the device, as the model file tells it."""
     model = build.scene.model
     if not isinstance(model, IdentifiedModel):
         return []
@@ -156,7 +156,10 @@ def identified_lines(build: Build) -> list[str]:
     lines += _outside(scene, model)
     if model.device is not None and model.device.nrmse:
         errors = ", ".join(f"{grip} N: {percent(value)} %" for grip, value in model.device.nrmse.items())
-        lines += ["", f"NRMSE of the model on single trials outside its fit, their noise included: {errors}."]
+        lines += [
+            "",
+            f"Relative error of the model on single trials outside its fit, their noise included: {errors}.",
+        ]
     if model.device is not None and model.device.causes:
         lines += ["", f"Found beside the model: {', '.join(model.device.causes)}."]
     if said := scene.unfit_model():

@@ -45,7 +45,7 @@ def _between_lines(refinement: Refinement) -> list[str]:
     if refinement.entries == 1:
         return lines
     lines += [
-        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % | "
+        "| grid | speeds | grips | entries | worst excess % | at m/s, N | tap error / optimum % | median excess % | "
         "weakest dB |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
@@ -65,8 +65,8 @@ def _between_lines(refinement: Refinement) -> list[str]:
     return [
         *lines,
         "",
-        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
-        "there, or the share of amplitude that the blend lacks beside that optimum, whichever is larger; "
+        "excess: tap error of the bilinear blend of the node commands, replayed, less that of the optimum solved "
+        "exactly there, or the share of amplitude that the blend lacks beside that optimum, whichever is larger; "
         "weakest: its energy over that optimum's, where it is least. "
         f"At {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where it errs "
         "most. `grid_error.png` shows it, where figures are drawn.",
@@ -283,7 +283,7 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
             "",
         ]
     shown = build.table(FULL)
-    lines += [*table(shown.heads, shown.cells), legend(build.scene), ""]
+    lines += [*table(shown.heads, shown.cells), legend(shown, build.scene), ""]
     if build.refused:
         lines += ["## Refused", ""]
         lines += [f"- {each.place}: {refusal(each)}" for each in build.refused]

@@ -24,9 +24,9 @@ LOST = 1e-3  # share of a tap's energy before the first command can act, from wh
 WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
 
 
-def legend(scene: Scene) -> str:
-    """What the columns of the table of entries mean."""
-    return EntryTable((), FULL, ()).legend(scene.driven_by.name, named=bool(scene.targets))
+def legend(shown: EntryTable, scene: Scene) -> str:
+    """What the columns of a table of entries mean."""
+    return shown.legend(scene.driven_by.name, named=bool(scene.targets))
 
 
 def printed(
@@ -64,9 +64,13 @@ def refusal(entry: Entry) -> str:
     return ": ".join(filter(None, dict.fromkeys([entry.status.value, "; ".join(entry.shortfalls)])))
 
 
-def build_table(build: Build, width: int) -> Table:
-    """The table that `transopt solve` prints into `width` columns."""
-    shown = build.table(FULL if width >= WIDE_TERMINAL else NARROW)
+def fitting(build: Build, width: int) -> EntryTable:
+    """The entries in those columns that `transopt solve` prints into a terminal of `width` columns."""
+    return build.table(FULL if width >= WIDE_TERMINAL else NARROW)
+
+
+def build_table(build: Build, shown: EntryTable) -> Table:
+    """The table that `transopt solve` prints."""
     title = ": ".join(filter(None, (build.scene.name, build.scene.description)))
     striking = ["red" if row.refusal else None for row in shown.rows]
     return printed(shown, title, striking=striking, columns=len(build.scene.grid.grips_N), in_one_piece="verdict")

@@ -39,7 +39,7 @@ def _known(value: float, factor: float, form: str) -> str:
 
 def trade_table(library: Library, name: str) -> Table:
     """The trade's figures of every entry as designed."""
-    table = _table(name, [*library.axes.columns, "NRMSE %", *TRADE_COLUMNS])
+    table = _table(name, [*library.axes.columns, "tap error %", *TRADE_COLUMNS])
     for iv in range(library.speeds_m_s.size):
         for ig in range(library.grips_N.size):
             found = trade_figures(library, iv, ig)

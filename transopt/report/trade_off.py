@@ -27,7 +27,15 @@ def trade_off_lines(build: "Build") -> list[str]:
     weights = build.scene.weights
     asked_dB = weights.intensity_dB if weights.objective == "intensity" else 0.0
     bands = _bands(found)
-    head = [*build.scene.axes.columns, "optimum of", "lam", "NRMSE %", "dB", "felt dB", f"below {EDGES_Hz[0]:.0f} Hz"]
+    head = [
+        *build.scene.axes.columns,
+        "optimum of",
+        "lam",
+        "tap error %",
+        "dB",
+        "felt dB",
+        f"below {EDGES_Hz[0]:.0f} Hz",
+    ]
     lines = [
         "",
         "## Waveform and intensity",

@@ -1,4 +1,4 @@
-"""NRMSE against energy, from the nearest waveform to the optimum of intensity and on, where a limit cuts the tap."""
+"""Tap error against energy, from the nearest waveform to the optimum of intensity and on, where a limit binds."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ LOWEST_dB, HIGHEST_dB = -12.0, 8.0  # what of the path is drawn; beyond it all e
 
 
 def trade_off_figure(build: "Build") -> Figure:
-    """NRMSE [%] over energy [dB], a line per entry from the nearest waveform on; circles and squares are the optima.
+    """Tap error [%] over energy [dB], a line per entry from the nearest waveform on; circles, squares: the optima.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def trade_off_figure(build: "Build") -> Figure:
     within = [100 * p.tap_error for each in found for p in each.path if p.energy_dB <= axes.get_xlim()[1]]
     axes.set_ylim(0.0, 1.08 * max(within))
     axes.set_xlabel("energy within the window over that of the recorded tap [dB]", fontsize=LABEL_PT)
-    axes.set_ylabel("NRMSE as predicted [%]", fontsize=LABEL_PT)
+    axes.set_ylabel("tap error as predicted [%]", fontsize=LABEL_PT)
     axes.tick_params(labelsize=SMALL_PT)
     axes.text(
         0.01,

@@ -130,7 +130,7 @@ class FittedPart(ModelPart):
 
 
 def numbers(content: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """The numbers of a part by dotted name, without those that describe the fit (intervals, NRMSE, other fits)."""
+    """The numbers of a part by dotted name, without those that describe the fit (intervals, errors, other fits)."""
     found: dict[str, float] = {}
     for name, value in content.items():
         if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "fourth_order", "error", "predicted"):

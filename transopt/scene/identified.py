@@ -84,9 +84,9 @@ class IdentifiedModel(ModelParts):
         check_grip(self.moving.grips_N, grip_N)
 
     def error_of(self, grip_N: float, current_A: FloatArray, dt_s: float, energy: float) -> float:
-        """NRMSE between a tap as the model predicts it and as the device will do it; NaN where the file says nothing.
+        """Relative error between a tap as the model predicts it and as the device does it; NaN where it is unknown.
 
-        A file that states no spectrum of its error has the held-out NRMSE of the grip, noise included.
+        A file that states no spectrum of its error has the held-out error of the grip, noise included.
 
         Parameters
         ----------

@@ -26,7 +26,7 @@ class AtUse(Section):
     ----------
     grip_N : at which it was played.
     peak_A : its largest current.
-    excess : part of the tap's acceleration (NRMSE) that was neither predicted nor noise nor expected.
+    excess : part of the tap's acceleration (relative error) that was neither predicted nor noise nor expected.
     """
 
     grip_N: NonNegative
@@ -81,7 +81,7 @@ class ModelError(Section):
         return float(np.interp(grip_N, grips, by_grip))
 
     def nrmse(self, grip_N: float, current_A: FloatArray, dt_s: float, energy: float) -> float:
-        """Predicted NRMSE between the model's acceleration and the device's, for one tap.
+        """Predicted relative error between the model's acceleration and the device's, for one tap.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class ModelError(Section):
 
 
 class Predicted(Section):
-    """Predicted NRMSE of the taps of a scene with this model.
+    """Predicted relative error of the taps of a scene with this model.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Predicted(Section):
 
     @property
     def worst(self) -> tuple[float, float, float]:
-        """NRMSE, speed and grip of the tap that is predicted worst."""
+        """Relative error, speed and grip of the tap that is predicted worst."""
         values = np.array(self.nrmse)
         j, i = np.unravel_index(int(np.argmax(values)), values.shape)
         return float(values[j, i]), self.speeds_m_s[i], self.grips_N[j]

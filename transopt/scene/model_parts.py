@@ -112,7 +112,7 @@ def check_grip(grips_N: list[float], grip_N: float) -> None:
 
 
 def _error_at(nrmse: NrmseByGrip, grip_N: float) -> float:
-    """Held-out NRMSE of the model at a grip, NaN without validation.
+    """Held-out error of the model at a grip, NaN without validation.
 
     It is linear between the grips where the model was validated.
     """
@@ -138,7 +138,7 @@ class DriveDevice(FittedPart):
     transmission_damping_N_s_m : between the two.
     hand : skin, hand mass and arm.
     grips_N : recorded, 0 for the free device.
-    nrmse : grip -> held-out NRMSE on trials outside the fit, their noise included.
+    nrmse : grip -> held-out error on trials outside the fit, their noise included.
     error : how far its response is off; None in files of older versions.
     predicted : what that makes of the taps of the scene it was identified for; None where there was none.
     causes : what was found to be in the records or the device beside the model, by name.
@@ -188,7 +188,7 @@ class DriveDevice(FittedPart):
         )
 
     def error_at(self, grip_N: float) -> float:
-        """Held-out NRMSE at a grip, NaN without validation."""
+        """Held-out error at a grip, NaN without validation."""
         return _error_at(self.nrmse, grip_N)
 
 
@@ -204,7 +204,7 @@ class StateSpaceDevice(ModelPart):
     B : (ng, n, 1).
     C : (ng, 1, n).
     D : (ng, 1, 1).
-    nrmse : grip -> held-out NRMSE on trials outside the fit, their noise included.
+    nrmse : grip -> held-out error on trials outside the fit, their noise included.
     error : how far its response is off; None in files of older versions.
     predicted : what that makes of the taps of the scene it was identified for; None where there was none.
     causes : what was found to be in the records or the device beside the model, by name.
@@ -268,7 +268,7 @@ class StateSpaceDevice(ModelPart):
         return blended(self.node(first + j), self.node(first + j + 1), share)
 
     def error_at(self, grip_N: float) -> float:
-        """Held-out NRMSE at a grip, NaN without validation."""
+        """Held-out error at a grip, NaN without validation."""
         return _error_at(self.nrmse, grip_N)
 
 

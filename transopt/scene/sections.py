@@ -32,7 +32,9 @@ def _increasing(values: list[float]) -> list[float]:
     return values
 
 
-COVERED_S = 0.2e-3  # by the lead beyond the delay: without it no current acts in the first 0.2 ms, 3 to 4 % of NRMSE
+COVERED_S = (
+    0.2e-3  # by the lead beyond the delay: without it no current acts in the first 0.2 ms, 3 to 4 % of the error
+)
 
 
 def covering_lead_s(dt_s: float, delay_s: float) -> float:

@@ -81,7 +81,7 @@ def panels_of(count: int, most_across: int, wide_in: float, margin_in: float, *,
     for axes in panels.flat[count:]:
         axes.set_visible(False)
     for row in panels:
-        row[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
+        row[0].set_ylabel("tap error [%]", fontsize=LABEL_PT)
     return figure, panels
 
 
@@ -101,7 +101,7 @@ def entry_lines(axes: Axes, plan: Plan, x: FloatArray, values: FloatArray) -> No
 
 
 def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """NRMSE and floor over one key: a panel per grip, a line per speed."""
+    """Tap error and floor over one key: a panel per grip, a line per speed."""
     axis, grips, speeds = plan.axes[0], plan.grips_N, plan.speeds_m_s
     error, floor = (100 * entry_grid(plan, rows, column) for column in ("tap_error", "floor"))
     shade = colours(len(speeds))
@@ -159,7 +159,7 @@ def percent_norm(percent: FloatArray) -> LogNorm:
 
 
 def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """NRMSE over two keys: a heat map per entry, or of the worst entry where there are many."""
+    """Tap error over two keys: a heat map per entry, or of the worst entry where there are many."""
     down, across = plan.axes
     error = 100 * entry_grid(plan, rows, "tap_error")
     speeds, grips = plan.speeds_m_s, plan.grips_N
@@ -183,14 +183,14 @@ def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
     figure.supxlabel(axis_label(across.key), fontsize=LABEL_PT)
     figure.supylabel(axis_label(down.key), fontsize=LABEL_PT)
     bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
-    bar.set_label("NRMSE [%], grey: not certified", fontsize=LABEL_PT)
+    bar.set_label("tap error [%], grey: not certified", fontsize=LABEL_PT)
     percent_axis(bar.ax)
     bar.ax.tick_params(labelsize=SMALL_PT)
     return figure
 
 
 def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """NRMSE of every entry over each key, the others as they come; a colour per speed."""
+    """Tap error of every entry over each key, the others as they come; a colour per speed."""
     targets = plan.entry_axes.targets
     names = targets or tuple(f"{v:g}" for v in plan.speeds_m_s)
     shade = dict(zip(names, colours(len(names)), strict=True))

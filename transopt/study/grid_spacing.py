@@ -47,7 +47,7 @@ class Spaced:
     spacing : of the nodes on that axis [N or m/s].
     held : the other coordinate [m/s or N].
     nodes : how many there are on that axis.
-    worst, median : of the excess of NRMSE over the points between the nodes; the worst one is replayed.
+    worst, median : of the excess of tap error over the points between the nodes; the worst one is replayed.
     worst_at : where that is on the axis [N or m/s].
     """
 
@@ -141,7 +141,7 @@ def spacing_figure(found: Sequence[Spaced]) -> Figure:
         percent_axis(axes)
         axes.set_ylim(bottom=LEAST_EXCESS_PERCENT)
         axes.legend(fontsize=6.5, frameon=False)
-    panels[0].set_ylabel("worst excess between the nodes\n[percentage points of NRMSE]", fontsize=LABEL_PT)
+    panels[0].set_ylabel("worst excess between the nodes\n[percentage points of tap error]", fontsize=LABEL_PT)
     return figure
 
 

@@ -25,7 +25,7 @@ MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30
 RATIOS = "transmission.ratio_1_m=15:1000:15:log"
 SPEEDS_M_S, GRIPS_N = (0.2, 0.4), (1.0, 5.0)
 RAIL_V, AMBIENT_C, TAPS_PER_S = 24.0, 40.0, 4.0
-GOAL = 0.01  # NRMSE of every entry
+GOAL = 0.05  # felt error of every entry; without a limit it is about 0.04
 
 
 def motor_scene(scene: Scene, motor: dict[str, Any]) -> Scene:
@@ -58,7 +58,7 @@ class Choice:
     ----------
     stem : name of the motor's file, without its ending.
     ratio_1_m : transmission ratio, rotor angle per displacement of the tip [1/m].
-    worst : NRMSE of the worst entry, as a share of 1.
+    worst : felt error of the worst entry, as a share of 1.
     force_N_A : force at the tip per current [N/A].
     mass_kg : the rotor's inertia as a mass at the tip, with that of the link [kg].
     row : of the worst entry.
@@ -79,8 +79,8 @@ class Selection:
     studies: dict[str, tuple[Plan, list[Row]]]
 
     def errors(self) -> FloatArray:
-        """(motors, ratios, speeds, grips) NRMSE; NaN where there is no certified answer."""
-        return np.stack([entry_grid(plan, rows, "tap_error") for plan, rows in self.studies.values()])
+        """(motors, ratios, speeds, grips) felt error; NaN where there is no certified answer."""
+        return np.stack([entry_grid(plan, rows, "felt_error") for plan, rows in self.studies.values()])
 
     @property
     def ratios(self) -> Axis:
@@ -115,7 +115,7 @@ class Selection:
                 panels[iv, ig].set_title(f"{speed:g} m/s, {grip:g} N", fontsize=LABEL_PT)
         figure.supxlabel("transmission ratio [1/m]", fontsize=LABEL_PT)
         bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
-        bar.set_label("NRMSE [%]; grey: not certified", fontsize=LABEL_PT)
+        bar.set_label("felt error [%]; grey: not certified", fontsize=LABEL_PT)
         percent_axis(bar.ax)
         bar.ax.tick_params(labelsize=SMALL_PT)
         return figure
@@ -133,8 +133,8 @@ class Selection:
         met = sum(c.worst <= GOAL for c in best)
         return (
             f"On {RAIL_V:g} V, at {AMBIENT_C:g} C and {TAPS_PER_S:g} taps/s for ever, {met} of {len(self.studies)} "
-            f"motors bring all entries to {100 * GOAL:g} %; the first, {first.stem.replace('_', ' ')} at "
-            f"{first.ratio_1_m:.0f} 1/m, has {1e3 * first.mass_kg:.0f} g at the tip and {percent(first.worst)} % at "
+            f"motors bring all entries to a felt error of {100 * GOAL:g} %; the first, "
+            f"{first.stem.replace('_', ' ')} at {first.ratio_1_m:.0f} 1/m, has {1e3 * first.mass_kg:.0f} g at the tip and {percent(first.worst)} % at "
             f"its worst entry, the last, {last.stem.replace('_', ' ')}, {percent(last.worst)} % at best."
         )
 
@@ -163,7 +163,7 @@ class Selection:
             "",
             "motor",
             "best ratio 1/m",
-            "worst NRMSE %",
+            "worst felt error %",
             "at",
             "N/A",
             "mass at tip g",
@@ -196,7 +196,7 @@ def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
     motor = plan.scene.motor
     assert motor is not None
     measures = (
-        ("tap_error", 100.0, "NRMSE [%]", None),
+        ("felt_error", 100.0, "felt error [%]", None),
         ("peak_input", 1.0, "peak current [A]", plan.scene.limits.transient_input),
         ("peak_voltage_V", 1.0, "peak voltage [V]", plan.scene.limits.supply_V),
         ("peak_temperature_C", 1.0, "winding [C]", motor.winding_max_C),

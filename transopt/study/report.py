@@ -105,7 +105,7 @@ def refusal_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
-    """Per entry least, median and largest NRMSE over all points, and where."""
+    """Per entry least, median and largest tap error over all points, and where."""
     lines = []
     axes = plan.entry_axes
     for iv in range(len(plan.speeds_m_s)):
@@ -120,7 +120,7 @@ def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
             at = ", ".join(f"{axis.key} = {best[axis.key]}" for axis in plan.axes)
             cells = [percent(value) for value in (min(errors), float(np.median(errors)), max(errors))]
             lines.append([*place, str(len(own)), *cells, at])
-    head = [*axes.columns, "certified", "least NRMSE %", "median %", "largest %", "least at"]
+    head = [*axes.columns, "certified", "least tap error %", "median %", "largest %", "least at"]
     return table(head, lines)
 
 
@@ -133,7 +133,7 @@ def study_markdown(plan: Plan, rows: Sequence[Row], figure: str, head: Sequence[
     for axis in plan.axes:
         ends = axis.labels if len(axis.labels) <= 12 else (*axis.labels[:3], "...", *axis.labels[-3:])
         lines.append(f"- `{axis.key}` {unit_of(axis.key)}: {', '.join(ends)}")
-    lines += ["", f"![NRMSE]({figure})", "", "## Entries over all points", "", *spread_lines(plan, rows)]
+    lines += ["", f"![tap error]({figure})", "", "## Entries over all points", "", *spread_lines(plan, rows)]
     lines += refusal_lines(rows)
     lines += ["## Rows", ""]
     if len(rows) > MOST_ROWS:

@@ -90,7 +90,7 @@ def intensity_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")
     panels = figure.subplots(1, 2)
     drawn = (entry_grid(plan, rows, "waveform_dB"), 100 * entry_grid(plan, rows, "tap_error"))
-    words = ("energy of the nearest waveform [dB]", "NRMSE with the energy asked for [%]")
+    words = ("energy of the nearest waveform [dB]", "tap error with the energy asked for [%]")
     for axes, values, label in zip(panels, drawn, words, strict=True):
         style(axes)
         entry_lines(axes, plan, limits, values)
@@ -154,7 +154,7 @@ def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")
     panels = figure.subplots(1, 2)
     for axes, values, label in zip(
-        panels, (used, error), ("greatest beta = |i| / steady current", "NRMSE [%]"), strict=True
+        panels, (used, error), ("greatest beta = |i| / steady current", "tap error [%]"), strict=True
     ):
         style(axes)
         entry_lines(axes, plan, np.array(rates), values)

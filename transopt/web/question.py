@@ -29,7 +29,7 @@ class Found:
 
 
 def asked(service: Service, index: int, control: Control, tap_error: float) -> Found:
-    """The least value of a key at which one tap has at most this NRMSE, every value solved and certified.
+    """The least value of a key at which one tap has at most this error, every value solved and certified.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
 
 
 def test_figures_are_within_the_bounds_measured_when_played(build: Build) -> None:
-    """Tap error, felt error, least speed, most heat [A^2 ms at 0.1 m/s], as independent equations found them played."""
+    """Tap error, felt error, least speed and most heat [A^2 ms at 0.1 m/s], as independent equations found them."""
     unbound = {1.0: (0.182, 0.040, 0.50, 28.0), 3.0: (0.215, 0.043, 0.45, 64.0), 5.0: (0.233, 0.045, 0.43, 108.0)}
     bound = {1.0: (0.27, 0.158, 0.30, 250.0), 3.0: (0.32, 0.17, 0.22, 460.0), 5.0: (0.39, 0.17, 0.10, 435.0)}
     for entry in build.all_entries():
@@ -364,8 +364,6 @@ class TestVerify:
         status[0, 0] = Status.ITERATION_LIMIT.value
         checks = verify_library(replace(library, status=status))
         assert "status in the file" in checks[0].shortfalls[0]
-
-
 
 
 def of_intensity(dB: float, wanted: np.ndarray) -> Levels:

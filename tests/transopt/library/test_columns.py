@@ -12,7 +12,7 @@ import transopt as to
 from transopt.base.writing import percent
 from transopt.library.columns import COLUMNS, FULL, EntryTable, TableRow
 from transopt.report.markdown import build_markdown
-from transopt.report.tables import build_table, library_table, verify_table
+from transopt.report.tables import build_table, fitting, library_table, verify_table
 from transopt.scene.keys import with_values
 
 FIGURES = {"tap": 0.09996, "floor": 0.00999, "peak": 1.0, "binding": "none", "verdict": "fine"}
@@ -31,7 +31,11 @@ def build() -> to.Build:
 def test_no_cell_is_cut_in_a_narrow_terminal(build: to.Build, width: int) -> None:
     assert build.library is not None
     checks = to.verify(build.library)
-    for table in (library_table(build.library, "file"), verify_table(checks, "file"), build_table(build, width)):
+    for table in (
+        library_table(build.library, "file"),
+        verify_table(checks, "file"),
+        build_table(build, fitting(build, width)),
+    ):
         console = Console(file=io.StringIO(), width=width)
         console.print(table)
         assert isinstance(console.file, io.StringIO)
@@ -51,8 +55,8 @@ def test_every_rendering_of_an_entry_prints_the_same_cells(build: to.Build) -> N
     assert build.library is not None
     shown = build.table(FULL)
     (cells,) = shown.cells
-    by_name = dict(zip(FULL, cells[2:], strict=True))
-    assert printed(build_table(build, 400)) == cells
+    by_name = dict(zip(shown.names, cells[2:], strict=True))
+    assert printed(build_table(build, fitting(build, 400))) == cells
     assert "| " + " | ".join(cells) + " |" in build_markdown(build)
     names = ("tap", "felt", "felt_dB", "speed", "bump", "heat", "peak", "binding")
     for html in (build._repr_html_(), build.library._repr_html_()):
@@ -72,6 +76,15 @@ def test_a_refused_entry_has_words_and_no_numbers() -> None:
             assert cell == "-", name
     assert shown.figures(refused)[list(COLUMNS).index("binding")] == refused.refusal
     assert shown.figures(refused)[list(COLUMNS).index("verdict")] == "refused"
+
+
+def test_a_column_that_no_row_knows_is_neither_shown_nor_explained() -> None:
+    known = replace(ROW, values={**ROW.values, "speed": 0.5})
+    shown = EntryTable(("target",), ("tap", "speed", "bump", "binding"), (ROW, known), "A").known
+    assert tuple(shown.names) == ("tap", "speed", "binding")
+    assert "lets go" not in shown.legend("current", named=False)
+    nobody = replace(known, refusal="infeasible")
+    assert "speed" not in EntryTable(("target",), ("tap", "speed"), (ROW, nobody), "A").known.names
 
 
 def test_an_unknown_number_is_a_dash_and_a_known_one_is_not() -> None:

@@ -38,8 +38,8 @@ class Candidate:
     model : gives the plants of a grip.
     instrument : what stood between it and the records.
     transients : grip -> those of its transients that were kept out of the fit.
-    between : NRMSE at grips that the model does not know: those with transients only, and inner held ones by the
-        same kind of model fitted without them.
+    between : relative error at grips that the model does not know: those with transients only, and inner held ones by
+        the same kind of model fitted without them.
     error : how far its response is off.
     off : the same as a part of the answer to a current of even spectrum.
     """
@@ -54,7 +54,7 @@ class Candidate:
 
     @property
     def recorded(self) -> dict[float, float]:
-        """Grip -> NRMSE of what was kept out; NaN where nothing was."""
+        """Grip -> relative error of what was kept out; NaN where nothing was."""
         return {grip: together(runs) for grip, runs in self.transients.items()}
 
 

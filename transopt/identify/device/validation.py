@@ -99,7 +99,7 @@ def compare(model: Model, grip_N: float, instrument: Instrument, run: Measuremen
 
 
 def together(transients: Sequence[Transient]) -> float:
-    """NRMSE of several transients as one: a quiet one counts no more than a loud one. NaN without any."""
+    """Relative error of several transients as one: a quiet one counts no more than a loud one. NaN without any."""
     if not transients:
         return float("nan")
     measured, predicted = (

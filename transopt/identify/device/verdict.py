@@ -22,7 +22,7 @@ BANDS_PER_OCTAVE = 3
 CHANCE = 1e-5  # at which noise alone makes a band's misfit as large: below it the misfit is the model's
 EDGE = 2  # bins at either end of what was excited
 TAP_HZ = 5.0, 600.0  # where a tap has its energy
-FIT = 0.05  # predicted NRMSE of a tap up to which a model is fit to design with
+FIT = 0.05  # predicted relative error of a tap up to which a model is fit to design with
 WORTHLESS = 0.5
 
 
@@ -117,7 +117,7 @@ def relative(error: ModelError, measured: Sequence[GripResponse]) -> float:
 
 
 def predict_taps(error: ModelError, taps: Taps) -> Predicted:
-    """Predicted NRMSE of each tap."""
+    """Predicted relative error of each tap."""
     return Predicted(
         speeds_m_s=list(taps.speeds_m_s),
         grips_N=list(taps.grips_N),
@@ -136,7 +136,7 @@ def verdict(predicted: Predicted | None, held_out: Mapping[float, float]) -> str
 
     Parameters
     ----------
-    held_out : grip -> NRMSE on what was kept out of the fit, noise included; NaN where nothing was.
+    held_out : grip -> relative error on what was kept out of the fit, noise included; NaN where nothing was.
     """
     known = [error for error in held_out.values() if np.isfinite(error)]
     noise = f"; one recorded trial misses {100 * max(known):.2g} %, its noise included" if known else ""
