@@ -37,7 +37,7 @@ def printed(
     striking: Sequence[str | None] = (),
     columns: int = 0,
 ) -> Table:
-    """A table of entries for the terminal: numbers and words stay in one piece, heads and sentences wrap between them.
+    """A table of entries for the terminal: numbers and words stay whole, heads and sentences wrap between words.
 
     Parameters
     ----------

@@ -253,7 +253,7 @@ class TestLostStart:
 
 class TestAfterTheWaveform:
     def test_it_is_calm_where_it_counts_and_said_where_it_does_not(self, run: Run, quick_scene: Path) -> None:
-        """The tap of the default scene that rings on most: 1.9 g without, a fifth with what comes after it counted."""
+        """The tap of the default scene that rings on most: 1.9 g without, a fifth with its tail counted."""
         text = WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.3]").replace("[1.0, 3.0, 5.0]", "[1.0]")
         peaks = {}
         for after_s in (0.0, 0.03):
