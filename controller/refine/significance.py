@@ -137,7 +137,7 @@ class Tapped:
 
     @property
     def predicted_error(self) -> float:
-        """The same error of the prediction, over the same window."""
+        """|p - r| / |r| of the prediction p, over the window of the playback error."""
         return float(np.sqrt(self.predicted @ self.predicted / self.reference))
 
 

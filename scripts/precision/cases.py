@@ -13,7 +13,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, S
 from transopt.problem.leave_out import leave_out
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, boxes, certify
-from transopt.proof.replay import replayed_errors
+from transopt.proof.replay import replayed_figures
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.choose import solve
@@ -42,7 +42,7 @@ class Optimum:
 
     Attributes
     ----------
-    command_A : (N,). objective : J of its rollout. nrmse : after replay.
+    command_A : (N,). objective : J of its rollout. tap_error : beside the recorded tap, after replay.
     found_by, confirmed_by : method and tolerance. agreement : difference of their J, relative. apart_A : largest
         difference of their commands. certificate : of the first, by its multipliers.
     """
@@ -50,7 +50,7 @@ class Optimum:
     command_A: FloatArray
     multipliers: Multipliers
     objective: float
-    nrmse: float
+    tap_error: float
     found_by: str
     confirmed_by: str
     agreement: float
@@ -132,9 +132,10 @@ def judge(problem: TransientProblem, command_A: FloatArray, reference_objective:
     return Verdict(gap, max(excess))
 
 
-def replayed_nrmse(problem: TransientProblem, commands_A: FloatArray) -> FloatArray:
-    """(M,) NRMSE of commands (M, N) in continuous time."""
-    return replayed_errors(problem.stage, problem.grid, commands_A, [problem.target] * len(commands_A))
+def replayed_tap_errors(problem: TransientProblem, commands_A: FloatArray) -> FloatArray:
+    """(M,) tap errors of commands (M, N) in continuous time."""
+    targets = [problem.target] * len(commands_A)
+    return np.array([f.tap_error for f in replayed_figures(problem.stage, problem.yardstick, commands_A, targets)])
 
 
 def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) -> Optimum:
@@ -165,7 +166,7 @@ def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) ->
         command_A=command,
         multipliers=answers[0].multipliers,
         objective=values[0],
-        nrmse=float(replayed_nrmse(problem, command[None])[0]),
+        tap_error=float(replayed_tap_errors(problem, command[None])[0]),
         found_by=labels[0],
         confirmed_by=labels[1],
         agreement=agreement,

@@ -1,4 +1,4 @@
-"""Work-precision diagrams: error, and NRMSE over the reference's, against run time; a column per case."""
+"""Work-precision diagrams: error, and tap error over the reference's, against run time; a column per case."""
 
 import io
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from precision.run import Row
 from transopt.base.files import whole_file
 from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT
 
-ERROR_FLOOR, NRMSE_FLOOR = 1e-14, 1e-12  # what is drawn for less, zero included
+ERROR_FLOOR, TAP_ERROR_FLOOR = 1e-14, 1e-12  # what is drawn for less, zero included
 GREY = "0.45"
 TINY_PT = 6.5
 SMALL_DPI = 120
@@ -113,20 +113,20 @@ def _style(axes: Axes, floor: float, top: float) -> None:
 
 
 def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
-    """The diagrams: upper row the error, lower row the NRMSE, both logarithmic."""
+    """The diagrams: upper row the error, lower row the tap error, both logarithmic."""
     figure = Figure(figsize=(3.3 * len(cases) + 0.6, 7.4), layout="constrained")
     panels = figure.subplots(2, len(cases), sharex=True, sharey="row", squeeze=False)
     for column, case in enumerate(cases):
         own = [row for row in rows if row.case == case.name]
         upper, lower = panels[0, column], panels[1, column]
         _style(upper, ERROR_FLOOR, 300.0)
-        _style(lower, NRMSE_FLOOR, 30.0)
+        _style(lower, TAP_ERROR_FLOOR, 30.0)
         upper.axhspan(ERROR_FLOOR / 10, max(case.optimum.agreement, ERROR_FLOOR), color="0.93", zorder=0)
         upper.axhline(SOLVED, color=DARK, linewidth=0.8, linestyle="--", zorder=0)
         _curves(upper, own, "error", ERROR_FLOOR)
         _points(upper, own, "error", ERROR_FLOOR)
-        _curves(lower, own, "nrmse_excess", NRMSE_FLOOR)
-        _points(lower, own, "nrmse_excess", NRMSE_FLOOR)
+        _curves(lower, own, "tap_error_excess", TAP_ERROR_FLOOR)
+        _points(lower, own, "tap_error_excess", TAP_ERROR_FLOOR)
         failed = [row for row in own if not np.isfinite(row.error) and row.kind != Kind.PERIOD.value]
         if failed:
             words = ", ".join(dict.fromkeys(f"{row.method} ({row.status.split(':')[0]})" for row in failed))
@@ -135,7 +135,7 @@ def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
         upper.set_title(f"{case.name}, {case.entry} ({kind})", fontsize=LABEL_PT)
         lower.set_xlabel("run time [ms]", fontsize=LABEL_PT)
     panels[0, 0].set_ylabel("relative error: the larger of\n|objective gap| and limit violation", fontsize=LABEL_PT)
-    panels[1, 0].set_ylabel("NRMSE after replay,\ndistance to the reference's", fontsize=LABEL_PT)
+    panels[1, 0].set_ylabel("tap error after replay,\ndistance to the reference's", fontsize=LABEL_PT)
     figure.legend(handles=_handles(rows), loc="outside lower center", ncols=4, fontsize=SMALL_PT, frameon=False)
     return figure
 

@@ -43,7 +43,7 @@ def _problem(case: Case, rate_Hz: float) -> TransientProblem:
 def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATES_Hz) -> list[Row]:
     """One row per servo rate: solved by the project's first choice, played on a grid of `FINE_Hz`.
 
-    `nrmse_excess` is over the optimum of a servo of `BASE_Hz` on that grid; `gap` and `error` have no meaning here.
+    `tap_error_excess` is over the optimum of a servo of `BASE_Hz` on that grid; `gap` and `error` have no meaning here.
     """
     problems = {rate: leave_out(_problem(case, rate)).problem for rate in (*rates_Hz, BASE_Hz)}
     options = SolverOptions(next(capable(case.small)))
@@ -54,7 +54,7 @@ def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATE
     methods = {f"{rate:g}": lambda problem=problems[rate]: solve(problem, options) for rate in rates_Hz}
     times = take_turns(methods, {f"{rate:g}": effort.runs(one_ms[rate]) for rate in rates_Hz})
 
-    nrmse, violation = played(case, {rate: answer.command for rate, answer in answers.items()})
+    tap_error, violation = played(case, {rate: answer.command for rate, answer in answers.items()})
     rows = []
     for rate in rates_Hz:
         rows.append(
@@ -70,7 +70,7 @@ def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATE
                 status=answers[rate].message,
                 gap=float("nan"),
                 violation=violation[rate],
-                nrmse_excess=nrmse[rate] - nrmse[BASE_Hz],
+                tap_error_excess=tap_error[rate] - tap_error[BASE_Hz],
                 error=float("nan"),
                 certificate=float("nan"),
                 **time_columns(times[f"{rate:g}"], setup_ms[rate]),
@@ -80,7 +80,7 @@ def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATE
 
 
 def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float, float], dict[float, float]]:
-    """NRMSE of commands, by their servo rate, against the recorded tap on the fine grid; and their violation.
+    """Tap errors of commands, by their servo rate, against the recorded tap on the fine grid; and their violation.
 
     A command held over its period is the same held over the fine periods within it, so one replay plays all.
     """
@@ -101,4 +101,4 @@ def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float,
             headroom = float(thermal.model.headroom_K[np.isfinite(thermal.model.headroom_K)].max())
             excess.append((run.winding_C - thermal.limit_C) / headroom)
         violation[rate] = max(excess)
-    return {rate: run.nrmse for rate, run in zip(commands_A, found, strict=True)}, violation
+    return {rate: run.figures.tap_error for rate, run in zip(commands_A, found, strict=True)}, violation

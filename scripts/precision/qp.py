@@ -25,14 +25,15 @@ from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import Shape, program_shape, state_program
 from transopt.solvers.statement import state
 
-DUMP_SCHEMA = 2
+DUMP_SCHEMA = 3
 
 
 @dataclass(frozen=True)
 class QP:
     """One entry's QP, with what is needed to judge an answer to it.
 
-    Variables: x = [dc_0, z_1, dc_1, z_2, ..., dc_(N-1), z_N], z the n states [plant, current, command] of the stage
+    Variables: x = [dc_0, z_1, dc_1, z_2, ..., dc_(N-1), z_N], z the n states [plant, current, two of each
+    term's filter, command] of the stage
     z_(k+1) = A_d z_k + B_d dc_k, z_0 = 0, each in its unit `units`; dc and the command in units of `current_unit_A`.
     Multipliers y: P x + q + A'y = 0, y < 0 where a lower bound is active, y > 0 where an upper one is.
     Objective: the project's J is `objective_scale` (1/2 x'Px + q'x) + `constant`.
@@ -43,11 +44,13 @@ class QP:
     A : (m + b, V) sparse: `rows` = m rows of dynamics and hand-over, all equalities, stage by stage; then b rows of
         the identity, one for each variable `boxed` that has bounds. l, u : (m + b,).
     boxed : (b,) indices of variables. command_at : (N,) indices of the commands.
-    A_d : (n, n), B_d : (n, 1), C_d : (1, n) acceleration divided by sqrt(E). units : (n,) SI unit of each state.
+    A_d : (n, n), B_d : (n, 1), C_d : (T, n) acceleration through the filter of each term of the error, over sqrt(E).
+    units : (n,) SI unit of each state. current_state : which of them is the current.
     current_limit_A, command_limit_A : |i(t)| and |c|. hand_over_samples : last commands, zero.
-    reference_m_s2 : (N + M,) r at the switching instants, and at the M instants after the window, in which the
-        command is zero and the error counts too; energy_m2_s4 : E, by which all squares are divided.
-    tracking_weights : (N + M,). movement_weight : of dc^2 [1/A^2].
+    wanted : (T, N + M) what C_d z is compared with: the target r - a_free through the filter of each term, over
+        sqrt(E), at the switching instants, and at the M instants after the window, in which the command is zero.
+    error_weights : (T, N + M) of the squared difference. movement_weight : of dc^2 [1/A^2].
+    energy_m2_s4 : E, so that J is 1 without a command.
     dt_s : servo period.
     solution : (V,) reference solution, multipliers : (m + b,), objective : J of the solution, by its rollout.
     """
@@ -65,13 +68,14 @@ class QP:
     B_d: FloatArray
     C_d: FloatArray
     units: FloatArray
+    current_state: int
     current_unit_A: float
     current_limit_A: float
     command_limit_A: float
     hand_over_samples: int
-    reference_m_s2: FloatArray
+    wanted: FloatArray
+    error_weights: FloatArray
     energy_m2_s4: float
-    tracking_weights: FloatArray
     movement_weight: float
     dt_s: float
     objective_scale: float
@@ -126,7 +130,7 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
         "a supply limit": "supply" in problem.limits,
         "a slew limit": "slew" in problem.limits,
         "a wall": problem.wall is not None,
-        "an error filter": problem.error_filter is not None,
+        "a price on heat": problem.heat_price > 0,
         "a spread of devices": bool(problem.spread),
         "an ideal amplifier": "command" not in problem.limits,
     }
@@ -155,18 +159,19 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
         B_d=stage.A[:, -1:],
         C_d=stage.C,
         units=stage.units,
+        current_state=shape.layout.current,
         current_unit_A=stage.input_scale,
         current_limit_A=problem.limits.input_limit,
         command_limit_A=problem.limits["command"].stated,
         hand_over_samples=problem.hand_over_samples,
-        reference_m_s2=problem.target.continued_m_s2,
-        energy_m2_s4=problem.target.energy_m2_s4,
-        tracking_weights=tracking.all_weights,
+        wanted=tracking.unit_wanted,
+        error_weights=tracking.weights[:, problem.target.before_m_s2.size :],
+        energy_m2_s4=tracking.energy_m2_s4,
         movement_weight=problem.movement.weight,
         dt_s=problem.grid.dt_s,
         objective_scale=OBJECTIVE_SCALE,
-        # What remains of the tracking error where nothing moves.
-        constant=tracking.value(np.zeros(problem.target.continued_m_s2.size)),
+        # What the error costs where nothing moves.
+        constant=tracking.value(np.zeros(tracking.unit_wanted.shape[1])),
         solution=np.zeros(V),
         multipliers=np.zeros(order.size + boxed.size),
         objective=float("nan"),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from common.measuring import elapsed_ms, forget, take_turns, threads
 
-from precision.cases import FAILED, Case, Verdict, judge, replayed_nrmse
+from precision.cases import FAILED, Case, Verdict, judge, replayed_tap_errors
 from precision.methods import TIME_LIMIT_S, Answer, Kind, Method, Prepared, Setting, error_line, failed
 from transopt.base.signals import FloatArray
 from transopt.proof.certify import certify
@@ -25,7 +25,7 @@ class Row:
     ----------
     kind, level : values of `methods.Kind` and `Level`. tolerance : NaN for a method's own defaults.
     setup_ms : what is done once per shape. solve_ms, q25_ms, q75_ms : median and quartiles of `runs`, from cold.
-    gap, violation, error : `cases.Verdict`, relative. nrmse_excess : NRMSE after replay less the reference's.
+    gap, violation, error : `cases.Verdict`, relative. tap_error_excess : tap error after replay less the reference's.
     certificate : relative duality gap by the method's own multipliers; NaN where it gives none.
     reference : one of the two that the error is measured from: that it has none, or almost none, says nothing.
     """
@@ -47,7 +47,7 @@ class Row:
     threads: int
     gap: float
     violation: float
-    nrmse_excess: float
+    tap_error_excess: float
     error: float
     certificate: float
     reference: bool = False
@@ -155,20 +155,22 @@ def measure(
         lambda: told(f"{case.name}: taking turns", share),
     )
     answers = [attempt.answer() for attempt in attempts]
-    excesses = nrmse_excesses(case, [answer.command_A for answer in answers])
+    excesses = tap_error_excesses(case, [answer.command_A for answer in answers])
     return [
         _row(attempt, answer, times.get(str(j), np.array([attempt.first_ms])), excess)
         for j, (attempt, answer, excess) in enumerate(zip(attempts, answers, excesses, strict=True))
     ]
 
 
-def nrmse_excesses(case: Case, commands_A: Sequence[FloatArray]) -> FloatArray:
-    """NRMSE after replay less the reference's, infinite for commands that are none."""
+def tap_error_excesses(case: Case, commands_A: Sequence[FloatArray]) -> FloatArray:
+    """Tap errors after replay less the reference's, infinite for commands that are none."""
     found = np.full(len(commands_A), np.inf)
     shape = case.problem.reference_m_s2.shape
     sane = [j for j, c in enumerate(commands_A) if c.shape == shape and np.all(np.abs(c) < MOST_A)]
     if sane:
-        found[sane] = replayed_nrmse(case.problem, np.stack([commands_A[j] for j in sane])) - case.optimum.nrmse
+        found[sane] = (
+            replayed_tap_errors(case.problem, np.stack([commands_A[j] for j in sane])) - case.optimum.tap_error
+        )
     return found
 
 
@@ -192,7 +194,7 @@ def _row(attempt: Attempt, answer: Answer, times_ms: FloatArray, excess: float) 
         status=f"time limit of {TIME_LIMIT_S:g} s" if attempt.late else answer.status,
         gap=verdict.gap,
         violation=verdict.violation,
-        nrmse_excess=float("inf") if verdict is FAILED else float(excess),
+        tap_error_excess=float("inf") if verdict is FAILED else float(excess),
         error=verdict.error,
         certificate=certificate,
         reference=method.kind is Kind.SOLVER and case.optimum.is_reference(method.name, setting.tolerance),

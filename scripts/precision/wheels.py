@@ -165,22 +165,21 @@ def condensed(qp: QP) -> dict[str, FloatArray]:
     """State the QP in its F free commands alone, in their unit: H (F, F), f (F,), A (N - 1, F) of the currents at
     tau_1 to tau_(N-1), and bounds of the commands followed by those of the currents.
     """
-    N, all_instants = qp.stages, qp.reference_m_s2.size
-    F, n = N - qp.hand_over_samples, len(qp.A_d)
-    z, output, current = np.zeros(n), np.empty(all_instants), np.empty(all_instants)
-    for k in range(all_instants):
-        output[k], current[k] = qp.C_d[0] @ z, z[n - 2]
+    N, (terms, instants) = qp.stages, qp.wanted.shape
+    F = N - qp.hand_over_samples
+    z, outputs, current = np.zeros(len(qp.A_d)), np.empty((terms, instants)), np.empty(instants)
+    for k in range(instants):
+        outputs[:, k], current[k] = qp.C_d @ z, z[qp.current_state]
         # A command that is held for one period.
         z = qp.A_d @ z + qp.B_d[:, 0] * (1.0 if k == 0 else -1.0 if k == 1 else 0.0)
-    tracking = linalg.toeplitz(output, np.zeros(F))
+    tracking = np.vstack([linalg.toeplitz(output, np.zeros(F)) for output in outputs])
     moving = np.eye(N, F) - np.eye(N, F, k=-1)
-    weighted = qp.tracking_weights[:, None] * tracking
+    weighted = qp.error_weights.reshape(-1, 1) * tracking
     smooth = qp.movement_weight * qp.current_unit_A**2
     upper = np.append(np.full(F, qp.command_limit_A), np.full(N - 1, qp.current_limit_A)) / qp.current_unit_A
-    wanted = qp.reference_m_s2 / np.sqrt(qp.energy_m2_s4)
     return {
         "H": 2 / qp.objective_scale * (tracking.T @ weighted + smooth * moving.T @ moving),
-        "f": -2 / qp.objective_scale * (weighted.T @ wanted),
+        "f": -2 / qp.objective_scale * (weighted.T @ qp.wanted.ravel()),
         "A": linalg.toeplitz(current[:N], np.zeros(F))[1:],
         "bupper": upper,
         "blower": -upper,

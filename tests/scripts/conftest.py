@@ -9,6 +9,8 @@ import pytest
 
 from tests.benches.scripts import script
 from tests.conftest import STAGES, ProblemMaker
+from transopt.problem.objective.plain import plain
+from transopt.problem.objective.rapid import rapid, rapid_filter
 from transopt.scene.scene import Scene
 
 cases, run = script("precision.cases"), script("precision.run")
@@ -22,11 +24,14 @@ def short_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
 
 @pytest.fixture(scope="session")
 def tailed_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
-    """The short case with as many instants after the window, in which the tap goes on."""
+    """The short case with both terms of the error, and as many instants after the window, in which the tap goes on."""
     problem = make_problem(stages=STAGES)
     after = make_problem().reference_m_s2[STAGES : 2 * STAGES]
-    target = replace(problem.target, after_m_s2=after)
-    problem = replace(problem, target=target, grid=replace(problem.grid, after_stages=after.size))
+    grid = replace(problem.grid, after_stages=after.size)
+    by = rapid_filter("highpass", 20.0, grid.dt_s)
+    assert by is not None
+    terms = plain(0.09, grid, 4e-3), rapid(by, grid)
+    problem = replace(problem, target=replace(problem.target, after_m_s2=after), grid=grid, terms=terms)
     return cases.make_case("tailed", short_scene, problem, 0.4, 5.0)
 
 

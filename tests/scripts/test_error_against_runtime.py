@@ -117,23 +117,23 @@ class TestJudge:
 class TestServoRates:
     def test_a_held_command_is_the_same_at_any_rate(self, short_case: Any) -> None:
         command = short_case.optimum.command_A
-        nrmse, violation = periods.played(short_case, {10e3: command, 20e3: np.repeat(command, 2)})
-        assert nrmse[10e3] == pytest.approx(nrmse[20e3], rel=1e-12)
-        assert nrmse[10e3] == pytest.approx(short_case.optimum.nrmse, rel=0.1)
+        tap_error, violation = periods.played(short_case, {10e3: command, 20e3: np.repeat(command, 2)})
+        assert tap_error[10e3] == pytest.approx(tap_error[20e3], rel=1e-12)
+        assert tap_error[10e3] == pytest.approx(short_case.optimum.tap_error, rel=0.1)
         assert abs(violation[10e3]) < 1e-9
 
     def test_faster_servos_come_nearer(self, short_case: Any) -> None:
         rows = periods.measure_periods(short_case, Effort(0.0, least=1), (5e3, 10e3))
         slow, fast = rows
         assert (slow.method, fast.method) == ("5 kHz", "10 kHz")
-        assert slow.nrmse_excess > fast.nrmse_excess > 0
+        assert slow.tap_error_excess > fast.tap_error_excess > 0
         assert math.isnan(slow.error)
         assert slow.options == f"{STAGES // 2} stages, {SolverOptions().solver}"
 
 
 class TestSummary:
     def row(self, case: str, method: str, ms: float, error: float, level: str = "default") -> Any:
-        numbers = dict.fromkeys(("tolerance", "gap", "violation", "nrmse_excess", "certificate", "setup_ms"), 0.0)
+        numbers = dict.fromkeys(("tolerance", "gap", "violation", "tap_error_excess", "certificate", "setup_ms"), 0.0)
         return Row(
             case=case,
             method=method,
@@ -235,7 +235,7 @@ class TestCommand:
             rows = list(csv.DictReader(file))
         assert set(rows[0]) >= {
             *("case", "method", "version", "options", "tolerance", "iterations", "status", "setup_ms", "solve_ms"),
-            *("q25_ms", "q75_ms", "runs", "threads", "gap", "violation", "nrmse_excess", "error"),
+            *("q25_ms", "q75_ms", "runs", "threads", "gap", "violation", "tap_error_excess", "error"),
         }
         (own,) = (row for row in rows if row["method"] == "mine" and row["level"] == "high accuracy")
         assert float(own["error"]) < 1e-9

@@ -180,7 +180,7 @@ class TestMethods:
         assert [row.kind for row in rows] == ["baseline"] * 2
         for row in rows:
             assert row.error > 0.1
-            assert row.nrmse_excess > 0.01
+            assert row.tap_error_excess > 0.01
 
     @pytest.mark.parametrize(
         ("body", "status"),
@@ -197,7 +197,7 @@ class TestMethods:
     ) -> None:
         (row,) = rows_of(user.user_method(user_file(f"import numpy as np\ndef solve(qp):\n    {body}\n")))
         assert math.isinf(row.error)
-        assert math.isinf(row.nrmse_excess)
+        assert math.isinf(row.tap_error_excess)
         assert row.status.startswith(status)
 
     def test_zeros_are_a_poor_answer(self, short_case: Any, rows_of: Any, user_file: Any) -> None:
@@ -205,7 +205,7 @@ class TestMethods:
         (row,) = rows_of(user.user_method(user_file(text)))
         assert row.gap == pytest.approx((1 - short_case.optimum.objective) / short_case.optimum.objective)
         assert row.violation == 0
-        assert row.nrmse_excess == pytest.approx(1 - short_case.optimum.nrmse)
+        assert row.tap_error_excess == pytest.approx(1 - short_case.optimum.tap_error)
 
     def test_what_takes_too_long_has_failed(self, rows_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(run, "TIME_LIMIT_S", 0.0)

@@ -58,9 +58,7 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
 def highpass(x: Signal, cutoff_Hz: float) -> Signal:
     """Causal second-order Butterworth high-pass, from rest.
 
-    Applied to a recorded acceleration it gives the share of a tap that the motor has to make: r = H r_raw. What it
-    takes away, r_raw - r, is slow and is the user's own motion. It is causal because a zero-phase filter would make
-    the motor move before the contact.
+    It is causal, so that nothing of a tap appears before its contact.
     """
     filtering = _butterworth(cutoff_Hz, x.rate_Hz)
     return replace(x, values=filtering.high.outputs(x.values[None])[0])

@@ -68,7 +68,7 @@ class Intention:
 
     @property
     def phases(self) -> Sequence[Phase]:
-        """Its stretches, the straight one first."""
+        """Stretches of the law, the straight one first."""
         T, straight = self.intention_s, Phase(0.0)
         match self.yields:
             case "straight":
@@ -98,7 +98,7 @@ class Intention:
 
 @dataclass(frozen=True)
 class Path:
-    """Where a hand means to be on its way through one tap, contact at 0.
+    """Intended position of a hand on its way through one tap, contact at 0.
 
     Attributes
     ----------

@@ -163,7 +163,7 @@ class TransientProblem:
 
     @cached_property
     def yardstick(self) -> Yardstick:
-        """By what a movement is told beside the recorded tap."""
+        """Rule by which a movement is told beside the recorded tap."""
         return Yardstick(self.grid, self.intention_s)
 
     @property

@@ -173,8 +173,8 @@ def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> 
 
     A pulse between soft bodies rises from nothing, and the line by which the onset is found meets zero long after it
     has begun. What lies before contact is played only as far as the waveform's lead reaches; the rest would be
-    neither played nor counted. The energy is that of r = H x, which is what the motor has to make: a hand that slows
-    down before contact is no part of the pulse.
+    neither played nor counted. The energy is that behind a high-pass at 8 Hz: a hand that slows down before contact
+    is no part of the pulse.
 
     The pulse is followed back from the onset to where it cannot be told from nothing, in the low-passed signal. Its
     energy is that of the recorded signal less the noise's, because a low-pass of no phase brings some of a hard pulse

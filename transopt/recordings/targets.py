@@ -1,7 +1,7 @@
 """Targets by name: what an actuator shall make that nobody taps with, a click, a thud, a texture.
 
-A target has no incoming speed and no grip. It begins at time 0 and is the acceleration itself: nothing of it is a
-user's share. It is stated by parameters or read from a file. Shapes, over the time t from 0 on with w = 2 pi f:
+A target has no incoming speed, no grip and no hand: it begins at time 0, and the motor has to make all of it. It is
+stated by parameters or read from a file. Shapes, over the time t from 0 on with w = 2 pi f:
 
 - burst: an envelope times sin(w t) over the stated number of cycles, the envelope `flat`, `half_sine` or `hann`;
 - decay: exp(-t / tau) sin(w t), how a struck object rings (Wellman and Howe 1995; Okamura et al. 2001);

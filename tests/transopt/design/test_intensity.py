@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.benches.quick_part import without_slow_part
 from transopt.base.signals import FloatArray
 from transopt.design.context import Context
 from transopt.design.intensity import best, intense, most_price
@@ -26,6 +27,8 @@ def posed(scene: Scene, references: list[Reference]) -> Posed:
     def make(speed_m_s: float = 0.4, grip_N: float = 5.0, dB: float = 0.0, **changes: object) -> TransientProblem:
         changed = with_values(scene, {key.replace("__", "."): value for key, value in changes.items()})
         reference = next(r for r in references if r.speed_m_s == speed_m_s)
+        if changed.feedback is not None:  # a hand that goes on for ever would press into the wall for ever
+            reference = without_slow_part(reference, changed.time_grid())
         problem = Context(changed).posed_as(reference, grip_N).problem
         return replace(problem, intensity_dB=dB)
 
@@ -45,7 +48,7 @@ def energy_dB(problem: TransientProblem, command: np.ndarray) -> float:
     return problem.tracking.energy_dB(problem.accelerations(command))
 
 
-@pytest.mark.parametrize("limit_A", [4.0, 2.5, 1.25])
+@pytest.mark.parametrize("limit_A", [4.0, 2.5, 2.0])
 def test_a_saturated_tap_gets_the_energy_it_is_asked_for(posed: Posed, limit_A: float) -> None:
     problem = posed(limits__current_A=limit_A)
     found = intense(problem, OPTIONS)
@@ -66,8 +69,8 @@ def test_floor_and_unlimited_optimum_stay_those_of_the_waveform(posed: Posed) ->
     assert attained(found).waveform_dB == pytest.approx(energy_dB(problem, plain.solution.command), abs=1e-9)
 
 
-def test_a_tap_that_no_limit_cuts_is_left_as_it_is(posed: Posed) -> None:
-    problem = posed(speed_m_s=0.2)
+def test_a_tap_that_is_strong_enough_is_left_as_it_is(posed: Posed) -> None:
+    problem = posed(speed_m_s=0.2, dB=-0.1)  # where no limit cuts it, the end of the waveform costs 0.04 dB
     found = intense(problem, OPTIONS)
     np.testing.assert_array_equal(found.solution.command, optimum(problem, OPTIONS).solution.command)
     assert (attained(found).price, attained(found).problems) == (0.0, 1)
@@ -139,8 +142,9 @@ def test_a_price_stays_below_the_smallest_weight(posed: Posed) -> None:
 def test_the_filter_decides_which_energy_counts(posed: Posed) -> None:
     problem = posed(limits__current_A=2.5, weights__rapid="pacinian")
     found = intense(problem, OPTIONS)
-    felt = problem.tracking.filtered(problem.stage.rollout(found.solution.command)[0])
-    wanted = problem.tracking.filtered(problem.reference_m_s2)
+    rapid = problem.terms[-1]
+    felt = rapid.filtered(problem.stage.rollout(found.solution.command)[0])
+    wanted = rapid.filtered(problem.reference_m_s2)
     assert 10 * np.log10(float(felt @ felt) / float(wanted @ wanted)) == pytest.approx(0.0, abs=0.01)
     assert found.certificate.accepted
 
@@ -149,8 +153,9 @@ def test_a_spread_is_asked_for_its_mean_energy(posed: Posed, scene: Scene) -> No
     problem = posed(limits__current_A=2.5)
     several = replace(problem, spread=(Context(scene).stage(4.0), Context(scene).stage(3.0)))
     found = intense(several, OPTIONS)
-    made = several.accelerations(found.solution.command)[:, : several.grid.stages]
-    ratio = np.mean(np.sum(made**2, axis=-1)) / np.sum(several.reference_m_s2**2)
+    rapid = several.terms[-1]
+    made = rapid.filtered(several.accelerations(found.solution.command)[:, : several.grid.stages])
+    ratio = np.mean(np.sum(made**2, axis=-1)) / np.sum(rapid.filtered(several.reference_m_s2) ** 2)
     assert 10 * np.log10(ratio) == pytest.approx(0.0, abs=0.01)
     assert found.certificate.accepted
 

@@ -44,24 +44,24 @@ def statuses(
 
 
 def test_what_the_wall_asks_for_after_the_waveform_is_the_hand_overs(walled: tuple[Scene, list[Recording]]) -> None:
-    """0.12 mA over 0.8 A at the end of the last period: the problem states no limit there."""
-    found = statuses(walled, 0.25, 200.0, after_s=0.0)
+    """27 mA over 0.96 A within the last period: the problem states no limit there."""
+    found = statuses(walled, 0.3, 50.0, after_s=0.0)
     assert set(found) == {Status.OPTIMAL, Status.HAND_OVER}
     said, would_do = found[Status.HAND_OVER]
     assert said.startswith(
-        "hand-over: within 20 ms after the last command the wall alone asks for a current of 0.800"
+        "hand-over: within 20 ms after the last command the wall alone asks for a current of 0.986"
     )
-    assert "over its limit of 0.8 A, with feedback.stiffness_N_m = 200 N/m" in said
+    assert "over its limit of 0.96 A, with feedback.stiffness_N_m = 50 N/m" in said
     assert would_do.startswith("feedback.stiffness_N_m = ")
     assert would_do.endswith(" would do")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("steady_A", "stiffness_N_m"), list(itertools.product(STEADY_A, STIFFNESS_N_M)))
-def test_walls_under_small_currents_are_solved_or_refused_by_the_hand_over(
+def test_walls_under_small_currents_are_solved_or_refused_by_name(
     walled: tuple[Scene, list[Recording]], steady_A: float, stiffness_N_m: float
 ) -> None:
-    assert set(statuses(walled, steady_A, stiffness_N_m)) <= {Status.OPTIMAL, Status.HAND_OVER}
+    assert set(statuses(walled, steady_A, stiffness_N_m)) <= {Status.OPTIMAL, Status.HAND_OVER, Status.INFEASIBLE}
 
 
 @pytest.mark.parametrize(

@@ -212,8 +212,9 @@ class TestOfAScene:
 
 
 def test_a_current_takes_the_place_of_a_beta(scene: Scene, taps: list[Recording]) -> None:
-    wall = {"stiffness_N_m": 500.0, "damping_N_s_m": 0.2}
-    weak = with_values(scene, {"limits.beta": 1.0, "limits.steady_current_A": 0.5, "feedback": wall, **ONE_ENTRY})
+    wall = {"stiffness_N_m": 200.0, "damping_N_s_m": 0.2}
+    changes = {"limits.beta": 1.0, "limits.steady_current_A": 0.5, "hand.yields": "brakes", "feedback": wall}
+    weak = with_values(scene, {**changes, **ONE_ENTRY})
     chosen = [tap for tap in taps if tap.speed_m_s is None or tap.speed_m_s > 0.35]
     (entry,) = build_library(weak, chosen).refused
     (stated,) = [each for each in entry.remedies if "limits.current_A" in each.values]

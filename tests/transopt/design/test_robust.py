@@ -120,7 +120,7 @@ class TestPlayed:
         def played(**on: Any) -> float:
             tap = SimulatedTap(0.4, 3.0, imperfections=Imperfections(mismatch=0.1), seed=4)
             servo = Servo(Settings.of(own, amplifier_tolerance=0.1), bank(own, Method.BILINEAR))
-            return play_tap(own, servo, tap, **on).nrmse_reference
+            return play_tap(own, servo, tap, **on).playback_error
 
         truth = device_of(scene)
         assert played(device=truth) == pytest.approx(played(), rel=1e-9)
@@ -139,7 +139,7 @@ class TestPlayed:
         copied = Path("copied.toml")
         copied.write_text(problems.scene_path("wood_on_foam").read_text())
         tables = [play("tap", "own.npz", "--simulate", "--true-device", name) for name in ("wood_on_foam", copied)]
-        figures = [[line for line in table.out.splitlines() if "NRMSE" in line] for table in tables]
+        figures = [[line for line in table.out.splitlines() if "tap error" in line] for table in tables]
         assert figures[0] == figures[1]
         refused = play("tap", "box.npz", "--simulate")
         assert refused.code == 2

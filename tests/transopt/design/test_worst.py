@@ -56,11 +56,12 @@ def epigraph(problem: TransientProblem) -> tuple[FloatArray, float]:
     limit, most = problem.limits["current"].stated, problem.limits["command"].stated
     c, t = ca.MX.sym("c", free), ca.MX.sym("t")
     losses = []
-    for response in program.filtered:
+    root = np.sqrt(program.weights / program.E)
+    wanted = np.concatenate([by_root * of_term for by_root, of_term in zip(root, program.wanted, strict=True)])
+    for device in range(len(problem.devices)):
         # |W (G c - r)|^2 by the triangle of W G: as a square it keeps its digits.
-        root = np.sqrt(program.weights / program.E)
-        Q, R = np.linalg.qr(response[:, :free] * root[:, None])
-        wanted = root * program.r
+        rows = [by[:, None] * term[device][:, :free] for by, term in zip(root, program.filtered, strict=True)]
+        Q, R = np.linalg.qr(np.concatenate(rows))
         rest = max(float(wanted @ wanted - (Q.T @ wanted) @ (Q.T @ wanted)), 0.0) + program.lost / program.E
         losses.append(ca.sumsqr(ca.DM(R) @ c - ca.DM(Q.T @ wanted)) + rest)
     moves = c - ca.vertcat(0, c[:-1])

@@ -1,8 +1,8 @@
 """Identified models against transients that were not used in the fit, in the time domain.
 
-Measured and predicted acceleration both pass the causal 8 Hz high-pass of the design
-(`transopt.recordings.reference`), since what is slower is the user's own motion. The error that is left is what a
-design with this model would not know of.
+Measured and predicted acceleration both pass a causal 8 Hz high-pass: in a record of a held device what is slower is
+mostly the hand's own motion, which no model of the device predicts. The error that is left is what a design with this
+model would not know of.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ class Transient:
     Attributes
     ----------
     run : what was recorded.
-    nrmse : of the prediction, after the high-pass.
+    nrmse : relative error of the prediction, after the high-pass.
     measured, predicted : (n,) acceleration after the high-pass [m/s^2], the measured one less its static offset.
     """
 

@@ -53,7 +53,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Yardstick:
-    """By what a movement is told.
+    """Rule by which a movement is told.
 
     Attributes
     ----------
