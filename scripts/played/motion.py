@@ -51,7 +51,7 @@ class Tap:
     Attributes
     ----------
     speed_m_s : of the stylus at contact, inwards.
-    command_A : (C,) that the device plays, each value from its switching instant on; None where it strikes the object.
+    command_A : (C,) that the device plays, each from its switching instant on; None where the object is struck.
     """
 
     speed_m_s: float
@@ -78,9 +78,7 @@ class Taps:
     intention_s : for so long after contact every hand goes on as it came.
     """
 
-    def __init__(
-        self, device: TrueDevice, target: SimulatedTaps, taps: Sequence[Tap], intention_s: float
-    ) -> None:
+    def __init__(self, device: TrueDevice, target: SimulatedTaps, taps: Sequence[Tap], intention_s: float) -> None:
         self._device, self._target, self._taps, self._intention_s = device, target, taps, intention_s
         self._hands = [tap.hand for tap in taps]
         each = [self._chain(tap) for tap in taps]

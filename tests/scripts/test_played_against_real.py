@@ -1,0 +1,77 @@
+"""Taps by equations of their own, and what the comparison with the real object can find."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import problems
+from controller.sim.true_device import device_of
+from tests.benches.scripts import script
+from transopt.design.build import Build, build_library
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings, strike
+
+against, motion, figures = (script(name) for name in ("played_against_real", "played.motion", "played.figures"))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return with_values(problems.load("wood_on_foam"), {"grid.speeds_m_s": [0.2], "grid.grips_N": [3.0]})
+
+
+@pytest.fixture(scope="module")
+def build(scene: Scene) -> Build:
+    return build_library(scene, recordings(scene))
+
+
+@pytest.mark.parametrize("yields", ["straight", "brakes", "stops", "decays", "pulls"])
+def test_a_struck_object_gives_what_the_recordings_integrate(scene: Scene, yields: Any) -> None:
+    """Absolute positions and a method of eighth order here, deviations and Runge-Kutta of fourth order there."""
+    target = scene.recordings.simulated
+    hand = replace(scene.hand.intention(), yields=yields)
+    times, acceleration, encoder = strike(scene.plant(3.0, struck=True), target, np.array([0.2]), 0.1, intention=hand)
+    own = motion.Taps(device_of(scene), target, [motion.Tap(0.2, 3.0, motion.Hand(yields))], scene.hand.intention_s)
+    found = own.courses(times[::40], np.array([1.0]))
+    size = np.abs(acceleration).max()
+    np.testing.assert_allclose(found.acceleration_m_s2[0], acceleration[0, ::40], atol=1e-4 * size)
+    np.testing.assert_allclose(found.position_m[0], encoder[0, ::40], atol=1e-8)
+
+
+def test_a_played_tap_is_as_near_to_the_real_one_as_the_table_says(scene: Scene, build: Build) -> None:
+    (entry,) = against.played(scene, list(build.all_entries()))
+    assert entry.played.tap == pytest.approx(entry.table.tap, abs=0.005)
+    assert entry.played.felt == pytest.approx(entry.table.felt, abs=0.005)
+    assert entry.played.felt_dB == pytest.approx(entry.table.felt_dB, abs=0.05)
+    assert entry.played.speed == pytest.approx(entry.table.speed, abs=0.01)
+    assert entry.played.bump_g == pytest.approx(entry.table.bump_g, abs=0.01)
+    assert entry.played.heat_A2_ms == pytest.approx(entry.table.heat_A2_ms, rel=0.01)
+    assert entry.further < entry.recording < 0.02
+
+
+def test_another_command_than_the_one_of_the_table_is_found(scene: Scene, build: Build) -> None:
+    (entry,) = build.all_entries()
+    for wrong in (-entry.solution.command, 0.9 * entry.solution.command, np.roll(entry.solution.command, 3)):
+        solution = replace(entry.solution, command=wrong)
+        told = replace(entry, designed=replace(entry.designed, solution=solution))
+        (found,) = against.played(scene, [told])
+        assert found.further > found.recording + against.ALLOWED
+
+
+def test_a_trembling_hand_passes_contact_with_the_speed_that_is_stated(scene: Scene) -> None:
+    hand = motion.Hand("straight", incoming_m_s2=3.0, tremor_m=1e-4, tremor_Hz=9.0, tremor_rad=0.7)
+    still = motion.Tap(0.2, 3.0, hand, np.zeros(1))
+    own = motion.Taps(device_of(scene), scene.recordings.simulated, [still], scene.hand.intention_s)
+    times = np.array([0.0, 1e-4, 2e-4])
+    found = own.courses(times, np.array([1.0]))
+    assert found.position_m[0, 0] == pytest.approx(0.0, abs=1e-6)
+    assert np.gradient(found.position_m[0], times)[0] == pytest.approx(-0.2, abs=2e-3)
+
+
+def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert against.main(["single_grip"]) == 0
+    assert "beyond what recordings miss" in capsys.readouterr().out
+    monkeypatch.setattr(against, "ALLOWED", -1.0)
+    assert against.main(["single_grip"]) == 1
