@@ -43,11 +43,10 @@ def as_recorded(real_m_s2: FloatArray, rate_Hz: float) -> FloatArray:
 
 
 def told(
-    times_s: FloatArray, real_m_s2: FloatArray, played_m_s2: FloatArray, heat_A2_s: float, intention_s: float
+    times_s: FloatArray, wanted: FloatArray, played_m_s2: FloatArray, heat_A2_s: float, intention_s: float
 ) -> Told:
-    """Figures of a played tap (K,) beside the real one (K,), sampled evenly with contact at 0."""
+    """Figures of a played tap (K,) beside the wanted one (K,) [m/s^2], sampled evenly with contact at 0."""
     rate_Hz = 1 / (times_s[1] - times_s[0])
-    wanted = as_recorded(real_m_s2, rate_Hz)
     off, first = played_m_s2 - wanted, (times_s >= 0) & (times_s < intention_s)
 
     def heard(course: FloatArray) -> FloatArray:
