@@ -97,10 +97,14 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     status, shortfalls = admit(designed, run)
     said = "; ".join(shortfalls)
     if status is Status.OPTIMAL:
-        # Beside a zero reference any motion is infinitely wrong: that of the wall alone, or what is left undone after
-        # a window that ends before the tap begins.
-        unknown = ("winding_C", "housing_C", *(["nrmse", "nrmse_after"] if problem.reference_is_zero else []))
-        whole = _numbers(designed) and _numbers(proof) and _numbers(solution.multipliers) and _numbers(run, unknown)
+        # Beside a tap that is zero over the intention any motion is infinitely wrong: that of the wall alone, or of a
+        # tap that begins later.
+        nothing_to_reach = np.isinf(problem.yardstick.tap_error(problem.target, np.ones(predicted.shape[-1])))
+        whole = _numbers(designed, ("floor",)) and _numbers(proof) and _numbers(solution.multipliers)
+        whole = whole and _numbers(run, ("winding_C", "housing_C"))
+        if not nothing_to_reach:
+            told = designed.floor, run.figures.tap_error, run.figures.error_after
+            whole = whole and bool(np.all(np.isfinite(told)))
         if not (whole and np.all(np.isfinite(solution.command))):
             return Outcome("bad: NaN", "a figure of a certified answer is not finite", nothing, nothing, 0.0)
         if not np.all(np.isfinite(list(run.reached.values()))):

@@ -13,7 +13,7 @@ from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.library.columns import COLUMNS, FIGURES, FULL, NARROW, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FIGURES, NARROW, WIDE, EntryTable, TableRow
 from transopt.library.library import Library
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
@@ -36,26 +36,25 @@ def printed(
     caption: str | None = None,
     striking: Sequence[str | None] = (),
     columns: int = 0,
-    in_one_piece: str = "",
 ) -> Table:
-    """A table of entries for the terminal.
+    """A table of entries for the terminal: numbers and words stay in one piece, heads and sentences wrap between them.
 
     Parameters
     ----------
     striking : a style for each row, or None.
     columns : after how many rows a line is drawn; 0 for nowhere.
-    in_one_piece : the column that is never wrapped, the others giving way; a cell elsewhere is folded, not cut.
     """
     table = Table(title=title, caption=caption)
-    for place in shown.places:
-        table.add_column(place, justify="right", overflow="fold")
-    for name, head in zip(shown.names, shown.heads[len(shown.places) :], strict=True):
-        justify: JustifyMethod = "right" if COLUMNS[name].is_number else "left"
-        table.add_column(head, justify=justify, overflow="fold", no_wrap=name == in_one_piece)
+    numbers = [*(True for _ in shown.places), *(COLUMNS[name].is_number for name in shown.names)]
+    cells = shown.cells
+    for place, (head, is_number) in enumerate(zip(shown.heads, numbers, strict=True)):
+        justify: JustifyMethod = "right" if is_number else "left"
+        least = max(map(len, [*head.split(), *(row[place] for row in cells if is_number)]))
+        table.add_column(head, justify=justify, overflow="fold", min_width=least, max_width=least if is_number else None)
     styles = striking or [None] * len(shown.rows)
-    for number, (cells, style) in enumerate(zip(shown.cells, styles, strict=True), start=1):
+    for number, (row, style) in enumerate(zip(cells, styles, strict=True), start=1):
         # `Text` is printed as it is; a string would be searched for markup, which takes longer.
-        table.add_row(*map(Text, cells), style=style, end_section=columns > 0 and number % columns == 0)
+        table.add_row(*map(Text, row), style=style, end_section=columns > 0 and number % columns == 0)
     return table
 
 
@@ -66,14 +65,14 @@ def refusal(entry: Entry) -> str:
 
 def fitting(build: Build, width: int) -> EntryTable:
     """The entries in those columns that `transopt solve` prints into a terminal of `width` columns."""
-    return build.table(FULL if width >= WIDE_TERMINAL else NARROW)
+    return build.table(WIDE if width >= WIDE_TERMINAL else NARROW)
 
 
 def build_table(build: Build, shown: EntryTable) -> Table:
     """The table that `transopt solve` prints."""
     title = ": ".join(filter(None, (build.scene.name, build.scene.description)))
     striking = ["red" if row.refusal else None for row in shown.rows]
-    return printed(shown, title, striking=striking, columns=len(build.scene.grid.grips_N), in_one_piece="verdict")
+    return printed(shown, title, striking=striking, columns=len(build.scene.grid.grips_N))
 
 
 def summary(build: Build) -> str:

@@ -135,7 +135,8 @@ class Selection:
             f"On {RAIL_V:g} V, at {AMBIENT_C:g} C and {TAPS_PER_S:g} taps/s for ever, {met} of {len(self.studies)} "
             f"motors bring all entries to a felt error of {100 * GOAL:g} %; the first, "
             f"{first.stem.replace('_', ' ')} at {first.ratio_1_m:.0f} 1/m, has {1e3 * first.mass_kg:.0f} g at the "
-            f"tip and {percent(first.worst)} % at its worst entry, the last, {last.stem.replace('_', ' ')}, {percent(last.worst)} % at best."
+            f"tip and {percent(first.worst)} % at its worst entry, the last, {last.stem.replace('_', ' ')}, "
+            f"{percent(last.worst)} % at best."
         )
 
     def report(self, figure: str, head: Sequence[str]) -> list[str]:

@@ -85,7 +85,7 @@ class TestRobust:
         self, make: Make, taps: list[Recording], tmp_path: Path, spread: str
     ) -> None:
         parts: Parts = {"device": drive_device(0.15)}
-        # Nine devices have more states than the compiled recursion takes and solve ten times as slowly: one grip.
+        # Nine devices take as long at one grip as four at two.
         grips, devices = ("[3.0]", 8) if spread else ("[1.0, 5.0]", 4)
         build = built(make(ON_FILE, parts, SMALL, ("[1.0, 3.0, 5.0]", grips), more=ROBUST + spread), taps)
         assert build.library.spread_A.shape == (1 if spread else 2, devices, 6, 6)

@@ -21,7 +21,7 @@ from transopt.solvers.bounds import check_bounds
 from transopt.solvers.stage_data import Stages
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
-MOST_STATES, MOST_ROWS = 48, 128  # of riccati.c
+MOST_STATES, MOST_ROWS = 96, 128  # of riccati.c
 INTERFACE = 6  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 

@@ -26,7 +26,7 @@
 #include <string.h>
 #include <time.h>
 
-enum { MOST_STATES = 48, MOST_NODES = 2, MOST_ROWS = 128 };
+enum { MOST_STATES = 96, MOST_NODES = 2, MOST_ROWS = 128 };
 
 typedef struct {
     int stages, free_stages, states, outputs, ends, rows, nodes;
