@@ -45,7 +45,7 @@ def random_points(scene: Scene, count: int, seed: int = SEED) -> FloatArray:
 
 
 def excess(scene: Scene, references: References, points: FloatArray, *libraries: Library) -> FloatArray:
-    """(n, libraries) tap error of what each library plays at points (n, 2) less that of the optimum there, replayed."""
+    """(n, libraries) tap error of what a library plays at points (n, 2) less that of the optimum there, replayed."""
     grid, found = scene.time_grid(), []
     for speed, grip in points:
         stage = discretise(scene.plant(grip), scene.amplifier_model(), grid.dt_s)

@@ -13,7 +13,7 @@ from transopt.base.writing import percent, table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.library.columns import FULL
+from transopt.library.columns import COLUMNS, FULL, RIVALS
 from transopt.library.trade import trade_figures
 from transopt.problem.answer import Certificate
 from transopt.problem.limits.limit import Limit
@@ -282,7 +282,7 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
             f"The project's own solver is not built here, or out of date (no C compiler?): {FALLBACK} takes over.",
             "",
         ]
-    shown = build.table(FULL)
+    shown = build.table([name for name in COLUMNS if name in FULL or (full and name in RIVALS)])
     lines += [*table(shown.heads, shown.cells), legend(shown, build.scene), ""]
     if build.refused:
         lines += ["## Refused", ""]

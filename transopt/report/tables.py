@@ -37,7 +37,7 @@ def printed(
     striking: Sequence[str | None] = (),
     columns: int = 0,
 ) -> Table:
-    """A table of entries for the terminal: numbers and words stay in one piece, heads and sentences wrap between them.
+    """A table of entries for the terminal: numbers and words stay whole, heads and sentences wrap between words.
 
     Parameters
     ----------
@@ -50,7 +50,9 @@ def printed(
     for place, (head, is_number) in enumerate(zip(shown.heads, numbers, strict=True)):
         justify: JustifyMethod = "right" if is_number else "left"
         least = max(map(len, [*head.split(), *(row[place] for row in cells if is_number)]))
-        table.add_column(head, justify=justify, overflow="fold", min_width=least, max_width=least if is_number else None)
+        table.add_column(
+            head, justify=justify, overflow="fold", min_width=least, max_width=least if is_number else None
+        )
     styles = striking or [None] * len(shown.rows)
     for number, (row, style) in enumerate(zip(cells, styles, strict=True), start=1):
         # `Text` is printed as it is; a string would be searched for markup, which takes longer.

@@ -100,7 +100,7 @@ def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GR
 def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
     """The finding."""
     blind = [p for p in found if p.made_for_N == blind_N]
-    worst = max(blind, key=lambda p: p.tap_error)
+    worst = max(blind, key=lambda p: p.excess)
     near = [
         p
         for p in found

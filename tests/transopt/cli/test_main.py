@@ -101,7 +101,7 @@ def test_alone_a_program_says_in_three_lines_what_to_do_first(program: str, word
         ("transopt study --set limits.slew_A_s=1 --vary lead_ms=1 --out x", "limits.slew_A_per_s"),
         ("transopt study --study grip --out x", "grip_mismatch"),
         ("transopt-play tap x.npz --simulate --method online-", "online"),
-        ("transopt-play tap x.npz --simulate --user milt", "mild"),
+        ("transopt-play tap x.npz --simulate --user stop", "stops"),
         ("transopt-play record sweep --simulate --out x --for amplifer", "amplifier"),
         ("transopt-play check --port x --skip encodr", "encoder"),
     ],

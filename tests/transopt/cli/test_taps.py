@@ -1,5 +1,6 @@
 """`transopt taps`: recordings looked at before solving."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ class TestTaps:
         assert "transopt solve mine.toml" in outcome.out
         text = Path("mine.toml").read_text()
         assert 'folder = "rig"' in text
-        assert "speeds_m_s = [0.209, 0.31]" in text
+        assert "speeds_m_s = [0.193, 0.3]" in text
         Path("mine.toml").write_text(text.replace("[1.0, 3.0, 5.0]", "[3.0]"))
         assert run("solve", "mine.toml").code == 0
         assert_refused(run("taps", *files, "--scene", "mine.toml"), "mine.toml: exists already")
@@ -56,7 +57,7 @@ class TestTaps:
 
     def test_speed_is_for_files_that_state_none(self, run: Run) -> None:
         outcome = run("taps", EXAMPLES / "tap_0.3_m_s.csv", "--speed", 0.2)
-        assert "0.3098" in outcome.out
+        assert "0.3002" in outcome.out
 
     def test_text_files_need_columns_and_scaling_is_stated(self, run: Run) -> None:
         rows = "\n".join(f"{k * 2e-5:.6f} {100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
@@ -101,7 +102,7 @@ class TestTaps:
     def test_times_of_a_wrong_unit_are_named_before_what_follows_from_them(self, run: Run) -> None:
         """Nothing is split into ripples, and no position is asked for."""
         text = (EXAMPLES / "tap_0.2_m_s.csv").read_text().replace("time_s", "time_ms")
-        Path("tap.csv").write_text(text.replace("# speed_m_s: 0.2090\n", ""))
+        Path("tap.csv").write_text(re.sub("# speed_m_s: .*\n", "", text))
         assert_refused(run("taps", "tap.csv"), "tap.csv: the pulse lasts 0.00", "unit of the time (s called ms?)")
         rows = "\n".join(f"{0.02 * k:.6f},{100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
         Path("impact.csv").write_text(f"time_s,acceleration_g\n{rows}\n")

@@ -160,7 +160,9 @@ class TestBetweenTheNodes:
         assert point.optimum == pytest.approx(exact.figures.tap_error, abs=1e-6)
         played, _ = exact.problem.stage.rollout(library.at(0.4, 4.0).command)
         assert point.after == pytest.approx(exact.problem.yardstick.tap_error(exact.problem.target, played), abs=1e-6)
-        assert point.after > point.optimum
+        # The blend may be nearer to the tap as it is: what it cannot have is a smaller J.
+        blended = library.at(0.4, 4.0).command
+        assert exact.problem.objective(blended, exact.problem.accelerations(blended)) > exact.certificate.objective
 
     @pytest.mark.parametrize("point", [(0.05, 3.0), (0.5, 3.0), (0.2, 0.9), (0.2, float("nan"))])
     def test_a_point_outside_is_refused(self, build: Build, point: tuple[float, float]) -> None:
@@ -217,11 +219,11 @@ class TestCommandLine:
     def test_figure_report_and_library(self, terminal: Terminal) -> None:
         outcome = self.solve(terminal, "--grid-tolerance", "0.01")
         assert outcome.code == 0
-        assert "2 -> 3 entries" in outcome.out
+        assert "2 -> 4 entries in 2 rounds" in outcome.out
         assert Path("here/grid_error.png").read_bytes()[:4] == b"\x89PNG"
         assert "## Between the nodes" in Path("here/report.md").read_text()
         library = load_library(Path("here/library.npz"))
-        np.testing.assert_array_equal(library.speeds_m_s, [0.3, 0.35, 0.4])
+        np.testing.assert_array_equal(library.speeds_m_s, [0.3, 0.325, 0.35, 0.4])
         assert self.solve(terminal).code == 0
         assert not Path("here/grid_error.png").exists(), "belongs to an earlier library"
 
@@ -256,7 +258,8 @@ class TestWhatIsWritten:
         ):
             assert words in text
         # References between the recorded ones are derived anew by who reads them.
-        assert [r["speed_m_s"] for r in json.loads(build_json(refined))["references"]] == 3 * [0.1, 0.2, 0.3, 0.4]
+        of_report = [r["speed_m_s"] for r in json.loads(build_json(refined))["references"]]
+        assert sorted(of_report) == sorted(3 * [0.1, 0.2, 0.3, 0.4])
 
     def test_figure(self, refinement: Refinement) -> None:
         before, after, bar = refinement.plot().axes

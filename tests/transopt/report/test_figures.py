@@ -119,7 +119,7 @@ class TestLibrary:
         said = figure.get_supxlabel()
         assert said.startswith("time after contact [ms]")
         assert "compressed" in said
-        assert "hand-over from 58.8 ms" in said
+        assert "hand-over from 78.8 ms" in said
         axis = figure.axes[0].xaxis.get_transform()
         on_paper = axis.transform(times_ms)
         assert np.all(np.diff(on_paper) > 0)

@@ -25,7 +25,7 @@ class TestAxes:
             ("amplifier.pole_Hz=100:10000:3:log", (100.0, 1000.0, 10000.0)),
             ("time.stages=100:200:3", (100, 150, 200)),
             ("limits.supply_V=9, none", (9.0, None)),
-            ("weights.error_filter=none,pacinian", ("none", "pacinian")),
+            ("weights.rapid=highpass,pacinian", ("highpass", "pacinian")),
         ],
     )
     def test_values(self, scene: Scene, text: str, values: Sequence[Any]) -> None:

@@ -28,17 +28,17 @@ class TestSearch:
         scene: Scene,
         error: Callable[[float], float],
         span: str,
-        require: str = "nrmse<=0.1",
+        require: str = "tap_error<=0.1",
         **options: Any,
     ) -> Answer:
         question = parse_question(scene, f"limits.current_A={span}", [require], **{"greatest": False, **options})
 
         def rows(value: float) -> list[dict[str, str]]:
             common = {"speed_m_s": "0.4", "target": "", "reason": "", "status": "OPTIMAL"}
-            worse = {**common, "grip_N": "5.0", "nrmse": repr(error(value))}
+            worse = {**common, "grip_N": "5.0", "tap_error": repr(error(value))}
             if np.isnan(error(value)):
-                worse.update(status="INFEASIBLE", nrmse="", reason="no way")
-            return [{**common, "grip_N": "1.0", "nrmse": "0.01"}, worse]
+                worse.update(status="INFEASIBLE", tap_error="", reason="no way")
+            return [{**common, "grip_N": "1.0", "tap_error": "0.01"}, worse]
 
         return answer(question, lambda values: [rows(value) for value in values])
 
@@ -71,7 +71,7 @@ class TestSearch:
     def test_none_and_the_end_of_the_range(self, scene: Scene) -> None:
         none = self.ask(scene, lambda A: 0.2 + abs(A - 3.5), "1:6")
         assert none.met is None
-        assert "No limits.current_A of 9 tried from 1 to 6 A meets nrmse <= 0.1" in none.sentences[0]
+        assert "No limits.current_A of 9 tried from 1 to 6 A meets tap_error <= 0.1" in none.sentences[0]
         assert "nearest is 3.5 A" in none.sentences[0]
         every = self.ask(scene, lambda A: 0.05, "1:6")
         assert (every.met.value, every.missed, len(every.tried)) == (1.0, None, 9)
@@ -83,13 +83,13 @@ class TestSearch:
         assert "INFEASIBLE: no way" in " ".join(found.sentences)
 
     def test_whole_numbers(self, scene: Scene) -> None:
-        question = parse_question(scene, "time.stages=100:600", ["nrmse>=0.3"], greatest=False)
+        question = parse_question(scene, "time.stages=100:600", ["tap_error>=0.3"], greatest=False)
         asked: list[float] = []
 
         def rows(value: float) -> list[dict[str, str]]:
             asked.append(value)
             entry = {"speed_m_s": "1", "target": "", "grip_N": "1"}
-            return [{**entry, "status": "OPTIMAL", "nrmse": repr(value / 1000), "reason": ""}]
+            return [{**entry, "status": "OPTIMAL", "tap_error": repr(value / 1000), "reason": ""}]
 
         found = answer(question, lambda values: [rows(value) for value in values])
         assert (found.met.value, found.missed.value) == (300, 299)
@@ -99,7 +99,7 @@ class TestSearch:
 class TestAnswers:
     def test_against_a_fine_scan_and_again_after_a_kill(self, short: Scene, tmp_path: Path) -> None:
         plan = Plan(short, (), (0.4,), (1.0, 5.0))
-        question = parse_question(short, "limits.current_A=2:6:0.01", ["nrmse<=0.3"], greatest=False)
+        question = parse_question(short, "limits.current_A=2:6:0.01", ["tap_error<=0.48"], greatest=False)
         found = run_question(plan, question, tmp_path / "ask", serial())
 
         axis = parse_axis(short, "--vary", "limits.current_A=2:6:161")
@@ -107,8 +107,8 @@ class TestAnswers:
         axis = replace(axis, values=tuple(near), labels=tuple(map(repr, near)))
         scanned = replace(plan, axes=(axis,))
         rows = run_plan(scanned, tmp_path / "scan", serial())
-        error = entry_grid(scanned, rows, "nrmse").max(axis=(1, 2))
-        least = min(A for A, e in zip(near, error, strict=True) if e <= 0.3)
+        error = entry_grid(scanned, rows, "tap_error").max(axis=(1, 2))
+        least = min(A for A, e in zip(near, error, strict=True) if e <= 0.48)
         assert found.missed.value < least <= found.met.value + 0.025
         assert {row["status"] for row in found.met.rows + found.missed.rows} == {"OPTIMAL"}
 
@@ -124,11 +124,11 @@ class TestAnswers:
         ("key", "words"),
         [
             ("motor.R_ohm=1:2", "one row of a datasheet"),
-            ("weights.error_filter=1:2", "not a number that can be solved for"),
+            ("weights.rapid=1:2", "not a number that can be solved for"),
             ("limits.beta=1", "give KEY=LOW:HIGH or KEY=LOW:HIGH:TOLERANCE"),
             ("limits.beta=1:2:3", "TOLERANCE must be above 0 and at most HIGH - LOW = 1"),
         ],
     )
     def test_refusals(self, scene: Scene, key: str, words: str) -> None:
         with pytest.raises(InputError, match=words):
-            parse_question(scene, key, ["nrmse<=0.1"], greatest=False)
+            parse_question(scene, key, ["tap_error<=0.1"], greatest=False)

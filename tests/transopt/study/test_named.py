@@ -46,7 +46,7 @@ class TestNamed:
         plan = fewer.plan(short)
         rows = run_plan(plan, tmp_path, serial())
         said = fewer.finding(plan, rows)
-        worst = entry_grid(plan, rows, "nrmse")
+        worst = entry_grid(plan, rows, "tap_error")
         assert percent(float(worst[0].max())) in said or f"{100 * worst[0, 0].max():.2f}" in said
 
     def test_what_intensity_needs_stands_beside_what_the_waveform_needs(self, short: Scene, tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ class TestNamed:
         own = {(p.made_for_N, p.played_at_N): p for p in found}
         assert len(own) == 4
         assert all(own[F, F].excess == 0 for F in (1.0, 3.0))
-        assert own[3.0, 1.0].excess > 0.05
+        assert own[3.0, 1.0].excess > 0.005
         assert "made for 3 N" not in mismatch_sentence(found)
         assert "at 1 N" in mismatch_sentence(found)
 
