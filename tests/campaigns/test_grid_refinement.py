@@ -103,7 +103,7 @@ def demonstrate(
 
 def main(
     points: Annotated[int, at_least(1, "random points per device")] = 200,
-    tolerance: Annotated[float, Option(help="largest excess, absolute in NRMSE")] = 0.02,
+    tolerance: Annotated[float, Option(help="largest excess, absolute in the tap error")] = 0.02,
     cap: Annotated[int, Option(help="most entries")] = DEFAULT_CAP,
     out: Annotated[Path | None, Option(help="folder for the figures")] = None,
     part: PartFile = None,

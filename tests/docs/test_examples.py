@@ -56,7 +56,7 @@ def test_a_solver_from_outside_the_package_designs_a_library(tmp_path: Path, mon
 def test_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     exec(API, {})  # the block is this repository's own text
-    assert "0.4 m/s, 5 N: NRMSE 19.3 %, floor 0.66 %" in capsys.readouterr().out
+    assert "0.4 m/s, 5 N: tap error 36.2 %, felt error 15.5 %" in capsys.readouterr().out
     assert all((tmp_path / name).exists() for name in ("library.npz", "transients.png", "out/report.md"))
 
 

@@ -343,7 +343,7 @@ class TestUsers:
         times = np.arange(0.0, 0.12, 1e-5)
         expected = np.interp(trace.times_s - 0.05, times, free.acceleration_m_s2(0.3, 0.0, times), left=0.0)
         inside = (trace.times_s > 0.05) & (trace.times_s < 0.16)
-        # Where the intention stops dead its jump falls into one step of either method.
+        # An intention that stops dead jumps: the jump falls into one step of either method.
         size = max(float(np.abs(expected).max()), 1.0)
         off = np.abs(trace.acceleration_m_s2 - expected)[inside]
         assert float(np.sqrt(np.mean(off**2))) < 5e-3 * size

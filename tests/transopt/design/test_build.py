@@ -118,7 +118,7 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
         for entry in row:
             assert 0.15 < entry.figures.tap_error < 0.20
             assert entry.figures.felt_error < 0.04
-    # Where nothing after the window counts, the device may hold the hand to its end, and lets go all at once.
+    # If nothing after the window counts, the device may hold the hand to its end, and lets go all at once.
     alone = build_library(with_values(scene, {"weights.after_s": 0.0}), read_recordings(settings))
     for lasting, ended in zip(build.entries[0], alone.entries[0], strict=True):
         assert ended.figures.tap_error < 0.5 * lasting.figures.tap_error

@@ -4,7 +4,7 @@ Energies are those of the window tau_0 to tau_(N-1) as it is, without a taper: a
 The energy in a band is the integral of the signal's energy density |X(f)|^2 between the band's edges. With R_m the
 autocorrelation of the samples, |X(f)|^2 = sum_m R_m cos(2 pi f m dt), so that the integral is a finite sum without
 any grid of frequencies, and the bands from 0 to half the sampling rate add up to the energy of the samples. (The
-lines of a DFT of 60 ms lie 17 Hz apart, wider than the third octave at 50 Hz.)
+lines of a DFT of 80 ms lie 12.5 Hz apart, wider than the third octave at 50 Hz.)
 """
 
 from dataclasses import dataclass
