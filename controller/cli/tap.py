@@ -151,7 +151,7 @@ def _simulated(
     if method == Method.PROPORTIONAL.value and settings.wall is None:
         raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
     wanted = SimulatedTap(
-        speed_m_s, grip_N, gain, None if user == RECORDED else cast(Yielding, user), seed=seed, imperfections=wrong
+        speed_m_s, grip_N, gain, None if user == RECORDED else cast("Yielding", user), seed=seed, imperfections=wrong
     )
     true = device_of(scene_of(library) if true_device is None else scene_like(true_device))
     clock = WallClock() if real_time else None

@@ -399,7 +399,10 @@ class Entry:
             return "zero reference"
         floor = self.floor if self.designed.nonlinear is None else NAN
         named = bool(self.target)
-        return verdict(self.figures, floor, self.repeatability, self.levels, self.binding, named=named)
+        least = float(self.plant_input.min()), self.unit
+        return verdict(
+            self.figures, floor, self.repeatability, self.levels, self.binding, named=named, least_input=least
+        )
 
 
 # What an entry has in the columns of `transopt.library.columns.COLUMNS` that no file holds.

@@ -569,6 +569,7 @@ class Library:
             levels(self.acceleration_m_s2[iv, ig] + free, recorded, self.dt_s),
             str(self.binding[iv, ig]),
             named=bool(self.axes.targets),
+            least_input=(float(self.plant_input[iv, ig].min()), self.driven_by.unit),
         )
 
     @property

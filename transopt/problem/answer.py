@@ -18,6 +18,7 @@ from transopt.problem.problem import TransientProblem
 OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
 AT_FLOOR = 1e-3  # a tap error within 0.1 % of the floor is at the floor
 ENDS = 0.02  # a floor above it is that of a waveform which ends while a hand pushes
+PULLS = -0.005  # a change of speed below it, as printed below 0, is that of a surface that pulls
 NAMED = re.compile(r" (?=[-+<>=±\d])")  # behind the name of a limit that binds
 
 
@@ -212,7 +213,14 @@ class Certificate:
 
 
 def verdict(
-    figures: Figures, floor: float, repeatability: float, levels: Levels, binding: str, *, named: bool
+    figures: Figures,
+    floor: float,
+    repeatability: float,
+    levels: Levels,
+    binding: str,
+    *,
+    named: bool,
+    least_input: tuple[float, str] | None = None,
 ) -> str:
     """How near an entry comes to the tap, what holds it back, and what a hand notices of it.
 
@@ -226,6 +234,7 @@ def verdict(
     repeatability : trial-to-mean error of the recordings, NaN if unknown.
     binding : the limits that bind, as `proof.certify.binding_limits` says.
     named : whether it is for a named target, behind which there is no hand.
+    least_input : the least of what drives the plant, and its unit; None where it is not known.
     """
     off_dB = levels.felt_dB if np.isnan(figures.felt_dB) else figures.felt_dB
     if np.isnan(off_dB) or abs(off_dB) <= JUST_NOTICED_dB:
@@ -240,6 +249,7 @@ def verdict(
     elif binding not in ("", "none"):
         limits = dict.fromkeys(NAMED.split(part)[0].strip() for part in binding.split("; "))
         said.append(f"held back by {' and '.join(limits)}")
-    if figures.speed < 0:
-        said.append("the surface pulls")
+    if figures.speed < PULLS:
+        pulling = least_input is not None and least_input[0] < 0
+        said.append("the surface pulls" + (f", by up to {-least_input[0]:.2f} {least_input[1]}" if pulling else ""))
     return "; ".join(said)

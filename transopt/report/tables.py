@@ -88,11 +88,12 @@ def summary(build: Build) -> str:
         )
     if admitted:
         worst = max(admitted, key=lambda entry: entry.figures.tap_error)
-        felt = [entry.figures.felt_error for entry in admitted]
+        felt = [entry.figures.felt_error for entry in admitted if np.isfinite(entry.figures.felt_error)]
+        heard = f"felt error {percent(min(felt))} to {percent(max(felt))} %, " if felt else ""
         said.append(
             f"{len(admitted)} of {len(entries)} entries certified and replayed: tap error "
             f"{percent(min(entry.figures.tap_error for entry in admitted))} to {percent(worst.figures.tap_error)} % "
-            f"(worst at {worst.place}), felt error {percent(min(felt))} to {percent(max(felt))} %, "
+            f"(worst at {worst.place}), {heard}"
             f"gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
         )

@@ -134,7 +134,12 @@ def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
     used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
     error = entry_grid(plan, rows, "tap_error")
     rates = plan.axes[0].values
-    at = np.unravel_index(int(np.nanargmax(used[0] - used[-1])), used[-1].shape)
+    # A rate at which even no current is too much, or that leaves no time for a waveform, has no entry.
+    most, least = (
+        np.where(np.isnan(used), -np.inf, used).max(axis=0),
+        np.where(np.isnan(used), np.inf, used).min(axis=0),
+    )
+    at = np.unravel_index(int(np.argmax(most - least)), most.shape)
     beta, own = used[:, at[0], at[1]], error[:, at[0], at[1]]
     full = [f for f, b in zip(rates, beta, strict=True) if b >= np.nanmax(beta) * (1 - 1e-3)]
     there = np.flatnonzero(np.isfinite(beta))
@@ -178,7 +183,7 @@ SWEPT = {
         (("weights.objective", "intensity"),),
     ),
     "tap_rate": Swept(
-        "thermal.tap_rate_Hz=2:16:15",
+        "thermal.tap_rate_Hz=2:12:11",
         (0.3, 0.4),
         ALL_GRIPS_N,
         rate_figure,

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.benches.commands import Run
 from tests.benches.places import ROOT
 from transopt.library.library import Library
@@ -31,6 +33,13 @@ def test_tap_with_figure_and_telemetry(play: Run) -> None:
         "events.csv",
         "tap_001.csv",
     }
+
+
+@pytest.mark.parametrize("user", ["straight", "stops"])
+def test_another_users_tap(play: Run, user: str) -> None:
+    outcome = play("tap", "library.npz", "--simulate", "--speed", 0.3, "--grip", 3, "--user", user)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert f"{user} user" in outcome.out
 
 
 def test_nothing_played_is_a_result_that_fell_short(play: Run) -> None:

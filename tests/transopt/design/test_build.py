@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -374,10 +375,16 @@ def test_verdicts() -> None:
     tap = np.sin(2 * np.pi * 250 * 1e-4 * np.arange(600)) * np.exp(-np.arange(600) / 100)
 
     def said(
-        tap_error: float, dB: float = 0.0, *, speed: float = 0.5, binding: str = "none", named: bool = False
+        tap_error: float,
+        dB: float = 0.0,
+        *,
+        speed: float = 0.5,
+        binding: str = "none",
+        named: bool = False,
+        **more: Any,
     ) -> str:
         found = Figures(tap_error, 0.04, dB, speed, 0.1, 0.1, 0.1)
-        return verdict(found, 0.17, 0.03, of_intensity(dB, tap), binding, named=named)
+        return verdict(found, 0.17, 0.03, of_intensity(dB, tap), binding, named=named, **more)
 
     held = "command +6 A at -0.13, 0.97 ms; current +4 A at 0.07 ms"
     assert said(0.02) == "felt within 1.6 dB; nearer than the recordings to each other"
@@ -387,6 +394,9 @@ def test_verdicts() -> None:
     assert said(0.3, -3.0, binding=held) == "too weak by 3.0 dB, most at 250 Hz; held back by command and current"
     assert said(0.3, 2.0) == "too strong by 2.0 dB, most at 250 Hz"
     assert said(0.3, speed=-0.1) == "felt within 1.6 dB; the surface pulls"
+    assert said(0.3, speed=-0.004) == "felt within 1.6 dB"
+    assert said(0.3, speed=-0.1, least_input=(0.2, "A")) == "felt within 1.6 dB; the surface pulls"
+    assert said(0.3, speed=-0.1, least_input=(-1.234, "A")).endswith("; the surface pulls, by up to 1.23 A")
 
 
 def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, taps: list[Recording]) -> None:

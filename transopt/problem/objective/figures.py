@@ -35,7 +35,7 @@ class Figures:
         cannot carry it.
     felt_dB : energy of B a over that of B r [dB].
     speed : change of speed over the intention, of a over that of r: 1 is a surface as hard as the real one, and below
-        0 the surface pulls. NaN for a target that changes no speed.
+        0 the surface pulls. NaN for a named target, and for a tap that changes no speed.
     bump_m_s2 : peak of the error in 10 to 60 Hz after the intention, when the surface lets go; NaN for a named
         target, and where nothing is looked at there.
     error_after : |a - r| over the tail, over |r| of the intention.
@@ -113,7 +113,7 @@ class Yardstick:
             tap_error=_over(float(np.linalg.norm(off[first])), size),
             felt_error=_over(float(np.linalg.norm(heard_off)), float(np.linalg.norm(heard))) if self._felt else NAN,
             felt_dB=_dB(float(heard_made @ heard_made), float(heard @ heard)) if self._felt else NAN,
-            speed=NAN if abs(change) <= STILL * swept else float(np.sum(made[first])) / change,
+            speed=NAN if named or abs(change) <= STILL * swept else float(np.sum(made[first])) / change,
             bump_m_s2=NAN
             if named or not later.any() or not self._bump
             else float(np.abs(_through(self._bump, off)[later]).max()),
