@@ -51,7 +51,18 @@ FIRST_REST_S = 3.0  # the device is configured, loaded and armed in this time
 REST_S, STARTING_S, STRAIGHT_S, ONWARD_S, RETREAT_S = 0.1, 0.03, 0.25, 0.11, 0.3
 MOST_ROUNDS = 3  # of the hand, per round asked for, if a busy machine loses records
 LEASE_MS = 1000  # the machine may have more to do
-HEAD = ("m/s", "N", "reported m/s", "N", "taps", "latency rms us", "playback error %: worst tap", "mean", "tap error %", "kept")
+HEAD = (
+    "m/s",
+    "N",
+    "reported m/s",
+    "N",
+    "taps",
+    "latency rms us",
+    "playback error %: worst tap",
+    "mean",
+    "tap error %",
+    "kept",
+)
 Node = tuple[float, float]  # speed [m/s], grip [N]
 
 

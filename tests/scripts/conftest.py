@@ -33,7 +33,7 @@ def whole_case(short_scene: Scene) -> Any:
 
 @pytest.fixture(scope="session")
 def tailed_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
-    """The short case with both terms of the error, and as many instants after the window, in which the tap goes on."""
+    """The short case with both terms of the error, and as many instants after it, in which the tap goes on."""
     problem = make_problem(stages=STAGES)
     after = make_problem().reference_m_s2[STAGES : 2 * STAGES]
     grid = replace(problem.grid, after_stages=after.size)
