@@ -63,7 +63,7 @@ class TestFiles:
             "python 3",
             "casadi",
             "numpy",
-            "at most" if "except" in text else "ahead",
+            "at most" if "except" in text else "less tap and felt error",
         ):
             assert word in text
 
