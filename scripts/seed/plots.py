@@ -143,8 +143,10 @@ def method_figure(results: Sequence[Result], summaries: Sequence[Summary]) -> Fi
         axes.set_xlabel(words, fontsize=LABEL_PT)
         if unit == 1:
             axes.axvline(1.0, color=DARK, linewidth=0.8, linestyle=":")
+            axes.xaxis.set_major_locator(MaxNLocator(5))
         else:
             logarithmic(axes, y=False)
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     panels[0].set_yticks(range(len(summaries)), [summary.method for summary in summaries], fontsize=SMALL_PT)
     panels[0].set_ylim(len(summaries) - 0.5, -0.5)
     dot: dict[str, Any] = {"linestyle": "", "marker": "o"}
