@@ -12,6 +12,7 @@ from typing import Annotated
 
 import numpy as np
 from common.benchmark_cases import (
+    STAGES,
     Case,
     Iterations,
     Row,
@@ -49,25 +50,25 @@ from transopt.solvers import riccati, unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
 
-LONG, LONGEST = 6000, 20000
+LONG, LONGEST = 10 * STAGES, 25 * STAGES
 
 
 def in_a_row(problem: TransientProblem, stages: int) -> TransientProblem:
     """The tap again and again: so many times the work, nothing of it idle."""
-    times = -(-stages // problem.reference_m_s2.size)
+    times = -(-stages // problem.grid.stages)
     return replace(
         problem,
         grid=replace(problem.grid, stages=stages, after_stages=0),
         target=Target(np.tile(problem.reference_m_s2, times)[:stages]),
-        tracking_weights=np.ones(stages),
+        terms=tuple(replace(term, weights=np.tile(term.weights, times)[:stages]) for term in problem.terms),
     )
 
 
 def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
-    """All rows, what iterations take at 600 and at `LONGEST` stages, and the peak memory of `transopt solve` [MB]."""
+    """All rows, what iterations take at `STAGES` and at `LONGEST`, and the peak memory of `transopt solve` [MB]."""
     scene = problems.load("wood_on_foam")
     rows = [calibration()]
-    saturated, free = entry(scene, 0.4, 5.0, 600), entry(scene, 0.2, 3.0, 600)
+    saturated, free = entry(scene, 0.4, 5.0), entry(scene, 0.2, 3.0)
     reference = solve(saturated, SolverOptions("casadi-ipopt"))
     proof = certify(saturated, reference.command, reference.multipliers)
     long = in_a_row(saturated, LONG)
@@ -85,17 +86,17 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
     rows += compare(
         runs,
         *own("saturated", saturated),
-        Case("saturated", 600, project_solver(saturated, "casadi-piqp")),
-        Case("saturated", 600, project_solver(saturated, "casadi-ipopt")),
-        Case("saturated", 600, opti_ipopt(saturated, proof.objective - proof.duality_gap)),
+        Case("saturated", STAGES, project_solver(saturated, "casadi-piqp")),
+        Case("saturated", STAGES, project_solver(saturated, "casadi-ipopt")),
+        Case("saturated", STAGES, opti_ipopt(saturated, proof.objective - proof.duality_gap)),
         *own("thermal", hot),
-        Case("thermal", 600, project_solver(hot, "casadi-ipopt")),
+        Case("thermal", STAGES, project_solver(hot, "casadi-ipopt")),
         *own("horizon", long),
         Case("horizon", LONG, project_solver(long, "casadi-piqp")),
-        *([Case("unsaturated", 600, cached_pass(free))] if riccati.available else []),
-        *(Case("unsaturated", 600, peer) for peer in unsaturated),
-        Case("entry", 600, designed_entry("window alone", scene, 0.4, 5.0, 0.0)),
-        Case("entry", 600, designed_entry("with its tail", scene, 0.4, 5.0, scene.weights.after_s)),
+        *([Case("unsaturated", STAGES, cached_pass(free))] if riccati.available else []),
+        *(Case("unsaturated", STAGES, peer) for peer in unsaturated),
+        Case("entry", STAGES, designed_entry("window alone", scene, 0.4, 5.0, 0.0)),
+        Case("entry", STAGES, designed_entry("with its tail", scene, 0.4, 5.0, scene.weights.after_s)),
     )
     taken = []
     if riccati.available:
@@ -108,7 +109,7 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
         rows += anew(library)
     rows.append(servo_and_simulator(library, runs))
     cold, memory = cold_start(3)
-    return [*rows, row("command", "transopt solve", "cold process, figures included", 600, cold)], taken, memory
+    return [*rows, row("command", "transopt solve", "cold process, figures included", STAGES, cold)], taken, memory
 
 
 def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
@@ -116,7 +117,7 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
     by = {(r.case, r.method, r.stages): r.median_ms for r in rows}
 
     def ratio(case: str, one: str, other: str, bound: str = "") -> str:
-        value = by[case, one, 600] / by[case, other, 600]
+        value = by[case, one, STAGES] / by[case, other, STAGES]
         return f"{one} / {other}, {case}: {value:.{1 if value > 2 else 2}f}{bound and f' ({bound})'}"
 
     found = [
@@ -125,21 +126,21 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
         ratio("unsaturated", "sparse-kkt", "riccati-pass"),
         ratio("entry", "with its tail", "window alone", "at most 1.1"),
         f"wall clock / virtual time, servo + simulator: {by['online', 'servo + simulator', 10000] / 1e3:.2f}",
-        f"{LONG} stages / 600 stages, casadi-piqp: "
-        f"{by['horizon', 'casadi-piqp', LONG] / by['saturated', 'casadi-piqp', 600]:.1f}",
+        f"{LONG} stages / {STAGES} stages, casadi-piqp: "
+        f"{by['horizon', 'casadi-piqp', LONG] / by['saturated', 'casadi-piqp', STAGES]:.1f}",
     ]
     if not taken:
         return found
-    mine = by["saturated", "riccati", 600]
+    mine = by["saturated", "riccati", STAGES]
     found += [
         ratio("saturated", "casadi-piqp", "riccati", "at least 6"),
         ratio("saturated", "opti-ipopt", "riccati", "at least 120"),
         ratio("saturated", "casadi-ipopt", "riccati"),
         ratio("thermal", "casadi-ipopt", "riccati", "at least 50"),
-        f"{LONG} stages / 600 stages, riccati: {by['horizon', 'riccati', LONG] / mine:.1f}",
-        f"{LONGEST} stages / 600 stages, riccati: {by['horizon', 'riccati', LONGEST] / mine:.1f} (at most 40), "
+        f"{LONG} stages / {STAGES} stages, riccati: {by['horizon', 'riccati', LONG] / mine:.1f}",
+        f"{LONGEST} stages / {STAGES} stages, riccati: {by['horizon', 'riccati', LONGEST] / mine:.1f} (at most 30), "
         f"per iteration in C {taken[1].each / taken[0].each:.1f}, {taken[1].count} iterations to {taken[0].count}",
-        f"an iteration / (factorisation + two vector solves), 600 stages: {taken[0].ratio:.2f} (at most 2); "
+        f"an iteration / (factorisation + two vector solves), {STAGES} stages: {taken[0].ratio:.2f} (at most 2); "
         f"{taken[0].each:.3f} ms / ({taken[0].factorisation:.3f} + 2 x {taken[0].vector_solve:.3f} ms)",
     ]
     return found
@@ -149,7 +150,7 @@ def cells(rows: list[Row]) -> list[list[str]]:
     """Cells of the table, a row each; a case is named once."""
     found, before = [], ""
     for r in rows:
-        case = r.case if r.stages in (0, 600) or r.case == "online" else f"{r.case}, {r.stages} stages"
+        case = r.case if r.stages in (0, STAGES) or r.case == "online" else f"{r.case}, {r.stages} stages"
         gap = "" if np.isnan(r.objective_gap) else f"{r.objective_gap:.0e}"
         violation = "" if np.isnan(r.violation) else f"{r.violation:.0e}".replace("0e+00", "0")
         method = r.method if r.case not in ("library", "online", "command") else f"{r.method}: {r.options}"

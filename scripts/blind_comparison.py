@@ -49,7 +49,7 @@ from transopt.problem.objective.bands import JUST_NOTICED_dB
 LISTEN_S = 0.05
 PREPARE_S = 1.0  # before every interval, longer than any upload takes
 ACCELEROMETER_Hz = 2500.0
-JUST_NOTICED_NRMSE = 0.1  # of the simulated person who goes by the waveform
+JUST_NOTICED_ERROR = 0.1  # tap error, of the simulated person who goes by the waveform
 QUIT = "q"
 
 
@@ -216,7 +216,7 @@ def simulated_person(judge: Judge, seed: int) -> Asked:
             return 0.0
         if judge is Judge.INTENSITY:
             return abs(compared.levels.felt_dB) / JUST_NOTICED_dB
-        return compared.nrmse_reference / JUST_NOTICED_NRMSE
+        return compared.tap_error / JUST_NOTICED_ERROR
 
     def asked(device: Device, trial: int, intervals: list[list[PlayedTap]]) -> str:
         rng = np.random.default_rng([seed, trial, 1])

@@ -23,7 +23,9 @@ from seed.plots import Series, blind_line, method_figure, optimum_line, steady_l
 from seed.report import (
     Compared,
     ahead_of_all,
+    felt_table,
     how_measured,
+    limit_felt_table,
     limit_table,
     limit_words,
     method_table,
@@ -108,9 +110,8 @@ def libraries(scene: Scene) -> tuple[Library, Library]:
 def device_figures(scene: Scene, conditions: Sequence[Condition], sweep_s: float, out: Path) -> list[str]:
     """Figs. 1, 5, 6 and 7 into `out`; their part of seed.md."""
     speeds, grips = (list(dict.fromkeys(c[j] for c in conditions)) for j in (0, 1))
-    recorded = scene.recordings.simulated
-    assert recorded is not None
-    by_speed = [seed_device.real_tap(scene, v, recorded.grip_N) for v in speeds]
+    grip_N = grips[len(grips) // 2]
+    by_speed = [seed_device.real_tap(scene, v, grip_N) for v in speeds]
     by_grip = [seed_device.real_tap(scene, speeds[len(speeds) // 2], F) for F in grips]
     save_figure(seed_device.real_taps_figure(by_speed, by_grip), out / "fig01_real_taps.png")
 
@@ -137,7 +138,7 @@ def device_figures(scene: Scene, conditions: Sequence[Condition], sweep_s: float
         "",
         "The undriven stylus strikes the scene's real object, wood on foam, by speed (left) and grip (right).",
         "",
-        *real_tap_table([*by_speed, *(tap for tap in by_grip if tap.grip_N != recorded.grip_N)]),
+        *real_tap_table([*by_speed, *(tap for tap in by_grip if tap.grip_N != grip_N)]),
         "## Fig. 5: amplifier",
         "",
         "![Fig. 5](fig05_amplifier.png)",
@@ -172,19 +173,21 @@ def _compared(experiment: Experiment, condition: Condition, taps: dict[str, Play
     iv, ig = library.speeds_m_s.tolist().index(condition[0]), library.grips_N.tolist().index(condition[1])
     problem = library.problem(iv, ig)
     _, current = problem.stage.rollout(unlimited_optimum(problem))
-    errors = {name: result(played, Method.BILINEAR, NOMINAL).nrmse for name, played in taps.items()}
+    told = {name: result(library, played, Method.BILINEAR, NOMINAL) for name, played in taps.items()}
     own, g = taps["optimum"], STANDARD_GRAVITY_M_S2
     return Compared(
         speed_m_s=condition[0],
         grip_N=condition[1],
         needed_A=float(np.abs(current).max()),
         over_ms=1e3 * library.dt_s * int(np.sum(np.abs(current) > low)),
-        reference_g=float(np.abs(own.reference_m_s2).max()) / g,
+        reference_g=float(np.abs(own.prediction.recorded_m_s2).max()) / g,
         peak_g=own.peak_m_s2 / g,
         peak_steady_g=taps["optimum_steady"].peak_m_s2 / g,
-        predicted_error=own.nrmse,
+        playback_error=own.playback_error,
         latency_s=own.latency_s,
-        **errors,
+        **{name: each.tap_error for name, each in told.items()},
+        **{f"{name}_felt": each.felt_error for name, each in told.items()},
+        **{f"{name}_speed": each.speed for name, each in told.items()},
     )
 
 
@@ -220,16 +223,19 @@ def played_figures(experiment: Experiment, out: Path) -> list[str]:
         "",
         "![Fig. 10](fig10_played.png)",
         "",
-        "Closed loop on the nominal device: recorded reference, the library's prediction, and what was played.",
+        "Closed loop on the nominal device: recorded tap, the library's prediction, and what was played.",
         "",
         f"## Fig. 10 again: {high_A:g} A against {low_A:g} A, compensated against blind grip",
         "",
         "![Fig. 10, compared](fig10_compared.png)",
         "",
         *limit_words(compared, experiment.limits_A),
-        "NRMSE in % against r after the shift, nominal device; *needed* is the peak of the unlimited optimum.",
+        "Tap error in % after the shift, nominal device; *needed* is the peak of the unlimited optimum.",
         "",
         *limit_table(compared, experiment.limits_A),
+        "Felt error in %, speed and peak acceleration of the same taps.",
+        "",
+        *limit_felt_table(compared, experiment.limits_A),
     ]
 
 
@@ -258,11 +264,14 @@ def method_comparison(experiment: Experiment, out: Path) -> list[str]:
     return [
         "## All methods",
         "",
-        "![NRMSE by method](methods.png)",
+        "![Tap error, felt error and speed by method](methods.png)",
         "",
-        f"NRMSE by method over {len(experiment.conditions)} conditions; every dot is a tap.",
+        f"Tap error in % by method over {len(experiment.conditions)} conditions.",
         "",
         *method_table(summaries, summarise(off_nodes)),
+        "Felt error in %, and speed, means over the same taps.",
+        "",
+        *felt_table(summaries, summarise(off_nodes)),
         *ahead_of_all(summaries),
         *how_measured(experiment.devices),
         f"{count} taps in {elapsed_s:.0f} s with {experiment.jobs} processes, "

@@ -58,7 +58,7 @@ def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
         problem,
         grid=replace(problem.grid, stages=stages),
         target=replace(problem.target, window_m_s2=problem.reference_m_s2[:stages] + 1.0),
-        tracking_weights=np.ones(stages),
+        terms=tuple(replace(term, weights=term.weights[:stages]) for term in problem.terms),
         hand_over_samples=min(problem.hand_over_samples, stages),
     )
 
@@ -92,7 +92,8 @@ def cases() -> Iterator[Stages]:
     nothing = np.full_like(plain.reference_m_s2, np.nan)
     given = stage_data.stages(plain)
     yield replace(given, arrays=given.arrays | {"reference": nothing})
-    yield without_limits(replace(plain, rho=0.0, tracking_weights=np.zeros(plain.grid.stages)))
+    idle = tuple(replace(term, weights=np.zeros(plain.grid.stages)) for term in plain.terms)
+    yield without_limits(replace(plain, rho=0.0, terms=idle))
 
 
 def written(stages: Stages) -> bytes:

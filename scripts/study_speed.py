@@ -2,7 +2,7 @@
 
     python scripts/study_speed.py [--entries 5000] [--short 600] [--page PAGE.md]
 
-Every entry has 600 stages of the scene `wood_on_foam`, at 10 speeds of 0.2 to 0.4 m/s and 10 grips of 1 to 10 N,
+Every entry has the 800 stages of the scene `wood_on_foam`, at 10 speeds of 0.2 to 0.4 m/s and 10 grips of 1 to 10 N,
 with limits of the current of 1.2 to 2 A, so that the limit binds in every one. Two worker processes solve all of
 them, this process and two workers of dask (where it is installed) fewer. Memory is resident memory (Linux), of this
 process and of the largest worker; its growth is the slope of a straight line from the 500th entry on, when the caches

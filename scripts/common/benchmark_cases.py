@@ -30,12 +30,10 @@ from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.library.library import Library
 from transopt.library.online import Online
-from transopt.plant.discretise import discretise
 from transopt.problem.answer import Multipliers, Solution
 from transopt.problem.limits import limits_of
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
-from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.scene.recordings import references_of
@@ -52,6 +50,7 @@ WIDE = {
     "grips_N": np.linspace(1.0, 5.0, 10).round(6).tolist(),
 }
 ONLINE_TAPS = 1000
+STAGES = 800  # of the default scene
 
 
 @dataclass(frozen=True)
@@ -89,19 +88,17 @@ def row(
     return Row(case, method, version, options, 1, stages, setup_ms, median, q25, q75, times_ms.size, gap, violation)
 
 
-def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> TransientProblem:
-    """One entry of the scene; a longer horizon goes on with nothing to do."""
-    wanted = references_of(scene, recordings(scene)).at(speed_m_s, grip_N).target.window_m_s2
+def entry(scene: Scene, speed_m_s: float, grip_N: float) -> TransientProblem:
+    """One entry of the scene, its window alone, within the limits of current and command."""
+    problem = Context.recorded(scene, recordings(scene)).posed(speed_m_s, grip_N).problem
     amplifier = scene.amplifier_model()
     assert amplifier is not None
-    return TransientProblem(
-        stage=discretise(scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s),
-        grid=replace(scene.time_grid(), stages=stages, after_stages=0),
-        target=Target(np.concatenate([wanted, np.zeros(max(0, stages - wanted.size))])[:stages]),
-        tracking_weights=np.ones(stages),
-        rho=scene.weights.rho,
+    nothing = np.zeros(0)
+    return replace(
+        problem,
+        grid=replace(problem.grid, after_stages=0),
+        target=replace(problem.target, after_m_s2=nothing, free_after_m_s2=nothing),
         limits=limits_of(CurrentLimit(scene.limits.transient_input), CommandLimit(amplifier.command_limit)),
-        hand_over_samples=scene.hand_over_samples,
     )
 
 
@@ -247,14 +244,14 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
     library = build_library(scene, taps).library
     assert library is not None
     found = [
-        row("library", "transopt", f"12 entries {told}", 600, times["library"]),
-        row("library", "transopt, 20 x 10", f"200 entries {told}", 600, times["wide"]),
+        row("library", "transopt", f"12 entries {told}", STAGES, times["library"]),
+        row("library", "transopt, 20 x 10", f"200 entries {told}", STAGES, times["wide"]),
     ]
     with tempfile.TemporaryDirectory() as folder:
         for included, options in {"report": ("--no-figures",), "report and figures": ()}.items():
             cold, _ = cold_start(3, str(wide_scene_file(Path(folder))), *options)
             told = f"cold, {included} included"
-            found.append(row("library", " ".join(("transopt solve, 20 x 10", *options)), told, 600, cold))
+            found.append(row("library", " ".join(("transopt solve, 20 x 10", *options)), told, STAGES, cold))
     return found, library
 
 

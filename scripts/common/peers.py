@@ -9,7 +9,7 @@ from transopt.problem.problem import TransientProblem
 
 
 def filtered_stage(problem: TransientProblem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A (n, n), B (n, 1) of the stage and the filters behind it, C (T, n) what each term of the error tracks, in SI."""
+    """A (n, n), B (n, 1) of stage and filters behind it, C (T, n) what the terms of the error track, in SI."""
     stage, filters = problem.stage, [term.error_filter for term in problem.terms]
     own = stage.A.shape[0]
     n = own + 2 * sum(by is not None for by in filters)

@@ -24,7 +24,8 @@ TINY_PT = 6.5
 SMALL_DPI = 120
 EXACT = "exact hold"  # what every solver's curve has anyway
 NAME_HEIGHT = 6.0  # what a name takes up on the logarithmic axis, as a factor
-OFFSETS_PT = {"seed inversion": (-3, 16), "clipped optimum": (-3, 8)}  # of a point's name
+NAME_PT = (6, 3)  # of a point's name from it
+BASELINES_PT = ((7, 6), (7, -7))  # of the upper one's and of the lower one's, which stand close
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
     "casadi-piqp": {"color": "#0072B2", "marker": "o"},
@@ -84,7 +85,7 @@ def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
     """
     named: dict[str, Any] = {"fontsize": TINY_PT, "color": GREY, "textcoords": "offset points", "va": "center"}
     shown = [row for row in rows if row.kind in POINTS and row.method != EXACT and np.isfinite(getattr(row, value))]
-    edge, free = axes.get_xlim()[1], np.inf
+    edge, free, places = axes.get_xlim()[1], np.inf, iter(BASELINES_PT)
     for row in sorted(shown, key=lambda row: -abs(getattr(row, value))):
         height = max(abs(getattr(row, value)), floor)
         mark: dict[str, Any] = {"marker": POINTS[row.kind], "color": GREY, "linestyle": ""}
@@ -95,7 +96,8 @@ def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
             axes.annotate(row.method, (edge, free), (-7, 0), ha="right", **named)
         else:
             axes.plot(row.solve_ms, height, markersize=4.5, zorder=1, **mark)
-            axes.annotate(row.method, (row.solve_ms, height), OFFSETS_PT.get(row.method, (5, 3)), ha="left", **named)
+            place = next(places, NAME_PT) if row.kind == Kind.BASELINE.value else NAME_PT
+            axes.annotate(row.method, (row.solve_ms, height), place, ha="left", **named)
 
 
 def _style(axes: Axes, floor: float, top: float) -> None:
@@ -136,7 +138,8 @@ def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
         lower.set_xlabel("run time [ms]", fontsize=LABEL_PT)
     panels[0, 0].set_ylabel("relative error: the larger of\n|objective gap| and limit violation", fontsize=LABEL_PT)
     panels[1, 0].set_ylabel("tap error after replay,\ndistance to the reference's", fontsize=LABEL_PT)
-    figure.legend(handles=_handles(rows), loc="outside lower center", ncols=4, fontsize=SMALL_PT, frameon=False)
+    columns = min(len(cases), 4)
+    figure.legend(handles=_handles(rows), loc="outside lower center", ncols=columns, fontsize=SMALL_PT, frameon=False)
     return figure
 
 

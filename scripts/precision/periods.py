@@ -43,7 +43,8 @@ def _problem(case: Case, rate_Hz: float) -> TransientProblem:
 def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATES_Hz) -> list[Row]:
     """One row per servo rate: solved by the project's first choice, played on a grid of `FINE_Hz`.
 
-    `tap_error_excess` is over the optimum of a servo of `BASE_Hz` on that grid; `gap` and `error` have no meaning here.
+    `tap_error_excess` is from the optimum of a servo of `BASE_Hz` on that grid, and may be negative; `gap` and
+    `error` have no meaning here.
     """
     problems = {rate: leave_out(_problem(case, rate)).problem for rate in (*rates_Hz, BASE_Hz)}
     options = SolverOptions(next(capable(case.small)))

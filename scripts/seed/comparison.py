@@ -7,21 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 import problems
-from controller.record.metrics import align
+from controller.record.metrics import MOST_SHIFT_S, align
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.played_tap import Played, play_tap
-from controller.sim.simulated_tap import SimulatedTap
+from controller.sim.simulated_tap import AFTER_S, SimulatedTap
 from controller.sim.simulator import NONE, Imperfections
 from controller.waveforms.bank import Bank, Method, bank
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.plant.wall import Wall
 from transopt.study.executors import executor_pool
 
 NOMINAL = 0  # number of the device that is as the model says; it is also the seed of its noise
 MISMATCH = 0.1  # part by which every parameter of the others is off at most
-EQUAL = 1e-3  # differences of NRMSE below this are the sensors' noise
+EQUAL = 1e-3  # differences of tap errors below this are the sensors' noise
 
 Condition = tuple[float, float]  # speed [m/s], grip [N]
 
@@ -32,16 +32,20 @@ class Result:
 
     Attributes
     ----------
-    device : NOMINAL, or the seed of a mismatched one. nrmse : of the played acceleration against the recorded
-    reference r, after the one shift within 1 ms that suits this tap best. nrmse_unshifted : as it came.
+    device : NOMINAL, or the seed of a mismatched one.
+    tap_error, felt_error, speed : figures of the played acceleration beside the recorded tap
+        (`transopt.problem.objective.figures`), after the one shift within 1 ms that suits this tap best.
+    tap_error_unshifted : as it came.
     """
 
     method: str
     device: int
     speed_m_s: float
     grip_N: float
-    nrmse: float
-    nrmse_unshifted: float
+    tap_error: float
+    felt_error: float
+    speed: float
+    tap_error_unshifted: float
     latency_s: float
     peak_current_A: float
 
@@ -67,7 +71,9 @@ class Kit:
             settings = Settings.of(self.library, wall=self.wall)
         imperfections = NONE if device == NOMINAL else Imperfections(mismatch=MISMATCH)
         tap = SimulatedTap(speed_m_s, grip_N, seed=device, imperfections=imperfections)
-        played = play_tap(self.library, Servo(settings, self.banks[method]), tap)
+        # To the end of the tail, wherever a shift may move it.
+        after_s = max(AFTER_S, self.library.time_grid().after_stages * self.library.dt_s + 2 * MOST_SHIFT_S)
+        played = play_tap(self.library, Servo(settings, self.banks[method]), tap, after_s=after_s)
         if played.faults:
             raise RuntimeError(f"{method.value}, device {device}, {speed_m_s:g} m/s, {grip_N:g} N: {played.events}")
         return played
@@ -90,19 +96,29 @@ def midpoints(library: Library) -> list[Condition]:
     return [(float(v), float(F)) for v in speeds for F in grips]
 
 
-def result(played: Played, method: Method, device: int) -> Result:
-    """Every method is shifted to fit the reference itself, so that none loses by a delay that nobody feels."""
-    prediction = played.prediction
-    times, reference = prediction.times_s, prediction.reference_m_s2
-    aligned = align(played.times_s, played.acceleration_m_s2, times, reference)
+def result(library: Library, played: Played, method: Method, device: int) -> Result:
+    """Every method is shifted to fit the recorded tap itself, so that none loses by a delay that nobody feels.
+
+    Without the device's own motion a_free the played acceleration is the y'' that the yardstick of the library takes.
+    """
+    prediction, yardstick = played.prediction, library.yardstick
+    target = library.wanted(prediction.speed_m_s, prediction.grip_N).target
+    times = np.append(prediction.times_s, prediction.after_times_s)
+    recorded, free = target.lasting(target.recorded_m_s2), target.lasting(target.free_m_s2)
+    first = (times >= 0) & (times < yardstick.intention_s)
+    aligned = align(played.times_s, played.acceleration_m_s2, times[first], recorded[first])
+    shifted = np.interp(times + aligned.latency_s, played.times_s, played.acceleration_m_s2)
     as_it_came = np.interp(times, played.times_s, played.acceleration_m_s2)
+    figures = yardstick.figures(target, shifted - free)
     return Result(
         method=method.value,
         device=device,
         speed_m_s=played.tap.speed_m_s,
         grip_N=played.tap.grip_N,
-        nrmse=aligned.nrmse,
-        nrmse_unshifted=nrmse(as_it_came, reference),
+        tap_error=figures.tap_error,
+        felt_error=figures.felt_error,
+        speed=figures.speed,
+        tap_error_unshifted=yardstick.tap_error(target, as_it_came - free),
         latency_s=aligned.latency_s,
         peak_current_A=played.peak_current_A,
     )
@@ -112,7 +128,7 @@ def result(played: Played, method: Method, device: int) -> Result:
 
 
 def _taps(own: Kit, method: Method, device: int, conditions: Sequence[Condition]) -> list[Result]:
-    return [result(own.play(method, device, condition), method, device) for condition in conditions]
+    return [result(own.library, own.play(method, device, condition), method, device) for condition in conditions]
 
 
 def compare(
@@ -146,7 +162,7 @@ def compare(
 
 @dataclass(frozen=True)
 class Summary:
-    """One method over all conditions; NRMSE after the shift unless named otherwise, NaN without such devices.
+    """One method over all conditions; tap error after the shift unless named otherwise, NaN without such devices.
 
     Attributes
     ----------
@@ -154,6 +170,7 @@ class Summary:
     mean, worst_device, worst_tap : over the mismatched devices: mean over devices and conditions, the largest mean
         that one device has over its conditions, the largest single tap.
     nominal_unshifted, mean_unshifted : the same two means as the taps came.
+    felt_nominal, felt_mean, speed_nominal, speed_mean : the same two means of felt error and of speed.
     ahead, ahead_unshifted : mismatched taps in which this method came nearer to the reference than the optimum on the
         same device, by more than `EQUAL`; after the shift and as they came. taps : mismatched taps.
     """
@@ -166,6 +183,10 @@ class Summary:
     worst_tap: float
     nominal_unshifted: float
     mean_unshifted: float
+    felt_nominal: float
+    felt_mean: float
+    speed_nominal: float
+    speed_mean: float
     ahead: int
     ahead_unshifted: int
     taps: int
@@ -180,11 +201,14 @@ def _table(results: Sequence[Result], method: str, field: str, nominal: bool) ->
 
 def summarise(results: Sequence[Result]) -> list[Summary]:
     """One summary per method, in the order of the results; the optimum has to be among them."""
-    best, best_came = (_table(results, Method.BILINEAR.value, name, False) for name in ("nrmse", "nrmse_unshifted"))
+    compared = ("tap_error", "tap_error_unshifted")
+    best, best_came = (_table(results, Method.BILINEAR.value, name, False) for name in compared)
     summaries = []
     for method in dict.fromkeys(r.method for r in results):
-        nominal, others = (_table(results, method, "nrmse", which) for which in (True, False))
-        nominal_came, others_came = (_table(results, method, "nrmse_unshifted", which) for which in (True, False))
+        (nominal, others), (nominal_came, others_came), felt, speed = (
+            tuple(_table(results, method, name, which) for which in (True, False))
+            for name in (*compared, "felt_error", "speed")
+        )
         summaries.append(
             Summary(
                 method=method,
@@ -195,6 +219,10 @@ def summarise(results: Sequence[Result]) -> list[Summary]:
                 worst_tap=_of(np.max, others),
                 nominal_unshifted=_of(np.mean, nominal_came),
                 mean_unshifted=_of(np.mean, others_came),
+                felt_nominal=_of(np.mean, felt[0]),
+                felt_mean=_of(np.mean, felt[1]),
+                speed_nominal=_of(np.mean, speed[0]),
+                speed_mean=_of(np.mean, speed[1]),
                 ahead=int(np.sum(others < best - EQUAL)),
                 ahead_unshifted=int(np.sum(others_came < best_came - EQUAL)),
                 taps=others.size,
@@ -207,7 +235,11 @@ def _of(figure: Callable[[FloatArray], float], values: FloatArray) -> float:
     return float(figure(values)) if values.size else float("nan")
 
 
-FIGURES = ("nominal", "nominal_worst", "mean", "worst_device", "worst_tap", "nominal_unshifted", "mean_unshifted")
+# Of which less is better.
+FIGURES = (
+    *("nominal", "nominal_worst", "mean", "worst_device", "worst_tap", "nominal_unshifted", "mean_unshifted"),
+    *("felt_nominal", "felt_mean"),
+)
 
 
 def exceptions(summaries: Sequence[Summary]) -> list[tuple[str, str, float, float]]:

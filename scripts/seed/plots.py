@@ -16,7 +16,7 @@ from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 REFERENCE = "0.65"
-BEFORE_MS, AFTER_MS = 1.5, 30.0  # shown of a tap; the recordings ring to 25 ms
+BEFORE_MS, AFTER_MS = 2.0, 90.0  # shown of a tap: the waveform and some of what comes after it
 JITTER = 0.28  # of the dots around their method's line
 MEAN: dict[str, Any] = {"linestyle": "", "marker": "|", "markersize": 22, "markeredgewidth": 2, "color": OPTIMUM}
 
@@ -62,7 +62,7 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
     Parameters
     ----------
     series : all with the same conditions. limits_A : drawn as dotted lines.
-    predicted : whether the library's prediction of the first series is drawn, and its error written.
+    predicted : whether the library's prediction of the first series is drawn, and its tap error written.
     """
     conditions = list(series[0].taps)
     speeds, grips = (list(dict.fromkeys(c[j] for c in conditions)) for j in (0, 1))
@@ -76,16 +76,16 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
         above, below = rows[2 * iv, ig], rows[2 * iv + 1, ig]
         first = series[0].taps[condition]
         predicted_ms = first.prediction.times_s * 1e3
-        above.plot(predicted_ms, first.prediction.reference_m_s2 / g, color=REFERENCE, linewidth=3.0)
+        above.plot(predicted_ms, first.prediction.recorded_m_s2 / g, color=REFERENCE, linewidth=3.0)
         if predicted:
-            above.plot(predicted_ms, first.prediction.acceleration_m_s2 / g, color=SEED, linewidth=1.2)
+            above.plot(predicted_ms, first.prediction.whole_m_s2 / g, color=SEED, linewidth=1.2)
         for one in series:
             played = one.taps[condition]
             line = {**one.line, "linestyle": "--"} if predicted else one.line
             above.plot(played.times_s * 1e3, played.acceleration_m_s2 / g, **line)
             below.plot(played.times_s * 1e3, played.current_A, **one.line)
         if predicted:
-            text = f"NRMSE {100 * first.nrmse_reference:.1f} %"
+            text = f"tap error {100 * first.tap_error:.1f} %"
             above.text(0.97, 0.93, text, transform=above.transAxes, ha="right", va="top", fontsize=SMALL_PT)
         for limit in limits_A:
             for sign in (1, -1):
@@ -119,32 +119,42 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
 # ------------------------------------------------------------------------------------------------ methods
 
 
+PANELS = (("tap_error", "tap error [%]", 100.0), ("felt_error", "felt error [%]", 100.0), ("speed", "speed", 1.0))
+MEANS = {"tap_error": "mean", "felt_error": "felt_mean", "speed": "speed_mean"}  # field of a summary
+
+
 def method_figure(results: Sequence[Result], summaries: Sequence[Summary]) -> Figure:
-    """Every tap of every method: NRMSE [%], the nominal device's apart, with the means."""
-    figure = Figure(figsize=(7.0, 0.9 + 0.45 * len(summaries)), layout="constrained")
-    axes = figure.subplots()
-    style(axes)
-    axes.grid(visible=False, axis="y")
-    random = np.random.default_rng(0)
-    for row, summary in enumerate(summaries):
-        taps = [r for r in results if r.method == summary.method]
-        for nominal, colour, size in ((False, "0.65", 2.2), (True, SEED, 3.6)):
-            values = np.array([100 * r.nrmse for r in taps if (r.device == NOMINAL) == nominal])
-            places = row + random.uniform(-JITTER, JITTER, values.size)
-            axes.plot(values, places, linestyle="", marker="o", markersize=size, color=colour, markeredgewidth=0)
-        if np.isfinite(summary.mean):
-            axes.plot(100 * summary.mean, row, **MEAN)
-    axes.set_yticks(range(len(summaries)), [summary.method for summary in summaries], fontsize=SMALL_PT)
-    axes.set_ylim(len(summaries) - 0.5, -0.5)
-    logarithmic(axes, y=False)
-    axes.set_xlabel(
-        "NRMSE of the played acceleration against the recorded tap, after the shift [%]", fontsize=LABEL_PT
-    )
+    """Every tap of every method: tap error, felt error and speed, the nominal device's apart, with the means."""
+    figure = Figure(figsize=(11.0, 0.9 + 0.45 * len(summaries)), layout="constrained")
+    panels = figure.subplots(1, len(PANELS), sharey=True)
+    for axes, (field, words, unit) in zip(panels, PANELS, strict=True):
+        style(axes)
+        axes.grid(visible=False, axis="y")
+        random = np.random.default_rng(0)
+        for row, summary in enumerate(summaries):
+            taps = [r for r in results if r.method == summary.method]
+            for nominal, colour, size in ((False, "0.65", 2.2), (True, SEED, 3.6)):
+                values = np.array([unit * getattr(r, field) for r in taps if (r.device == NOMINAL) == nominal])
+                places = row + random.uniform(-JITTER, JITTER, values.size)
+                axes.plot(values, places, linestyle="", marker="o", markersize=size, color=colour, markeredgewidth=0)
+            mean = getattr(summary, MEANS[field])
+            if np.isfinite(mean):
+                axes.plot(unit * mean, row, **MEAN)
+        axes.set_xlabel(words, fontsize=LABEL_PT)
+        if unit == 1:
+            axes.axvline(1.0, color=DARK, linewidth=0.8, linestyle=":")
+            axes.xaxis.set_major_locator(MaxNLocator(5))
+        else:
+            logarithmic(axes, y=False)
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panels[0].set_yticks(range(len(summaries)), [summary.method for summary in summaries], fontsize=SMALL_PT)
+    panels[0].set_ylim(len(summaries) - 0.5, -0.5)
     dot: dict[str, Any] = {"linestyle": "", "marker": "o"}
     handles = [
         Line2D([], [], color=SEED, markersize=4, label="nominal device", **dot),
         Line2D([], [], color="0.65", markersize=4, label="mismatched devices", **dot),
         Line2D([], [], label="their mean", **{**MEAN, "markersize": 11}),
+        Line2D([], [], color=DARK, linewidth=0.8, linestyle=":", label="as hard as the recorded surface"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=SMALL_PT, frameon=False)
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=SMALL_PT, frameon=False)
     return figure

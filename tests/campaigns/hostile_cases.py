@@ -27,8 +27,6 @@ Arrays = dict[str, NDArray[Any]]
 # What a library states beside what it plays, which nothing in the file could contradict.
 BESIDE = (
     "solve_time_s",
-    "nrmse_clipped",
-    "reference_raw_after_m_s2",  # the user's share after the waveform, which bends no motion within what is tolerated
     "meta.sources",
     "meta.versions",
     "meta.solver",

@@ -6,12 +6,12 @@
 Every way is a library of the scene: as if the window were all (`window`), with 30 samples of hand-over in place of 10
 (`long`), with the error after the window in the problem (`tail`), and with both. Every entry is played by the servo
 on each device, whose masses, springs, dampers, force, pole and delay are off by up to the share `--wrong`, with the
-hand going straight on. Printed are the error within the window against the recorded tap, the error after it as a
-share of the same energy, the largest error after it, and the kick: the largest change of the command from one tick to
+hand going straight on. Printed are the tap error, the error after the window as a share of the same energy, the
+largest error after it, and the kick: the largest change of the command from one tick to
 the next in the last 5 ms. Without a scene all built-in ones that have masses and no wall.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -26,11 +26,11 @@ from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank
 from tests.campaigns.harness import JsonFile, PartFile, Seed, at_least, long_form, write_json, write_part
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.writing import table
 from transopt.design.build import build_library
 from transopt.library.library import Library
-from transopt.problem.objective.target import Target
+from transopt.recordings.references import References
 from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 
@@ -46,8 +46,8 @@ WORDS = {
 HEAD = (
     "scene",
     "way",
-    "NRMSE by the model %",
-    "NRMSE played %",
+    "tap error by the model %",
+    "tap error played %",
     "error after %",
     "peak error after, model g",
     "played g",
@@ -62,22 +62,21 @@ class Ended:
 
     Attributes
     ----------
-    nrmse : within the window, against the recorded tap, after the one shift that aligns them.
-    after : the error after the window as a share of the same energy, root of it.
-    peak_after_m_s2 : the largest error there.
+    tap_error, after, peak_after_m_s2 : figures after the one shift that aligns played and predicted; the last two of
+        the error after the window.
     kick_A : largest change of the command in the last 5 ms of the window.
-    predicted_nrmse, predicted_peak_m_s2 : by the model.
+    predicted, predicted_peak_m_s2 : tap error and largest error after the window by the model.
     """
 
     scene: str
     way: str
     speed_m_s: float
     grip_N: float
-    nrmse: float
+    tap_error: float
     after: float
     peak_after_m_s2: float
     kick_A: float
-    predicted_nrmse: float
+    predicted: float
     predicted_peak_m_s2: float
 
 
@@ -88,25 +87,28 @@ def ended_so(scene: Scene, after_s: float, hand_over_samples: int) -> Library | 
     return build_library(varied, recordings_of(varied)).library
 
 
-def targets(scene: Scene) -> list[Target]:
-    """What every speed asks for, through the window and `AFTER_S` after it."""
+def lasting_references(scene: Scene) -> References:
+    """What is recorded, through the window and `AFTER_S` after it."""
     weights = scene.weights.model_copy(update={"after_s": AFTER_S})
     lasting = scene.model_copy(update={"weights": weights})
-    return [reference.target for reference in references_of(lasting, recordings_of(lasting))]
+    return references_of(lasting, recordings_of(lasting))
 
 
 def played(
-    scene: Scene, way: str, library: Library, wanted: list[Target], devices: int, wrong: float, seed: int
+    scene: Scene, way: str, library: Library, references: References, devices: int, wrong: float, seed: int
 ) -> list[Ended]:
     """Every entry on every device."""
     grid, table, truth = library.time_grid(), bank(library), device_of(scene)
-    after_s = grid.end_s + grid.dt_s * np.arange(wanted[0].after_m_s2.size)
+    yardstick = replace(library.yardstick, grid=replace(grid, after_stages=round(AFTER_S / grid.dt_s)))
     late = grid.issue_times_s >= grid.issue_times_s[-1] - LAST_S
     found = []
-    for iv, ig in np.ndindex(library.nrmse.shape):
-        speed, grip, target = float(library.speeds_m_s[iv]), float(library.grips_N[ig]), wanted[iv]
-        model = library.stage(ig).rollout(np.append(library.command[iv, ig], np.zeros(after_s.size)))[0]
-        predicted: FloatArray = model[grid.stages :]
+    for iv, ig in np.ndindex(library.tap_error.shape):
+        speed, grip = float(library.speeds_m_s[iv]), float(library.grips_N[ig])
+        target = references.at(speed, grip).target
+        free = target.lasting(target.free_m_s2)
+        times = grid.switching_times_s[0] + grid.dt_s * np.arange(free.size)
+        lasting = np.append(library.command[iv, ig], np.zeros(free.size - grid.stages))
+        model = yardstick.figures(target, library.stage(ig).rollout(lasting)[0])
         kick = float(np.abs(np.diff(library.command[iv, ig], prepend=0.0))[late].max())
         for number in range(devices):
             random = np.random.default_rng([seed, number])
@@ -115,19 +117,20 @@ def played(
             once = play_tap(library, Servo(Settings.of(library), table), tap, device=device, after_s=LOOKED_S)
             if not once.played or once.faults:
                 continue
-            acceleration = np.interp(after_s + once.latency_s, once.times_s, once.acceleration_m_s2)
+            whole = np.interp(times + once.latency_s, once.times_s, once.acceleration_m_s2)
+            told = yardstick.figures(target, whole - free)
             found.append(
                 Ended(
                     scene=scene.name,
                     way=way,
                     speed_m_s=speed,
                     grip_N=grip,
-                    nrmse=once.nrmse_reference,
-                    after=target.nrmse_after(acceleration),
-                    peak_after_m_s2=target.peak_after_m_s2(acceleration),
+                    tap_error=told.tap_error,
+                    after=told.error_after,
+                    peak_after_m_s2=told.peak_after_m_s2,
                     kick_A=kick,
-                    predicted_nrmse=float(library.nrmse[iv, ig]),
-                    predicted_peak_m_s2=target.peak_after_m_s2(predicted),
+                    predicted=model.tap_error,
+                    predicted_peak_m_s2=model.peak_after_m_s2,
                 )
             )
     return found
@@ -135,9 +138,7 @@ def played(
 
 def figures_of(taps: list[Ended]) -> tuple[float, ...]:
     """Mean errors of one way in one scene in % by model, played and after; worst peaks in g, worst kick in A."""
-    mean = [
-        100 * float(np.mean([getattr(tap, key) for tap in taps])) for key in ("nrmse", "after", "predicted_nrmse")
-    ]
+    mean = [100 * float(np.mean([getattr(tap, key) for tap in taps])) for key in ("tap_error", "after", "predicted")]
     peak, of_model = (
         max(getattr(tap, key) for tap in taps) / STANDARD_GRAVITY_M_S2
         for key in ("peak_after_m_s2", "predicted_peak_m_s2")
@@ -163,11 +164,11 @@ def main(
     found: list[Ended] = []
     rows: list[list[str]] = []
     print("                                model   played    after    model     peak     kick")
-    print("scene            way      taps NRMSE %  NRMSE %        %   peak g        g        A")
+    print("scene            way      taps   tap %    tap %        %   peak g        g        A")
     for name in scenes or problems.scene_names():
         scene = problems.load(name)
         try:
-            wanted = targets(scene)
+            references = lasting_references(scene)
             device_of(scene)
         except InputError as error:
             print(f"{name:16s} left out: {error}")
@@ -180,7 +181,7 @@ def main(
             if library is None:
                 print(f"{name:16s} {way:7s} an entry has no answer")
                 continue
-            taps = played(scene, way, library, wanted, devices, wrong, seed)
+            taps = played(scene, way, library, references, devices, wrong, seed)
             if not taps:
                 print(f"{name:16s} {way:7s} the servo plays none of it: the coil is too warm to begin with")
                 continue

@@ -33,6 +33,9 @@ from transopt.plant.intention import Intention
 PLAYING_TICKS = 800  # of a tap; instants lie between the first reading and its end
 STROKE_TICKS = 60  # in which a missing current or a stuck encoder must show
 LATCHED_TICKS = 30
+# Before the contact a stuck encoder is a stylus that stands still: nothing is played, and nothing is at fault.
+STUCK_WITHIN = (0, 10)
+STUCK_ROOM = 1.3  # of the strokes, for a device that is not quite the model and a hand of another speed
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,7 @@ INJECTIONS = (
     Injection("over-current", Fault.OVER_CURRENT, {"current_A": 5.3}),
     Injection("no current", Fault.NO_CURRENT, {}, open_circuit=True, within=(-20, 20)),
     Injection("over-temperature", Fault.OVER_TEMPERATURE, {}, heat_K=1.0),
-    # Before the contact a stuck encoder is a stylus that stands still: nothing is played, and nothing is at fault.
-    Injection("encoder stuck", Fault.ENCODER_STUCK, {}, within=(0, 10)),
+    Injection("encoder stuck", Fault.ENCODER_STUCK, {}, within=STUCK_WITHIN),
 )
 
 
@@ -106,12 +108,25 @@ class Detectable:
         return True
 
 
+def _tap(random: np.random.Generator) -> tuple[float, float]:
+    """Speed [m/s], fast enough for the strokes that a missing current is seen by, and grip [N]."""
+    return float(random.uniform(0.25, 0.6)), float(random.integers(2, 17) / 2)
+
+
+def _shows_stuck(library: Library, settings: Settings, speed_m_s: float, grip_N: float) -> bool:
+    """Whether what is left of a tap's strokes after the instant is more than what a stuck encoder is known by."""
+    strokes = library.at(speed_m_s, grip_N).command[STUCK_WITHIN[1] :]
+    strokes = strokes[np.abs(strokes) >= settings.stuck_A]
+    return bool(abs(strokes.sum()) * settings.dt_s > STUCK_ROOM * settings.stuck_A_s)
+
+
 def inject(library: Library, table: Bank, injection: Injection, seed: int) -> Outcome:
     """One tap with one fault at a random instant."""
     random = np.random.default_rng([seed, 6])
     settings = replace(Settings.of(library), amplifier_tolerance=0.1)
-    # Fast enough for the strokes that a missing current and a stuck encoder are seen by.
-    speed, grip = float(random.uniform(0.25, 0.6)), float(random.integers(2, 17) / 2)
+    speed, grip = _tap(random)
+    while injection.fault is Fault.ENCODER_STUCK and not _shows_stuck(library, settings, speed, grip):
+        speed, grip = _tap(random)
     contact = approach_ticks(speed, settings.dt_s)
     intention = Intention(yields="brakes" if random.uniform() < 0.5 else "straight")
     user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, intention, Tremor())

@@ -45,7 +45,7 @@ def random_points(scene: Scene, count: int, seed: int = SEED) -> FloatArray:
 
 
 def excess(scene: Scene, references: References, points: FloatArray, *libraries: Library) -> FloatArray:
-    """(n, libraries) tap error of what a library plays at points (n, 2) less that of the optimum there, replayed."""
+    """(n, libraries) tap error of what each library plays at points (n, 2) less that of the optimum, replayed."""
     grid, found = scene.time_grid(), []
     for speed, grip in points:
         stage = discretise(scene.plant(grip), scene.amplifier_model(), grid.dt_s)
@@ -103,7 +103,7 @@ def demonstrate(
 
 def main(
     points: Annotated[int, at_least(1, "random points per device")] = 200,
-    tolerance: Annotated[float, Option(help="largest excess, absolute in the tap error")] = 0.02,
+    tolerance: Annotated[float, Option(help="largest excess, absolute in tap error")] = 0.02,
     cap: Annotated[int, Option(help="most entries")] = DEFAULT_CAP,
     out: Annotated[Path | None, Option(help="folder for the figures")] = None,
     part: PartFile = None,

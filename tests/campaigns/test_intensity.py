@@ -59,8 +59,8 @@ class Found:
     waveform_dB: float
     pacinian_dB: float
     waveform_pacinian_dB: float
-    nrmse: float
-    waveform_nrmse: float
+    tap_error: float
+    waveform_tap_error: float
     objective: float
     relative_gap: float
     accepted: bool
@@ -174,11 +174,11 @@ def _found(
 
     def figures(command_A: FloatArray) -> tuple[float, float]:
         made = problem.stage.rollout(command_A)[0]
-        return problem.target.nrmse(made), levels(made, r, dt_s).pacinian_dB
+        return problem.yardstick.tap_error(problem.target, made), levels(made, r, dt_s).pacinian_dB
 
-    nrmse, pacinian_dB = figures(designed.solution.command)
+    tap_error, pacinian_dB = figures(designed.solution.command)
     wave = intense(replace(problem, intensity=0.0, intensity_dB=-300.0), SolverOptions())
-    wave_nrmse, wave_pacinian_dB = figures(wave.solution.command)
+    wave_tap_error, wave_pacinian_dB = figures(wave.solution.command)
     least, met = rival(designed, starts, rng) if starts and attained.problems > 1 else (float("nan"), 0)
     return Found(
         current_A=current_A,
@@ -189,8 +189,8 @@ def _found(
         waveform_dB=attained.waveform_dB,
         pacinian_dB=pacinian_dB,
         waveform_pacinian_dB=wave_pacinian_dB,
-        nrmse=nrmse,
-        waveform_nrmse=wave_nrmse,
+        tap_error=tap_error,
+        waveform_tap_error=wave_tap_error,
         objective=proof.objective,
         relative_gap=proof.relative_gap,
         accepted=proof.accepted,
@@ -203,7 +203,16 @@ def _found(
 
 def lines(found: list[Found], starts: int) -> list[str]:
     """Markdown: a table of the limits, and one of the entries that were searched for."""
-    head = ["limit A", "searched", "out of reach", "off by dB", "gap", "QPs, median / worst", "solver ms", "NRMSE %"]
+    head = [
+        "limit A",
+        "searched",
+        "out of reach",
+        "off by dB",
+        "gap",
+        "QPs, median / worst",
+        "solver ms",
+        "tap error %",
+    ]
     rows = []
     for current_A in dict.fromkeys(each.current_A for each in found):
         own = [each for each in found if each.current_A == current_A and each.searched]
@@ -220,12 +229,12 @@ def lines(found: list[Found], starts: int) -> list[str]:
                 f"{max(each.relative_gap for each in own):.0e}",
                 f"{np.median([each.problems for each in own]):g} / {max(each.problems for each in own)}",
                 f"{np.median([each.solve_ms for each in own]):.1f}",
-                f"{100 * np.mean([each.waveform_nrmse for each in own]):.1f} to "
-                f"{100 * np.mean([each.nrmse for each in own]):.1f}",
+                f"{100 * np.mean([each.waveform_tap_error for each in own]):.1f} to "
+                f"{100 * np.mean([each.tap_error for each in own]):.1f}",
             ]
         )
     text = table(head, rows)
-    head = ["A", "m/s", "N", "lam", "dB", "Pacinian dB", "NRMSE %", "J", "QPs"]
+    head = ["A", "m/s", "N", "lam", "dB", "Pacinian dB", "tap error %", "J", "QPs"]
     head += [f"least J of {starts} IPOPT starts", "excess of ours", "starts that met it"] if starts else []
     rows = []
     for e in (each for each in found if each.searched):
@@ -236,7 +245,7 @@ def lines(found: list[Found], starts: int) -> list[str]:
             f"{e.price:.4f}",
             f"{e.waveform_dB:+.2f} to {e.energy_dB:+.3f}",
             f"{e.waveform_pacinian_dB:+.2f} to {e.pacinian_dB:+.2f}",
-            f"{100 * e.waveform_nrmse:.1f} to {100 * e.nrmse:.1f}",
+            f"{100 * e.waveform_tap_error:.1f} to {100 * e.tap_error:.1f}",
             f"{e.objective:.6g}",
             e.problems,
         ]

@@ -7,14 +7,14 @@
 Drivers of LRAs play two pulses: a burst that overdrives the mass, and one of the other sign that brakes it. The trade
 guesses their lengths. Here the family has seven numbers, the frequency of the carrier, amplitude, length and phase of
 the burst, the pause behind it, and amplitude and length of the brake, whose phase goes on from the burst; the carrier
-is a sine or a square wave, both are tried. Differential evolution (scipy) seeks the least NRMSE of the family through
+is a sine or a square wave, both are tried. Differential evolution (scipy) seeks the least error of the family through
 the same plant, over the waveform and the time after it, started from several populations. Every command of it obeys
 the same voltage; the stroke is not asked of it, which favours it.
 
 The design is that of `transopt solve`: certified, and replayed by an integration of its own. Times are of its solver,
 the median of --repeats runs of the same problem on one thread.
 
-Asked: NRMSE at most 0.6 of the best pulses' at 3 V and 0.2 at 8 V; the energy in the 30 ms after the target's end
+Asked: an error at most 0.6 of the best pulses' at 3 V and 0.2 at 8 V; the energy in the 30 ms after the target's end
 lower by 10 dB; certified, within 5 ms for 2880 commands. It fails if something is not as asked.
 """
 
@@ -49,7 +49,7 @@ from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
 
 RING_S = 30e-3  # after the target's end
-SHARE = {3.0: 0.6, 8.0: 0.2}  # of the best pulses' NRMSE that the design may have, by voltage
+SHARE = {3.0: 0.6, 8.0: 0.2}  # of the best pulses' error that the design may have, by voltage
 QUIETER_dB = 10.0
 MOST_MS = 5.0
 STARTS = 3  # populations of each carrier
@@ -62,7 +62,7 @@ class Found:
 
     Attributes
     ----------
-    nrmse, pulses_nrmse : of the design and of the best pulses, over the waveform and the time after it.
+    error, pulses_error : |y'' - r| / |r| of the design and of the best pulses, over waveform and tail.
     ring, pulses_ring : energy in the 30 ms after the target's end over that of the target.
     solve_ms : of the solver, median.
     certified : whether the design is proven optimal and its replay keeps every limit.
@@ -71,8 +71,8 @@ class Found:
 
     target: str
     voltage_V: float
-    nrmse: float
-    pulses_nrmse: float
+    error: float
+    pulses_error: float
     ring: float
     pulses_ring: float
     solve_ms: float
@@ -82,7 +82,7 @@ class Found:
 
     @property
     def share(self) -> float:
-        return self.nrmse / self.pulses_nrmse
+        return self.error / self.pulses_error
 
     @property
     def quieter_dB(self) -> float:
@@ -104,7 +104,7 @@ def pulses(numbers: FloatArray, times_s: FloatArray, limit: float, carrier: str)
 def best_pulses(
     problem: TransientProblem, frequency_Hz: float, generations: int, seed: int
 ) -> tuple[float, str, FloatArray]:
-    """Least NRMSE of the family over waveform and tail, its carrier and its numbers."""
+    """Least error of the family over waveform and tail, its carrier and its numbers."""
     grid = problem.grid
     times = grid.dt_s * np.arange(grid.stages)
     impulse = problem.stage.rollout(np.eye(1, grid.stages + grid.after_stages)[0])[0]
@@ -142,7 +142,7 @@ def best_pulses(
 
 
 def ringing(problem: TransientProblem, command: FloatArray, ends_s: float) -> tuple[float, float]:
-    """NRMSE over waveform and tail, and the energy in the 30 ms after the target's end over that of the target."""
+    """Error over waveform and tail, and the energy in the 30 ms after the target's end over that of the target."""
     made = problem.accelerations(command)[0]
     wanted = problem.target.continued_m_s2
     times = problem.grid.switching_times_s[0] + problem.grid.dt_s * np.arange(made.size)
@@ -158,14 +158,14 @@ def compared(entry: Entry, frequency_Hz: float, ends_s: float, generations: int,
     _, carrier, numbers = best_pulses(problem, frequency_Hz, generations, seed)
     rival = pulses(numbers, problem.grid.dt_s * np.arange(problem.grid.stages), problem.limits.input_limit, carrier)
     rival[problem.free_stages :] = 0.0
-    nrmse, ring = ringing(problem, entry.solution.command, ends_s)
-    pulses_nrmse, pulses_ring = ringing(problem, rival, ends_s)
+    error, ring = ringing(problem, entry.solution.command, ends_s)
+    pulses_error, pulses_ring = ringing(problem, rival, ends_s)
     times = [solve(problem, SolverOptions()).solve_time_s for _ in range(repeats)]
     return Found(
         target=entry.target,
         voltage_V=problem.limits.input_limit,
-        nrmse=nrmse,
-        pulses_nrmse=pulses_nrmse,
+        error=error,
+        pulses_error=pulses_error,
         ring=ring,
         pulses_ring=pulses_ring,
         solve_ms=1e3 * float(np.median(times)),
@@ -183,7 +183,7 @@ def short_of(found: Sequence[Found]) -> list[str]:
         if not each.certified:
             said.append(f"{where}: not certified")
         if each.share > share:
-            said.append(f"{where}: NRMSE {each.share:.2f} of the best pulses', asked {share:g}")
+            said.append(f"{where}: error {each.share:.2f} of the best pulses', asked {share:g}")
         if each.quieter_dB < QUIETER_dB:
             said.append(f"{where}: rings {each.quieter_dB:.1f} dB less than the best pulses, asked {QUIETER_dB:g}")
         if each.solve_ms > MOST_MS:
@@ -191,7 +191,7 @@ def short_of(found: Sequence[Found]) -> list[str]:
     return said
 
 
-HEAD = ["click", "V", "NRMSE %", "best pulses %", "share", "ring dB", "pulses dB", "quieter dB", "ms", "carrier"]
+HEAD = ["click", "V", "error %", "best pulses %", "share", "ring dB", "pulses dB", "quieter dB", "ms", "carrier"]
 
 
 def cells(each: Found) -> list[str]:
@@ -200,8 +200,8 @@ def cells(each: Found) -> list[str]:
     return [
         each.target,
         f"{each.voltage_V:g}",
-        f"{100 * each.nrmse:.2f}",
-        f"{100 * each.pulses_nrmse:.1f}",
+        f"{100 * each.error:.2f}",
+        f"{100 * each.pulses_error:.1f}",
         f"{each.share:.2f}",
         f"{ring:.1f}",
         f"{pulses_ring:.1f}",

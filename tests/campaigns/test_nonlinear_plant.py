@@ -5,8 +5,8 @@
 
 The actuator is an LRA with its case; its force factor falls by 30 % at full stroke (`force`), its spring stiffens by
 50 % there besides (`spring`), and it rubs with 0.04 N besides (`friction`). The targets take it
-near full stroke. Every design is played on the nonlinear plant by DOP853. Printed are the NRMSE that the linear
-design promises, the NRMSE it has when it is played, and that of the nonlinear design, with IPOPT's time and the gap
+near full stroke. Every design is played on the nonlinear plant by DOP853. Printed are the tap error that the linear
+design promises, the one it has when it is played, and that of the nonlinear design, with IPOPT's time and the gap
 of its certificate. Exit code 1: a design is not proven, or its error is more than half of the linear design's.
 """
 
@@ -39,7 +39,7 @@ HEAD = ("plant", "target", "promised %", "linear %", "nonlinear %", "of linear",
 
 @dataclass(frozen=True)
 class Found:
-    """One target on one plant; NRMSE as shares, not per cent."""
+    """One target on one plant; tap errors as shares, not per cent."""
 
     plant: str
     target: str
@@ -98,8 +98,8 @@ def measured(plant: str, rate_Hz: float = 10e3, targets: int = len(TARGETS)) -> 
             plant=plant,
             target=entry.target,
             promised=entry.linear_promised,
-            linear=entry.linear_nrmse,
-            nonlinear=entry.nrmse,
+            linear=entry.linear_tap_error,
+            nonlinear=entry.figures.tap_error,
             solve_s=entry.solution.solve_time_s,
             iterations=entry.solution.iterations,
             substeps=0 if entry.designed.nonlinear is None else entry.designed.nonlinear.stage.substeps,

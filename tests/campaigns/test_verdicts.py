@@ -7,13 +7,13 @@
 For each effect and seed: sweeps, multisines and held-out taps are recorded on a device whose equations and
 integration are not transopt's (tests/benches/other_device.py), the device is identified from them by the command, the
 default scene is solved with the model, to its own recordings, and each entry's command is played on the true device
-without noise. The true error of an entry is the NRMSE between the acceleration that the library predicts and what the
-device does; of a hand that varies, the root mean square over several hands. It stands beside the error that the model
+without noise. The true error of an entry is its playback error, what the device does against the acceleration that
+the library predicts; of a hand that varies, the root mean square over several hands. It stands beside the error that the model
 file predicts. A verdict holds if for median and worst entry the predicted error is 0.5 to 2 times the true one, or
 within 0.1 points of it where the true one is below 0.2 %, or if the model was refused (exit code, shortfalls) and a
 right cause named. On the plain device any shortfall is a false alarm.
 
-"against taps" is the NRMSE of what the device does against the recorded taps, mean over the entries, with the
+"against taps" is the tap error of what the device does against the recorded taps, mean over the entries, with the
 identified library and with the nominal device's. Last come the parameters' errors on the plain device, how many of
 the 95 % intervals hold the truth, and where a cause was named that is none (which alone fails on the plain device).
 
@@ -80,7 +80,7 @@ class Verdict:
     Attributes
     ----------
     predicted, true : (ng, nv) of the library's entries; empty where there is none.
-    against_taps, nominal_against_taps : mean NRMSE of what the device does against the recorded taps.
+    against_taps, nominal_against_taps : mean tap error of what the device does against the recorded taps.
     causes, shortfalls : of the model file; of a refusal of the records its message.
     unsolved : which entries of the scene the model leads to no admitted command for, with their status.
     seconds : of the identification alone.
@@ -144,19 +144,18 @@ def _nominal() -> tuple[Scene, Sequence[Recording], Library]:
 
 
 def _errors(effect: str, seed: int, library: Library) -> tuple[FloatArray, FloatArray]:
-    """(ng, nv) true NRMSE against the library's prediction, and against the recorded taps."""
+    """(ng, nv) true error against the library's prediction, and tap error, root mean squares over the runs."""
     delay = library.amplifier().delay_s
     shape = library.grips_N.size, library.speeds_m_s.size
     predicted, recorded = np.empty(shape), np.empty(shape)
     for ig, grip in enumerate(library.grips_N):
         for iv in range(library.speeds_m_s.size):
             runs = played(effect, seed, float(grip), np.array(library.command[iv, ig]), delay)
-            for wanted, found in (
-                (library.acceleration_m_s2[iv, ig], predicted),
-                (library.reference_m_s2[iv], recorded),
-            ):
-                misses = [np.mean((run - wanted) ** 2) for run in runs]
-                found[ig, iv] = np.sqrt(np.mean(misses) / np.mean(np.square(wanted)))
+            wanted, target = library.acceleration_m_s2[iv, ig], library.wanted_of(iv, ig).target
+            misses = [np.mean((run - wanted) ** 2) for run in runs]
+            predicted[ig, iv] = np.sqrt(np.mean(misses) / np.mean(np.square(wanted)))
+            taps = [library.yardstick.tap_error(target, run) for run in runs]
+            recorded[ig, iv] = np.sqrt(np.mean(np.square(taps)))
     return predicted, recorded
 
 

@@ -9,9 +9,11 @@ import pytest
 
 from tests.benches.scripts import script
 from tests.conftest import STAGES, ProblemMaker
+from transopt.design.context import Context
 from transopt.problem.objective.plain import plain
 from transopt.problem.objective.rapid import rapid, rapid_filter
 from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
 
 cases, run = script("precision.cases"), script("precision.run")
 
@@ -23,8 +25,15 @@ def short_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
 
 
 @pytest.fixture(scope="session")
+def whole_case(short_scene: Scene) -> Any:
+    """The short case with the tap as it was recorded, which is what a scene asks for at any servo rate."""
+    problem = Context.recorded(short_scene, recordings(short_scene)).posed(0.4, 5.0).problem
+    return cases.make_case("short", short_scene, problem, 0.4, 5.0)
+
+
+@pytest.fixture(scope="session")
 def tailed_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
-    """The short case with both terms of the error, and as many instants after the window, in which the tap goes on."""
+    """The short case with both terms of the error, and as many instants after it, in which the tap goes on."""
     problem = make_problem(stages=STAGES)
     after = make_problem().reference_m_s2[STAGES : 2 * STAGES]
     grid = replace(problem.grid, after_stages=after.size)

@@ -115,18 +115,19 @@ class TestJudge:
 
 
 class TestServoRates:
-    def test_a_held_command_is_the_same_at_any_rate(self, short_case: Any) -> None:
-        command = short_case.optimum.command_A
-        tap_error, violation = periods.played(short_case, {10e3: command, 20e3: np.repeat(command, 2)})
+    def test_a_held_command_is_the_same_at_any_rate(self, whole_case: Any) -> None:
+        command = whole_case.optimum.command_A
+        tap_error, violation = periods.played(whole_case, {10e3: command, 20e3: np.repeat(command, 2)})
         assert tap_error[10e3] == pytest.approx(tap_error[20e3], rel=1e-12)
-        assert tap_error[10e3] == pytest.approx(short_case.optimum.tap_error, rel=0.1)
+        # On eight times as many instants; the ramps between them are the rest.
+        assert tap_error[10e3] == pytest.approx(whole_case.optimum.tap_error, rel=0.05)
         assert abs(violation[10e3]) < 1e-9
 
-    def test_faster_servos_come_nearer(self, short_case: Any) -> None:
-        rows = periods.measure_periods(short_case, Effort(0.0, least=1), (5e3, 10e3))
+    def test_faster_servos_come_nearer(self, whole_case: Any) -> None:
+        rows = periods.measure_periods(whole_case, Effort(0.0, least=1), (5e3, 10e3))
         slow, fast = rows
         assert (slow.method, fast.method) == ("5 kHz", "10 kHz")
-        assert slow.tap_error_excess > fast.tap_error_excess > 0
+        assert abs(slow.tap_error_excess) > abs(fast.tap_error_excess) > 0
         assert math.isnan(slow.error)
         assert slow.options == f"{STAGES // 2} stages, {SolverOptions().solver}"
 
