@@ -138,8 +138,8 @@ class Context:
     @cached_property
     def yardstick(self) -> Yardstick:
         """How the entries of the scene are compared with the recorded taps."""
-        grid, posing = self.posing.grid, self.posing
-        return Yardstick(grid, grid.end_s if self.scene.targets else posing.intention_s)
+        grid, named = self.posing.grid, bool(self.scene.targets)
+        return Yardstick(grid, grid.end_s if named else self.posing.intention_s, named)
 
     @cached_property
     def _linear(self) -> Scene:

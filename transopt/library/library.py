@@ -576,7 +576,8 @@ class Library:
     def yardstick(self) -> Yardstick:
         """How its entries are compared with the recorded taps."""
         named = bool(self.axes.targets)
-        return Yardstick(self.time_grid(), self.time_grid().end_s if named else self.posing().intention_s)
+        grid = self.time_grid()
+        return Yardstick(grid, grid.end_s if named else self.posing().intention_s, named)
 
     def figures(self, iv: int, ig: int) -> Figures:
         """How near an entry comes to the recorded tap, as the file says."""

