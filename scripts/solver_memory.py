@@ -89,8 +89,8 @@ def cases() -> Iterator[Stages]:
     yield moved(tight, 0.0, -2.0)  # the upper ones below the lower ones: no limits
     # At the last instant, which no command moves any more, the limits of the one before.
     yield replace(tight, arrays=tight.arrays | {name: at_the_end(tight.arrays[name]) for name in ("lower", "upper")})
-    nothing = np.full_like(plain.reference_m_s2, np.nan)
     given = stage_data.stages(plain)
+    nothing = np.full_like(given.arrays["reference"], np.nan)
     yield replace(given, arrays=given.arrays | {"reference": nothing})
     idle = tuple(replace(term, weights=np.zeros(plain.grid.stages)) for term in plain.terms)
     yield without_limits(replace(plain, rho=0.0, terms=idle))

@@ -35,7 +35,7 @@ STROKE_TICKS = 60  # in which a missing current or a stuck encoder must show
 LATCHED_TICKS = 30
 # Before the contact a stuck encoder is a stylus that stands still: nothing is played, and nothing is at fault.
 STUCK_WITHIN = (0, 10)
-STUCK_ROOM = 1.3  # of the strokes, for a device that is not quite the model and a hand of another speed
+STUCK_ROOM = 1.05  # of the strokes, for a speed and a grip that are not measured exactly
 
 
 @dataclass(frozen=True)

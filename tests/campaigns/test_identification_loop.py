@@ -503,7 +503,7 @@ def test_what_falls_short(library: Library) -> None:
             IDENTIFIED: own,
             TRUTH: 0.01,
         }
-        return [Stage(name, [value] * 12, peak) for name, value in named.items()]
+        return [Stage(name, [value] * 12, [value] * 12, peak) for name, value in named.items()]
 
     def short(*values: float, unstated: bool = False, **more: float) -> list[str]:
         return list(shortfalls(0.1, stages(*values, **more), library, unstated))
@@ -515,7 +515,7 @@ def test_what_falls_short(library: Library) -> None:
     assert "up to 0.3 m/s identified 1.060%, known truth 1.000%" in far
     assert short(0.09, 0.04, 0.03, own=0.0106, unstated=True) == []
     [refined] = short(0.09, 0.04, 0.05)
-    assert "refined, kept 5.00%, identified model 4.00%" in refined
+    assert "refined, kept 5.00% of playback, identified model 4.00%" in refined
     assert len(short(0.09, 0.04, 0.03, peak=4.01)) == 4
 
 

@@ -121,8 +121,8 @@ def rival(designed: Designed, starts: int, rng: np.random.Generator) -> tuple[fl
     variables = ca.reshape(program.x, statement.shape.variables, N)
     movement, after = variables[0, :], variables[statement.shape.controls : statement.shape.command + 1, :]
     before = ca.horzcat(ca.MX(after.size1(), 1), after[:, :-1])
-    outputs = ca.DM(stage.C) @ before + ca.DM(stage.E) @ movement
-    own = float(np.mean(np.sum((start_outputs(statement, own_A)) ** 2, axis=-1)))
+    outputs = (ca.DM(stage.C) @ before + ca.DM(stage.E) @ movement)[heard(problem), :]
+    own = float(np.mean(np.sum((start_outputs(statement, own_A)[heard(problem)]) ** 2, axis=-1)))
     energy = ca.sumsqr(outputs) / outputs.size1() / own
     nlp = {"x": program.x, "p": program.p, "f": program.f, "g": ca.vertcat(program.g, energy)}
     solver = ca.nlpsol("rival", "ipopt", nlp, {"print_time": False, "ipopt": {**IPOPT, "nlp_scaling_method": "none"}})
@@ -142,6 +142,11 @@ def rival(designed: Designed, starts: int, rng: np.random.Generator) -> tuple[fl
             met += 1
             best = min(best, problem.objective(command, accelerations))
     return best, met
+
+
+def heard(problem: TransientProblem) -> slice:
+    """Outputs of the program that are the energy: of the terms of each device, side by side, the last."""
+    return slice(len(problem.terms) - 1, len(problem.terms) * len(problem.devices), len(problem.terms))
 
 
 def start_outputs(statement: Statement, command_A: FloatArray) -> FloatArray:
@@ -298,8 +303,12 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> list[Found]:
 def test_every_entry_within_reach_has_the_energy(found: list[Found]) -> None:
     assert len(found) == 36
     searched = [each for each in found if each.searched]
-    assert len(searched) == 20
-    assert all(abs(each.energy_dB) <= 0.02 for each in searched)
+    # The window ends while the hand pushes, so that without a price every tap lacks some energy.
+    assert len(searched) == 36
+    reached = [each for each in searched if each.price < MOST]
+    assert len(reached) >= 35
+    assert all(abs(each.energy_dB) <= 0.02 for each in reached)
+    assert all(abs(each.energy_dB) <= 0.1 for each in searched)
     assert all(each.relative_gap <= 1e-6 and each.accepted for each in found)
 
 

@@ -4,11 +4,11 @@
         --campaign="[LIBRARY] [--phases 5] [--seeds 2] [--points 60] [--json FILE]"
 
 At the nodes: latency and playback error after it, against the library's prediction, over contact phases within the
-tick and seeds of the sensors' noise. Between them, at random speeds and grips of the grid: against the blend of the nodes'
-predictions, which a device at that grip misses by the interpolation error even if everything is played on time.
+tick and seeds of the sensors' noise. Between them, at random speeds and grips of the grid: against the blend of the
+nodes' predictions, which a device at that grip misses by the interpolation error even if all is played on time.
 Of every node its tap error is printed too, which the design leaves even if it is played without any error. It fails
-if a node's latency is above 20 us rms, its playback error above 3 % or its tap error 3 points above the library's, or if
-a point's error is above the interpolation error plus 3 %.
+if a node's latency is above 20 us rms, its playback error above 3 % or its tap error 3 points above the library's, or
+if a point's error is above the interpolation error plus 3 %.
 """
 
 from dataclasses import asdict, dataclass, replace

@@ -8,9 +8,9 @@ For each effect and seed: sweeps, multisines and held-out taps are recorded on a
 integration are not transopt's (tests/benches/other_device.py), the device is identified from them by the command, the
 default scene is solved with the model, to its own recordings, and each entry's command is played on the true device
 without noise. The true error of an entry is its playback error, what the device does against the acceleration that
-the library predicts; of a hand that varies, the root mean square over several hands. It stands beside the error that the model
-file predicts. A verdict holds if for median and worst entry the predicted error is 0.5 to 2 times the true one, or
-within 0.1 points of it where the true one is below 0.2 %, or if the model was refused (exit code, shortfalls) and a
+the library predicts; of a hand that varies, the root mean square over several hands. It stands beside the error that
+the model file predicts. A verdict holds if for median and worst entry the predicted error is 0.5 to 2 times the true
+one, or within 0.1 points of it where the true one is below 0.2 %, or if the model was refused (exit code, shortfalls) and a
 right cause named. On the plain device any shortfall is a false alarm.
 
 "against taps" is the tap error of what the device does against the recorded taps, mean over the entries, with the
