@@ -250,6 +250,7 @@ def verdict(
         limits = dict.fromkeys(NAMED.split(part)[0].strip() for part in binding.split("; "))
         said.append(f"held back by {' and '.join(limits)}")
     if figures.speed < PULLS:
-        pulling = least_input is not None and least_input[0] < 0
-        said.append("the surface pulls" + (f", by up to {-least_input[0]:.2f} {least_input[1]}" if pulling else ""))
+        said.append("the surface pulls")
+        if least_input is not None and least_input[0] < 0:
+            said[-1] += f", by up to {-least_input[0]:.2f} {least_input[1]}"
     return "; ".join(said)

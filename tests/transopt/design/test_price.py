@@ -195,7 +195,7 @@ def test_at_what_is_enough_it_does_not_bind_and_just_below_it_does(cases: dict[s
     assert left == []
     assert error == pytest.approx(designed.floor, rel=1e-6)
     assert price.there == pytest.approx(error, rel=1e-6)
-    # What is printed is rounded up, temperatures to a millikelvin; and a limit hardly binds that one step of 800 meets.
+    # What is printed is rounded up, temperatures to a millikelvin; a limit that one step of all meets hardly binds.
     room = price.enough - HOT_C if case.name == "coil" else price.enough
     _, _, short = solved_at(case, price.enough - max(2e-3 * room, 1.1e-3 * (case.name == "coil")))
     assert [p.limit for p in short] == [case.name]
