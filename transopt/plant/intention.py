@@ -21,7 +21,7 @@ INTENTION_S = 30e-3  # for so long after contact the intention stays what it was
 BRAKING_S = 60e-3  # in which a yielding hand comes to rest, evenly
 PULLING_S = 60e-3  # in which one that pulls back turns, evenly, to the incoming speed outwards
 DECAY_S = 30e-3  # time constant with which one that decays comes to rest
-RISE_S = 2.5e-3  # time constant with which a stylus follows the hand's acceleration (measured on chains of hands)
+FOLLOWS_S = 2.5e-3  # time constant with which a stylus follows a hand that is no chain (measured on chains of hands)
 
 Yielding = Literal["brakes", "straight", "stops", "decays", "pulls"]
 YIELDINGS: tuple[str, ...] = get_args(Yielding)
@@ -164,7 +164,7 @@ class FreeMotion:
     def _plant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """A, the input of u'' and the row of the stylus' acceleration."""
         if self._chain is None:
-            return np.array([[-1 / RISE_S]]), np.array([-1.0]), np.array([-1 / RISE_S])
+            return np.array([[-1 / FOLLOWS_S]]), np.array([-1.0]), np.array([-1 / FOLLOWS_S])
         n = self._chain.order
         return self._chain.A, np.append(np.zeros(n // 2), -np.ones(n - n // 2)), self._chain.C[0]
 
@@ -188,20 +188,37 @@ class FreeMotion:
         system = LinearSystem(exponential[:n, :n], exponential[:n, n:], row[None], np.zeros((1, 1)))
         return np.asarray(system.outputs(mean[None])[0])
 
+    def _carried(self, times_s: FloatArray) -> FloatArray:
+        """(K,) acceleration for 1 m/s^2 of the hand until its intention is over.
+
+        Every mass lags behind the hand by its own inertia, x = A^-1 [0, 1], and from then on dx/dt = A x. A hand
+        without a spring, which has no such lag, is followed like one that is no chain.
+        """
+        A, b, row = self._plant
+        left = times_s - self.intention.intention_s
+        first, step = int(np.searchsorted(left, 0.0, side="right")), times_s[1] - times_s[0]
+        found = np.ones(times_s.size)
+        if first == times_s.size:
+            return found
+        if np.linalg.matrix_rank(A) < A.shape[0]:
+            found[first:] = np.exp(-left[first:] / FOLLOWS_S)
+            return found
+        start = scipy.linalg.expm(A * left[first]) @ np.linalg.solve(A, -b)
+        alone = LinearSystem(scipy.linalg.expm(A * step), start[:, None], row[None], np.zeros((1, 1)))
+        begins = np.zeros((1, times_s.size - first + 1))
+        begins[0, 0] = 1.0
+        found[first:] = alone.outputs(begins)[0, 1:]
+        return found
+
     def acceleration_m_s2(self, speed_m_s: float, incoming_m_s2: float, times_s: FloatArray) -> FloatArray:
-        """(K,) a_free at even times after contact.
+        """(K,) a_free at even times, contact at 0.
 
         Parameters
         ----------
-        incoming_m_s2 : acceleration a0 with which the stylus came. Over the intention it counts as
-            a0 (1 - exp(-t / 2.5 ms)), and it dies out likewise when the intention is over.
+        incoming_m_s2 : acceleration a0 with which hand and stylus come. The stylus has it before contact and as long
+            as the intention holds, and loses it then as the chain lets go.
         """
-        T = self.intention.intention_s
         if not self._is_held:
             return np.zeros(times_s.size)
-
-        def rise(t: FloatArray) -> FloatArray:
-            return -np.expm1(-np.maximum(t, 0.0) / RISE_S)
-
-        carried = incoming_m_s2 * (rise(times_s) - rise(times_s - T))
-        return np.asarray(carried + (speed_m_s - incoming_m_s2 * T) * self.yielding_m_s2(times_s))
+        found = (speed_m_s - incoming_m_s2 * self.intention.intention_s) * self.yielding_m_s2(times_s)
+        return np.asarray(found if incoming_m_s2 == 0 else found + incoming_m_s2 * self._carried(times_s))
