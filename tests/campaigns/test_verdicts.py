@@ -10,8 +10,8 @@ default scene is solved with the model, to its own recordings, and each entry's 
 without noise. The true error of an entry is its playback error, what the device does against the acceleration that
 the library predicts; of a hand that varies, the root mean square over several hands. It stands beside the error that
 the model file predicts. A verdict holds if for median and worst entry the predicted error is 0.5 to 2 times the true
-one, or within 0.1 points of it where the true one is below 0.2 %, or if the model was refused (exit code, shortfalls) and a
-right cause named. On the plain device any shortfall is a false alarm.
+one, or within 0.1 points of it where the true one is below 0.2 %, or if the model was refused (exit code, shortfalls)
+and a right cause named. On the plain device any shortfall is a false alarm.
 
 "against taps" is the tap error of what the device does against the recorded taps, mean over the entries, with the
 identified library and with the nominal device's. Last come the parameters' errors on the plain device, how many of
