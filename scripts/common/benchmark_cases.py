@@ -36,6 +36,7 @@ from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
+from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -49,6 +50,7 @@ WIDE = {
     "speeds_m_s": np.linspace(0.1, 0.4, 20).round(6).tolist(),
     "grips_N": np.linspace(1.0, 5.0, 10).round(6).tolist(),
 }
+REPEATS = "recordings.simulated.repeats"
 ONLINE_TAPS = 1000
 STAGES = 800  # of the default scene
 
@@ -220,8 +222,8 @@ def cold_start(runs: int, *arguments: str) -> tuple[FloatArray, float]:
 
 
 def wide(scene: Scene) -> Scene:
-    """The scene on 20 speeds and 10 grips."""
-    return scene.model_copy(update={"grid": scene.grid.model_copy(update=WIDE)})
+    """The scene on 20 speeds and 10 grips, tapped once at each."""
+    return with_values(scene, {**{f"grid.{key}": values for key, values in WIDE.items()}, REPEATS: 1})
 
 
 def wide_scene_file(folder: Path) -> Path:
@@ -229,6 +231,7 @@ def wide_scene_file(folder: Path) -> Path:
     text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
     for key, values in WIDE.items():
         text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {values}", text)
+    text = re.sub(r"(?m)^repeats = .*$", "repeats = 1", text)
     file = folder / "wide.toml"
     file.write_text(text, encoding="utf-8")
     return file
