@@ -85,7 +85,7 @@ class Entry:
 
     @property
     def further(self) -> float:
-        """By how much the played tap is further from the real one than the table says: the larger of both errors'."""
+        """Difference of the played tap's errors beside the real tap to the table's: the larger of both errors'."""
         return max(self.played.tap - self.table.tap, self.played.felt - self.table.felt)
 
 

@@ -235,7 +235,7 @@ def _of(figure: Callable[[FloatArray], float], values: FloatArray) -> float:
     return float(figure(values)) if values.size else float("nan")
 
 
-# Of which less is better.
+# Figures that are the better the smaller they are.
 FIGURES = (
     *("nominal", "nominal_worst", "mean", "worst_device", "worst_tap", "nominal_unshifted", "mean_unshifted"),
     *("felt_nominal", "felt_mean"),
