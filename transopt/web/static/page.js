@@ -459,7 +459,7 @@ by("probe").onchange = () => {
 
 // ---- the inverse question
 
-const error = { log: true, low: 0.001, high: 1, integer: false };
+const error = { log: true, low: 0.05, high: 1, integer: false };
 
 function keysOfError(controls) {
   const choice = by("error-key"), before = choice.value || state.scene.input_key;
@@ -479,7 +479,7 @@ by("error").onchange = () => {
   by("answer").textContent = "searching ...";
   link.say({ type: "ask", tap: state.selected, key: by("error-key").value, tap_error: valueAt(error, by("error").value / STEPS) });
 };
-by("error").value = Math.round(STEPS * shareOf(error, 0.05));
+by("error").value = Math.round(STEPS * shareOf(error, 0.25));
 errorSaid();
 
 // ---- sound
