@@ -70,7 +70,7 @@ class PersonsHand:
 
 
 class SimulatedHand:
-    """Taps as it is asked, by the mild user, with another phase and noise in every tap."""
+    """Taps as it is asked, by the hand of the recordings, with another phase and noise in every tap."""
 
     def __init__(self, device: TrueDevice, imperfections: Imperfections, seed: int) -> None:
         self._device, self._imperfections, self._seed = device, replace(imperfections, mismatch=0.0), seed

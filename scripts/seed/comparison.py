@@ -59,7 +59,7 @@ class Kit:
     wall: Wall
 
     def play(self, method: Method, device: int, condition: Condition) -> Played:
-        """One tap by the mild user on one device.
+        """One tap by the hand of the recordings on one device.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""How well the servo plays a library on the nominal device under a mild user.
+"""How well the servo plays a library on the nominal device in the hand of the recordings.
 
     python -m pytest -m long -n 0 tests/campaigns/test_playback_accuracy.py
         --campaign="[LIBRARY] [--phases 5] [--seeds 2] [--points 60] [--json FILE]"

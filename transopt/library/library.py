@@ -586,7 +586,7 @@ class Library:
         return Figures(*(float(array[iv, ig]) for array in (*stored, *after)))
 
     def _repeatability(self, iv: int, ig: int) -> float:
-        """trial-to-mean error of the recordings of an entry; NaN where there is one."""
+        """Trial-to-mean error of the recordings of an entry; NaN where there is one."""
         spread = self.meta["repeatability"][iv][ig]
         return NAN if spread is None else float(spread)
 

@@ -32,9 +32,7 @@ def _increasing(values: list[float]) -> list[float]:
     return values
 
 
-COVERED_S = (
-    0.2e-3  # by the lead beyond the delay: without it no current acts in the first 0.2 ms, 3 to 4 % of the error
-)
+COVERED_S = 0.2e-3  # by the lead beyond the delay: without it no current acts while the pulse rises
 
 
 def covering_lead_s(dt_s: float, delay_s: float) -> float:

@@ -61,6 +61,13 @@ class TestNamed:
         assert f"waveform takes {needed.max():.2f} A" in said
         assert len(fewer.figure(plan, rows).axes) == 2
 
+    def test_a_tap_rate_that_leaves_no_time_for_a_waveform_is_left_out(self, short: Scene, tmp_path: Path) -> None:
+        fewer = replace(SWEPT["tap_rate"], axis="thermal.tap_rate_Hz=2,10,500", speeds_m_s=(0.4,), grips_N=(5.0,))
+        plan = fewer.plan(short)
+        rows = run_plan(plan, tmp_path, serial())
+        assert [row["status"] for row in rows] == ["OPTIMAL", "OPTIMAL", "REFUSED"]
+        assert "at 10 taps/s" in fewer.finding(plan, rows)
+
     def test_blind_grip(self, short: Scene) -> None:
         found, optima = mismatch(short, (0.2,), (1.0, 3.0))
         assert [(one.speed_m_s, one.grip_N, one.status) for one in optima] == [

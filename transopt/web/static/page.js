@@ -459,7 +459,7 @@ by("probe").onchange = () => {
 
 // ---- the inverse question
 
-const error = { log: true, low: 0.05, high: 1, integer: false };
+const error = { log: true, low: 0.001, high: 1, integer: false };
 
 function keysOfError(controls) {
   const choice = by("error-key"), before = choice.value || state.scene.input_key;
