@@ -35,7 +35,7 @@ def test_a_scene_that_a_change_makes_impossible_is_left_out(
     monkeypatch.setattr(defaults, "SCENES", ("single_grip", "rapid_tapping"))
     monkeypatch.setattr(defaults, "CHANGES", defaults.CHANGES[:1] + defaults.CHANGES[2:3])
     assert [found is None for found in defaults.by_scene({"time.stages": 1.25})] == [False, True]
-    *_, row = defaults.change_table()
+    row = next(line for line in defaults.change_table() if "window" in line)
     assert row.startswith("| window five quarters | 0.")
     assert "window five quarters" in capsys.readouterr().out
 
