@@ -98,11 +98,11 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     said = "; ".join(shortfalls)
     if status is Status.OPTIMAL:
         # Beside a tap that is zero over the intention any motion is infinitely wrong: that of the wall alone, or of a
-        # tap that begins later.
-        nothing_to_reach = np.isinf(problem.yardstick.tap_error(problem.target, np.ones(predicted.shape[-1])))
+        # tap that begins later. A window may end before contact, too.
+        any_motion = problem.yardstick.tap_error(problem.target, np.ones(predicted.shape[-1]))
         whole = _numbers(designed, ("floor",)) and _numbers(proof) and _numbers(solution.multipliers)
         whole = whole and _numbers(run, ("winding_C", "housing_C"))
-        if not nothing_to_reach:
+        if 0 < any_motion < np.inf:
             told = designed.floor, run.figures.tap_error, run.figures.error_after
             whole = whole and bool(np.all(np.isfinite(told)))
         if not (whole and np.all(np.isfinite(solution.command))):
