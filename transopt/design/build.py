@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +46,8 @@ CELLS = tuple(name for name in COURSES if name != "nominal_position_at_ticks_m")
 class Build:
     """A designed library: entries speed by speed, `library` only if every entry is admitted.
 
-    `scene` has the grid that was solved: with a `refinement`, the refined one.
+    `scene` has the grid that was solved: with a `refinement`, the refined one. `cool` has the entries of the second
+    commands (`grid.cool_share`), speed by speed; none where the scene asks for none or a first one is refused.
     """
 
     scene: Scene
@@ -56,6 +57,7 @@ class Build:
     solver: str
     elapsed_s: float
     refinement: Refinement | None = None
+    cool: Sequence[Sequence[Entry]] = ()
 
     def __repr__(self) -> str:
         entries = list(self.all_entries())
@@ -148,7 +150,9 @@ class Build:
 
     @property
     def refused(self) -> list[Entry]:
-        return [entry for entry in self.all_entries() if not entry.admitted]
+        """Entries that stand in the way of a library; a second command only where all first ones are admitted."""
+        first = [entry for entry in self.all_entries() if not entry.admitted]
+        return first or [entry for row in self.cool for entry in row if not entry.admitted]
 
     @property
     def proven(self) -> list[Entry]:
@@ -209,16 +213,33 @@ def build_library(
     entries = [[column[i] for column in columns] for i in range(len(scene.axes.rows))]
     if not scene.nonlinear:
         entries = with_remedies(context, entries, options)
-    admitted = all(entry.admitted for row in entries for entry in row)
+    cool = _cool(context, entries, options)
+    admitted = all(entry.admitted for row in (*entries, *cool) for entry in row)
     return Build(
         scene=scene,
         references=context.references,
         entries=entries,
-        library=assemble(context, entries, options, refinement) if admitted else None,
+        library=assemble(context, entries, options, refinement, cool) if admitted else None,
         solver=options.solver,
         elapsed_s=time.perf_counter() - start,
         refinement=refinement,
+        cool=cool,
     )
+
+
+def _cool(context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions) -> list[list[Entry]]:
+    """Entries of the second commands; none where the scene asks for none, or a first one is refused."""
+    share = context.scene.grid.cool_share
+    if share is None or not all(entry.admitted for row in entries for entry in row):
+        return []
+    columns = []
+    for column in zip(*entries, strict=True):
+        posed = [context.posed(entry.speed_m_s, entry.grip_N, entry.target) for entry in column]
+        asked = [
+            replace(each, warmer=entry.designed, cool_share=share) for each, entry in zip(posed, column, strict=True)
+        ]
+        columns.append(design(asked, options=options))
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def assemble(
@@ -226,8 +247,9 @@ def assemble(
     entries: list[list[Entry]],
     options: SolverOptions,
     refinement: Refinement | None = None,
+    cool: Sequence[Sequence[Entry]] = (),
 ) -> Library:
-    """The library of admitted entries, speeds outermost.
+    """The library of admitted entries, speeds outermost, with those of the second commands where there are any.
 
     Everything that it states of a nonlinear plant's problem is of the plant as it is at rest; what the commands do,
     and the errors of the other methods, are of the nonlinear plant.
@@ -249,6 +271,9 @@ def assemble(
 
     at_ticks = of_cells("nominal_position_at_ticks_m")
     meta = {**_meta(context, cells, entries, options), "grid_refinement": _refined(refinement)}
+    if cool:
+        meta["cool"] = {"left_out": shared_left_out([[entry.left_out for entry in row] for row in cool])}
+    further = further_arrays(context.posing, len(spreads[0]))
     arrays = {
         "speeds_m_s": np.asarray(scene.axes.speeds_m_s),
         "targets": np.array([target for _, target in scene.axes.rows], dtype=np.str_),
@@ -257,25 +282,25 @@ def assemble(
         **{name: of_cells(name) for name in CELLS},
         "nominal_position_at_ticks_m": at_ticks[..., : scene.time.stages],
         "nominal_after_at_ticks_m": at_ticks[..., scene.time.stages :],
-        **{
-            name: np.array(
-                [[array.made(entry) for entry in row] for row in entries], dtype=None if array.is_text else float
-            )
-            for name, array in ARRAYS.items()
-            if array.made is not None
-        },
+        **_of_entries(entries, further),
         "correction_m_s2": np.zeros((len(cells), len(plants), scene.time.stages)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
     }
-    return Library(
-        **arrays,
-        multipliers_of=multiplier_arrays(
-            [[entry.solution.multipliers for entry in row] for row in entries],
-            further_arrays(context.posing, len(spreads[0])),
-        ),
-        meta=meta,
-    )
+    library = Library.of(arrays, meta)
+    return library.with_cool(_of_entries(cool, further)) if cool else library
+
+
+def _of_entries(entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:
+    """Arrays that are made of the entries, multipliers among them."""
+    made = {
+        name: np.array(
+            [[array.made(entry) for entry in row] for row in entries], dtype=None if array.is_text else float
+        )
+        for name, array in ARRAYS.items()
+        if array.made is not None
+    }
+    return made | multiplier_arrays([[entry.solution.multipliers for entry in row] for row in entries], further)
 
 
 def _meta(

@@ -15,6 +15,7 @@ from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
+from transopt.proof.designed import Designed
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.recordings.references import References
@@ -64,6 +65,7 @@ class Posed:
     repeatability : trial-to-mean error of its recordings; NaN if unknown.
     told : the target against which errors are told; None for what the problem tracks.
     plant : the nonlinear plant; None for a linear one.
+    warmer : the answer of which this one may make `cool_share` of the heat; None where the heat is left to J.
     """
 
     problem: TransientProblem
@@ -76,6 +78,8 @@ class Posed:
     repeatability: float = float("nan")
     told: Target | None = None
     plant: NonlinearCoil | None = None
+    warmer: Designed | None = None
+    cool_share: float = 1.0
 
 
 class Context:

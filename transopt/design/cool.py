@@ -1,73 +1,88 @@
-"""The second waveform of an entry: the optimum at a stated share of the heat, found by a price on heat.
+"""The second command of an entry: the optimum at a stated share of the first one's heat, found by a price on heat.
 
 J + price sum i^2 is convex, and its minimiser is the best tap of all those with no more heat than it makes itself:
 for any admissible command with as little heat J is no smaller, up to the certified gap. The heat falls as the price
-rises. So all that is searched for is one number, as for intensity.
+rises. All that is searched for is therefore one number, as for intensity.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt.problem.problem import TransientProblem
+from transopt.design.context import Posed
+from transopt.design.intensity import best
 from transopt.proof.designed import Designed
+from transopt.solvers.options import SolverOptions
 
-CLOSE = 2e-3  # of the heat, between what is asked for and what is attained: less than a coil's estimate knows
+CLOSE = 2e-3  # relative, between the heat that is asked for and the heat attained: less than a coil's estimate knows
 MOST_PROBLEMS = 24
-FIRST = 0.1  # of the objective of rest, that all of the first waveform's heat costs at the first price
-FARTHEST = 30.0  # by which a price is multiplied or divided before there is a bracket
+FIRST = 0.1  # of the objective of rest, that all of the first command's heat costs at the first price
+FARTHEST = 30.0  # by which a price is multiplied before one is known that leaves too little heat
+INSET = 0.05  # of a bracket, which the next price stays away from its ends
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A price that was solved for [1/A^2], with the logarithm of the heat that its optimum makes."""
+
+    price: float
+    log_heat: float
+    designed: Designed
 
 
 def heat_of(designed: Designed) -> float:
-    """Sum of i^2 over the window of an answer [A^2 or V^2]."""
+    """Sum of i^2 over the window of an answer [A^2]."""
     current = designed.effect.motion.plant_input
     return float(current @ current)
 
 
-def at_share_of_heat(
-    problem: TransientProblem, first: Designed, share: float, solve: Callable[[TransientProblem], Designed]
-) -> Designed:
-    """The optimum with so large a share of the heat of the first one.
+def at_share_of_heat(posed: Posed, first: Designed, share: float, options: SolverOptions) -> Designed:
+    """The optimum with no more than a share of the heat of the first answer.
 
     Parameters
     ----------
-    problem : of the first answer; a price on heat that it has already is where the search begins from below.
+    posed : the problem of the first answer; a price on heat that it has already is where the search begins.
+    first : its optimum.
     share : of the heat, between 0 and 1.
-    solve : the optimum of a problem.
 
     Returns
     -------
-    The answer at the price that was found; its heat is within 0.2 % of what is asked for, or the nearest below it.
-    Where the first answer has no heat, or none is proven, the first answer itself.
+    The optimum at the price that was found, whose heat is within 0.2 % of what is asked for. Where a hand-over to a
+    wall asks for more heat than that, it is the optimum with the least heat that was found. Where the first answer
+    makes no heat or is not proven, it is the first answer.
     """
     whole = heat_of(first)
     if not (first.is_proven and whole > 0):
         return first
-    wanted, low, high = np.log(share * whole), (0.0, np.log(whole)), (np.inf, -np.inf)
-    price, best = max(FIRST / whole, 2 * problem.heat_price), first
+    wanted, spent_s = float(np.log(share * whole)), 0.0
+    warm, cold = _Tried(posed.problem.heat_price, float(np.log(whole)), first), None
+    price = max(FIRST / whole, 2 * warm.price)
     for _ in range(MOST_PROBLEMS):
-        found = solve(replace(problem, heat_price=price))
-        heat = heat_of(found)
-        if not (found.is_proven and heat > 0):
+        designed = best(replace(posed.problem, heat_price=price), options, objective=posed.objective)
+        spent_s += designed.solution.solve_time_s
+        heat = heat_of(designed)
+        if not (designed.is_proven and heat > 0):
             break
-        point = (price, float(np.log(heat)))
-        if point[1] <= wanted + CLOSE:
-            best, high = found, point
+        tried = _Tried(price, float(np.log(heat)), designed)
+        if cold is None and tried.log_heat > max(wanted, warm.log_heat - CLOSE):
+            break
+        if tried.log_heat <= wanted + CLOSE:
+            cold = tried
         else:
-            low = point
-        if abs(point[1] - wanted) <= CLOSE:
+            warm = tried
+        if abs(tried.log_heat - wanted) <= CLOSE:
             break
-        price = _next(low, high, float(wanted))
-    return best
+        price = _next(warm, cold, wanted)
+    found = (warm if cold is None else cold).designed
+    return replace(found, solution=replace(found.solution, solve_time_s=spent_s))
 
 
-def _next(low: tuple[float, float], high: tuple[float, float], wanted: float) -> float:
+def _next(warm: _Tried, cold: _Tried | None, wanted: float) -> float:
     """The price to try next, between one that leaves too much heat and one that leaves too little."""
-    if not np.isfinite(high[0]):
-        return low[0] * FARTHEST
-    if low[0] == 0:
-        return high[0] / FARTHEST if high[1] < wanted - 1 else high[0] * 0.5
-    # The logarithms of price and heat go about evenly; the chord's point stays off the ends of the bracket.
-    share = float(np.clip((low[1] - wanted) / (low[1] - high[1]), 0.05, 0.95))
-    return float(low[0] * (high[0] / low[0]) ** share)
+    if cold is None:
+        return warm.price * FARTHEST
+    # From a warm end without a price on, the logarithm of the heat is taken to fall in proportion to the price.
+    place = float(np.clip((warm.log_heat - wanted) / (warm.log_heat - cold.log_heat), INSET, 1 - INSET))
+    if warm.price == 0:
+        return cold.price * place
+    return float(warm.price * (cold.price / warm.price) ** place)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from transopt.base.threads import one_blas_thread
 from transopt.design.batch import Batch
 from transopt.design.context import Posed
+from transopt.design.cool import at_share_of_heat
 from transopt.design.entry import Entry
 from transopt.design.intensity import best
 from transopt.proof.designed import Designed
@@ -61,6 +62,8 @@ def design(
 
 
 def _solved(posed: Posed, options: SolverOptions) -> Designed:
+    if posed.warmer is not None:
+        return at_share_of_heat(posed, posed.warmer, posed.cool_share, options)
     if posed.plant is None:
         return best(posed.problem, options, objective=posed.objective)
     # IPOPT is loaded for a nonlinear plant alone.

@@ -48,14 +48,32 @@ def resolve(
     if library.wall() is not None:
         raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
     options = SolverOptions() if options is None else options
-    scene = library.scene()
-    further = further_arrays(library.posing(), library.spread_A.shape[1])
-    arrays = {
-        name: np.array(library.array(name)) for name in (*OF_ENTRIES, *MULTIPLIERS, *further, "correction_m_s2")
-    }
-    nv, ng, _ = library.command.shape
-    left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
-    kept: dict[tuple[int, int], str] = {}
+    both = [library] if library.cool is None else [library, library.cool]
+    entries = [_again(each, corrections_m_s2, options) for each in both]
+    kept = {}
+    for place in corrections_m_s2:
+        said = [of_place.shortfalls[0] for of_all in entries if not (of_place := of_all[place]).admitted]
+        if said:
+            kept[place] = said[0]
+    taken = {place: course for place, course in corrections_m_s2.items() if place not in kept}
+    found = [_with(each, of_all, taken) for each, of_all in zip(both, entries, strict=True)]
+    meta = {**found[0].meta, "solver": asdict(options), "refinement": refinement}
+    if library.cool is None:
+        return replace(found[0], meta=meta), kept
+    meta["cool"] = {"left_out": found[1].meta["left_out"]}
+    return replace(found[0], meta=meta).with_cool({name: found[1].array(name) for name in _of_entries(library)}), kept
+
+
+def _of_entries(library: Library) -> list[str]:
+    """Names of all arrays that are made of answers."""
+    return [*OF_ENTRIES, *MULTIPLIERS, *further_arrays(library.posing(), library.spread_A.shape[1])]
+
+
+def _again(
+    library: Library, corrections_m_s2: Mapping[tuple[int, int], FloatArray], options: SolverOptions
+) -> dict[tuple[int, int], Entry]:
+    """The entries of corrected targets, solved under the limits and prices that they had."""
+    found = {}
     for ig in sorted({ig for _, ig in corrections_m_s2}):
         stage, speeds = library.stage(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
         posed = []
@@ -65,25 +83,29 @@ def resolve(
             grip, steady = float(library.grips_N[ig]), library.steady_input
             posed.append(Posed(problem, grip_N=grip, coil=library.coil(), steady_input=steady, told=told))
         for iv, entry in zip(speeds, design(posed, options=options), strict=True):
-            if not entry.admitted:
-                kept[iv, ig] = entry.shortfalls[0]
-                continue
-            of_scene = entry.stating(objective=scene.weights.objective)
-            found = {name: made(of_scene) for name, made in OF_ENTRIES.items()}
-            found |= _multipliers(entry, further) | {"correction_m_s2": corrections_m_s2[iv, ig]}
-            _put(arrays, (iv, ig), found)
-            left_out[iv][ig] = entry.left_out
+            found[iv, ig] = entry.stating(objective=library.posing().objective)
+    return found
+
+
+def _with(
+    library: Library, entries: Mapping[tuple[int, int], Entry], taken: Mapping[tuple[int, int], FloatArray]
+) -> Library:
+    """The library with the entries of some places, by the corrections that they were solved for."""
+    further = further_arrays(library.posing(), library.spread_A.shape[1])
+    arrays = {name: np.array(library.array(name)) for name in (*_of_entries(library), "correction_m_s2")}
+    nv, ng, _ = library.command.shape
+    left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
+    for (iv, ig), course in taken.items():
+        entry = entries[iv, ig]
+        found = {name: made(entry) for name, made in OF_ENTRIES.items()}
+        _put(arrays, (iv, ig), found | _multipliers(entry, further) | {"correction_m_s2": course})
+        left_out[iv][ig] = entry.left_out
     shared = shared_left_out(left_out)
     problems = [library.problem(iv, 0) for iv in range(nv)]
-    meta = {
-        **library.meta,
-        "derived": derived(library.posing(), problems, warm=heat_is_in(shared)),
-        "left_out": shared,
-        "solver": asdict(options),
-        "refinement": refinement,
-    }
+    own = derived(library.posing(), problems, warm=heat_is_in(shared))
     multipliers = {name: arrays.pop(name) for name in (*MULTIPLIERS, *further)}
-    return replace(library, **arrays, multipliers_of=multipliers, meta=meta), kept
+    meta = {**library.meta, "derived": own, "left_out": shared}
+    return replace(library, **arrays, multipliers_of=multipliers, meta=meta, cool=None)
 
 
 def _multipliers(entry: Entry, further: Sequence[str]) -> dict[str, Any]:

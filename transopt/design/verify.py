@@ -38,12 +38,18 @@ def verify_library(library: Library) -> list[Entry]:
 
     Returns
     -------
-    Entries made again, speeds outermost; one is clean where `shortfalls` is empty.
+    Entries made again, speeds outermost, and behind them those of the second commands; one is clean where
+    `shortfalls` is empty.
 
     Raises
     ------
     InputError : a file whose numbers make no problem.
     """
+    first = _verified(library)
+    return first if library.cool is None else first + _verified(library.cool)
+
+
+def _verified(library: Library) -> list[Entry]:
     nv, ng, _ = library.command.shape
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
     checked: dict[tuple[int, int], Entry] = {}

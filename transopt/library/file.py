@@ -26,7 +26,7 @@ from transopt.base.sizes import (
 )
 from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.library import ARRAYS, Library, further_arrays, posing_of
+from transopt.library.library import ARRAYS, COOL, Library, further_arrays, is_of_entries, posing_of
 from transopt.library.meta import SCHEMA, lacking, stated
 from transopt.library.own_scene import scene_in
 
@@ -78,10 +78,11 @@ def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield place, value
 
 
-def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, int]) -> None:
+def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, int], prefix: str = "") -> None:
     """Every array against its declaration; `sizes` gets what the letters of the declared shapes stand for."""
-    for name, declaration in ARRAYS.items():
-        if name not in arrays:
+    for declared, declaration in ARRAYS.items():
+        name = prefix + declared
+        if name not in arrays or (prefix and not is_of_entries(declared)):
             continue
         array = arrays[name]
         if array.ndim != len(declaration.shape):
@@ -121,11 +122,12 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, 
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 
-def _check_multipliers(path: Path, arrays: dict[str, NDArray[Any]], shape: tuple[int, int, int]) -> None:
+def _check_multipliers(path: Path, prefix: str, arrays: dict[str, NDArray[Any]], sizes: dict[str, int]) -> None:
     """Check the multipliers of limits that not every library has: one number for every command."""
+    shape = (sizes["v"], sizes["g"], sizes["N"])
     for name, array in arrays.items():
         if array.shape != shape or array.dtype.kind != "f" or not np.all(np.isfinite(array)):
-            raise InputError(f"{path}: {name} is no finite array of shape {shape}; solve the scene again")
+            raise InputError(f"{path}: {prefix}{name} is no finite array of shape {shape}; solve the scene again")
 
 
 def load_library(path: str | Path) -> Library:
@@ -155,12 +157,20 @@ def load_library(path: str | Path) -> Library:
 
 def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Library:
     scene = scene_in(meta)
-    posing, optional = posing_of(scene), absent(ARRAYS, stated(scene, meta))
+    posing = posing_of(scene)
     spread = arrays["spread_A"].shape[1] if "spread_A" in arrays else 0
     further = further_arrays(posing, spread)
-    missing = [name for name in (*ARRAYS, *further) if name not in arrays and name not in optional]
-    if missing:
-        raise InputError(f"{path}: array {missing[0]} is missing; solve the scene again")
+    has_cool = "cool" in meta
+    if has_cool is not (scene.grid.cool_share is not None):
+        raise InputError(f"{path}: meta.cool does not go with its scene's grid.cool_share; solve the scene again")
+    # The second commands first, which need what they share with the first ones.
+    files = [(COOL, {**meta, "left_out": _left_out_of(path, meta["cool"])})] if has_cool else []
+    files.append(("", meta))
+    optional = {prefix: absent(ARRAYS, stated(scene, own)) for prefix, own in files}
+    for prefix, names in optional.items():
+        for name in (*ARRAYS, *further):
+            if (not prefix or is_of_entries(name)) and prefix + name not in arrays and name not in names:
+                raise InputError(f"{path}: array {prefix}{name} is missing; solve the scene again")
     hashed = str(arrays.pop(HASH_FIELD))
     if hashed != content_hash(arrays):
         raise InputError(f"{path}: content does not match its hash: changed or damaged; solve the scene again")
@@ -174,15 +184,31 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
         **({} if scene.robust else {"s": 0}),
     }
     _check_arrays(path, arrays, sizes)
-    _check_multipliers(path, {name: arrays[name] for name in further}, (sizes["v"], sizes["g"], sizes["N"]))
-    known = {name: arrays[name] for name in (*ARRAYS, *further) if name in arrays}
-    for name in optional:
-        shape = [sizes[letter] for letter in ARRAYS[name].shape]
-        known[name] = np.zeros(shape, dtype=np.str_ if ARRAYS[name].is_text else float)
-    library = Library.of(known, meta)
+
+    def known(prefix: str) -> dict[str, NDArray[Any]]:
+        """Arrays by their names without a prefix, zero or empty where nothing asks for them."""
+        names = [name for name in (*ARRAYS, *further) if not prefix or is_of_entries(name)]
+        found = {name: arrays[prefix + name] for name in names if prefix + name in arrays}
+        _check_multipliers(path, prefix, {name: found[name] for name in further}, sizes)
+        for name in optional[prefix]:
+            shape = [sizes[letter] for letter in ARRAYS[name].shape]
+            found[name] = np.zeros(shape, dtype=np.str_ if ARRAYS[name].is_text else float)
+        return found
+
+    library = Library.of(known(""), meta)
+    if has_cool:
+        _check_arrays(path, arrays, sizes, COOL)
+        library = library.with_cool(known(COOL))
     _check_problem(path, library)
     _check_words(path, library)
     return library
+
+
+def _left_out_of(path: Path, cool: Any) -> Any:
+    """What `meta.cool` says of parts that are left out."""
+    if not (isinstance(cool, dict) and set(cool) == {"left_out"}):
+        raise InputError(f"{path}: meta.cool is not of the form that a solve writes; solve the scene again")
+    return cool["left_out"]
 
 
 def _check_words(path: Path, library: Library) -> None:
@@ -197,6 +223,9 @@ def _check_words(path: Path, library: Library) -> None:
         "sources": isinstance(meta["sources"], list) and all(isinstance(each, dict) for each in meta["sources"]),
         "versions": isinstance(meta["versions"], dict),
     }
+    if library.cool is not None:
+        of_cool = library.cool.meta["left_out"]
+        fit["cool.left_out"] = isinstance(of_cool, dict) and all(_is_reason(s, nv, ng) for s in of_cool.values())
     odd = next((key for key, fits in fit.items() if not fits), None)
     if odd is not None:
         raise InputError(f"{path}: meta.{odd} is not of the form that a solve writes; solve the scene again")

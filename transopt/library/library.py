@@ -48,6 +48,7 @@ NONLINEAR_CLAIM = (
     "nonlinear plant: each command is a certified stationary point, replayed on that plant; no bound says that there "
     "is no better one, and floor is of the plant as it is at rest"
 )
+COOL = "cool_"  # before the name of an array in the file: it is of the second commands
 INPUT = "A or V"  # unit of commands and of what drives the plant; `meta` says which of the two
 
 
@@ -72,6 +73,10 @@ class Library:
     predictions, errors and multipliers are of the nonlinear plant (`transopt.library.nonlinear`). Such an entry is a
     stationary point and no proven optimum: its `lower_bound` is 0, below which no J is. `floor` is that of the plant
     at rest.
+
+    `cool` is the library of the second commands, one of every node with less heat (`grid.cool_share`), and None where
+    the scene asks for none. It shares everything that is not of a command; in the file its own arrays have `cool_`
+    before their names.
     """
 
     speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising; 0 for named targets")]
@@ -454,13 +459,20 @@ class Library:
         ),
     ]
     meta: dict[str, Any]
+    cool: "Library | None" = None
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
         """From all arrays by their names in the file; those of multipliers are mu_<row>_<side>."""
         named = {name: array for name, array in arrays.items() if name in declared(cls)}
         multipliers = {name: array for name, array in arrays.items() if name.startswith("mu_") and name not in named}
-        return cls(**named, multipliers_of=multipliers, meta=meta)
+        return cls(**named, multipliers_of=multipliers, meta=meta, cool=None)
+
+    def with_cool(self, arrays: Mapping[str, NDArray[Any]]) -> "Library":
+        """This library with second commands, from the arrays of their entries by the names of the first ones'."""
+        shared = {name: self.array(name) for name in ARRAYS if not is_of_entries(name)}
+        meta = {**self.meta, "left_out": self.meta["cool"]["left_out"]}
+        return replace(self, cool=Library.of({**shared, **arrays}, meta))
 
     def __repr__(self) -> str:
         stages, dt_s = self.command.shape[2], self.dt_s
@@ -795,13 +807,18 @@ class Library:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
-        missing = absent(ARRAYS, stated(self.scene(), self.meta))
-        arrays = {name: self.array(name) for name in ARRAYS if name not in missing}
-        further = further_arrays(self.posing(), self.spread_A.shape[1])
-        arrays |= {name: self.multipliers_of[name] for name in further}
+        arrays = {name: self.array(name) for name in self.stored()}
+        if self.cool is not None:
+            arrays |= {COOL + name: self.cool.array(name) for name in self.cool.stored() if is_of_entries(name)}
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
         return arrays
+
+    def stored(self) -> list[str]:
+        """Names of the arrays that its file has of it."""
+        missing = absent(ARRAYS, stated(self.scene(), self.meta))
+        named = [name for name in ARRAYS if name not in missing]
+        return named + further_arrays(self.posing(), self.spread_A.shape[1])
 
     def array(self, name: str) -> NDArray[Any]:
         """One array by its name here; zeros for multipliers of a limit that is not in force."""
@@ -841,6 +858,11 @@ def _multiplier_arrays() -> dict[str, tuple[str, Array]]:
 # Array -> the row it belongs to, and what it is; in the order of the limits.
 MULTIPLIERS = _multiplier_arrays()
 ARRAYS = {**declared(Library), **{name: array for name, (_, array) in MULTIPLIERS.items()}}
+
+
+def is_of_entries(name: str) -> bool:
+    """Whether an array is made of the answers, and not of what they were asked."""
+    return name not in ARRAYS or name in MULTIPLIERS or ARRAYS[name].made is not None
 
 
 def multiplier_arrays(

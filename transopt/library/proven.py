@@ -82,6 +82,8 @@ def doubts(library: Library) -> Iterator[str]:
             yield from misstatements(library)
             for ig in range(library.grips_N.size):
                 yield from _of_grip(library, ig)
+                if library.cool is not None:
+                    yield from (f"second command of {said}" for said in _of_grip(library.cool, ig))
     except (InputError, *BROKEN) as error:
         yield f"it does not describe a problem ({error or type(error).__name__})"
 
@@ -91,6 +93,7 @@ def misstatements(library: Library) -> Iterator[str]:
     yield from _against_scene(library)
     yield from _targets(library)
     yield from _nominal(library)
+    yield from _heat_prices(library)
     for name, array in library.multipliers_of.items():
         if (least := float(array.min())) < -BINDING_MULTIPLIER:
             yield f"{name} reaches {least:.3g}: multipliers must be >= 0"
@@ -362,6 +365,19 @@ def _targets(library: Library) -> Iterator[str]:
         off = np.abs(target - (recorded - free + correction)).max(axis=2, initial=0.0)
         for iv, ig in np.argwhere(~(off <= SAME * size)):
             yield f"entry {library.axes.place(iv, ig)}: target_{part}m_s2 is not what was recorded less a_free"
+
+
+def _heat_prices(library: Library) -> Iterator[str]:
+    """Prices on heat that are not the scene's, and second commands that are no cooler than the first."""
+    stated, own = library.heat_price, library.posing().heat_price
+    if not np.allclose(stated, own, rtol=SAME, atol=0):
+        yield f"heat_price reaches {stated.max():.4g}, its scene says {own:.4g}"
+    if library.cool is None:
+        return
+    if not np.all(library.cool.heat_price >= own * (1 - SAME)):
+        yield f"cool_heat_price falls to {library.cool.heat_price.min():.4g}, below that of the first commands"
+    if not np.all(library.cool.heat_A2_s <= library.heat_A2_s * (1 + FIGURE)):
+        yield "cool_heat_A2_s is above that of the first commands"
 
 
 def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:

@@ -108,6 +108,11 @@ class Scene(Section):
             raise ValueError("model.nonlinear: x is the displacement from rest, so it needs [[targets]], not speeds")
         if self.nonlinear and self.weights.objective != "waveform":
             raise ValueError('model.nonlinear: only with weights.objective = "waveform"')
+        if self.grid.cool_share is not None and (self.nonlinear or self.weights.objective != "waveform"):
+            raise ValueError(
+                "grid.cool_share: the second command is the optimum of a linear plant's waveform: leave it out, or "
+                'model.nonlinear and weights.objective = "intensity"'
+            )
         if self.nonlinear and self.robust is not None:
             raise ValueError("robust: serves a spread of linear devices, not model.nonlinear: leave one of them out")
         whole = isinstance(self.model, PlantKind) and not self.model.driven_at_tip
@@ -188,6 +193,7 @@ class Scene(Section):
             *((f"limits.{key}", getattr(limits, key) is not None) for key in OF_A_CURRENT),
             ("feedback", self.feedback is not None),
             ("thermal", self.thermal != Thermal()),
+            ("grid.cool_share", self.grid.cool_share is not None),
         ):
             if stated:
                 raise ValueError(

@@ -47,11 +47,16 @@ def _nobody() -> list[float]:
 
 
 class Grid(Section):
-    """Nodes of the library: no speeds where there are named targets, grip 0 alone where nobody holds the device."""
+    """Nodes of the library: no speeds where there are named targets, grip 0 alone where nobody holds the device.
+
+    With `cool_share` each node has a second command, the best that makes no more than this share of the first one's
+    heat. A device whose coil is warm blends towards it in place of playing a weaker first one.
+    """
 
     speeds_m_s: Annotated[list[Speed], Field(max_length=MOST_NODES)] = Field(default_factory=list)
     grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)] = Field(default_factory=_nobody)
     grip_min_N: Positive = 0.5
+    cool_share: Annotated[float, Field(gt=0, lt=1)] | None = None
 
     _speeds_ordered = field_validator("speeds_m_s")(_increasing)
     _grips_ordered = field_validator("grips_N")(_increasing)
