@@ -16,7 +16,7 @@ def show(
     unproven: Unproven = False,
 ) -> None:
     """Print a library's table; optionally draw its transients."""
-    from transopt.report.tables import library_table
+    from transopt.report.tables import cool_summary, library_table
 
     loaded = opened(library, unproven=unproven)
     if figure is not None and figure.suffix.lower() != ".png":
@@ -24,6 +24,8 @@ def show(
     console = terminal.console()
     described = loaded.meta["scene"]["description"]
     console.print(library_table(loaded, f"{library}: {described}" if described else str(library)))
+    if said := cool_summary(loaded):
+        console.print(said, highlight=False, soft_wrap=True)
     if loaded.axes.targets:
         from transopt.report.trade import TRADE_LEGEND, trade_table
 

@@ -228,7 +228,16 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 def _print(console: "Console", build: "Build", written: str, unfit: str) -> None:
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
     from transopt.report.identified import model_warning, moving_target
-    from transopt.report.tables import build_table, fitting, legend, refinement_summary, refusal, summary, warnings
+    from transopt.report.tables import (
+        build_table,
+        cool_summary,
+        fitting,
+        legend,
+        refinement_summary,
+        refusal,
+        summary,
+        warnings,
+    )
     from transopt.report.taps import implausible_lines
 
     def line(text: str, style: str | None = None) -> None:
@@ -248,6 +257,8 @@ def _print(console: "Console", build: "Build", written: str, unfit: str) -> None
         line(warning, "yellow")
     for entry in build.refused:
         line(f"refused: {entry.place}: {refusal(entry)}", "red")
+    if build.library is not None and (said := cool_summary(build.library)):
+        line(said)
     if build.refinement is not None:
         line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
     line(written)

@@ -16,7 +16,7 @@ from transopt.base.signals import FloatArray
 from transopt.library.arrays import HASH_FIELD
 from transopt.library.c_header import c_header
 from transopt.library.drive_files import refuse_descriptions
-from transopt.library.library import ARRAYS, Library
+from transopt.library.library import Library
 from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.baselines import seed_inversion
@@ -54,7 +54,7 @@ def mat_file(library: Library) -> bytes:
     of a char array would have to share one length. MATLAB itself drops trailing dimensions of size 1.
     """
     arrays = library.arrays()
-    texts = [name for name, stated in ARRAYS.items() if stated.is_text and name in arrays]
+    texts = [name for name, array in arrays.items() if array.dtype.kind == "U" and array.ndim > 0]
     cells = {name: arrays[name].astype(object) for name in texts}
     file = io.BytesIO()
     content = {**arrays, **cells}
@@ -79,6 +79,7 @@ def csv_file(library: Library) -> bytes:
         f"transient_command_{drive.unit}": library.transient_command,
         f"{drive.name}_{drive.unit}": library.plant_input,
         "acceleration_m_s2": library.acceleration_m_s2,
+        **({} if library.cool is None else _second_columns(library.cool)),
         "recorded_m_s2": library.recorded_m_s2,
         "free_m_s2": library.free_m_s2,
         "target_m_s2": library.target_m_s2,
@@ -105,6 +106,16 @@ def csv_file(library: Library) -> bytes:
         *(",".join(map(_cell, row)) for row in zip(*flat, strict=True)),
     ]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _second_columns(cool: Library) -> dict[str, FloatArray]:
+    """Columns of the second commands, with less heat."""
+    return {
+        "cool_command_A": cool.command,
+        "cool_transient_command_A": cool.transient_command,
+        "cool_current_A": cool.plant_input,
+        "cool_acceleration_m_s2": cool.acceleration_m_s2,
+    }
 
 
 def _cell(value: object) -> str:

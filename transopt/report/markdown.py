@@ -13,13 +13,14 @@ from transopt.base.writing import percent, table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.library.columns import COLUMNS, FULL, RIVALS
+from transopt.library.columns import COLUMNS, FIGURES, FULL, RIVALS
 from transopt.library.trade import trade_figures
 from transopt.problem.answer import Certificate
 from transopt.problem.limits.limit import Limit
 from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
 from transopt.report.tables import (
+    cool_summary,
     legend,
     refinement_summary,
     refusal,
@@ -264,6 +265,16 @@ def _spread_lines(build: Build) -> list[str]:
     ]
 
 
+def _cool_lines(build: Build) -> list[str]:
+    """The section on the second commands, with less heat; empty where there are none."""
+    library = build.library
+    if library is None or library.cool is None:
+        return []
+    shown = library.cool.table((*FIGURES, "peak", "binding"))
+    said = cool_summary(library)
+    return ["", "## Second commands", "", *table(shown.heads, shown.cells), f"{said[0].upper()}{said[1:]}."]
+
+
 def build_markdown(build: Build, *, full: bool = True) -> str:
     """The text of report.md.
 
@@ -313,6 +324,7 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
         *(trade_off_lines(build) if full else []),
         *attained_lines(entries),
         *_spread_lines(build),
+        *_cool_lines(build),
     ]
     lines += [*_trade_lines(build), *identified_lines(build)]
     if build.refinement is not None:
@@ -379,6 +391,18 @@ def build_json(build: Build, *, full: bool = True) -> str:
         }
         for e in build.all_entries()
     ]
+    cool = [
+        {
+            **({"target": e.target} if e.target else {"speed_m_s": e.speed_m_s, "grip_N": e.grip_N}),
+            **asdict(e.figures),
+            "heat_A2_s": e.heat_A2_s,
+            "heat_price": e.problem.heat_price,
+            "binding": e.binding,
+            "certificate": _certificate_row(e.certificate),
+        }
+        for row in build.cool
+        for e in row
+    ]
     content = {
         "scene": build.scene.name,
         "simulated_recordings": build.scene.recordings.simulated is not None,
@@ -389,6 +413,7 @@ def build_json(build: Build, *, full: bool = True) -> str:
         "after_s": build.scene.weights.after_s,
         "lead_s": build.scene.lead_s,
         "entries": rows,
+        "second_commands": cool,
         "refinement": None if build.refinement is None else _refinement_rows(build.refinement),
         "references": [
             {

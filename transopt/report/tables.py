@@ -7,7 +7,7 @@ from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.sizes import LONGEST_LEAD_S
 from transopt.base.writing import percent
 from transopt.design.build import Build
@@ -151,6 +151,31 @@ def lost_start(build: Build) -> str:
 def warnings(build: Build) -> list[str]:
     """What deserves a second look in a build, one line each."""
     return [said for said in (lost_start(build), aftermath(build)) if said]
+
+
+def cool_summary(library: Library) -> str:
+    """One line on the second commands, with less heat; empty where a library has none."""
+    cool = library.cool
+    if cool is None:
+        return ""
+    warm = library.heat_A2_s > 0
+    if not warm.any():
+        return "second commands: nothing heats the coil"
+    share = cool.heat_A2_s[warm] / library.heat_A2_s[warm]
+    least, most = np.nanmin(cool.felt_dB), np.nanmax(cool.felt_dB)
+    return (
+        f"second commands, for a warm coil: {_span(share)} % of the heat, tap error {_span(cool.tap_error)} %, "
+        f"felt error {_span(cool.felt_error)} %, felt {least:.2f} to {most:.2f} dB"
+    )
+
+
+def _span(shares: FloatArray) -> str:
+    """The least and the largest of some shares, in percent, or one where they print alike; NaN is left out."""
+    known = shares[np.isfinite(shares)]
+    if not known.size:
+        return "-"
+    ends = [f"{100 * end:.0f}" for end in (known.min(), known.max())]
+    return " to ".join(dict.fromkeys(ends))
 
 
 def refinement_summary(refinement: Refinement) -> str:

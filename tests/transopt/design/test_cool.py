@@ -69,8 +69,8 @@ class TestOptimum:
         own = replace(cool(cooled).problem(*place), heat_price=0.0)
         command = cool(cooled).command[place]
         current = responses(own).current[: own.grid.stages] @ command
-        J = Program.of(own).merits(command)[0]
-        assert J == pytest.approx(least_under(own, float(current @ current)), rel=1e-5)
+        reached = Program.of(own).merits(command)[0]
+        assert reached == pytest.approx(least_under(own, float(current @ current)), rel=1e-5)
 
     def test_what_is_felt_is_kept_where_a_weaker_first_command_loses_it(self, cooled: Library) -> None:
         scaled_dB = 10 * np.log10(SHARE)  # of the command, whose amplitude falls by the root of the heat

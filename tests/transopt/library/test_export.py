@@ -15,12 +15,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import loadmat, wavfile
 
+import transopt as to
 from tests.benches.libraries import resized, under
 from transopt.base.errors import InputError
 from transopt.library.export import export_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.problem.baselines import seed_inversion
+from transopt.scene.keys import with_values
 
 DT_S, LEAD_S = 1e-4, 3e-4
 AMPLIFIER = {"pole_Hz": 1050.0, "delay_s": 68e-6, "command_limit_A": 6.0}
@@ -255,11 +257,19 @@ def compiler(request: pytest.FixtureRequest) -> list[str]:
 
 
 def run_header(
-    library: Library, compiler: list[str], folder: Path, points: Sequence[tuple[float, float, int]]
+    library: Library,
+    compiler: list[str],
+    folder: Path,
+    points: Sequence[tuple[float, float, int]],
+    *,
+    second: bool = False,
 ) -> tuple[float, NDArray[np.float64]]:
     """Amperes per count, and the commands [A] at (speed, grip, k) that the compiled header returns."""
+    program = PROGRAM
+    if second:
+        program = program.replace("_SCALE_A", "_COOL_SCALE_A").replace("transopt_command", "transopt_cool_command")
     export_library(library, folder / "taps.h")
-    (folder / "main.c").write_text(PROGRAM)
+    (folder / "main.c").write_text(program)
     (folder / "other.c").write_text(OTHER_UNIT)  # a second translation unit, which never calls the function
     build = [*compiler, "main.c", "other.c", "-o", "program"]
     built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
@@ -347,6 +357,25 @@ def test_header_plays_the_transient_clamped_to_the_command_limit(
     wanted = np.clip(40 * expected(library, points), -1.5, 1.5)
     assert np.abs(commands - wanted).max() <= tolerance_A(library, scale)
     assert {-1.5, 1.5} <= set(commands)
+
+
+def test_second_commands_leave_in_every_format(compiler: list[str], tmp_path: Path) -> None:
+    small = {"grid.speeds_m_s": [0.2, 0.4], "grid.grips_N": [1.0, 5.0], "time.stages": 200, "grid.cool_share": 0.4}
+    library = to.solve(with_values(to.load_scene("wood_on_foam"), small))
+    cool = library.cool
+    assert cool is not None
+    for second, of in ((False, library), (True, cool)):
+        points = random_points(of)
+        scale, commands = run_header(library, compiler, tmp_path, points, second=second)
+        assert np.abs(commands - expected(of, points)).max() <= tolerance_A(of, scale)
+    export_library(library, tmp_path / "library.csv")
+    lines = [line for line in (tmp_path / "library.csv").read_text().splitlines() if not line.startswith("#")]
+    rows = np.genfromtxt(lines, delimiter=",", names=True)
+    np.testing.assert_array_equal(rows["cool_command_A"], cool.command.ravel())
+    export_library(library, tmp_path / "library.mat")
+    found = loadmat(tmp_path / "library.mat")
+    np.testing.assert_array_equal(found["cool_command"], cool.command)
+    assert found["cool_status"].ravel()[0].item() == "optimal"
 
 
 def test_header_of_a_zero_library_is_silent(compiler: list[str], make_library: Make, tmp_path: Path) -> None:
