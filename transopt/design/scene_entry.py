@@ -85,7 +85,9 @@ def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options:
             own = remedies(posed, entry, options, most_s=min(MOST_S, left_s))
         own = [_in_place_of_beta(context.scene, remedy) for remedy in own]
         found.update({str(remedy): remedy for remedy in own if remedy.solved})
-        return entry.stating(remedies=tuple(own), shortfalls=[*entry.shortfalls, what_would_do(own)])
+        return entry.stating(
+            remedies=tuple(own), shortfalls=list(filter(None, [*entry.shortfalls, what_would_do(own)]))
+        )
 
     return [[tried(entry) for entry in row] for row in entries]
 

@@ -14,7 +14,7 @@ from problems.stress.draw import drawn
 from problems.stress.judge import judge
 from transopt.base.errors import InputError
 from transopt.design import remedy
-from transopt.design.build import build_library
+from transopt.design.build import Build, build_library
 from transopt.design.context import Context
 from transopt.design.design import design
 from transopt.design.explain import Change, Remedy, infeasibility, what_would_do
@@ -123,6 +123,17 @@ def test_what_is_said_to_do_does(case: StressCase) -> None:
             designed = optimum(case.problem(stated.values), OPTIONS)
             assert designed.solution.status is Status.OPTIMAL, designed.remarks
             assert designed.certificate.accepted
+
+
+def test_nothing_is_tried_where_the_replay_has_no_digits(build: Build) -> None:
+    entry = build.entries[0][0]
+    diverged = replace(entry.played, step_error=1e-3)
+    refused = entry.stating(played=diverged, status=Status.REPLAY_VIOLATION)
+    posed = SceneEntry(build.context, entry.grip_N, build.references.at(entry.speed_m_s, entry.grip_N))
+    assert remedies(posed, refused, OPTIONS) == []
+    (said,) = diverged.shortfalls(entry.problem, entry.solution.command, entry.predicted_m_s2)
+    fastest_Hz = np.abs(np.linalg.eigvals(entry.problem.stage.plant.A)).max() / (2 * np.pi)
+    assert f"fastest mode, at {fastest_Hz:.2g} Hz" in said
 
 
 def test_a_refusal_without_a_remedy_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
