@@ -278,6 +278,18 @@ def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> Fl
     return np.maximum(above, below)
 
 
+def swept_from(trials: Sequence[Trial], estimate: TransferEstimate) -> float:
+    """Lowest frequency [Hz] from which on the input has cycles enough over an octave; the first of all without one.
+
+    Below it lies what no trial was asked to sweep, and lines that a jump to an offset leaves there.
+    """
+    f = estimate.frequencies_Hz
+    few = np.append(f[cycles_per_octave(trials, f) < LEAST_CYCLES], np.inf)
+    # Whether the next bin with too few lies above the octave that begins here.
+    whole = few[np.searchsorted(few, f)] > 2 * f
+    return float(f[np.argmax(whole)])
+
+
 def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate, low_Hz: float) -> list[Finding]:
     """Find where in the band from `low_Hz` on the input has too few cycles for a response to be known."""
     cycles = cycles_per_octave(trials, estimate.frequencies_Hz)

@@ -1,4 +1,4 @@
-"""The free device and held ones in one identification: found as the chain that they are, whatever the amplifier does."""
+"""The free device and held ones in one identification: found as the chain they are, whatever the amplifier does."""
 
 from dataclasses import replace
 
