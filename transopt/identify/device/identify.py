@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from transopt.base.signals import FloatArray
 from transopt.identify.checks import COHERENT, Finding, by_grip, check_rates, within
 from transopt.identify.device.advice import about_chain, advice
@@ -33,10 +35,11 @@ from transopt.identify.device.slow import without_leakage
 from transopt.identify.device.trials import (
     Records,
     instrument_of,
+    recorded_at,
     sort_trials,
 )
 from transopt.identify.device.validation import Model, compare, together
-from transopt.identify.device.verdict import Taps, model_error, predict_taps, relative, short_of
+from transopt.identify.device.verdict import Taps, model_error, not_covered, predict_taps, relative, short_of
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
@@ -132,6 +135,8 @@ def identify(
         chosen, others = others[0], [chosen]
     own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
+    everything = [*(run for grip in grips for run in (*grip.fitted, *grip.kept)), *transients, *repeated]
+    error = error.model_copy(update={"recorded_A": [_largest_A(grip.grip_N, everything) for grip in grips]})
     causes, found = causes_of(chosen, chain, grips, used, error, repeated)
     found += noise_findings(grips)
     if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
@@ -163,7 +168,8 @@ def identify(
         return result
     tick("verdict")
     predicted = predict_taps(error, taps)
-    return replace(result, predicted=predicted, short=[*wrong, *short_of(predicted)])
+    uncovered = not_covered(error, taps)
+    return replace(result, predicted=predicted, short=[*wrong, *short_of(predicted)], uncovered=uncovered)
 
 
 def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
@@ -178,6 +184,12 @@ def _at_use(
     known = [run for run in runs if run.grip_N is not None and within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
     return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
+
+
+def _largest_A(grip_N: float, runs: Sequence[Measurement]) -> float:
+    """Largest current of the runs at a grip; the command's where no current was measured."""
+    signals = [run.current or run.command for run in runs if recorded_at(run, [grip_N]) is not None]
+    return max((float(np.abs(each.values).max(initial=0.0)) for each in signals if each is not None), default=0.0)
 
 
 def _on_one_clock(

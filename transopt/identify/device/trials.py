@@ -242,7 +242,7 @@ def sort_trials(
     if instrument.accelerometer_Hz is None:
         found.append(Check.BANDWIDTH.at("accelerometer_Hz"))
     groups, grips = by_grip(runs), []
-    apart = [run for run in transients if _recorded_at(run, list(groups)) is None]
+    apart = [run for run in transients if recorded_at(run, list(groups)) is None]
     found += [finding for run in apart for finding in _outside(run, list(groups))]
     in_order_of = {grip_N: sorted(group, key=runs.index) for grip_N, group in groups.items()}
     fitted_of = {
@@ -254,7 +254,7 @@ def sort_trials(
         where = "the free device" if grip_N == 0 else f"{grip_N:.3g} N"
         fitted = fitted_of[grip_N]
         hold_out = len(fitted) < len(in_order)
-        kept = in_order[-1:] if hold_out else [run for run in transients if _recorded_at(run, list(groups)) == grip_N]
+        kept = in_order[-1:] if hold_out else [run for run in transients if recorded_at(run, list(groups)) == grip_N]
         trials = [trials_of[id(run)] for run in fitted]
         response = response_of(grip_N, fitted, instrument, follows=follows)
         estimate = response.estimate
@@ -348,7 +348,7 @@ def _one_pole(data: Condensed, amplifier: Amplifier) -> bool:
     return fit_pole(data, start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
 
 
-def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
+def recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
     """The recorded grip that a transient is of; None for one that was not recorded."""
     assert run.grip_N is not None
     wanted = run.grip_N

@@ -317,3 +317,11 @@ def test_lack_of_fit_names_its_band(found: DeviceResult, rig: Rig) -> None:
     assert bands
     assert all(2 <= low <= high <= 800 for low, high in bands)
     assert lack_of_fit(found.grips[2].response, found.chosen.model, found.chosen.instrument) == []
+
+
+def test_the_largest_recorded_current_of_each_grip_is_stated(found: DeviceResult, sweeps: list[Measurement]) -> None:
+    """Sweeps reach 0.75 A, the taps beside them 3 A; sensors add their noise."""
+    assert found.error.recorded_A == pytest.approx([3.0] * 4, rel=0.05)
+    alone = identify(sweeps, [], SETTINGS)
+    assert alone.error.recorded_A == pytest.approx([0.75] * 4, rel=0.05)
+    assert device_part(alone).error == alone.error
