@@ -464,7 +464,7 @@ class Library:
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
         """From all arrays by their names in the file; those of multipliers are mu_<row>_<side>."""
-        named = {name: array for name, array in arrays.items() if name in declared(cls)}
+        named = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
         multipliers = {name: array for name, array in arrays.items() if name.startswith("mu_") and name not in named}
         return cls(**named, multipliers_of=multipliers, meta=meta, cool=None)
 
