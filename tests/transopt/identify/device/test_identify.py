@@ -328,7 +328,7 @@ def test_the_largest_recorded_current_of_each_grip_is_stated(found: DeviceResult
 
 
 def test_a_burst_recorded_from_its_middle_on_is_named_and_judges_nothing(rig: Rig, sweeps: list[Measurement]) -> None:
-    """By itself it would look like an amplifier that gives way: what moves it at first is in no record."""
+    """Alone, it would look like an amplifier that gives way: what moves it at first is in no record."""
     whole = rig.transients((1.0, 3.0, 5.0))
 
     def cut(run: Measurement) -> Measurement:
