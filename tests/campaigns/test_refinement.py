@@ -20,8 +20,9 @@ the others as with --from-files; --taps at each node in each round, with the noi
 Then both libraries are played on the same device without noise, and the simulator is asked for the true
 acceleration of the stylus. Its playback error, against the tap as it was designed after the one shift that aligns
 them, root mean square over some phases of the contact within the servo's period, stands in the tables: until a hand
-can react, which is what a refinement measures, and of its rapid part over the whole window. Asked is: where the model is right no
-node is truly worse by more than 0.02 points; with friction no node that limits leave free has more than 1.4 %.
+can react, which is what a refinement measures, and of its rapid part over the whole window. Asked is: where the model
+is right no node is truly worse by more than 0.02 points; with friction no node that limits leave free has more than
+1.4 %.
 
 It fails if something is not as asked.
 """
