@@ -43,7 +43,7 @@ def least_under(problem: TransientProblem, most_heat_A2: float) -> float:
     program, N, free = Program.of(problem), problem.grid.stages, problem.free_stages
     current = responses(problem).current[:N, :free]
     H, g = program.quadratic()
-    c, made = ca.SX.sym("c", free), ca.DM(current)
+    c, made = ca.MX.sym("c", free), ca.DM(current)
     i = made @ c
     program_of = {"x": c, "f": 0.5 * ca.dot(c, ca.DM(H[:free, :free]) @ c) + ca.dot(g[:free], c)}
     program_of["g"] = ca.vertcat(i, ca.dot(i, i))
