@@ -40,7 +40,7 @@ class Notice(Enum):
     CONTACT_CHATTER = "a contact came too soon after the last and was not played"
     OUT_OF_GRID = "speed or grip lay outside the library's grid and was moved to its edge"
     TOO_HOT_TO_PLAY = "the transient was withheld: the coil is close to its limit"
-    SCALED_FOR_HEAT = "the transient was scaled down to keep the coil's margin"
+    SCALED_FOR_HEAT = "the transient was made cooler, or scaled down, to keep the coil's margin"
     NO_GRIP = "no transient: the stylus is not held, or too loosely"
 
 

@@ -213,8 +213,9 @@ bool td_servo_excite(td_servo *servo, bool negative)
     if (play->silent)
         return false;
     if (config->coil.present &&
-        td_guard_scale(&servo->guard, &config->coil, play->transient_A, play->feedback_A, bank->samples + 1,
-                       bank->root_ticks) < 1)
+        td_guard_allowed(&servo->guard, &config->coil, play->transient_A, HUGE_VAL, play->feedback_A, bank->samples + 1,
+                         bank->root_ticks)
+                .scale < 1)
         return false;
     servo->scale = negative ? -1 : 1;
     servo->held = !loose(servo);
@@ -228,7 +229,8 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
     const td_config *config = servo->config;
     const td_approach *approach = &servo->approach;
     const td_real speed = (td_real)approach->speed_m_s, grip = servo->watch.grip_N;
-    td_wide scale = 1;
+    td_allowed allowed = {1, 0};
+    td_play *play = &servo->play;
     td_touch found;
 
     if (config->host_starts)
@@ -240,24 +242,25 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
         note(servo, output, tick, TD_WHAT_CONTACT_CHATTER, speed, grip);
         return;
     }
-    td_bank_at(servo->bank, approach->speed_m_s, (td_wide)grip, &servo->play);
-    if (servo->play.silent || loose(servo)) {
+    td_bank_at(servo->bank, approach->speed_m_s, (td_wide)grip, play);
+    if (play->silent || loose(servo)) {
         note(servo, output, tick, TD_WHAT_NO_GRIP, speed, grip);
         return;
     }
     if (config->coil.present)
-        scale = td_guard_scale(&servo->guard, &config->coil, servo->play.transient_A, servo->play.feedback_A,
-                               servo->bank->samples + 1, servo->bank->root_ticks);
-    if (scale <= 0) {
+        allowed = td_guard_allowed(&servo->guard, &config->coil, play->transient_A, play->cool_A, play->feedback_A,
+                                   servo->bank->samples + 1, servo->bank->root_ticks);
+    if (allowed.scale <= 0) {
         note(servo, output, tick, TD_WHAT_TOO_HOT_TO_PLAY, speed, grip);
         return;
     }
     note(servo, output, tick, TD_WHAT_CONTACT, speed, grip);
-    if (servo->play.out_of_grid && outside(servo, approach->speed_m_s, (td_wide)grip))
+    if (play->out_of_grid && outside(servo, approach->speed_m_s, (td_wide)grip))
         note(servo, output, tick, TD_WHAT_OUT_OF_GRID, speed, grip);
-    if (scale < 1)
+    if (allowed.scale < 1 || allowed.cooled > 0)
         note(servo, output, tick, TD_WHAT_SCALED_FOR_HEAT, speed, grip);
-    servo->scale = (td_real)scale;
+    servo->scale = (td_real)allowed.scale;
+    play->cooled = (td_real)allowed.cooled;
     servo->held = true;
     if (servo->bank->samples > 0)
         start(servo, approach->phase);
