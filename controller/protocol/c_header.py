@@ -102,7 +102,9 @@ def header_text() -> str:
         lines += _offsets(kind.name, f"TD_{kind.name}", message.layout())
     lines += _offsets("One record of TELEMETRY_DATA", "TD_RECORD", messages.Record.layout())
     lines += [*_offsets("Header of an image", "TD_IMAGE", list(image.IMAGE_FIELDS)), "};", ""]
-    lines += ["/* Image of a library: header, then speeds, grips, feedback norms, scales of the second waveforms f64, counts. */"]
+    lines += [
+        "/* Image of a library: header, then speeds, grips, feedback norms, scales of the second waveforms f64, counts. */"
+    ]
     lines += [
         _define("TD_IMAGE_MAGIC_VALUE", f"0x{image.IMAGE_MAGIC:08X}u"),
         _define("TD_IMAGE_VERSION_VALUE", image.IMAGE_VERSION),

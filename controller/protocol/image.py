@@ -144,9 +144,7 @@ def _check(command_A: FloatArray, tail_samples: int) -> None:
         )
 
 
-def _coarse(
-    command_A: FloatArray, bits: int, amplifier: Amplifier | None, dt_s: float
-) -> tuple[FloatArray, bytes]:
+def _coarse(command_A: FloatArray, bits: int, amplifier: Amplifier | None, dt_s: float) -> tuple[FloatArray, bytes]:
     """Scales (nv, ng) and counts of waveforms that ask for no more command and no more current than these.
 
     A command that is rounded towards zero can make more current behind a pole, where it was to break the one before.

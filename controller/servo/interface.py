@@ -72,12 +72,17 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at a tick; `speed_m_s` and `grip_N` where a contact is meant."""
+    """Something that happened at a tick; `speed_m_s` and `grip_N` where a contact is meant.
+
+    `scale` and `cooled` with SCALED_FOR_HEAT: how much of the blend is played, and the second transient's part in it.
+    """
 
     tick: int
     what: Notice | Fault
     speed_m_s: float = float("nan")
     grip_N: float = float("nan")
+    scale: float = float("nan")
+    cooled: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -232,7 +232,7 @@ class Servo:
         if play.out_of_grid and self._outside(speed, grip):
             events = self._note(events, tick, Notice.OUT_OF_GRID, speed, grip)
         if scale < 1.0 or cooled > 0.0:
-            events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip)
+            events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip, scale, cooled)
         self.play, self.scale, self.cooled, self._held = play, scale, cooled, True
         if play.samples_A:
             self._start(play.blended(cooled), approach.phase)
@@ -313,9 +313,11 @@ class Servo:
         notice: Notice,
         speed_m_s: float = math.nan,
         grip_N: float = math.nan,
+        scale: float = math.nan,
+        cooled: float = math.nan,
     ) -> tuple[Event, ...]:
         self.counts[notice] += 1
-        return (*events, Event(tick, notice, speed_m_s, grip_N))
+        return (*events, Event(tick, notice, speed_m_s, grip_N, scale, cooled))
 
     def _fail(self, tick: int) -> tuple[Event, ...]:
         tripped = [rule.fault for rule in FAULTS if rule.trips(self.watch)]

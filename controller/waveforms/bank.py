@@ -65,9 +65,7 @@ class Play:
         if not cooled > 0.0:
             return self.samples_A
         first = 1.0 - cooled
-        return [
-            first * warm + cooled * cool for warm, cool in zip(self.samples_A, self.cool_samples_A, strict=True)
-        ]
+        return [first * warm + cooled * cool for warm, cool in zip(self.samples_A, self.cool_samples_A, strict=True)]
 
 
 def _interval(nodes: list[float], value: float, nearest: bool) -> tuple[int, float, bool]:

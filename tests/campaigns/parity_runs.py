@@ -114,10 +114,15 @@ def draw_amplifier(random: Random) -> Amplifier | None:
     return None if random.uniform() < 0.2 else Amplifier(float(random.uniform(300, 3000)), 68e-6, 6.0)
 
 
-def recorder_of(settings: Settings, table: Bank, tail: int) -> Recorder:
-    """A servo that plays what a device would store of this table; second transients of odd length in 8 bit."""
+def stored(settings: Settings, table: Bank, tail: int) -> bytes:
+    """The image of a table for a device with these settings; second transients of odd length in 8 bit."""
     bits = 8 if table.command_A.shape[-1] % 2 else 16
-    image = image_of(table, settings.dt_s, settings.lead_s, tail, cool_bits=bits, amplifier=settings.amplifier)
+    return image_of(table, settings.dt_s, settings.lead_s, tail, cool_bits=bits, amplifier=settings.amplifier)
+
+
+def recorder_of(settings: Settings, table: Bank, tail: int) -> Recorder:
+    """A servo that plays what a device would store of this table."""
+    image = stored(settings, table, tail)
     return Recorder(settings, bank_of(image)[0], image)
 
 

@@ -8,7 +8,7 @@
 
 #include "td_port.h"
 
-#define TD_PROTOCOL 3
+#define TD_PROTOCOL 4
 #define TD_MAGIC 0x54504E54u
 #define TD_HEADER_KIND 0 /* u8 */
 #define TD_HEADER_FLAGS 1 /* u8, 0 */
@@ -141,9 +141,9 @@ enum {
     /* LEASE_REPLY: host_us u64, tick u64, state u8, fault u8 */
     TD_LEASE_REPLY_HOST_US = 0, TD_LEASE_REPLY_TICK = 8, TD_LEASE_REPLY_STATE = 16, TD_LEASE_REPLY_FAULT = 17,
     TD_LEASE_REPLY_BYTES = 18,
-    /* EVENT: number u32, tick u64, code u8, lost u16, speed_m_s f64, grip_N f64 */
+    /* EVENT: number u32, tick u64, code u8, lost u16, speed_m_s f64, grip_N f64, scale f64, cooled f64 */
     TD_EVENT_NUMBER = 0, TD_EVENT_TICK = 4, TD_EVENT_CODE = 12, TD_EVENT_LOST = 13, TD_EVENT_SPEED_M_S = 15,
-    TD_EVENT_GRIP_N = 23, TD_EVENT_BYTES = 31,
+    TD_EVENT_GRIP_N = 23, TD_EVENT_SCALE = 31, TD_EVENT_COOLED = 39, TD_EVENT_BYTES = 47,
     /* TELEMETRY_DATA: first u32, tick u64, every u16, records bytes up to the end */
     TD_TELEMETRY_DATA_FIRST = 0, TD_TELEMETRY_DATA_TICK = 4, TD_TELEMETRY_DATA_EVERY = 12,
     TD_TELEMETRY_DATA_RECORDS = 14, TD_TELEMETRY_DATA_BYTES = 14,

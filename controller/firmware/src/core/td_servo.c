@@ -83,23 +83,26 @@ void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts)
         servo->ring_z[j] = (td_real)((td_wide)servo->ring_z[j] + by_m);
 }
 
-static void tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
+/* The event that was told, NULL if there was no room. */
+static td_event *tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
 {
     td_event *event;
 
     if (output->event_count >= TD_MAX_EVENTS)
-        return;
+        return NULL;
     event = &output->events[output->event_count++];
     event->tick = tick;
     event->what = (uint8_t)what;
     event->speed_m_s = speed_m_s;
     event->grip_N = grip_N;
+    event->scale = event->cooled = (td_real)NAN;
+    return event;
 }
 
-static void note(td_servo *servo, td_output *output, uint64_t tick, int notice, td_real speed_m_s, td_real grip_N)
+static td_event *note(td_servo *servo, td_output *output, uint64_t tick, int notice, td_real speed_m_s, td_real grip_N)
 {
     servo->counts[notice - TD_FIRST_NOTICE]++;
-    tell(output, tick, notice, speed_m_s, grip_N);
+    return tell(output, tick, notice, speed_m_s, grip_N);
 }
 
 /* Latch these faults, and tell each. The first of the list is the servo's. */
@@ -257,10 +260,16 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
     note(servo, output, tick, TD_WHAT_CONTACT, speed, grip);
     if (play->out_of_grid && outside(servo, approach->speed_m_s, (td_wide)grip))
         note(servo, output, tick, TD_WHAT_OUT_OF_GRID, speed, grip);
-    if (allowed.scale < 1 || allowed.cooled > 0)
-        note(servo, output, tick, TD_WHAT_SCALED_FOR_HEAT, speed, grip);
     servo->scale = (td_real)allowed.scale;
     play->cooled = (td_real)allowed.cooled;
+    if (allowed.scale < 1 || allowed.cooled > 0) {
+        td_event *told = note(servo, output, tick, TD_WHAT_SCALED_FOR_HEAT, speed, grip);
+
+        if (told != NULL) {
+            told->scale = servo->scale;
+            told->cooled = play->cooled;
+        }
+    }
     servo->held = true;
     if (servo->bank->samples > 0)
         start(servo, approach->phase);
