@@ -98,10 +98,7 @@ def payload_of(
     numbers = {**library_numbers(device, library), **pulse_numbers(device, library)}
     stated = Settings.of(library, **{**numbers, **settings})
     tail = library.hand_over_samples
-    if table is None:
-        table = bank(library, Method.BILINEAR)
-    else:
-        table = _with_tail(table, tail)
+    table = bank(library, Method.BILINEAR) if table is None else _with_tail(table, tail)
     image = image_of(table, stated.dt_s, stated.lead_s, tail, amplifier=stated.amplifier)
     return Payload(stated, configured(stated), image, library, device)
 

@@ -103,7 +103,7 @@ def header_text() -> str:
     lines += _offsets("One record of TELEMETRY_DATA", "TD_RECORD", messages.Record.layout())
     lines += [*_offsets("Header of an image", "TD_IMAGE", list(image.IMAGE_FIELDS)), "};", ""]
     lines += [
-        "/* Image of a library: header, then speeds, grips, feedback norms, scales of the second waveforms f64, counts. */"
+        "/* Image of a library: header; speeds, grips, feedback norms, scales of second waveforms f64; counts. */"
     ]
     lines += [
         _define("TD_IMAGE_MAGIC_VALUE", f"0x{image.IMAGE_MAGIC:08X}u"),

@@ -14,8 +14,8 @@ The norms of the transients do not travel: the device computes them from the cou
 which bounds the current's since no amplifier of one pole makes more energy than its command has. The feedback's stand
 as stated and bear on the prediction of heat alone: too small a number costs a fault by temperature, not the coil.
 
-Little-endian; all float64 stand before the counts and lie on multiples of 8. SHA-256 of the whole is the library's hash. What is played is
-what is stored, so the Python servo too plays `bank_of(image)`, not the library's own numbers.
+Little-endian; all float64 stand before the counts and lie on multiples of 8. SHA-256 of the whole is the library's
+hash. What is played is what is stored, so the Python servo too plays `bank_of(image)`, not the library's own numbers.
 """
 
 import hashlib
@@ -193,8 +193,8 @@ def too_large(image: bytes, capacity: Capacity) -> str | None:
             return None
         coarse = bits == 16 and image_samples(nv, ng, N, 8) <= capacity.samples
         return (
-            f"library: {nv} speeds x {ng} grips x {N} samples with second waveforms of {bits} bit are {taken} samples, "
-            f"the device holds {capacity.samples} in all: "
+            f"library: {nv} speeds x {ng} grips x {N} samples with second waveforms of {bits} bit are {taken} "
+            f"samples, the device holds {capacity.samples} in all: "
             + ("give the second ones 8 bit" if coarse else "leave the second ones out")
         )
     advice = []

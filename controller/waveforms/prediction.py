@@ -78,8 +78,8 @@ def predict(
     Parameters
     ----------
     gain : multiplies the transient and a wall's feedback.
-    scale, cooled : of a hot coil, whose servo played `scale` times a blend with a part `cooled`, 0 to 1, of the second
-        transient.
+    scale, cooled : of a hot coil, whose servo played `scale` times a blend with a part `cooled`, 0 to 1, of the
+        second transient.
 
     Raises
     ------
