@@ -19,8 +19,8 @@ from controller.waveforms.bank import currents
 from tests.benches.compiled import DT_S, TAIL, cooled, smooth_bank
 from tests.benches.device import Talker, started
 from tests.benches.servo import AMPLIFIER
-from tests.campaigns.test_device_conversations import hot_taps, vouched
 from tests.campaigns.test_device_conversations import Table as Conversation
+from tests.campaigns.test_device_conversations import hot_taps, vouched
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 

@@ -92,7 +92,7 @@ def drawn(bank: Bank, random: np.random.Generator) -> Play:
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_no_blend_passes_a_limit(bits: int) -> None:
-    """Of the places of a stored table, each with many parts; one count of the first waveforms is room for rounding."""
+    """Places of a stored table, each with many parts; one count of the first waveforms is room for rounding."""
     random = np.random.default_rng(bits)
     bank, head = bank_of(image_of(table_of(bits), DT_S, 3e-4, TAIL, cool_bits=bits, amplifier=AMPLIFIER))
     parts = 100
