@@ -118,7 +118,7 @@ def front_figure(found: Mapping[str, list[Means]], default: Means) -> Figure:
 
 def changed(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """A scene with other numbers; its window is told as a share of what it is."""
-    stages = {"time.stages": round(scene.time.stages * values["time.stages"])} if "time.stages" in values else {}
+    stages = {"time.stages": round(scene.stages * values["time.stages"])} if "time.stages" in values else {}
     return with_values(scene, {**values, **stages})
 
 

@@ -44,14 +44,14 @@ from transopt.base.machine import machine, versions
 from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.terminal import make_folder
-from transopt.base.writing import write_csv, write_text
+from transopt.base.writing import table, write_csv, write_text
 from transopt.design.build import build_library
+from transopt.identify.hand.lines import HandFit
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 
 SCENE = "wood_on_foam"
-GRIPS_N = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # of Fig. 7
 # From the optimum to what came before the seed.
 METHODS = (
     Method.BILINEAR,
@@ -64,7 +64,7 @@ METHODS = (
     Method.MOMENTUM_CANCELLATION,
     Method.PROPORTIONAL,
 )
-SWEEP_S, SWEEP_GRIP_N = 10.0, 3.0  # of Fig. 6
+AS_THE_SEED = seed_device.Recorded()
 
 
 @dataclass(frozen=True)
@@ -107,61 +107,99 @@ def libraries(scene: Scene) -> tuple[Library, Library]:
 # ------------------------------------------------------------------------------------------------ device
 
 
-def device_figures(scene: Scene, conditions: Sequence[Condition], sweep_s: float, out: Path) -> list[str]:
+def device_figures(
+    scene: Scene, conditions: Sequence[Condition], recorded: seed_device.Recorded, out: Path
+) -> list[str]:
     """Figs. 1, 5, 6 and 7 into `out`; their part of seed.md."""
     speeds, grips = (list(dict.fromkeys(c[j] for c in conditions)) for j in (0, 1))
-    grip_N = grips[len(grips) // 2]
+    grip_N, speed_m_s = grips[len(grips) // 2], speeds[len(speeds) // 2]
     by_speed = [seed_device.real_tap(scene, v, grip_N) for v in speeds]
-    by_grip = [seed_device.real_tap(scene, speeds[len(speeds) // 2], F) for F in grips]
-    save_figure(seed_device.real_taps_figure(by_speed, by_grip), out / "fig01_real_taps.png")
+    by_grip = [seed_device.real_tap(scene, speed_m_s, F) for F in (seed_device.SOFT_N, seed_device.FIRM_N)]
+    save_figure(seed_device.real_taps_figure(by_speed, by_grip, scene.name), out / "fig01_real_taps.png")
+
+    hand = seed_device.hand_fit(scene, recorded)
+    save_figure(seed_device.hand_figure(hand, scene.name), out / "fig05_hand.png")
 
     amplifier = scene.amplifier_model()
     assert amplifier is not None
-    fitted = {A: seed_device.amplifier_fit(scene, A) for A in (seed_device.LOUD_A, seed_device.QUIET_A)}
-    save_figure(seed_device.amplifier_figure(scene, amplifier, fitted), out / "fig05_amplifier.png")
-    fits = [
-        f"{amplitude:g} A: gain {fit.gain:.3f}, pole {fit.pole_Hz:.0f} Hz, delay {1e6 * fit.delay_s:.1f} µs, "
-        f"dead band {1e3 * fit.crossover.half_width_A:.1f} mA"
-        for amplitude, fit in fitted.items()
-    ]
+    sweeps = seed_device.amplifier_sweeps(scene, recorded)
+    drawn = seed_device.amplifier_figure(amplifier, sweeps, scene.time.dt_s, scene.name)
+    save_figure(drawn, out / "fig06_amplifier.png")
 
-    found = seed_device.sweep_response(scene, SWEEP_GRIP_N, sweep_s)
-    save_figure(seed_device.sweep_figure(scene, SWEEP_GRIP_N, found), out / "fig06_stylus_and_hand.png")
-    size_dB, phase_deg = seed_device.deviation(scene, SWEEP_GRIP_N, found, 5.0)
-
-    shapes = [seed_device.shape(scene, F) for F in GRIPS_N]
-    save_figure(seed_device.family_figure(scene, GRIPS_N), out / "fig07_grips.png")
+    measured = {F: seed_device.sweep_response(scene, F, recorded) for F in recorded.grips_N}
+    off = [seed_device.deviation(scene, F, found, max(5.0, found.frequencies_Hz[0])) for F, found in measured.items()]
+    save_figure(seed_device.family_figure(scene, measured), out / "fig07_grips.png")
+    shapes = [seed_device.shape(scene, F) for F in recorded.grips_N]
     return [
         "## Fig. 1: real taps",
         "",
         "![Fig. 1](fig01_real_taps.png)",
         "",
-        "The undriven stylus strikes the scene's real object, wood on foam, by speed (left) and grip (right).",
+        f"The undriven stylus strikes the scene's real object, by speed (left) and grip (right): {_alike(by_grip)}",
         "",
-        *real_tap_table([*by_speed, *(tap for tap in by_grip if tap.grip_N != grip_N)]),
-        "## Fig. 5: amplifier",
+        *real_tap_table([*by_speed, *by_grip]),
+        "## Fig. 5: the hand",
         "",
-        "![Fig. 5](fig05_amplifier.png)",
+        "![Fig. 5](fig05_hand.png)",
         "",
-        f"Simulated amplifier with its dead band against the model ({amplifier.pole_Hz:g} Hz, "
-        f"{1e6 * amplifier.delay_s:g} µs beyond the hold): steps (left), sweeps as the current monitor reads them "
-        f"(right). Fitted to the sweeps of {'; '.join(fits)}.",
+        *hand_words(hand),
         "",
-        "## Fig. 6: stylus and hand",
+        "## Fig. 6: the amplifier before and after the prefilter",
         "",
-        "![Fig. 6](fig06_stylus_and_hand.png)",
+        "![Fig. 6](fig06_amplifier.png)",
         "",
-        f"A sweep of {seed_device.SWEEP_A:g} A and {sweep_s:g} s at {SWEEP_GRIP_N:g} N, as the amplifier's monitor "
-        f"and the noisy accelerometer read it, against the model: {size_dB:.2f} dB and {phase_deg:.1f} degrees rms "
-        "from 5 Hz on.",
+        *amplifier_words(sweeps),
         "",
         "## Fig. 7: the grips",
         "",
         "![Fig. 7](fig07_grips.png)",
         "",
-        "The family of |G| over grip force: the grip acts below 100 Hz.",
+        f"{recorded.trials} sweeps of {seed_device.SWEEP_A:g} A and {recorded.sweep_s:g} s at each grip, every other "
+        "one of the other polarity, as the amplifier's monitor and the noisy accelerometer read them, beside the "
+        f"models: at most {max(size for size, _ in off):.2f} dB and {max(turned for _, turned in off):.1f} degrees "
+        "rms apart from 5 Hz on (the free device from 20 Hz on). The grip acts below 100 Hz.",
         "",
         *shape_table(shapes),
+    ]
+
+
+def _alike(taps: Sequence[seed_device.RealTap]) -> str:
+    """Acceleration and force of the soft and the firm tap, in a sentence."""
+    soft, firm = taps
+    return (
+        f"at {soft.grip_N:g} and {firm.grip_N:g} N accelerations of {soft.peak_g:.2f} and {firm.peak_g:.2f} g, "
+        f"forces of {soft.peak_N:.1f} and {firm.peak_N:.1f} N. The seed finds the accelerations alike, "
+        "the forces apart."
+    )
+
+
+def hand_words(hand: HandFit) -> list[str]:
+    """The lines over grip beside those of the seed."""
+    rows = []
+    for line in hand.lines:
+        constant, slope = seed_device.SEED_LINES[line.quantity]
+        own = f"{line.line.constant:.4g} {line.line.per_newton:+.3g} F"
+        rows.append([seed_device.HAND_WORDS[line.quantity], own, f"{constant:g} {slope:+g} F"])
+    return [
+        f"Mass, damper and spring of {len(hand.fits)} real taps with random speeds, each by the least squares of the "
+        f"seed's Eq. 2; {100 * hand.unexplained:.1f} % of the force is left unexplained. F is the grip in newtons. "
+        "The hands are not the same: what moves in the seed's weighs five times as much.",
+        "",
+        *table(["quantity", "its line over grip", "seed, Eqs. 3 to 5"], rows),
+    ]
+
+
+def amplifier_words(sweeps: Sequence[seed_device.Swept]) -> list[str]:
+    """Up to which frequency the current follows within 3 dB, before and after the prefilter."""
+    rows = [
+        [f"{each.offset_A:+g} A", f"{seed_device.widest(each.before):.0f}", f"{seed_device.widest(each.after):.0f}"]
+        for each in sweeps
+    ]
+    return [
+        "Swept sines around three offsets through the simulated amplifier; only around 0 A is its dead band passed. "
+        "Up to these frequencies the current stays within 3 dB of what was asked for:",
+        "",
+        *table(["around", "before, Hz", "after the prefilter, Hz"], rows),
     ]
 
 
@@ -281,7 +319,12 @@ def method_comparison(experiment: Experiment, out: Path) -> list[str]:
 
 
 def write_all(
-    experiment: Experiment, out: Path, command: str, *, sweep_s: float = SWEEP_S, page: Path | None = None
+    experiment: Experiment,
+    out: Path,
+    command: str,
+    *,
+    recorded: seed_device.Recorded = AS_THE_SEED,
+    page: Path | None = None,
 ) -> None:
     """Every file of the command into the folder `out`, each whole, and what was found by the methods into a page."""
     started = time.perf_counter()
@@ -291,7 +334,7 @@ def write_all(
     parts = [
         *methods,
         *played,
-        *device_figures(experiment.scene, experiment.conditions, sweep_s, out),
+        *device_figures(experiment.scene, experiment.conditions, recorded, out),
     ]
     computer, installed = machine(), versions("transopt", "numpy", "scipy", "casadi", "matplotlib")
     head = [

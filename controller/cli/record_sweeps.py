@@ -166,6 +166,12 @@ def simulated_series(
     counts = Counter(trial.shape for trial in planned)
     words = f"{counts[Shape.SWEEP]} sweeps of {planned[0].seconds:g} s"
     words += "".join(f", {counts[shape]} {shape.value}s" for shape in (Shape.TAP, Shape.MULTISINE) if counts[shape])
+    larger = ""
+    if purpose == "device" and not counts[Shape.TAP]:
+        larger = (
+            f"\nno current above {planned[0].amplitude_A:g} A was recorded: --tap-current adds taps at the current "
+            "that a library plays, by which identify judges there too"
+        )
     bench, settings = holding_bench(truth, wrong, seed, max(trial.seconds for trial in planned), device)
     series = Series(
         planned,
@@ -173,7 +179,7 @@ def simulated_series(
         lambda _: settings,
         told=(
             f"{out}: {words}, {names[0]} to {names[-1]}\n"
-            f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json"
+            f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json{larger}"
         ),
         gain=gain,
         device=device,

@@ -29,7 +29,7 @@ FINE_Hz = 80e3  # a whole multiple of all
 def at_rate(scene: Scene, rate_Hz: float) -> Scene:
     """The scene with another servo rate, the same horizon, lead and duration of the hand-over."""
     dt_s = 1 / rate_Hz
-    stages = round(scene.time.stages * scene.time.dt_s / dt_s)
+    stages = round(scene.stages * scene.time.dt_s / dt_s)
     hand_over = int(np.ceil(scene.hand_over_samples * scene.time.dt_s / dt_s - 1e-9))
     servo = scene.time.model_copy(update={"dt_s": dt_s, "stages": stages, "lead_s": scene.lead_s})
     return scene.model_copy(update={"time": servo, "hand_over_samples": hand_over})

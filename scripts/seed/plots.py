@@ -59,6 +59,8 @@ def blind_line() -> dict[str, Any]:
 def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: bool) -> Figure:
     """Layout of the seed's Fig. 10: a column per grip, per speed a row of accelerations and one of currents.
 
+    All accelerations have one scale, and all currents, so that what grows with the speed is seen to grow.
+
     Parameters
     ----------
     series : all with the same conditions. limits_A : drawn as dotted lines.
@@ -109,6 +111,9 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
     text = " and ".join(f"{limit:g} A" for limit in limits_A)
     handles.append(Line2D([], [], color=DARK, linewidth=0.8, linestyle=":", label=f"limit of {text}"))
     least = min(float(played.current_A.min()) for one in series for played in one.taps.values())
+    ends = np.array([axes.get_ylim() for axes in rows[::2, 0]])
+    for axes in rows[::2, 0]:
+        axes.set_ylim(ends[:, 0].min(), ends[:, 1].max())
     for axes in rows[1::2, 0]:
         axes.set_ylim(least - 0.08 * max(limits_A), 1.15 * max(limits_A))
     columns = 1 if len(grips) == 1 else len(handles)

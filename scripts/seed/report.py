@@ -204,8 +204,11 @@ def limit_words(compared: Sequence[Compared], limits_A: tuple[float, float]) -> 
 
 
 def real_tap_table(taps: Sequence[RealTap]) -> list[str]:
-    head = ["speed m/s", "grip N", "peak g", "first push ms"]
-    rows = [[f"{t.speed_m_s:g}", f"{t.grip_N:g}", f"{t.peak_g:.1f}", f"{1e3 * t.pulse_s:.1f}"] for t in taps]
+    head = ["speed m/s", "grip N", "peak g", "peak N", "first push ms"]
+    rows = [
+        [f"{t.speed_m_s:g}", f"{t.grip_N:g}", f"{t.peak_g:.1f}", f"{t.peak_N:.1f}", f"{1e3 * t.pulse_s:.1f}"]
+        for t in taps
+    ]
     return table(head, rows)
 
 

@@ -1,7 +1,7 @@
 """What a tap does when its waveform is over, by several ways to end it, played on devices that are not the model.
 
     python -m pytest -m long -n 0 tests/campaigns/test_after_window.py
-        --campaign="[SCENE...] [--devices 20] [--wrong 0.1] [--seed N] [--json FILE] [--part FILE]"
+        --campaign="[SCENE...] [--devices 3] [--wrong 0.1] [--seed N] [--json FILE] [--part FILE]"
 
 Every way is a library of the scene: as if the window were all (`window`), with 30 samples of hand-over in place of 10
 (`long`), with the error after the window in the problem (`tail`), and with both. Every entry is played by the servo
@@ -155,7 +155,7 @@ def main(
     scenes: Annotated[
         list[str] | None, typer.Argument(help="built-in scenes; all that can be played without them")
     ] = None,
-    devices: Annotated[int, at_least(1, "devices, the first of which is the model's own")] = 20,
+    devices: Annotated[int, at_least(1, "devices, the first of which is the model's own")] = 3,
     wrong: Annotated[float, at_least(0, "share by which every parameter of the others may be off")] = 0.1,
     seed: Seed = 1,
     json: JsonFile = None,

@@ -63,6 +63,7 @@ from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import discretise
+from transopt.plant.intention import INTENTION_S
 from transopt.plant.state_space import StateSpace
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.tap import read_recordings
@@ -84,7 +85,8 @@ class Stage:
     Attributes
     ----------
     tap_error : against the recorded tap, mean over the taps at each node; NaN where only sensors have measured.
-    playback_error : likewise, against the tap as it was designed for the model. peak_current_A : over all t and taps.
+    playback_error : likewise, over the intention, against the tap as it was designed for the model.
+    peak_current_A : over all t and taps.
     """
 
     name: str
@@ -187,6 +189,7 @@ def played(
     """
     settings = Settings.of(library, amplifier_tolerance=wrong.mismatch)
     times, noise = library.time_grid().switching_times_s, replace(wrong, mismatch=0.0)
+    early = times <= INTENTION_S
     errors, off_design, peak = [], [], 0.0
     for iv, ig in nodes_of(library):
         found, off = [], []
@@ -202,7 +205,7 @@ def played(
                 raise InputError(f"{name}: nothing was played at {tap.speed_m_s:g} m/s, {tap.grip_N:g} N")
             found.append(one.tap_error)
             wanted = designed.acceleration_m_s2[iv, ig] + designed.free_m_s2[iv, ig]
-            off.append(align(one.times_s, one.acceleration_m_s2, times, wanted).nrmse)
+            off.append(align(one.times_s, one.acceleration_m_s2, times[early], wanted[early]).nrmse)
             peak = max(peak, one.peak_current_A)
         errors.append(float(np.mean(found)))
         off_design.append(float(np.mean(off)))
@@ -234,7 +237,8 @@ def without_servo(
         problem = replace(library.problem(iv, ig).without("temperature"), stage=stage, grid=grid)
         acceleration, current = stage.rollout(command((iv, ig), problem))
         errors.append(problem.yardstick.tap_error(problem.target, acceleration))
-        off_design.append(nrmse(acceleration, library.acceleration_m_s2[iv, ig]))
+        early = grid.switching_times_s <= INTENTION_S
+        off_design.append(nrmse(acceleration[early], library.acceleration_m_s2[iv, ig, early]))
         peak = max(peak, float(np.abs(current).max()))
     return Stage(name, errors, off_design, peak)
 
@@ -348,14 +352,16 @@ def in_markdown(results: dict[float, list[Stage]]) -> list[str]:
     rows = [
         [
             stages[0].name,
-            *(
-                f"{100 * s.mean:.2f} ({100 * s.worst:.1f}), {100 * s.playback:.2f}, {s.peak_current_A:.3f} A"
-                for s in stages
-            ),
+            *(f"{_mean_and_worst(s)}, {100 * s.playback:.2f}, {s.peak_current_A:.3f} A" for s in stages),
         ]
         for stages in zip(*results.values(), strict=True)
     ]
     return markdown_table(head, rows)
+
+
+def _mean_and_worst(stage: Stage) -> str:
+    """Tap error in %; a dash where only sensors have measured, which know no recorded tap."""
+    return "-" if np.isnan(stage.mean) else f"{100 * stage.mean:.2f} ({100 * stage.worst:.1f})"
 
 
 def figure(results: dict[float, list[Stage]]) -> Figure:

@@ -109,8 +109,8 @@ class NodeErrors:
     ----------
     limited : limits bind with the model's own optimum.
     before, after : until a hand can react. whole_before, whole_after : of the rapid part over the library's window.
-    known : of the command nearest to the design for who knows the true device, over the window and with its slow
-        part; NaN where there is none.
+    known : of the command nearest to the design for who knows the true device, until a hand can react; NaN where
+        there is none.
     refined : what is kept is another design than before.
     why : the learning ended there.
     """
@@ -403,7 +403,9 @@ def main(
         print("  ".join(rows([one])[0]), flush=True)
         write_json([asdict(done) for done in outcomes], json_file)
     found = figures(outcomes)
-    asked = show(("figure", "asked", "reached", "as asked"), found)
+    asked = show(
+        ("figure", "asked", "reached", "as asked"), [(*said, "yes" if right else "no") for *said, right in found]
+    )
     write_part(part, [*asked, *show(HEAD, rows(outcomes)), *show(NODE_HEAD, node_rows(outcomes))])
     return 0 if all(right for *_, right in found) else 1
 

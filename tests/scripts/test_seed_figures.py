@@ -19,6 +19,7 @@ figures, comparison, device = script("seed_figures"), script("seed.comparison"),
 command = script("common.command")
 
 SATURATED = (0.4, 5.0)
+BRIEF = device.Recorded(sweep_s=1.0, trials=2, grips_N=(0.0, 3.0), hand_grips_N=(1.0, 3.0, 5.0), taps=18)
 METHODS = (
     Method.BILINEAR,
     Method.CLIPPED_OPTIMUM,
@@ -36,7 +37,7 @@ def written(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     grid = scene.grid.model_copy(update={"speeds_m_s": [0.3, 0.4], "grips_N": [1.0, 5.0]})
     library, steady = figures.libraries(scene.model_copy(update={"grid": grid}))
     experiment = figures.Experiment(library, steady, [SATURATED], METHODS, devices=1, jobs=1)
-    figures.write_all(experiment, out, "the command", sweep_s=1.5)
+    figures.write_all(experiment, out, "the command", recorded=BRIEF)
     return out
 
 
@@ -157,15 +158,35 @@ class TestSummary:
 
 
 class TestDevice:
-    def test_amplifier_is_the_models_with_a_dead_band(self, scene: Scene) -> None:
-        for amplitude_A in (device.LOUD_A, device.QUIET_A):
-            fit = device.amplifier_fit(scene, amplitude_A)
-            assert fit.pole_Hz == pytest.approx(1050.0, rel=0.02)
-            assert fit.delay_s == pytest.approx(68e-6, abs=2e-6)
-            assert fit.crossover.half_width_A == pytest.approx(0.01, rel=0.2)
+    def test_the_prefilter_makes_the_amplifier_faster_and_the_dead_band_shows_around_zero_alone(
+        self, scene: Scene
+    ) -> None:
+        sweeps = device.amplifier_sweeps(scene, BRIEF)
+        assert [each.offset_A for each in sweeps] == [1.0, 0.0, -1.0]
+        gains = []
+        for each in sweeps:
+            # A pole and the hold of a sample: 3 dB at about the pole, and beyond half the sweep with the inverse.
+            assert 0.85 * 1050 < device.widest(each.before) < 1.05 * 1050
+            assert device.widest(each.after) > 2 * device.widest(each.before)
+            slow = (each.before.frequencies_Hz > 30) & (each.before.frequencies_Hz < 80)
+            gains.append(float(np.abs(each.before.response[slow]).mean()))
+        # The describing function of a dead band h at an amplitude A: 1 - 4 h / (pi A).
+        lost = 4 * 0.01 / (np.pi * device.AMPLIFIER_A)
+        assert gains == pytest.approx([1.0, 1.0 - lost, 1.0], abs=4e-3)
+
+    def test_the_hand_over_grip_has_the_signs_of_the_seeds(self, scene: Scene) -> None:
+        fit = device.hand_fit(scene, BRIEF)
+        mass, damping, stiffness = (line.line for line in fit.lines)
+        assert mass.per_newton < 0 < min(damping.per_newton, stiffness.per_newton)
+        assert fit.unexplained < 0.05
+
+    def test_a_firm_grip_asks_the_surface_for_more_force(self, scene: Scene) -> None:
+        soft, firm = (device.real_tap(scene, 0.3, grip) for grip in (device.SOFT_N, device.FIRM_N))
+        assert firm.peak_N > 1.3 * soft.peak_N
+        assert firm.peak_g == pytest.approx(soft.peak_g, rel=0.15)
 
     def test_sweep_finds_the_model(self, scene: Scene) -> None:
-        found = device.sweep_response(scene, 3.0, 2.0)
+        found = device.sweep_response(scene, 3.0, device.Recorded(trials=2))
         size_dB, phase_deg = device.deviation(scene, 3.0, found, 10.0)
         assert size_dB < 0.5
         assert phase_deg < 3.0

@@ -63,6 +63,7 @@ LARGEST = {
     "ticks": 1e6,
     "samples": 1e6,
 }
+LEAST_kg = 1e-9  # of a mass: lighter ones move faster than any arithmetic follows beside the others
 LARGEST_PLAIN = 1e30  # of a number without a unit: its cube still fits double precision
 
 
@@ -100,6 +101,8 @@ def beyond(name: str, value: Any) -> str:
     if value is None or isinstance(value, str):
         return ""
     unit, most = _bound_of(name)
+    if unit == "kg" and isinstance(value, int | float) and 0 < value < LEAST_kg:
+        return f"must be at least {LEAST_kg:g} kg, which is a microgram; check its unit"
     for number in (value,) if isinstance(value, float) else _numbers(value):
         if not abs(number) <= most:
             return f"must be finite and at most {most:g} {unit}".rstrip() + " in size; check its unit"

@@ -227,7 +227,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 
 def _print(console: "Console", build: "Build", written: str, unfit: str) -> None:
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
-    from transopt.report.identified import model_warning, moving_target
+    from transopt.report.identified import model_warning, moving_target, uncovered_line
     from transopt.report.tables import (
         build_table,
         cool_summary,
@@ -252,7 +252,7 @@ def _print(console: "Console", build: "Build", written: str, unfit: str) -> None
     for warning in (
         *build.recorded_remarks,
         *warnings(build),
-        *filter(None, [model_warning(build), moving_target(build.scene)]),
+        *filter(None, [model_warning(build), uncovered_line(build), moving_target(build.scene)]),
     ):
         line(warning, "yellow")
     for entry in build.refused:

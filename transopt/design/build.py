@@ -22,8 +22,9 @@ from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.columns import FIGURES, EntryTable
 from transopt.library.derived import derived
-from transopt.library.library import ARRAYS, PLANT, Library, further_arrays, multiplier_arrays
+from transopt.library.library import PLANT, Library
 from transopt.library.meta import SCHEMA, heat_is_in, shared_left_out
+from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arrays
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.limits import needed_outputs
 from transopt.recordings.recording import Recording
@@ -280,10 +281,10 @@ def assemble(
         "target_ends_s": np.array([row[0].ends_s if row[0].name else 0.0 for row in cells]),
         "grips_N": np.asarray(scene.grid.grips_N),
         **{name: of_cells(name) for name in CELLS},
-        "nominal_position_at_ticks_m": at_ticks[..., : scene.time.stages],
-        "nominal_after_at_ticks_m": at_ticks[..., scene.time.stages :],
+        "nominal_position_at_ticks_m": at_ticks[..., : scene.stages],
+        "nominal_after_at_ticks_m": at_ticks[..., scene.stages :],
         **_of_entries(entries, further),
-        "correction_m_s2": np.zeros((len(cells), len(plants), scene.time.stages)),
+        "correction_m_s2": np.zeros((len(cells), len(plants), scene.stages)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
     }

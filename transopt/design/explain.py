@@ -70,12 +70,12 @@ class Remedy:
 
 
 def what_would_do(remedies: Sequence[Remedy]) -> str:
-    """The remedies that were solved or, without one, what was tried in vain; in one sentence."""
+    """The remedies that were solved or, without one, what was tried in vain, in one sentence; empty without any."""
     solved = [str(remedy) for remedy in remedies if remedy.solved]
     if solved:
         return f"{', or '.join(solved)} would do"
     tried = ", ".join(str(remedy) for remedy in remedies)
-    return f"tried in vain, as far as {tried}" if tried else "nothing was found to try"
+    return f"tried in vain, as far as {tried}" if tried else ""
 
 
 def unavoidable(problem: TransientProblem) -> list[str]:

@@ -245,7 +245,7 @@ class Errors:
     def blend(self, nodes: Nodes, point: Point) -> FloatArray:
         """(N,) bilinear blend of the node commands, as `Library.at` makes it."""
         by_speed, by_grip = (_shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
-        blended = np.zeros(self.context.scene.time.stages)
+        blended = np.zeros(self.context.scene.stages)
         for (v, a), (F, b) in itertools.product(by_speed, by_grip):
             blended += a * b * self.optimum((v, F)).solution.command
         return blended

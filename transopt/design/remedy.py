@@ -22,6 +22,7 @@ from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy
 from transopt.problem.answer import Status
 from transopt.problem.problem import TransientProblem
+from transopt.proof.continuous import AGREEMENT
 from transopt.proof.replay import Replay
 from transopt.solvers.options import SolverOptions, TrialOptions
 
@@ -198,7 +199,7 @@ def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, *, most_
     problem, played, status = refused.problem, refused.played, refused.status
     search = _Search(entry, options, _excess(problem, played, status), most_s)
     tried: list[Remedy] = []
-    for ways in _ways(entry, problem, status):
+    for ways in _ways(entry, problem, status, converged=played.step_error <= AGREEMENT):
         search.begin()
         found = search.tried([way for way in ways if way.strengths])
         solved = [remedy for remedy in found if remedy.solved]
@@ -216,12 +217,17 @@ def _excess(problem: TransientProblem, played: Replay, status: Status) -> float:
     return OVER * max((by for by in reached if by < STRENGTHS[-1]), default=0.0)
 
 
-def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Iterator[list[_Way]]:
-    """What may help, the simplest first; each list is tried as a whole."""
+def _ways(entry: Adjustable, problem: TransientProblem, status: Status, *, converged: bool) -> Iterator[list[_Way]]:
+    """What may help, the simplest first; each list is tried as a whole.
+
+    Nothing that is tried here helps a replay that does not converge: its device is too fast, whatever is commanded.
+    """
 
     def movable(moves: Sequence[Move]) -> list[Move]:
         return [(key, up) for key, up in moves if _is_movable(entry, key)]
 
+    if status is Status.REPLAY_VIOLATION and not converged:
+        return
     if status is Status.PRECISION:
         yield [_way(entry, [(f"limits.{problem.limits.input.key}", False)]), _steadier(entry)]
         yield [_shortened(entry)]

@@ -7,7 +7,7 @@ from time import process_time
 from transopt.design.context import Context, Posed
 from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy, what_would_do
-from transopt.design.remedy import MOST_S, MOTOR, Values, does, remedies
+from transopt.design.remedy import MOST_S, MOTOR, STAGES, Values, does, remedies
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.own import OwnLimit
@@ -39,6 +39,8 @@ class SceneEntry:
         """What stands at a dotted key; None where nothing does, or nothing that this entry depends on."""
         if key == f"limits.{CurrentLimit.key}" and self.scene.driven_by is CURRENT_INPUT:
             return self.scene.limits.transient_input
+        if key == STAGES:
+            return float(self.scene.stages)
         if key.startswith(COIL) and self.scene.coil() is None:
             return None
         found: object = self.scene
@@ -83,7 +85,9 @@ def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options:
             own = remedies(posed, entry, options, most_s=min(MOST_S, left_s))
         own = [_in_place_of_beta(context.scene, remedy) for remedy in own]
         found.update({str(remedy): remedy for remedy in own if remedy.solved})
-        return entry.stating(remedies=tuple(own), shortfalls=[*entry.shortfalls, what_would_do(own)])
+        return entry.stating(
+            remedies=tuple(own), shortfalls=list(filter(None, [*entry.shortfalls, what_would_do(own)]))
+        )
 
     return [[tried(entry) for entry in row] for row in entries]
 

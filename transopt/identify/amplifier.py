@@ -21,6 +21,7 @@ from transopt.identify.checks import (
     check_sign,
     low_coherence,
     refuse,
+    swept_from,
 )
 from transopt.identify.condensed import Condensed
 from transopt.identify.likelihood import Likelihood, Maximum
@@ -83,6 +84,7 @@ class AmplifierFit:
         less three standard deviations of their noise.
     trial_gains : (K,) of each trial: its response over that of pole and delay, crossover and all.
     dt_s : servo period.
+    low_Hz : from where on the trials swept.
     """
 
     pole_Hz: float
@@ -98,6 +100,7 @@ class AmplifierFit:
     misfit_deg: float
     trial_gains: FloatArray
     dt_s: float
+    low_Hz: float
 
     @property
     def delay_with_hold_s(self) -> float:
@@ -137,7 +140,7 @@ class AmplifierFit:
         shortfalls = self.shortfalls()
         if shortfalls:
             return "not fit to design with: " + "; ".join(shortfalls)
-        low, high = self.estimate.frequencies_Hz[[0, -1]]
+        low, high = self.low_Hz, self.estimate.frequencies_Hz[-1]
         misses = f"by at most {self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg beyond its noise"
         return f"one pole and a pure delay miss the current {misses}, {low:.3g} to {high:.4g} Hz; fit to design with"
 
@@ -337,6 +340,7 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         misfit_deg=misfit[1],
         trial_gains=_gains(plain.data, sampled_response(plain.data.frequencies_Hz, pole, delay, dt_s)),
         dt_s=dt_s,
+        low_Hz=swept_from(trials, fit.estimate),
     )
 
 
@@ -357,8 +361,7 @@ def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
     for trial, alone in zip(trials, each, strict=True):
         refuse(check_sign(trial.name, alone))
     together = estimate_transfer(trials)
-    low_Hz = float(together.frequencies_Hz[0])
-    findings += refuse(check_cycles("all files", trials, together, low_Hz))
+    findings += refuse(check_cycles("all files", trials, together, swept_from(trials, together)))
     findings += low_coherence("all files", together)
     return trials, findings
 

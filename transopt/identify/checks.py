@@ -101,6 +101,9 @@ class Check(Enum):
     CUT_SHORT = Fault.CUT_SHORT, TOLD, END_PART, (
         "{quantity} ends {last:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}; record "
         "until everything rests")
+    BEGUN_LATE = Fault.CUT_SHORT, TOLD, END_PART, (
+        "{quantity} begins {first:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}: what "
+        "came before is not known, so that nothing is judged by this record; begin it before the command does")
     RATES = Fault.RATES, FATAL, None, (
         "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
     FEW_CYCLES = Fault.TOO_FEW_CYCLES, TOLD, LEAST_CYCLES, (
@@ -228,6 +231,23 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
     return found
 
 
+def begun_late(name: str, signals: Sequence[tuple[str, Signal | None, str]]) -> list[Finding]:
+    """A burst whose record begins in the middle of it, where it should be at rest as at its end.
+
+    Parameters
+    ----------
+    signals : quantity, what was recorded of it if anything was, and its unit.
+    """
+    for quantity, x, unit in signals:
+        if x is None:
+            continue
+        centred = x.values - np.median(x.values[-max(END_SAMPLES, x.values.size // 10) :])
+        first, peak = float(np.abs(np.median(centred[:END_SAMPLES]))), float(np.abs(centred).max())
+        if first > END_PART * peak:
+            return [Check.BEGUN_LATE.at(name, quantity=quantity, first=first, unit=unit, part=first / peak)]
+    return []
+
+
 def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
     """Indices of the samples at the maximum, if so many are exactly there that a sensor must have stopped them.
 
@@ -276,6 +296,18 @@ def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> Fl
         above += twice - at
         below += at - half
     return np.maximum(above, below)
+
+
+def swept_from(trials: Sequence[Trial], estimate: TransferEstimate) -> float:
+    """Lowest frequency [Hz] from which on the input has cycles enough over an octave; the first of all without one.
+
+    Below it lies what no trial was asked to sweep, and lines that a jump to an offset leaves there.
+    """
+    f = estimate.frequencies_Hz
+    few = np.append(f[cycles_per_octave(trials, f) < LEAST_CYCLES], np.inf)
+    # Whether the next bin with too few lies above the octave that begins here.
+    whole = few[np.searchsorted(few, f)] > 2 * f
+    return float(f[np.argmax(whole)])
 
 
 def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate, low_Hz: float) -> list[Finding]:

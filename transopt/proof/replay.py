@@ -88,7 +88,12 @@ class Replay:
         tolerance_A = tolerated(problem.limits.input_limit)
         found.extend(limit.replayed(self.peak(limit)) for limit in problem.limits if self.leaves(limit))
         if not self.step_error <= AGREEMENT:
-            found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
+            fastest_Hz = float(np.abs(np.linalg.eigvals(problem.stage.plant.A)).max()) / (2 * np.pi)
+            found.append(
+                f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak; the "
+                f"device's fastest mode, at {fastest_Hz:.2g} Hz, leaves it no digits: raise the smallest mass, or "
+                "lower the stiffness and the damping that move it"
+            )
         feedback_off = float(np.abs(self.command - command).max())
         if not feedback_off <= tolerance_A:
             found.append(

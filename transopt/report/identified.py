@@ -108,6 +108,24 @@ def model_warning(build: Build) -> str:
     )
 
 
+def uncovered_line(build: Build) -> str:
+    """One line where entries ask for more current than the model's device was recorded with; empty if none does."""
+    model = build.scene.model
+    if not isinstance(model, IdentifiedModel) or model.device is None or model.device.error is None:
+        return ""
+    error, entries = model.device.error, [entry for entry in build.all_entries() if entry.admitted]
+    beyond = [entry for entry in entries if not error.covers(entry.grip_N, entry.played.peak_input)]
+    if not beyond:
+        return ""
+    worst = max(beyond, key=lambda entry: entry.played.peak_input / error.recorded_at(entry.grip_N))
+    return (
+        f"{len(beyond)} of {len(entries)} entries ask for more current than {model.file} was recorded with, up to "
+        f"{worst.played.peak_input:.3g} A at {worst.place} beside {error.recorded_at(worst.grip_N):.2g} A: how the "
+        "device answers that is not known; record taps too (transopt-play record sweep --tap-current) and identify "
+        "again"
+    )
+
+
 def moving_target(scene: Scene) -> str:
     """One line where the taps to be reproduced are made with the identified device; empty if they are not."""
     model = scene.model
@@ -164,8 +182,9 @@ def identified_lines(build: Build) -> list[str]:
         lines += ["", f"Found beside the model: {', '.join(model.device.causes)}."]
     if said := scene.unfit_model():
         lines += ["", f"**{said}.** It was accepted by the one who solved."]
-    warning = model_warning(build)
-    return [*lines, *(["", f"**{warning[0].upper()}{warning[1:]}.**"] if warning else []), *_spread_words(scene)]
+    for warning in filter(None, (model_warning(build), uncovered_line(build))):
+        lines += ["", f"**{warning[0].upper()}{warning[1:]}.**"]
+    return [*lines, *_spread_words(scene)]
 
 
 def identified_rows(build: Build) -> dict[str, Any] | None:

@@ -14,14 +14,13 @@ from transopt.base.files import check_depth, is_file, read_file
 from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
 from transopt.base.shown import cut
-from transopt.base.sizes import MOST_STAGES, MOST_TEXT_BYTES
+from transopt.base.sizes import MOST_TEXT_BYTES
 from transopt.plant.matrices import Matrices
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_place import identified_table, put_model, served_grips
 from transopt.scene.own_file import own_tables
 from transopt.scene.plant_file import with_plant_file
 from transopt.scene.scene import Scene
-from transopt.scene.sections import Time
 
 # Keys that older scene files have -> what is written instead.
 REPLACED = {
@@ -238,14 +237,18 @@ def read_scene(
         content["model"] = _identified(path, "model", content["model"])
     if isinstance(content.get("model"), dict):
         content["model"] = with_plant_file(path, content["model"])
-    limits, time = content.get("limits"), content.get("time", {})
-    if isinstance(limits, dict) and "own" in limits:
-        stages = time.get("stages", Time.model_fields["stages"].default) if isinstance(time, dict) else 0
-        # Any other number of stages is refused below, and nothing is written out for it.
-        limits["own"] = own_tables(path, limits["own"], stages if stages in range(MOST_STAGES + 1) else 0)
     recordings = content.setdefault("recordings", {}) if content.get("targets") else content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
         recordings["folder"] = _resolved(path, recordings.get("folder", "."))
+    limits = content.get("limits")
+    if isinstance(limits, dict) and "own" in limits:
+        # The stages over which limits of a user's own are written out follow from the rest of the scene.
+        own = limits.pop("own")
+        limits["own"] = own_tables(path, own, _validated(path, content).stages)
+    return _validated(path, content)
+
+
+def _validated(path: Path, content: dict[str, Any]) -> Scene:
     try:
         return Scene.model_validate(content)
     except ValidationError as error:

@@ -17,6 +17,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_NODES
 
 MOST_BANDS = 200
+COVERED = 1.1  # times the largest current that was recorded: no device changes at once
 
 
 class AtUse(Section):
@@ -43,12 +44,14 @@ class ModelError(Section):
     frequencies_Hz : (m,) middles of the bands, increasing.
     power : (ng, m) mean square of |G_true - G| [(m/s^2/A)^2].
     at_use : by held-out tap; empty where none was recorded.
+    recorded_A : (ng,) largest current that was recorded at each grip; empty where a file does not say.
     """
 
     grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
     frequencies_Hz: Annotated[list[Positive], Field(min_length=1, max_length=MOST_BANDS)]
     power: Annotated[list[list[NonNegative]], Field(min_length=1, max_length=MOST_NODES)]
     at_use: Annotated[list[AtUse], Field(max_length=MOST_NODES)] = Field(default_factory=list)
+    recorded_A: Annotated[list[NonNegative], Field(max_length=MOST_NODES)] = Field(default_factory=list)
 
     @field_validator("frequencies_Hz")
     @classmethod
@@ -61,7 +64,20 @@ class ModelError(Section):
     def _shaped(self) -> Self:
         if len(self.power) != len(self.grips_N) or any(len(row) != len(self.frequencies_Hz) for row in self.power):
             raise ValueError(f"power: must be {len(self.grips_N)} by {len(self.frequencies_Hz)}, grips by bands")
+        if self.recorded_A and len(self.recorded_A) != len(self.grips_N):
+            raise ValueError(f"recorded_A: must be {len(self.grips_N)} currents, one for each grip")
         return self
+
+    def recorded_at(self, grip_N: float) -> float:
+        """Largest current [A] that was recorded at the grips around this one; infinite where nobody says."""
+        if not self.recorded_A:
+            return np.inf
+        kept = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)] or range(len(self.grips_N))
+        return float(np.interp(grip_N, [self.grips_N[j] for j in kept], [self.recorded_A[j] for j in kept]))
+
+    def covers(self, grip_N: float, peak_A: float) -> bool:
+        """Whether as large a current, and a little less, was recorded: nothing else is known of a larger one."""
+        return peak_A <= COVERED * self.recorded_at(grip_N)
 
     def _power(self, grip_N: float) -> FloatArray:
         """(m,) at a grip, linear between the recorded ones; held grips and the free device apart."""

@@ -5,6 +5,7 @@
 wall, time grid, limits.
 """
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -13,7 +14,7 @@ from transopt.base.axes import Axes
 from transopt.base.errors import InputError
 from transopt.base.section import Name, Section, Words
 from transopt.base.shown import cut, wrapped
-from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS, MOST_NODES
+from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS, MOST_NODES, MOST_STAGES
 from transopt.base.writing import rounded_down
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
@@ -37,6 +38,7 @@ from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import StateSpaceDevice
 from transopt.scene.sections import (
     OF_A_CURRENT,
+    WINDOW_S,
     AmplifierSection,
     Feedback,
     Grid,
@@ -81,7 +83,7 @@ class Scene(Section):
         time = self.time
         named = ": ".join(filter(None, (cut(self.name), cut(self.description))))
         return wrapped(
-            f"Scene({named}; {self.axes.said}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
+            f"Scene({named}; {self.axes.said}, {self.stages} commands of {1e3 * time.dt_s:g} ms, limit "
             f"{self.limits.transient_input:g} {self.driven_by.unit})"
         )
 
@@ -133,7 +135,7 @@ class Scene(Section):
                 f"limits: transient limit {self.limits.transient_input:g} A is above the motor's i_peak_A = "
                 f"{self.motor.i_peak_A:g} A: lower beta or current_A"
             )
-        commands = self.axes.entries * self.time.stages
+        commands = self.axes.entries * self.stages
         if commands > MOST_COMMANDS:
             raise ValueError(
                 f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages"
@@ -141,9 +143,9 @@ class Scene(Section):
         self._check_amplifier()
         self._check_time()
         self._check_what_needs_what()
-        if self.hand_over_samples > self.time.stages:
+        if self.hand_over_samples > self.stages:
             raise ValueError(
-                f"hand_over_samples = {self.hand_over_samples}: must not exceed time.stages = {self.time.stages}"
+                f"hand_over_samples = {self.hand_over_samples}: must not exceed time.stages = {self.stages}"
             )
         return self
 
@@ -218,10 +220,11 @@ class Scene(Section):
             )
         grid = self.time_grid()
         takes_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
+        shorter = "" if self.time.stages is None else ", or shorten time.stages"
         if self.thermal.tap_rate_Hz is not None and not 1 / self.thermal.tap_rate_Hz > takes_s:
             raise ValueError(
                 f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
-                f"amplifier's delay: must be at most {rounded_down(BELOW / takes_s):g}, or shorten time.stages"
+                f"amplifier's delay: must be at most {rounded_down(BELOW / takes_s):g}{shorter}"
             )
         if self.robust is not None and self.feedback is not None:
             raise ValueError(
@@ -399,10 +402,22 @@ class Scene(Section):
         """How long before contact the waveform starts: as stated, or the least that covers the amplifier's delay."""
         return covering_lead_s(self.time.dt_s, self.delay_s) if self.time.lead_s is None else self.time.lead_s
 
+    @property
+    def stages(self) -> int:
+        """Commands of an entry: as stated, or those of 80 ms, fewer where the next tap comes sooner."""
+        dt_s, rate_Hz = self.time.dt_s, self.thermal.tap_rate_Hz
+        if self.time.stages is not None:
+            return self.time.stages
+        stages = min(round(WINDOW_S / dt_s), MOST_STAGES)
+        if rate_Hz is not None:
+            # A tap takes a servo period and the amplifier's delay more than its window, and ends before the next one.
+            stages = min(stages, math.ceil((1 / rate_Hz - self.delay_s) / dt_s * BELOW) - 2)
+        return max(stages, self.hand_over_samples + 1, 2)
+
     def time_grid(self) -> TimeGrid:
         """Servo ticks and switching instants of every entry, and how many samples after them count."""
         after = samples_after(self.weights.after_s, self.time.dt_s)
-        return TimeGrid(self.time.dt_s, self.time.stages, self.lead_s, self.delay_s, after)
+        return TimeGrid(self.time.dt_s, self.stages, self.lead_s, self.delay_s, after)
 
     @property
     def nonlinear(self) -> bool:

@@ -73,19 +73,23 @@ class Grid(Section):
         return self
 
 
-class Time(Section):
-    """Servo period, horizon, and how long before contact the waveform starts; a lead of none follows from the delay.
+WINDOW_S = 80e-3  # within which the hand is held up and let go again, unless taps come sooner
 
-    It is then the least whole number of servo periods that covers the amplifier's delay and 0.2 ms.
+
+class Time(Section):
+    """Servo period, horizon, and how long before contact the waveform starts.
+
+    Without `stages` the window is 80 ms, or what `thermal.tap_rate_Hz` leaves of it where taps come sooner. A lead of
+    none is the least whole number of servo periods that covers the amplifier's delay and 0.2 ms.
     """
 
     dt_s: Annotated[float, Field(ge=SHORTEST_DT_S, le=LONGEST_DT_S)] = 1e-4
-    stages: Annotated[int, Field(ge=2, le=MOST_STAGES)] = 800
+    stages: Annotated[int, Field(ge=2, le=MOST_STAGES)] | None = None
     lead_s: Annotated[float, Field(ge=0, le=LONGEST_LEAD_S)] | None = None
 
     @model_validator(mode="after")
     def _short(self) -> Self:
-        horizon_s = self.stages * self.dt_s
+        horizon_s = (self.stages or 0) * self.dt_s
         if horizon_s > LONGEST_HORIZON_S:
             raise ValueError(
                 f"{self.stages} stages of {self.dt_s:g} s are {horizon_s:g} s: must be at most "

@@ -11,6 +11,7 @@ from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
 from transopt.scene.keys import Changes, with_values
 from transopt.scene.scene import Scene
+from transopt.scene.sections import WINDOW_S
 from transopt.scene.strikes import recordings as simulated_recordings
 from transopt.study.axes import Axis
 
@@ -29,14 +30,15 @@ class StudyRecordings:
         self._scene = scene
         # What was asked for last: its changes as text, the recordings, their digest.
         self._last: tuple[str, tuple[Recording, ...], str] = ("", (), "")
-        longest: dict[str, float] = {"time.dt_s": scene.time.dt_s, "time.stages": scene.time.stages}
+        longest: dict[str, float] = {"time.dt_s": scene.time.dt_s, "time.stages": scene.time.stages or 0}
         amplifier = scene.amplifier_model()
         longest["amplifier.delay_s"] = 0.0 if amplifier is None else amplifier.delay_s
         for axis in axes:
             if axis.key in longest:
                 longest[axis.key] = max(map(float, axis.values))
-        end_s = longest["time.dt_s"] * longest["time.stages"] + longest["amplifier.delay_s"]
-        self._longer_s = end_s - scene.time.dt_s * scene.time.stages
+        # A scene that states no stages has a window of 80 ms whatever its period, or less.
+        window_s = longest["time.dt_s"] * longest["time.stages"] or WINDOW_S
+        self._longer_s = window_s + longest["amplifier.delay_s"] - scene.time.dt_s * scene.stages
 
     def of(self, changes: Changes) -> tuple[tuple[Recording, ...], str]:
         """The recordings for a point of the plan, and their SHA-256, which names them."""
@@ -59,6 +61,6 @@ class StudyRecordings:
         if scene.recordings.simulated is None:
             return read_recordings(scene.recordings)
         if self._longer_s > MARGIN_S:
-            stages = scene.time.stages + math.ceil(self._longer_s / scene.time.dt_s)
-            scene = with_values(scene, {"time.stages": stages})
+            stages = scene.stages + math.ceil(self._longer_s / scene.time.dt_s)
+            scene = with_values(scene, {"time.stages": stages, "thermal.tap_rate_Hz": None})
         return simulated_recordings(scene)

@@ -52,7 +52,9 @@ def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
     cut = int(np.sum(needed[0] > limits[0]))
     free = [A for A, e, f in zip(limits, error, floor, strict=True) if np.all(e <= f + AT_FLOOR)]
     clear = (
-        f"from {free[0]:.2f} A on all are at their floor" if free else f"even {limits[-1]:g} A is not enough for all"
+        f"from {free[0]:.2f} A on all are at their floor"
+        if free
+        else f"even at {limits[-1]:g} A some are above their floor"
     )
     strong = [A for A, dB in zip(limits, felt, strict=True) if np.all(np.abs(dB) <= JUST_NOTICED_dB)]
     fair = f"; from {strong[0]:.2f} A on all are as strong as felt, within {JUST_NOTICED_dB:g} dB" if strong else ""

@@ -319,7 +319,7 @@ class Service:
             said = list(dict.fromkeys([entry.status.value, *entry.shortfalls]))
             posed = SceneEntry(self.context, place.grip_N, self.reference(place))
             found = remedies(posed, entry, self.options, most_s=MOST_REMEDY_S)
-            reason = ": ".join([said[0], "; ".join([*said[1:], what_would_do(found)])])
+            reason = ": ".join([said[0], "; ".join(filter(None, [*said[1:], what_would_do(found)]))])
         return Shown(
             index=index,
             certified=admitted,

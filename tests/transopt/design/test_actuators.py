@@ -265,6 +265,23 @@ def test_calm_costs_little_and_rings_less() -> None:
     assert min(rings) < 0.01
 
 
+@pytest.mark.parametrize("window_s", [14e-3, 30e-3, 60e-3])
+def test_the_calmer_the_less_is_left_behind_the_target_in_the_window_and_after_it(window_s: float) -> None:
+    """A window of 14 ms is over as soon as the click at 150 Hz is: all that can ring does so after it."""
+    left = []
+    for weight in (1.0, 10.0, 100.0):
+        scene = lra({"weights.calm": weight})
+        ((entry, *_), *_) = built(with_values(scene, {"time.stages": round(window_s / scene.time.dt_s)})).entries
+        problem, made = entry.problem, entry.designed.effect.lasting.acceleration_m_s2
+        times = np.append(problem.grid.switching_times_s, problem.grid.after_times_s)
+        off = made - np.append(problem.target.window_m_s2, problem.target.after_m_s2)
+        left.append((np.sum(off[times > 2 / 150.0] ** 2), np.abs(entry.played.after_peak_m_s2)))
+    energies, peaks = np.array(left).T
+    assert np.all(energies[1:] < 0.2 * energies[:-1])
+    # A window of 60 ms has ended long after the ringing: what is left there is next to nothing with any weight.
+    assert peaks[-1] < max(0.3 * peaks[0], 1e-3 * problem.target.window_m_s2.max())
+
+
 SPREAD: dict[str, Any] = {
     "limits.stroke_m": None,
     "weights.calm": 1.0,  # so that what is minimised is the error that is looked at

@@ -145,7 +145,7 @@ class TestTolerance:
         """Optimum and blend are the same commands there; replayed side by side, each stage may round otherwise."""
         nodes = [p for p in refinement.points if p not in refinement.off(refinement.grid)]
         assert len(nodes) == refinement.entries
-        rounding = scene.time.stages * np.finfo(float).eps  # of a tap error, which is of the size of 1 at most
+        rounding = scene.stages * np.finfo(float).eps  # of a tap error, which is of the size of 1 at most
         assert max(abs(p.excess_after) for p in nodes) <= rounding
 
 

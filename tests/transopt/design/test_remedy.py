@@ -14,7 +14,7 @@ from problems.stress.draw import drawn
 from problems.stress.judge import judge
 from transopt.base.errors import InputError
 from transopt.design import remedy
-from transopt.design.build import build_library
+from transopt.design.build import Build, build_library
 from transopt.design.context import Context
 from transopt.design.design import design
 from transopt.design.explain import Change, Remedy, infeasibility, what_would_do
@@ -125,6 +125,17 @@ def test_what_is_said_to_do_does(case: StressCase) -> None:
             assert designed.certificate.accepted
 
 
+def test_nothing_is_tried_where_the_replay_has_no_digits(build: Build) -> None:
+    entry = build.entries[0][0]
+    diverged = replace(entry.played, step_error=1e-3)
+    refused = entry.stating(played=diverged, status=Status.REPLAY_VIOLATION)
+    posed = SceneEntry(build.context, entry.grip_N, build.references.at(entry.speed_m_s, entry.grip_N))
+    assert remedies(posed, refused, OPTIONS) == []
+    (said,) = diverged.shortfalls(entry.problem, entry.solution.command, entry.predicted_m_s2)
+    fastest_Hz = np.abs(np.linalg.eigvals(entry.problem.stage.plant.A)).max() / (2 * np.pi)
+    assert f"fastest mode, at {fastest_Hz:.2g} Hz" in said
+
+
 def test_a_refusal_without_a_remedy_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
     assert judge(STARVED).kind == "refused: INFEASIBLE"
     monkeypatch.setattr(remedy, "does", lambda *_: False)
@@ -227,13 +238,34 @@ def test_a_current_takes_the_place_of_a_beta(scene: Scene, taps: list[Recording]
 
 @pytest.mark.parametrize("rate_Hz", [17.0, 50.0, 1e3])
 def test_the_rate_of_taps_that_is_named_is_taken(rate_Hz: float) -> None:
-    scene = problems.load("rapid_tapping")
+    scene = with_values(problems.load("rapid_tapping"), {"time.stages": 800})
     with pytest.raises(InputError, match="must be at most") as refusal:
         with_values(scene, {"thermal.tap_rate_Hz": rate_Hz})
     most_Hz = float(str(refusal.value).split("must be at most ")[1].split(",")[0])
-    assert most_Hz > 0.98 / (scene.time.stages * scene.time.dt_s + 2 * scene.time.dt_s)
+    assert most_Hz > 0.98 / (scene.stages * scene.time.dt_s + 2 * scene.time.dt_s)
     entry = SceneEntry(Context(scene), 1.0, _reference(scene))
     assert entry.posed({"thermal.tap_rate_Hz": most_Hz}).problem.thermal is not None
+
+
+@pytest.mark.parametrize("rate_Hz", [13.0, 20.0, 100.0])
+def test_a_window_that_is_not_stated_is_over_before_the_next_tap(rate_Hz: float) -> None:
+    own = problems.load("rapid_tapping")
+    scene = with_values(own, {"thermal.tap_rate_Hz": rate_Hz})
+    grid = scene.time_grid()
+    over_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
+    assert over_s < 1 / rate_Hz < over_s + 1.01 * grid.dt_s
+    assert own.stages == 800, "which ends before the next of twelve taps a second"
+    entry = SceneEntry(Context(scene), 1.0, _reference(scene))
+    assert entry.posed({}).problem.grid == grid
+    assert entry.value("time.stages") == grid.stages
+
+
+def test_a_rate_that_leaves_no_room_for_the_hand_over_is_refused_by_the_most_there_may_be() -> None:
+    scene = problems.load("rapid_tapping")
+    with pytest.raises(InputError, match="must be at most") as refusal:
+        with_values(scene, {"thermal.tap_rate_Hz": 1e4})
+    most_Hz = float(str(refusal.value).split("must be at most ")[1])
+    assert with_values(scene, {"thermal.tap_rate_Hz": most_Hz}).stages == scene.hand_over_samples + 1
 
 
 def _reference(scene: Scene) -> Reference:

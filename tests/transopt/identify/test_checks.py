@@ -76,6 +76,17 @@ def test_too_few_cycles_name_the_band() -> None:
     assert "Hz in 1 trials, must be at least 1; sweep" in message
 
 
+def test_what_was_not_swept_is_not_asked_for() -> None:
+    """A jump to an offset leaves lines below the sweep, as if there were cycles."""
+    low_Hz = 40.0
+    for offset_A in (0.0, 0.5):
+        trials = [amplifier_trial(j, offset_A=offset_A, low_Hz=low_Hz) for j in range(4)]
+        estimate = estimate_transfer(trials)
+        from_Hz = checks.swept_from(trials, estimate)
+        assert 0.5 * low_Hz < from_Hz < 1.5 * low_Hz
+        assert checks.check_cycles("all files", trials, estimate, from_Hz) == []
+
+
 def test_cycles_are_counted_as_they_were_played() -> None:
     seconds, low, high = 8.0, 10.0, 4000.0
     sweep = amplifier_trial(1, seconds=seconds)

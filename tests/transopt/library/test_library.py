@@ -16,7 +16,8 @@ from transopt.design.build import Build
 from transopt.design.verify import verify_library
 from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.library.file import load_library
-from transopt.library.library import ARRAYS, Library
+from transopt.library.library import Library
+from transopt.library.multipliers import ARRAYS
 
 
 @pytest.fixture

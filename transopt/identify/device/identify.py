@@ -3,8 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import COHERENT, Finding, by_grip, check_rates, within
+from transopt.identify.checks import COHERENT, Finding, begun_late, by_grip, check_rates, within
 from transopt.identify.device.advice import about_chain, advice
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.causes import beyond_a_chain, causes_of, distorted, two_clocks
@@ -33,10 +35,11 @@ from transopt.identify.device.slow import without_leakage
 from transopt.identify.device.trials import (
     Records,
     instrument_of,
+    recorded_at,
     sort_trials,
 )
 from transopt.identify.device.validation import Model, compare, together
-from transopt.identify.device.verdict import Taps, model_error, predict_taps, relative, short_of
+from transopt.identify.device.verdict import Taps, model_error, not_covered, predict_taps, relative, short_of
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
@@ -97,7 +100,10 @@ def identify(
     repeated = [run for run in runs if run.period_s is not None]
     transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
     runs = [run for run in runs if run.period_s is None and not run.held_out]
+    begun = {id(run): _begun_late(run) for run in transients}
+    transients = [run for run in transients if not begun[id(run)]]
     runs, transients, late = _on_one_clock(runs, transients, settings)
+    late = [*(said for each in begun.values() for said in each), *late]
     records = sort_trials(runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
     grips = records.grips
     measured = [grip.response for grip in grips]
@@ -132,6 +138,8 @@ def identify(
         chosen, others = others[0], [chosen]
     own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
+    everything = [*(run for grip in grips for run in (*grip.fitted, *grip.kept)), *transients, *repeated]
+    error = error.model_copy(update={"recorded_A": [_largest_A(grip.grip_N, everything) for grip in grips]})
     causes, found = causes_of(chosen, chain, grips, used, error, repeated)
     found += noise_findings(grips)
     if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
@@ -163,7 +171,8 @@ def identify(
         return result
     tick("verdict")
     predicted = predict_taps(error, taps)
-    return replace(result, predicted=predicted, short=[*wrong, *short_of(predicted)])
+    uncovered = not_covered(error, taps)
+    return replace(result, predicted=predicted, short=[*wrong, *short_of(predicted)], uncovered=uncovered)
 
 
 def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
@@ -178,6 +187,22 @@ def _at_use(
     known = [run for run in runs if run.grip_N is not None and within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
     return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
+
+
+def _begun_late(run: Measurement) -> list[Finding]:
+    """Whether a burst is recorded from its middle on, so that what is missing would be held against the model."""
+    signals = (
+        ("command", run.command, "A"),
+        ("current", run.current, "A"),
+        ("acceleration", run.acceleration, "m/s^2"),
+    )
+    return begun_late(run.name, signals)
+
+
+def _largest_A(grip_N: float, runs: Sequence[Measurement]) -> float:
+    """Largest current of the runs at a grip; the command's where no current was measured."""
+    signals = [run.current or run.command for run in runs if recorded_at(run, [grip_N]) is not None]
+    return max((float(np.abs(each.values).max(initial=0.0)) for each in signals if each is not None), default=0.0)
 
 
 def _on_one_clock(

@@ -72,6 +72,7 @@ class DeviceResult:
     black_box : the fit behind the state space, if there is one.
     error : how far the response of the chosen one is off, and what taps at the amplitude of use missed beyond it.
     predicted : what that makes of the scene's taps; None where no scene was named.
+    uncovered : which of these taps ask for more current than was recorded, in a sentence; empty if none does.
     causes : what was found to be in the records or the device beside the model, by name.
     findings : of the records.
     advice : what to record again, where.
@@ -90,6 +91,7 @@ class DeviceResult:
     findings: list[Finding]
     advice: list[str]
     short: list[str]
+    uncovered: str = ""
 
     @property
     def residuals(self) -> list[float]:
@@ -107,7 +109,7 @@ class DeviceResult:
     @property
     def verdict(self) -> str:
         """One sentence for the model file and for the user: how far the chosen model can be relied upon."""
-        words = [verdict(self.predicted, self.chosen.recorded)]
+        words = [verdict(self.predicted, self.chosen.recorded, self.uncovered)]
         if self.chosen.kind is Kind.DRIVE and self.chain is not None:
             words += not_the_devices(self.chain)
         return "; ".join(words)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft
 
 from transopt.base.signals import FloatArray
-from transopt.identify.device.response import Instrument
+from transopt.identify.device.response import CURRENT, Instrument
 from transopt.identify.device.trials import Grip, felt_current, response_of
 from transopt.identify.device.validation import Model, predict
 
@@ -47,4 +47,5 @@ def without_leakage(grip: Grip, model: Model, instrument: Instrument) -> Grip | 
         most = max(most, share)
     if most < NOTICED:
         return None
-    return replace(grip, response=response_of(grip.grip_N, found, instrument))
+    follows = CURRENT in grip.response.outputs
+    return replace(grip, response=response_of(grip.grip_N, found, instrument, follows=follows))

@@ -242,16 +242,21 @@ def sort_trials(
     if instrument.accelerometer_Hz is None:
         found.append(Check.BANDWIDTH.at("accelerometer_Hz"))
     groups, grips = by_grip(runs), []
-    apart = [run for run in transients if _recorded_at(run, list(groups)) is None]
+    apart = [run for run in transients if recorded_at(run, list(groups)) is None]
     found += [finding for run in apart for finding in _outside(run, list(groups))]
-    for grip_N, group in groups.items():
+    in_order_of = {grip_N: sorted(group, key=runs.index) for grip_N, group in groups.items()}
+    fitted_of = {
+        grip_N: group[:-1] if not transients and len(group) >= LEAST_TO_HOLD_OUT else group
+        for grip_N, group in in_order_of.items()
+    }
+    follows = current_follows(list(fitted_of.values()), instrument)
+    for grip_N, in_order in in_order_of.items():
         where = "the free device" if grip_N == 0 else f"{grip_N:.3g} N"
-        in_order = sorted(group, key=runs.index)
-        hold_out = not transients and len(group) >= LEAST_TO_HOLD_OUT
-        fitted = in_order[:-1] if hold_out else in_order
-        kept = in_order[-1:] if hold_out else [run for run in transients if _recorded_at(run, list(groups)) == grip_N]
+        fitted = fitted_of[grip_N]
+        hold_out = len(fitted) < len(in_order)
+        kept = in_order[-1:] if hold_out else [run for run in transients if recorded_at(run, list(groups)) == grip_N]
         trials = [trials_of[id(run)] for run in fitted]
-        response = response_of(grip_N, fitted, instrument)
+        response = response_of(grip_N, fitted, instrument, follows=follows)
         estimate = response.estimate
         # What is too short answers any way: that comes first.
         again = check_bins(where, estimate, LEAST_BINS)
@@ -279,20 +284,30 @@ def sort_trials(
     return Records(grips, instrument, between, found)
 
 
-def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrument) -> GripResponse:
+def current_follows(groups: Sequence[Sequence[Measurement]], instrument: Instrument) -> bool:
+    """Whether the measured current follows the command by one pole and a delay, in the runs of every grip.
+
+    One amplifier drives the device at all grips. One that is no pole at one of them may look like another pole
+    elsewhere, and by that it would contradict the others.
+    """
+    amplifier = instrument.amplifier
+    if amplifier is None or any(run.current is None or run.command is None for group in groups for run in group):
+        return False
+    return all(_one_pole(_condensed(group, "command", ["current"], instrument), amplifier) for group in groups)
+
+
+def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrument, *, follows: bool) -> GripResponse:
     """What all lines of the runs of a grip say.
 
-    The command goes in where it was recorded and the current follows it by a pole and a delay, or was not recorded;
-    else the measured current does, with its noise.
+    The command goes in where the current follows it by a pole and a delay (`follows`), or was not recorded; else the
+    measured current does, with its noise.
     """
     measured = all(run.current is not None for run in runs)
-    both = measured and all(run.command is not None for run in runs)
     names = ["acceleration"]
     if grip_N > 0 and all(run.position is not None for run in runs):
         names.append("position")
     rows = {"current": CURRENT, "acceleration": ACCELERATION, "position": POSITION}
-    amplifier = instrument.amplifier if both else None
-    if amplifier is not None and _one_pole(_condensed(runs, "command", ["current"], instrument), amplifier):
+    if follows:
         wide = ["current", *names]
         data = _condensed(runs, "command", wide, instrument)
         return GripResponse(grip_N, transfer(data, 1, over=0), data, tuple(rows[name] for name in wide), True)
@@ -333,7 +348,7 @@ def _one_pole(data: Condensed, amplifier: Amplifier) -> bool:
     return fit_pole(data, start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
 
 
-def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
+def recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
     """The recorded grip that a transient is of; None for one that was not recorded."""
     assert run.grip_N is not None
     wanted = run.grip_N

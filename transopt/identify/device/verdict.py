@@ -131,12 +131,13 @@ def predict_taps(error: ModelError, taps: Taps) -> Predicted:
     )
 
 
-def verdict(predicted: Predicted | None, held_out: Mapping[float, float]) -> str:
+def verdict(predicted: Predicted | None, held_out: Mapping[float, float], uncovered: str = "") -> str:
     """In plain words what a model is good for.
 
     Parameters
     ----------
     held_out : grip -> relative error on what was kept out of the fit, noise included; NaN where nothing was.
+    uncovered : what of the taps was not recorded (`not_covered`).
     """
     known = [error for error in held_out.values() if np.isfinite(error)]
     noise = f"; one recorded trial misses {100 * max(known):.2g} %, its noise included" if known else ""
@@ -148,9 +149,27 @@ def verdict(predicted: Predicted | None, held_out: Mapping[float, float]) -> str
         return (
             f"supports no design: predicted to miss {100 * worst:.0f} % of the tap at {speed:g} m/s, {called(grip)}"
         )
-    return (
+    said = (
         f"model error {100 * middle:.2g} % of a tap (worst {100 * worst:.2g} %, at {speed:g} m/s, "
         f"{called(grip)}): design errors below that are the model's{noise}"
+    )
+    return "; ".join(filter(None, [said, uncovered]))
+
+
+def not_covered(error: ModelError, taps: Taps) -> str:
+    """One sentence where taps ask for more current than was recorded, and with what to record it; else empty."""
+    peaks = np.abs(taps.current_A).max(axis=-1)
+    beyond = [
+        (float(row.max()), error.recorded_at(grip), grip)
+        for grip, row in zip(taps.grips_N, peaks, strict=True)
+        if not error.covers(grip, float(row.max()))
+    ]
+    if not beyond:
+        return ""
+    most, recorded, grip = max(beyond, key=lambda each: each[0] / each[1])
+    return (
+        f"not covered: taps reach {most:.3g} A at {called(grip)}, {recorded:.2g} A were recorded; an amplifier that "
+        f"gives way or a skin that stiffens beyond that is not seen: add taps (record sweep --tap-current {most:.2g})"
     )
 
 

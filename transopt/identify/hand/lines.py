@@ -251,7 +251,8 @@ def _studentised(points: FloatArray, found: FloatArray, covariance: FloatArray, 
     """(p, 2) 95 % intervals of points @ coefficients by bootstrap-t."""
 
     def error(matrix: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(np.einsum("pi,...ij,pj->...p", points, matrix, points)))
+        # Rounding may take a form that is all but zero below it.
+        return np.asarray(np.sqrt(np.maximum(np.einsum("pi,...ij,pj->...p", points, matrix, points), 0.0)))
 
     centre, own = points @ found, error(covariance)
     away, drawn = again.coefficients[j] @ points.T - centre, error(again.covariances[j])

@@ -8,8 +8,16 @@ from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import fit_chain, response_variance
 from transopt.identify.device.response import sampled_response
-from transopt.identify.device.verdict import model_error, relative, short_of, verdict
-from transopt.scene.model_error import Predicted
+from transopt.identify.device.verdict import (
+    Taps,
+    model_error,
+    not_covered,
+    predict_taps,
+    relative,
+    short_of,
+    verdict,
+)
+from transopt.scene.model_error import ModelError, Predicted
 
 GRIPS_N = (1.0, 3.0, 5.0)
 
@@ -61,6 +69,26 @@ def test_the_words_say_model_error_and_noise_apart() -> None:
     )
     assert verdict(predicted(0.7), {}).startswith("supports no design: predicted to miss 70 % of the tap at 0.4 m/s")
     assert "--scene" in verdict(None, {})
+
+
+def test_taps_beyond_what_was_recorded_are_said_with_the_record_that_lacks() -> None:
+    error = ModelError(
+        grips_N=[0.0, 1.0, 5.0],
+        frequencies_Hz=[10.0, 100.0],
+        power=[[1e-6, 1e-6]] * 3,
+        recorded_A=[0.7, 0.8, 2.8],
+    )
+    for peak_A, said in ((0.85, ""), (1.9, ""), (2.2, "taps reach 2.2 A at 3 N, 1.8 A were recorded")):
+        taps = Taps((0.3,), (3.0,), np.full((1, 1, 5), -peak_A), np.ones((1, 1)), 1e-4)
+        found = not_covered(error, taps)
+        assert (said in found) if said else found == ""
+    assert found.endswith("add taps (record sweep --tap-current 2.2)")
+    assert verdict(predict_taps(error, taps), {}, found).endswith(found)
+    # Held grips tell nothing of the free device.
+    assert error.recorded_at(0.0) == pytest.approx(0.7)
+    assert not error.covers(0.0, 0.8)
+    # A file that does not say what it was recorded with is not doubted for it.
+    assert error.model_copy(update={"recorded_A": []}).covers(3.0, 1e3)
 
 
 def test_what_falls_short_names_the_grip_and_the_tap() -> None:
