@@ -41,7 +41,10 @@ VECTORS = Path(__file__).parents[1] / "controller" / "firmware" / "vectors" / "c
 RANDOM_TICKS = 2000
 # (seed, part of the frames that are damaged, ticks from one look at what the device said to the next); between them
 # they meet every state and most reasons to refuse.
-RANDOM = ((7, 0.02, 1), (10, 0.02, 1), (12, 0.0, 1), (16, 0.02, 1), (33, 0.0, 40), (52, 0.02, 1), (57, 0.3, 1))
+RANDOM = (
+    *((7, 0.02, 1), (10, 0.02, 1), (12, 0.0, 1), (16, 0.02, 1), (33, 0.0, 40), (52, 0.02, 1), (57, 0.3, 1)),
+    *((154, 0.02, 1), (160, 0.02, 1), (237, 0.02, 1)),
+)
 CONFIGURATION = configuration_of(SETTINGS)
 IMAGE = image_of(smooth_bank(), DT_S, SETTINGS.lead_s, TAIL)
 LARGE = image_of(smooth_bank(4, 4, 300), DT_S, SETTINGS.lead_s, TAIL)
