@@ -34,7 +34,8 @@ from typer import Argument, Option
 from controller.cli.bench import Bench, simulated_bench
 from controller.cli.port import StoppedError, connected, disarmed_by_ctrl_c, no_long_pauses, person_at
 from controller.host.driver import Device
-from controller.host.payload import Payload, payload
+from controller.host.payload import Payload, fitted, payload
+from controller.protocol.events import capacity_of
 from controller.protocol.image import sha256
 from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import Recorder
@@ -232,7 +233,7 @@ def prepare(device: Device, given: Payload) -> None:
     """Put a library in force, without a word on which, in as long a time whether it had to be sent or not."""
     end_s = device.now_s() + PREPARE_S
     device.configure(given.configuration)
-    device.upload(given.image)
+    device.upload(fitted(given, capacity_of(device.hello))[0].image)
     device.listen(max(end_s - device.now_s(), 0.0))
 
 

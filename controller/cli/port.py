@@ -61,14 +61,17 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     """Configuration and library in force, with a progress bar where there is a terminal; says what was replaced.
 
     A device holds one library. The name of the scene of each is kept by its hash, which is all that a device knows.
+    Second waveforms that a small device has no room for are coarser there or left out, which is said.
     """
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
     from controller.device.stated import grip_in_words
     from controller.host import library_names
-    from controller.host.payload import Payload
+    from controller.host.payload import Payload, fitted
+    from controller.protocol.events import capacity_of
     from controller.protocol.image import sha256
 
+    given, cost = fitted(given, capacity_of(device.hello))
     before, after = device.hello.library_sha256, sha256(given.image)
     if isinstance(given, Payload) and not device.harmless:
         library_names.remember(after, given.library.meta["scene"]["name"])
@@ -86,6 +89,8 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
         named += f", in place of {library_names.in_words(before)}" if any(before) else ""
     words = f"{words}: {named}"
     console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
+    if cost:
+        console.print(f"{device.name}: {cost}", highlight=False, soft_wrap=True)
     assumed = grip_in_words(given.device, given.library) if isinstance(given, Payload) else ""
     if assumed:
         console.print(assumed, highlight=False, soft_wrap=True)

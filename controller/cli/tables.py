@@ -48,7 +48,7 @@ def taps_table(taps: Sequence[PlayedTap], events: Mapping[object, int], title: s
             _number(100 * found.playback_error, ".2f"),
             _number(found.peak_m_s2 / g, ".2f"),
             _number(found.predicted_peak_m_s2 / g, ".2f"),
-            tap.why,
+            tap.remark,
         )
     for what, count in events.items():
         if what not in EVERY_TAP and isinstance(what, Notice | Fault | LinkNotice):

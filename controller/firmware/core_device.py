@@ -232,7 +232,7 @@ class CoreDevice:
         self._library.td_probe_start(self._device.at, boot, numbers, heat, simulated)
         self._out = ctypes.create_string_buffer(self.ROOM_BYTES)
         self._in, self._answer = (ctypes.c_double * 3)(), (ctypes.c_double * 4)()
-        self._events, self._contacts = (ctypes.c_uint8 * MOST_EVENTS)(), (ctypes.c_double * (2 * MOST_EVENTS))()
+        self._events, self._contacts = (ctypes.c_uint8 * MOST_EVENTS)(), (ctypes.c_double * (4 * MOST_EVENTS))()
 
     def receive(self, data: bytes) -> None:
         self._library.td_device_receive(self._device.at, data, len(data))
@@ -250,7 +250,7 @@ class CoreDevice:
             self._device.at, r.tick, counts, r.emergency_stop | r.late << 1, *pointers
         )
         events = tuple(
-            Event(r.tick, EVENTS[code], self._contacts[2 * j], self._contacts[2 * j + 1])  # type: ignore[arg-type]
+            Event(r.tick, EVENTS[code], *self._contacts[4 * j : 4 * j + 4])  # type: ignore[arg-type]
             for j, code in enumerate(self._events)
             if code
         )

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.device.stated import assumed_grip_N, library_numbers, servo_numbers
 from controller.host.measured_pulse import recall
 from controller.host.pulses import measured_numbers, pulse_numbers
-from controller.protocol.capacity import LONGEST_S
+from controller.protocol.capacity import LONGEST_S, Capacity
 from controller.protocol.configuration import configuration_of
-from controller.protocol.image import image_of
+from controller.protocol.image import bank_of, image_of, too_large
 from controller.protocol.messages import HelloReply
 from controller.record.excitation import sweep_command
 from controller.servo.default_drive import AMPLIFIER, RE_25
@@ -49,6 +49,29 @@ class Payload(Load):
     device: DeviceFile = BUILT_IN
 
 
+AnyLoad = TypeVar("AnyLoad", bound=Load)
+
+
+def fitted(given: AnyLoad, capacity: Capacity) -> tuple[AnyLoad, str]:
+    """What a device of this capacity is given, and what that costs in words; empty where all of it fits.
+
+    Second waveforms, those for a hot coil, go to 8 bit where 16 do not fit, and stay behind where 8 do not either.
+    An image whose first waveforms alone are too large comes back as it is.
+    """
+    table, head = bank_of(given.image)
+    if table.cool_command_A is None or too_large(given.image, capacity) is None:
+        return given, ""
+    s = given.settings
+    for bits, words in (
+        (8, "keeps the second waveforms in 8 bit, so that taps of a hot coil are up to 1 % of their peak off"),
+        (0, "has no room for the second waveforms: taps of a hot coil are scaled down instead of made cooler"),
+    ):
+        image = image_of(table, s.dt_s, s.lead_s, head["tail_samples"], cool_bits=bits, amplifier=s.amplifier)
+        if too_large(image, capacity) is None:
+            return replace(given, image=image), f"this device {words}"
+    return given, ""
+
+
 def payload(path: Path, device: DeviceFile = BUILT_IN) -> Payload:
     """
     Raises
@@ -75,12 +98,16 @@ def payload_of(
     numbers = {**library_numbers(device, library), **pulse_numbers(device, library)}
     stated = Settings.of(library, **{**numbers, **settings})
     tail = library.hand_over_samples
-    if table is None:
-        table = bank(library, Method.BILINEAR)
-    else:
-        table = replace(table, command_A=np.pad(table.command_A, ((0, 0), (0, 0), (0, tail))))
-    image = image_of(table, stated.dt_s, stated.lead_s, tail)
+    table = bank(library, Method.BILINEAR) if table is None else _with_tail(table, tail)
+    image = image_of(table, stated.dt_s, stated.lead_s, tail, amplifier=stated.amplifier)
     return Payload(stated, configured(stated), image, library, device)
+
+
+def _with_tail(table: Bank, samples: int) -> Bank:
+    """A table whose waveforms are followed by so many zeros."""
+    room = ((0, 0), (0, 0), (0, samples))
+    cool = None if table.cool_command_A is None else np.pad(table.cool_command_A, room)
+    return replace(table, command_A=np.pad(table.command_A, room), cool_command_A=cool)
 
 
 def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN) -> Settings:

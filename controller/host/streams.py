@@ -38,7 +38,8 @@ class EventStream:
         if what is None:
             raise BreachError(f"event code {event.code}")
         self.wanted = (self.wanted + 1) % NUMBERS
-        return [Happened(event.number, event.tick, what, event.speed_m_s, event.grip_N, event.lost)]
+        place = event.speed_m_s, event.grip_N
+        return [Happened(event.number, event.tick, what, *place, event.lost, event.scale, event.cooled)]
 
 
 class RecordStream:

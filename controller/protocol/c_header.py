@@ -102,7 +102,9 @@ def header_text() -> str:
         lines += _offsets(kind.name, f"TD_{kind.name}", message.layout())
     lines += _offsets("One record of TELEMETRY_DATA", "TD_RECORD", messages.Record.layout())
     lines += [*_offsets("Header of an image", "TD_IMAGE", list(image.IMAGE_FIELDS)), "};", ""]
-    lines += ["/* Image of a library: header, then speeds, grips, feedback norms f64, counts i16. */"]
+    lines += [
+        "/* Image of a library: header; speeds, grips, feedback norms, scales of second waveforms f64; counts. */"
+    ]
     lines += [
         _define("TD_IMAGE_MAGIC_VALUE", f"0x{image.IMAGE_MAGIC:08X}u"),
         _define("TD_IMAGE_VERSION_VALUE", image.IMAGE_VERSION),
@@ -137,9 +139,9 @@ def header_text() -> str:
 
 
 def _largest_image() -> str:
-    """`image.capacity_bytes` with the port's own sizes."""
+    """`image.image_bytes` of the largest library with second waveforms, by the port's own sizes."""
     nodes = "TD_MAX_SPEEDS * TD_MAX_GRIPS"
-    return f"({image.HEADER.size} + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + {nodes}) + 2 * TD_MAX_LIBRARY_SAMPLES)"
+    return f"({image.HEADER.size} + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + 2 * {nodes}) + 2 * TD_MAX_LIBRARY_SAMPLES)"
 
 
 if __name__ == "__main__":

@@ -41,7 +41,8 @@ class Capacity:
 
     Attributes
     ----------
-    samples : int16 samples of all waveforms of a library together; two libraries of this size are held.
+    samples : int16 samples of all waveforms of a library together, a count of 8 bit half of one; two libraries of
+        this size are held.
     speeds, grips : nodes of the axes. waveform_samples : of one waveform.
     approach_ticks : `Settings.window_ticks`. latency_ticks : `Wall.latency_ticks`.
     upload_frames : frames of DATA in flight before an ACK.

@@ -70,7 +70,10 @@ class Changed:
 
 @dataclass(frozen=True, slots=True)
 class Happened:
-    """An event of the device, told exactly once. lost : events so far that found no room in the device."""
+    """An event of the device, told exactly once.
+
+    lost : events so far that found no room in the device. scale, cooled : of a transient that the heat has changed.
+    """
 
     number: int
     tick: int
@@ -78,6 +81,8 @@ class Happened:
     speed_m_s: float
     grip_N: float
     lost: int
+    scale: float = float("nan")
+    cooled: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,7 @@ from controller.protocol.packed import (
 )
 from transopt.base.signals import FloatArray
 
-PROTOCOL = 3
+PROTOCOL = 4
 MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
 HEADER = struct.Struct("<BBHI")
 GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO and HELLO_REPLY in every version
@@ -319,6 +319,8 @@ class Event(Packed):
     """Numbered without gaps from 0 at each start of the device, sent again until acknowledged.
 
     lost : events that found no room in the device's queue so far. speed, grip : NaN where no contact is meant.
+    scale, cooled : of SCALED_FOR_HEAT, else NaN: what is played is scale times a blend with a part `cooled`, 0 to 1,
+    of the second waveform and the rest of the first.
     """
 
     number: U32
@@ -327,6 +329,8 @@ class Event(Packed):
     lost: U16
     speed_m_s: F64
     grip_N: F64
+    scale: F64
+    cooled: F64
 
 
 @packed

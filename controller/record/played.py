@@ -72,7 +72,7 @@ class PlayedTap:
     times_s : (n,) of its records, from the moment at which the stylus would have met the surface undriven.
     position_m : (n,) from the surface.
     gain : that was played at.
-    prediction : of the library at the contact's speed and grip.
+    prediction : of the library at the contact's speed and grip, for what the coil's heat left of the transient.
     compared : NaN throughout where `why` says why nothing can be compared.
     """
 
@@ -93,6 +93,13 @@ class PlayedTap:
     def acceleration_m_s2(self) -> FloatArray:
         """(n,) less what the accelerometer read at rest."""
         return self.contact.acceleration_m_s2 - resting_m_s2(self.contact)
+
+    @property
+    def remark(self) -> str:
+        """In words: why nothing can be compared, else what the coil's heat has changed."""
+        heat = [f"{100 * self.contact.cooled:.0f} % of the cooler transient"] if self.contact.cooled > 0 else []
+        heat += [f"scaled by {self.contact.scale:.2f} for the coil"] if self.contact.scale < 1 else []
+        return self.why or ", ".join(heat)
 
     @property
     def verdict(self) -> str:
@@ -191,7 +198,7 @@ def played_tap(
     gain : of the device.
     bandwidth_Hz : of the accelerometer, one pole.
     """
-    prediction = predict(library, contact.speed_m_s, contact.grip_N, gain)
+    prediction = predict(library, contact.speed_m_s, contact.grip_N, gain, contact.scale, contact.cooled)
     compared = _compare(contact, prediction, settings, gain, bandwidth_Hz)
     return PlayedTap(
         contact=contact,

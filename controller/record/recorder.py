@@ -27,7 +27,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.terminal import make_folder
 
 EVENTS_NAME = "events.csv"
-EVENT_COLUMNS = "tick,time_s,event,speed_m_s,grip_N"
+EVENT_COLUMNS = "tick,time_s,event,speed_m_s,grip_N,scale,cooled"
 BEFORE_S, AFTER_S = 0.06, 0.1  # kept around each contact
 MEAN_S = 0.05  # time constant of the running mean of the acceleration
 
@@ -49,6 +49,8 @@ class Contact:
     missed : records that were lost in between; with any there is no file.
     path : of its file, None without one.
     surface_counts : of the encoder at the surface, as it was then; None for that of the settings.
+    scale, cooled : what the coil's heat left of the transient: scale times a blend with a part `cooled` of the second
+        one.
     """
 
     number: int
@@ -66,6 +68,8 @@ class Contact:
     missed: int
     path: Path | None = None
     surface_counts: float | None = None
+    scale: float = 1.0
+    cooled: float = 0.0
 
 
 class Recorder:
@@ -108,6 +112,7 @@ class Recorder:
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
         self._open: list[Happened] = []
+        self._heat: dict[int, tuple[float, float]] = {}  # scale and cooled by tick, of contacts that are open
         self._happened: dict[int, list[str]] = {}  # names by tick, of records that have not come
         self._telemetry: Telemetry | None = None
         self._events: Lines | None = None
@@ -178,13 +183,15 @@ class Recorder:
         if self._events is not None:
             self._events.append(
                 f"{event.tick},{event.tick * self._dt_s!r},{event.what.name.lower()},"
-                f"{event.speed_m_s!r},{event.grip_N!r}\n"
+                f"{event.speed_m_s!r},{event.grip_N!r},{event.scale!r},{event.cooled!r}\n"
             )
             # An event is sent at once and its record in a batch, which as a rule comes later.
             if isinstance(event.what, Notice | Fault):
                 self._happened.setdefault(event.tick, []).append(event.what.name.lower())
         if event.what is Notice.CONTACT and self._trigger_m_s2 is None:
             self._open.append(event)
+        elif event.what is Notice.SCALED_FOR_HEAT:
+            self._heat[event.tick] = event.scale, event.cooled
 
     def _feel(self, tick: int, record: Record, every: int, trigger_m_s2: float) -> None:
         a = record.acceleration_m_s2
@@ -201,6 +208,7 @@ class Recorder:
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
         ticks, records = np.array([tick for tick, _ in rows], dtype=float), [record for _, record in rows]
         missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
+        scale, cooled = self._heat.pop(event.tick, (1.0, 0.0))
         before_N = column(records, "grip_N")[ticks < event.tick]
         contact = Contact(
             number=len(self.contacts) + 1,
@@ -218,6 +226,8 @@ class Recorder:
             missed=missed,
             path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
             surface_counts=self.surface_counts,
+            scale=scale,
+            cooled=cooled,
         )
         self.contacts.append(contact)
         if contact.path is not None:

@@ -74,6 +74,8 @@ def hear(contact: Contact, library: Library, settings: Settings, node: Node, ban
     ----------
     bandwidth_Hz : of the accelerometer, one pole, which is taken out.
     """
+    if contact.scale < 1 or contact.cooled > 0:
+        return "the coil was too hot for all of the transient"
     prediction = predict(library, contact.speed_m_s, contact.grip_N)
     if prediction.silent:
         return "the library is silent there"

@@ -92,15 +92,36 @@ class Guard:
     def scale(self, transient_A: float, feedback_A: float, ticks: int) -> float:
         """Largest scale <= 1 that keeps the winding at or below `play_limit_C`; 0 if not even the least one does.
 
-        This is the adaptive limit that the seed leaves as future work. Norms as in `rise_K`.
+        Norms as in `rise_K`.
+        """
+        return self.allowed(transient_A, math.inf, feedback_A, ticks)[0]
+
+    def allowed(self, transient_A: float, cool_A: float, feedback_A: float, ticks: int) -> tuple[float, float]:
+        """Scale, and part of the second transient in what is scaled, that keep the winding within `play_limit_C`.
+
+        A coil that cannot take the first transient gets a blend of both whose norms add up to what it can take: the
+        blend's own norm is no larger, and a convex combination of admissible commands is admissible. What cannot
+        take even the second gets it scaled; a scale below the least one is 0. Without a second transient of less
+        heat the first is scaled. This is the adaptive limit that the seed leaves as future work.
+
+        Parameters
+        ----------
+        cool_A : norm of the second transient, infinite without one; the other norms as in `rise_K`.
         """
         left = self.play_limit_C - self.winding_C
         if self.rise_K(transient_A, feedback_A, ticks, 1.0) <= left:
-            return 1.0
+            return 1.0, 0.0
         without = self.rise_K(0.0, feedback_A, ticks, 0.0)
         if not (without < left and transient_A > 0.0):
-            return 0.0
-        # rise = a (s n_t + m)^2 + h with a m^2 + h = `without`
+            return 0.0, 0.0
+        # rise = a (n + m)^2 + h with a m^2 + h = `without`
         steady = feedback_A + PWM_RIPPLE_A * math.sqrt(ticks)
-        allowed = (math.sqrt(steady * steady + (left - without) / self._rise_K) - steady) / transient_A
-        return allowed if allowed >= self._least_scale else 0.0
+        norm_A = math.sqrt(steady * steady + (left - without) / self._rise_K) - steady
+        cooler = cool_A < transient_A
+        if cooler and norm_A >= cool_A:
+            cooled = (transient_A - norm_A) / (transient_A - cool_A)
+            return 1.0, cooled if cooled > 0.0 else 0.0
+        scale = norm_A / (cool_A if cooler else transient_A)
+        if not scale >= self._least_scale:
+            return 0.0, 0.0
+        return scale, 1.0 if cooler else 0.0

@@ -40,7 +40,7 @@ class Notice(Enum):
     CONTACT_CHATTER = "a contact came too soon after the last and was not played"
     OUT_OF_GRID = "speed or grip lay outside the library's grid and was moved to its edge"
     TOO_HOT_TO_PLAY = "the transient was withheld: the coil is close to its limit"
-    SCALED_FOR_HEAT = "the transient was scaled down to keep the coil's margin"
+    SCALED_FOR_HEAT = "the transient was made cooler, or scaled down, to keep the coil's margin"
     NO_GRIP = "no transient: the stylus is not held, or too loosely"
 
 
@@ -72,12 +72,17 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at a tick; `speed_m_s` and `grip_N` where a contact is meant."""
+    """Something that happened at a tick; `speed_m_s` and `grip_N` where a contact is meant.
+
+    `scale` and `cooled` with SCALED_FOR_HEAT: how much of the blend is played, and the second transient's part in it.
+    """
 
     tick: int
     what: Notice | Fault
     speed_m_s: float = float("nan")
     grip_N: float = float("nan")
+    scale: float = float("nan")
+    cooled: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,8 +36,8 @@ class Servo:
     ----------
     state, fault : what it does; the fault it latched, None without.
     counts : how often each notice was given.
-    play : what was played last, None before anything. scale : how much of it the heat allowed, below 0 with the
-        other sign.
+    play : what was played last, None before anything. cooled : the part of its second transient in the blend that
+        the heat allowed. scale : how much of that blend it allowed, below 0 with the other sign.
     expected_A : current of the amplifier model at the coming switching instant.
     gain : in force, follows `wanted_gain`.
     """
@@ -49,7 +49,8 @@ class Servo:
         self.fault: Fault | None = None
         self.counts = dict.fromkeys(Notice, 0)
         self.play: Play | None = None
-        self.scale, self.gain, self.wanted_gain, self.expected_A = 0.0, 1.0, 1.0, 0.0
+        self.scale, self.cooled = 0.0, 0.0
+        self.gain, self.wanted_gain, self.expected_A = 1.0, 1.0, 0.0
         self.guard = None if s.coil is None else Guard(s.coil, s.dt_s, s.withhold_K, s.least_scale)
         self.watch = Watch(s, self.guard)
         self.approach = Approach(
@@ -111,7 +112,8 @@ class Servo:
             return False
         if guard is not None and guard.scale(play.transient_A, play.feedback_A, len(play.samples_A) + 1) < 1.0:
             return False
-        self.play, self.scale, self._held = play, -1.0 if negative else 1.0, not self._loose()
+        self.play, self.scale, self.cooled = play, -1.0 if negative else 1.0, 0.0
+        self._held = not self._loose()
         self._start(play.samples_A, 0.0)
         return True
 
@@ -220,17 +222,20 @@ class Servo:
         play = self.bank.at(speed, grip, *heat)
         if play.silent or self._loose():
             return self._note(NOTHING, tick, Notice.NO_GRIP, speed, grip)
-        scale = 1.0 if guard is None else guard.scale(play.transient_A, play.feedback_A, len(play.samples_A) + 1)
+        scale, cooled = 1.0, 0.0
+        if guard is not None:
+            ticks = len(play.samples_A) + 1
+            scale, cooled = guard.allowed(play.transient_A, play.cool_transient_A, play.feedback_A, ticks)
         if scale <= 0.0:
             return self._note(NOTHING, tick, Notice.TOO_HOT_TO_PLAY, speed, grip)
         events = self._note(NOTHING, tick, Notice.CONTACT, speed, grip)
         if play.out_of_grid and self._outside(speed, grip):
             events = self._note(events, tick, Notice.OUT_OF_GRID, speed, grip)
-        if scale < 1.0:
-            events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip)
-        self.play, self.scale, self._held = play, scale, True
+        if scale < 1.0 or cooled > 0.0:
+            events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip, scale, cooled)
+        self.play, self.scale, self.cooled, self._held = play, scale, cooled, True
         if play.samples_A:
-            self._start(play.samples_A, approach.phase)
+            self._start(play.blended(cooled), approach.phase)
         return events
 
     def _loose(self) -> bool:
@@ -308,9 +313,11 @@ class Servo:
         notice: Notice,
         speed_m_s: float = math.nan,
         grip_N: float = math.nan,
+        scale: float = math.nan,
+        cooled: float = math.nan,
     ) -> tuple[Event, ...]:
         self.counts[notice] += 1
-        return (*events, Event(tick, notice, speed_m_s, grip_N))
+        return (*events, Event(tick, notice, speed_m_s, grip_N, scale, cooled))
 
     def _fail(self, tick: int) -> tuple[Event, ...]:
         tripped = [rule.fault for rule in FAULTS if rule.trips(self.watch)]

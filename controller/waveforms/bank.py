@@ -1,7 +1,8 @@
 """Waveforms as the servo plays them: a table over (speed, grip), blended once at contact."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -31,6 +32,9 @@ class Method(Enum):
     CLIPPED_OPTIMUM = "clipped-optimum"  # the unlimited optimum, cut
 
 
+COOLED = (Method.BILINEAR, Method.NEAREST, Method.BLIND)  # a hot coil gets the library's second commands with these
+
+
 @dataclass(frozen=True, slots=True)
 class Play:
     """What is played at one contact.
@@ -41,7 +45,9 @@ class Play:
     speed_m_s, grip_N : where it was taken from, after clamping to the grid.
     out_of_grid : whether the wanted point lay outside.
     silent : nothing may be played, for want of speed or grip.
-    transient_A, feedback_A : bounds on the norms of the currents, as `Guard.scale` takes them.
+    transient_A, feedback_A : bounds on the norms of the currents, as `Guard.allowed` takes them.
+    cool_samples_A : the second transient, of less heat, as long as the first; empty where the table has none.
+    cool_transient_A : bound on the norm of its current; infinite where the table has none.
     """
 
     samples_A: list[float]
@@ -51,6 +57,15 @@ class Play:
     silent: bool
     transient_A: float
     feedback_A: float
+    cool_samples_A: list[float] = field(default_factory=list)
+    cool_transient_A: float = math.inf
+
+    def blended(self, cooled: float) -> list[float]:
+        """The samples with a part `cooled` (0 to 1) of the second transient and the rest of the first [A]."""
+        if not cooled > 0.0:
+            return self.samples_A
+        first = 1.0 - cooled
+        return [first * warm + cooled * cool for warm, cool in zip(self.samples_A, self.cool_samples_A, strict=True)]
 
 
 def _interval(nodes: list[float], value: float, nearest: bool) -> tuple[int, float, bool]:
@@ -81,6 +96,8 @@ class Bank:
     transient_A, feedback_A : [nv][ng] norms sqrt(sum over servo periods of the mean i^2) of the currents.
     grip_min_N : nothing plays below it; 0 for the free device.
     by_grip : whether the method looks at the grip. nearest : take the nearest node instead of a blend.
+    cool_command_A : (nv, ng, N) second transients, with less heat; None where there are none.
+    cool_transient_A : [nv][ng] norms of their currents; empty where there are none.
     """
 
     method: Method
@@ -92,6 +109,8 @@ class Bank:
     grip_min_N: float
     by_grip: bool
     nearest: bool
+    cool_command_A: FloatArray | None = None
+    cool_transient_A: list[list[float]] = field(default_factory=list)
 
     def at(
         self, speed_m_s: float, grip_N: float, winding_C: float | None = None, housing_C: float | None = None
@@ -111,16 +130,24 @@ class Bank:
         def blend(a: float, b: float, c: float, d: float) -> float:
             return w[0] * a + w[1] * b + w[2] * c + w[3] * d
 
-        c, t, f = self.command_A, self.transient_A, self.feedback_A
-        samples = w[0] * c[iv, ig] + w[1] * c[iv, jg] + w[2] * c[jv, ig] + w[3] * c[jv, jg]
+        def norm(of: list[list[float]]) -> float:
+            return blend(of[iv][ig], of[iv][jg], of[jv][ig], of[jv][jg])
+
+        def samples(c: FloatArray) -> list[float]:
+            mixed = w[0] * c[iv, ig] + w[1] * c[iv, jg] + w[2] * c[jv, ig] + w[3] * c[jv, jg]
+            return list(mixed.tolist())
+
+        cool = self.cool_command_A
         return Play(
-            samples_A=samples.tolist(),
+            samples_A=samples(self.command_A),
             speed_m_s=(1.0 - y) * self.speeds_m_s[iv] + y * self.speeds_m_s[jv],
             grip_N=(1.0 - x) * self.grips_N[ig] + x * self.grips_N[jg],
             out_of_grid=fast or (odd and self.by_grip),
             silent=False,
-            transient_A=blend(t[iv][ig], t[iv][jg], t[jv][ig], t[jv][jg]),
-            feedback_A=blend(f[iv][ig], f[iv][jg], f[jv][ig], f[jv][jg]),
+            transient_A=norm(self.transient_A),
+            feedback_A=norm(self.feedback_A),
+            cool_samples_A=[] if cool is None else samples(cool),
+            cool_transient_A=math.inf if cool is None else norm(self.cool_transient_A),
         )
 
 
@@ -150,6 +177,9 @@ def bank(
 ) -> Bank:
     """The table of one method for one library.
 
+    The methods that blend the library's own commands carry its second ones too, if it has them; `online` solves with
+    the coil's temperature instead.
+
     Parameters
     ----------
     blind_grip_N : the one grip of `BLIND`; the middle of the grid without it.
@@ -165,14 +195,19 @@ def bank(
     def nodes(of_node: Callable[[int, int], FloatArray]) -> FloatArray:
         return np.stack([of_node(iv, ig) for iv, ig in every]).reshape(solved.shape)
 
-    by_grip = True
+    by_grip, cool = True, None if library.cool is None else library.cool.transient_command
     if method in (Method.BILINEAR, Method.NEAREST, Method.ONLINE):
         command = solved
     elif method is Method.BLIND:
         middle = float(grips[0] + grips[-1]) / 2 if blind_grip_N is None else blind_grip_N
         if not grips[0] <= middle <= grips[-1]:
             raise InputError(f"blind grip {middle:g} N: the library covers {grips[0]:g} to {grips[-1]:g} N")
-        command = np.stack([library.at(float(v), middle).transient_command for v in speeds])[:, None]
+
+        def of_one_grip(of: Library) -> FloatArray:
+            return np.stack([of.at(float(v), middle).transient_command for v in speeds])[:, None]
+
+        command = of_one_grip(library)
+        cool = None if library.cool is None else of_one_grip(library.cool)
         grips, by_grip = np.array([middle]), False
     elif method is Method.PROPORTIONAL:
         command = solved[:, :1, :0]
@@ -193,6 +228,12 @@ def bank(
     transient = norms(currents(command, amplifier, dt), amplifier, dt)
     # What the wall is predicted to add beside the transient; of the optimum's motion, for every method.
     pushed = norms(currents(library.command - solved, amplifier, dt), amplifier, dt)
+    if method not in COOLED or library.cool is None:
+        cool = None
+    else:
+        # One number for both transients: the larger.
+        beside = library.cool.command - library.cool.transient_command
+        pushed = np.maximum(pushed, norms(currents(beside, amplifier, dt), amplifier, dt))
     feedback = pushed if by_grip else np.max(pushed, axis=1, keepdims=True)
     return Bank(
         method=method,
@@ -204,4 +245,6 @@ def bank(
         grip_min_N=library.grip_min_N,
         by_grip=by_grip,
         nearest=method is Method.NEAREST,
+        cool_command_A=None if cool is None else np.ascontiguousarray(cool),
+        cool_transient_A=[] if cool is None else norms(currents(cool, amplifier, dt), amplifier, dt).tolist(),
     )

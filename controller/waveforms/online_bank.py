@@ -14,7 +14,7 @@ from transopt.library.library import Library
 from transopt.library.online import Online
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FreshBank(Bank):
     """The table of the blend, and what solves in its place; without a certified answer the blend is played."""
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.library.place import interpolation_weights
@@ -66,32 +67,47 @@ def scene_of(library: Library) -> Scene:
     return library.scene()
 
 
-def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0) -> Prediction:
+def predict(
+    library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0, scale: float = 1.0, cooled: float = 0.0
+) -> Prediction:
     """Prediction for any speed and grip.
 
     At a node it is the library's own; elsewhere the blended command is replayed through the model of that grip,
-    built from the scene that the library carries. `gain` multiplies the transient and a wall's feedback.
+    built from the scene that the library carries.
+
+    Parameters
+    ----------
+    gain : multiplies the transient and a wall's feedback.
+    scale, cooled : of a hot coil, whose servo played `scale` times a blend with a part `cooled`, 0 to 1, of the
+        second transient.
 
     Raises
     ------
-    InputError : speed or grip is not a finite number.
+    InputError : speed or grip is not a finite number; a blend with second transients that the library does not have.
     """
+    if cooled > 0.0 and library.cool is None:
+        raise InputError(f"cooled = {cooled:g}: this library has no second commands: solve it with grid.cool_share")
     wave = library.at(speed_m_s, grip_N)
     v, F = wave.speed_m_s, wave.grip_N
     wanted = library.wanted(v, F)
     target = wanted.target
     grid, scene = library.time_grid(), scene_of(library)
-    at_node = v in library.speeds_m_s and F in library.grips_N and gain == 1.0 and not wave.silent
+    whole = gain == 1.0 and scale == 1.0 and cooled == 0.0
+    at_node = v in library.speeds_m_s and F in library.grips_N and whole and not wave.silent
     if at_node:
         iv, ig = (int(np.searchsorted(nodes, x)) for nodes, x in ((library.speeds_m_s, v), (library.grips_N, F)))
         acceleration, current = library.acceleration_m_s2[iv, ig], library.plant_input[iv, ig]
         after = library.lasting(iv, ig)[0][grid.stages :]
     else:
-        wall, walls, command = library.wall(), None, gain * wave.command
+        wall, walls = library.wall(), None
+        command = wave.transient_command
+        if library.cool is not None and cooled > 0.0:
+            command = (1.0 - cooled) * command + cooled * library.cool.at(v, F).transient_command
+        command = gain * scale * command
         if wall is not None:
             nominal = wanted.nominal_position_at_ticks_m
             softer = replace(wall, stiffness_N_m=gain * wall.stiffness_N_m, damping_N_s_m=gain * wall.damping_N_s_m)
-            walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command
+            walls = [HandOver(softer, nominal, v, nominal < 0)]
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
         [played] = replay(stage, grid, command[None], [target], None, walls=walls)
         acceleration, current, after = played.acceleration_m_s2, played.plant_input, played.after_m_s2

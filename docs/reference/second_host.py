@@ -10,8 +10,8 @@ from pathlib import Path
 
 import serial
 
-MAGIC, PROTOCOL = 0x54504E54, 3
-FORMATS = {"configuration": (0x46434E54, 3), "image": (0x4D494E54, 2)}
+MAGIC, PROTOCOL = 0x54504E54, 4
+FORMATS = {"configuration": (0x46434E54, 3), "image": (0x4D494E54, 3)}
 HELLO, CONFIGURE, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA, COMMIT, ARM, LEASE, DISARM = range(1, 10)
 HELLO_REPLY, DONE, REFUSED, UPLOAD_READY, ACK, LEASE_REPLY, EVENT = range(64, 71)
 EVENT_ACK, FINISHED, LEASE_LOST, NOT_AT_REST = 15, 2, 32, 9
@@ -66,7 +66,7 @@ class Host:
         return found
 
     def event(self, body: bytes) -> None:
-        number, tick, code, _, speed, grip = struct.unpack("<IQBHdd", body)
+        number, tick, code, _, speed, grip, _, _ = struct.unpack("<IQBHdddd", body)
         if number == self.wanted:
             print(f"event {number} at tick {tick}: code {code}, {speed:.3f} m/s, {grip:.2f} N", flush=True)
             self.wanted, self.over = number + 1, self.over or code == FINISHED

@@ -1,5 +1,7 @@
 """What the compiled device is given: settings, smooth pulses, a plant in a user's hand."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from controller.servo.settings import Settings
@@ -17,6 +19,14 @@ SETTINGS = Settings(DT_S, 3 * DT_S, 4.0, DEFAULT_DEVICE.amplifier)
 def plant_of(user: User, period_s: float) -> bytes:
     """The default device in the hand of a user whose motion has this period, a whole number of ticks."""
     return plant_bytes(Simulator(DEFAULT_DEVICE, user, DT_S), user, period_s)
+
+
+def cooled(bank: Bank, share: float = 0.5) -> Bank:
+    """A table whose second transients are this share of the first ones, and a little later."""
+    command = share * (0.9 * bank.command_A + 0.1 * np.roll(bank.command_A, 2, axis=-1))
+    command[..., -TAIL:] = 0.0
+    transient = norms(currents(command, SETTINGS.amplifier, DT_S), SETTINGS.amplifier, DT_S)
+    return replace(bank, cool_command_A=command, cool_transient_A=transient.tolist())
 
 
 def smooth_bank(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.0) -> Bank:

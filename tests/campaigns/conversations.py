@@ -26,6 +26,7 @@ from tests.campaigns.parity_runs import (
     draw_bank,
     draw_settings,
     falsified,
+    stored,
 )
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.wall import Wall
@@ -127,6 +128,8 @@ def excited(settings: Settings, table: Bank) -> tuple[Settings, Bank]:
         command_A=table.command_A[:1, :1],
         transient_A=[table.transient_A[0][:1]],
         feedback_A=[table.feedback_A[0][:1]],
+        cool_command_A=None,
+        cool_transient_A=[],
     )
     return replace(settings, host_starts=True, wall=None), first
 
@@ -146,8 +149,10 @@ class Host:
         peak = float(np.max(np.abs(table.command_A)))
         size = random.uniform(0.3, 1.1) * min(self.settings.current_limit_A, 6.0) / peak
         table.command_A[:] *= size
+        if table.cool_command_A is not None:
+            table.cool_command_A[:] *= size
         self.configuration = configuration_of(self.settings)
-        self.image = image_of(table, DT_S, self.settings.lead_s, TAIL)
+        self.image = stored(self.settings, table, TAIL)
 
     def frame(self, message: Packed, *, sequence: int | None = None, session: int | None = None) -> bytes:
         if sequence is None:

@@ -17,6 +17,7 @@ from controller.sim.true_device import device_of
 from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, Method, bank, currents, norms
 from controller.waveforms.prediction import scene_of
+from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
@@ -31,7 +32,7 @@ Random = np.random.Generator
 
 
 def draw_bank(random: Random, amplifier: Amplifier | None, *, free: bool) -> Bank:
-    """A table of noise, with one to five speeds and one to four grips."""
+    """A table of noise, with one to five speeds and one to four grips, as a rule with second transients."""
     nv, ng, N = int(random.integers(1, 6)), int(random.integers(1, 5)), int(random.integers(TAIL + 1, 400))
     speeds = np.cumsum(random.uniform(0.05, 0.2, nv))
     grips = np.zeros(1) if free else np.cumsum(random.uniform(0.5, 2.0, ng))
@@ -40,6 +41,7 @@ def draw_bank(random: Random, amplifier: Amplifier | None, *, free: bool) -> Ban
     command = np.apply_along_axis(np.convolve, -1, command, np.ones(width) / width, mode="same")
     command[..., -TAIL:] = 0.0
     transient = norms(currents(command, amplifier, DT_S), amplifier, DT_S)
+    cool, cool_transient = draw_cool(random.spawn(1)[0], command, amplifier)
     return Bank(
         method=Method.BILINEAR,
         speeds_m_s=speeds.tolist(),
@@ -50,7 +52,21 @@ def draw_bank(random: Random, amplifier: Amplifier | None, *, free: bool) -> Ban
         grip_min_N=0.0 if free else 0.5,
         by_grip=bool(random.uniform() < 0.8),
         nearest=bool(random.uniform() < 0.2),
+        cool_command_A=cool,
+        cool_transient_A=cool_transient,
     )
+
+
+def draw_cool(
+    random: Random, command: FloatArray, amplifier: Amplifier | None
+) -> tuple[FloatArray | None, list[list[float]]]:
+    """Second transients of less heat at most nodes, and their norms; at times none, or some of no current at all."""
+    if random.uniform() < 0.3:
+        return None, []
+    share = random.uniform(0.1, 1.1, (*command.shape[:2], 1)) * (random.uniform(size=(*command.shape[:2], 1)) < 0.9)
+    cool = share * command + 0.1 * share * np.roll(command, -3, axis=-1)
+    cool[..., -TAIL:] = 0.0
+    return cool, norms(currents(cool, amplifier, DT_S), amplifier, DT_S).tolist()
 
 
 def draw_coil(random: Random) -> CoilModel | None:
@@ -98,9 +114,15 @@ def draw_amplifier(random: Random) -> Amplifier | None:
     return None if random.uniform() < 0.2 else Amplifier(float(random.uniform(300, 3000)), 68e-6, 6.0)
 
 
+def stored(settings: Settings, table: Bank, tail: int) -> bytes:
+    """The image of a table for a device with these settings; second transients of odd length in 8 bit."""
+    bits = 8 if table.command_A.shape[-1] % 2 else 16
+    return image_of(table, settings.dt_s, settings.lead_s, tail, cool_bits=bits, amplifier=settings.amplifier)
+
+
 def recorder_of(settings: Settings, table: Bank, tail: int) -> Recorder:
     """A servo that plays what a device would store of this table."""
-    image = image_of(table, settings.dt_s, settings.lead_s, tail)
+    image = stored(settings, table, tail)
     return Recorder(settings, bank_of(image)[0], image)
 
 

@@ -29,22 +29,32 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
 from controller.protocol.wire import Decoder, encode
 from controller.sim.virtual_link import Trouble
-from tests.benches.compiled import DT_S, SETTINGS, TAIL, smooth_bank
+from tests.benches.compiled import DT_S, SETTINGS, TAIL, cooled, smooth_bank
 from tests.benches.rehearsal import Rehearsal
 from tests.campaigns.conversations import conversation
 from tests.campaigns.harness import long_form
 from tests.campaigns.recorded import BOOT, Conversation, Overheard, load, save
 from tests.campaigns.unplug_cases import TappingHand
+from transopt.plant.coil import CoilModel
 
 VECTORS = Path(__file__).parents[1] / "controller" / "firmware" / "vectors" / "conversations.npz"
 RANDOM_TICKS = 2000
 # (seed, part of the frames that are damaged, ticks from one look at what the device said to the next); between them
 # they meet every state and most reasons to refuse.
-RANDOM = ((7, 0.02, 1), (10, 0.02, 1), (12, 0.0, 1), (16, 0.02, 1), (33, 0.0, 40), (52, 0.02, 1), (57, 0.3, 1))
+RANDOM = (
+    *((7, 0.02, 1), (10, 0.02, 1), (12, 0.0, 1), (16, 0.02, 1), (33, 0.0, 40), (52, 0.02, 1), (57, 0.3, 1)),
+    *((154, 0.02, 1), (160, 0.02, 1), (237, 0.02, 1)),
+)
 CONFIGURATION = configuration_of(SETTINGS)
 IMAGE = image_of(smooth_bank(), DT_S, SETTINGS.lead_s, TAIL)
 LARGE = image_of(smooth_bank(4, 4, 300), DT_S, SETTINGS.lead_s, TAIL)
 EXCITED = configuration_of(replace(SETTINGS, host_starts=True))
+COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
+HOT_C = (
+    94.998  # the first tap is a blend, and what it leaves lets no more of the next than the second waveform, scaled
+)
+HOT = configuration_of(replace(SETTINGS, coil=replace(COIL, start_winding_C=HOT_C, start_housing_C=HOT_C)))
+COOLED = image_of(cooled(smooth_bank(peak_A=3.0)), DT_S, SETTINGS.lead_s, TAIL, cool_bits=8)
 ONE_WAVEFORM = image_of(smooth_bank(1, 1), DT_S, SETTINGS.lead_s, TAIL)
 BAD_LINE = Trouble(latency_s=2e-3, jitter_s=2e-3, loss=0.1, corruption=0.1, repetition=0.2)
 Start = Callable[[int], DeviceEnd]
@@ -99,6 +109,15 @@ def taps(table: Table) -> None:
     table.run(0.15)
 
 
+def hot_taps(table: Table) -> None:
+    """A coil that is close to its limit gets blends with the second waveforms; then more of them, and scaled."""
+    table.ready(HOT, COOLED)
+    table.session.set_telemetry(1)
+    table.asked().armed()
+    table.hand.moving = True
+    table.run(0.5)
+
+
 def faults(table: Table) -> None:
     """Stopped by the button, by the host, by a dead sensor; no reset before the cause is gone."""
     table.ready().armed()
@@ -111,7 +130,7 @@ def faults(table: Table) -> None:
     table.run(1e-3).session.reset()
     table.asked().armed()
     table.session.emergency_stop(table.now_s)
-    table.run(0.045)
+    table.run(0.1)
     table.session.reset()
     table.asked().armed()
     table.readings = lambda k: replace(hands(k), current_A=float("nan"), acceleration_m_s2=1e300)
@@ -187,6 +206,7 @@ def strangers(table: Table) -> None:
 SCENES: tuple[Callable[[Table], None], ...] = (
     bad_line,
     taps,
+    hot_taps,
     faults,
     silent_host,
     cut_upload,

@@ -180,6 +180,7 @@ void upload(uint8_t how, int changes)
 {
     const uint32_t speeds = how & 1 ? 2 : 1, grips = how & 2 ? 2 : 1, samples = 20 + 4 * (uint32_t)byte(), nodes = speeds * grips;
     const uint8_t size = byte(), shape = byte();
+    const uint32_t cool_bits = how & 32 ? 8 : (how & 64 ? 16 : 0), full = cool_bits == 8 ? 127 : 32767;
     /* What stands for long keeps the current limit, a single sample may be as large as the command's. */
     const double most_A = shape & 64 || hardware.current_A > hardware.command_A ? hardware.command_A : hardware.current_A;
     const double scale_A = most_A / 32767 * (size & 1 ? 1 : (1 + size) / 256.0);
@@ -194,6 +195,7 @@ void upload(uint8_t how, int changes)
     td_put_u16(image + TD_IMAGE_GRIPS, (uint16_t)grips);
     td_put_u32(image + TD_IMAGE_SAMPLES, samples);
     td_put_u32(image + TD_IMAGE_TAIL_SAMPLES, 2);
+    td_put_u32(image + TD_IMAGE_COOL_BITS, cool_bits);
     td_put_f64(image + TD_IMAGE_DT_S, hardware.dt_s);
     td_put_f64(image + TD_IMAGE_LEAD_S, 3e-4);
     td_put_f64(image + TD_IMAGE_SCALE_A, scale_A);
@@ -204,6 +206,8 @@ void upload(uint8_t how, int changes)
         td_put_f64(at, 1 + 4 * j);
     for (j = 0; j < nodes; j++, at += 8)
         td_put_f64(at, how & 16 ? odd() : 0);
+    for (j = 0; cool_bits != 0 && j < nodes; j++, at += 8)
+        td_put_f64(at, how & 128 ? odd() : scale_A * 32767 / full * (j + 1) / nodes);
     for (k = 0; k < nodes; k++) {
         for (j = 0; j < samples; j++, at += 2) {
             const uint32_t period = 1 + (shape & 31u);
@@ -211,6 +215,17 @@ void upload(uint8_t how, int changes)
             const int16_t count = !on ? 0 : (j / period & 1 && !(shape & 128) ? -32767 : 32767);
 
             td_put_u16(at, (uint16_t)count);
+        }
+    }
+    /* The second waveforms last longer at a time, at the size of their scales. */
+    for (k = 0; cool_bits != 0 && k < nodes; k++) {
+        for (j = 0; j < samples; j++, at += cool_bits / 8) {
+            const uint32_t count = j + 2 >= samples ? 0 : (j & 32u ? 0 - full : full);
+
+            if (cool_bits == 8)
+                *at = (uint8_t)count;
+            else
+                td_put_u16(at, (uint16_t)count);
         }
     }
     image_size = (size_t)(at - image);

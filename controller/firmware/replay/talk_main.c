@@ -29,7 +29,7 @@ static void add(uint64_t *hash, const uint8_t *bytes, size_t size)
 static void step(uint64_t tick, const uint8_t *readings, uint64_t *hash)
 {
     const double said[3] = {td_get_f64(readings + 8), td_get_f64(readings + 16), td_get_f64(readings + 24)};
-    double answer[4], contacts[2 * TD_MAX_EVENTS];
+    double answer[4], contacts[4 * TD_MAX_EVENTS];
     uint8_t events[TD_MAX_EVENTS], command[8];
 
     td_probe_step(&probe.device, tick, td_get_i32(readings), td_get_u32(readings + 4) != 0 ? 1 : 0, said, answer, events, contacts);

@@ -83,8 +83,10 @@ uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, 
     memset(events, 0, TD_MAX_EVENTS);
     for (j = 0; j < output.event_count; j++) {
         events[j] = output.events[j].what;
-        contacts[2 * j] = (double)output.events[j].speed_m_s;
-        contacts[2 * j + 1] = (double)output.events[j].grip_N;
+        contacts[4 * j] = (double)output.events[j].speed_m_s;
+        contacts[4 * j + 1] = (double)output.events[j].grip_N;
+        contacts[4 * j + 2] = (double)output.events[j].scale;
+        contacts[4 * j + 3] = (double)output.events[j].cooled;
     }
     return output.state;
 }

@@ -181,7 +181,7 @@ def with_header(**values: float) -> bytes:
 @pytest.mark.parametrize(
     ("expected", "images"),
     [
-        (Reason.BAD_FORMAT, [with_header(**{name: 1}) for name in ("magic", "reserved")]),
+        (Reason.BAD_FORMAT, [with_header(**{name: 1}) for name in ("magic", "cool_bits")]),
         (Reason.BAD_FORMAT, [with_header(version=1), with_header(flags=4), with_header(samples=41)]),
         (Reason.BAD_FORMAT, [with_header(speeds=0), IMAGE[:10], IMAGE[: IMAGE_HEADER.size], IMAGE + b"\0"]),
         (Reason.BAD_TIMING, [with_header(dt_s=2e-4), with_header(lead_s=0.0), with_header(dt_s=math.nan)]),

@@ -108,7 +108,7 @@ def test_a_pulse_is_small_short_and_told() -> None:
     assert bench.refused(m.Pulse(0.05, 50, 0)) is Reason.PULSING
     commands = [bench.step().command_A for _ in range(250)]
     assert commands == [-0.1] * 200 + [0.0] * 50
-    assert [m.Event(0, 199, 33, 0, math.nan, math.nan).code] == [
+    assert [m.Event(0, 199, 33, 0, *4 * (math.nan,)).code] == [
         x.code for x in bench.heard() if isinstance(x, m.Event)
     ]
     bench.done(m.Pulse(0.1, 200, 0))

@@ -263,7 +263,7 @@ def test_misuse_raises_and_latches(name: str, act: Act) -> None:
         m.Done(Kind.RESET, 0, 5),
         m.Refused(Kind.RESET, 200, 0, 0, 0.0),
         m.UploadReady(3),
-        m.Event(0, 1, 255, 0, 0.0, 0.0),
+        m.Event(0, 1, 255, 0, 0.0, 0.0, 0.0, 0.0),
         m.TelemetryData(0, 1, 1, b"short"),
         m.TelemetryData(0, 1, 0, bytes(m.Record.FORMAT.size)),
         m.TelemetryData(0, 1, 1, b"\xff" * m.Record.FORMAT.size),

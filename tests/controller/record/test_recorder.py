@@ -76,7 +76,7 @@ def test_a_contact_becomes_a_file_when_its_time_has_passed(tmp_path: Path) -> No
     assert table["encoder_counts"][0] == record(0).encoder_counts
     assert set(table["state"]) == {"armed"}
     lines = (tmp_path / "out" / "events.csv").read_text().splitlines()
-    assert lines == ["tick,time_s,event,speed_m_s,grip_N", "3000,0.3,contact,0.2,3.1"]
+    assert lines == ["tick,time_s,event,speed_m_s,grip_N,scale,cooled", "3000,0.3,contact,0.2,3.1,nan,nan"]
     assert (
         recorder.in_words() == f"; {tmp_path}/out: telemetry.csv, telemetry.npz, events.csv, tap_001.csv, all whole"
     )

@@ -4,15 +4,21 @@
 
 #include "td_bytes.h"
 
+int32_t td_bank_count(const uint8_t *at, uint32_t bits)
+{
+    return bits == 8 ? td_get_i8(at) : td_get_i16(at);
+}
+
 /* sqrt(sum count^2) of one node's waveform. No amplifier of one pole makes a current of more energy than its command has,
  * so this bounds the norm of the current, and nobody's word is needed. */
-static td_wide root_of_squares(const uint8_t *counts, uint32_t samples, size_t node)
+static td_wide root_of_squares(const uint8_t *counts, uint32_t bits, uint32_t samples, size_t node)
 {
-    const uint8_t *at = counts + 2 * node * samples;
+    const uint32_t bytes = bits / 8;
+    const uint8_t *at = counts + bytes * node * samples;
     int64_t sum = 0;
 
-    for (; samples > 0; samples--, at += 2) {
-        const int32_t count = td_get_i16(at);
+    for (; samples > 0; samples--, at += bytes) {
+        const int32_t count = td_bank_count(at, bits);
 
         sum += (int64_t)count * count;
     }
@@ -22,23 +28,29 @@ static td_wide root_of_squares(const uint8_t *counts, uint32_t samples, size_t n
 bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
 {
     const uint8_t *axes = image + TD_IMAGE_BYTES;
-    uint32_t flags, speeds, grips, samples, j;
-    size_t nodes;
+    uint32_t flags, speeds, grips, samples, cool_bits, j;
+    size_t nodes, counts, tables;
 
     if (size < TD_IMAGE_BYTES || td_get_u32(image + TD_IMAGE_MAGIC) != TD_IMAGE_MAGIC_VALUE ||
-        td_get_u16(image + TD_IMAGE_VERSION) != TD_IMAGE_VERSION_VALUE ||
-        td_get_u32(image + TD_IMAGE_RESERVED) != 0)
+        td_get_u16(image + TD_IMAGE_VERSION) != TD_IMAGE_VERSION_VALUE)
         return false;
     flags = td_get_u16(image + TD_IMAGE_FLAGS);
     speeds = td_get_u16(image + TD_IMAGE_SPEEDS);
     grips = td_get_u16(image + TD_IMAGE_GRIPS);
     samples = td_get_u32(image + TD_IMAGE_SAMPLES);
+    cool_bits = td_get_u32(image + TD_IMAGE_COOL_BITS);
+    if (cool_bits != 0 && cool_bits != 8 && cool_bits != 16)
+        return false;
     if (flags > (TD_IMAGE_BY_GRIP | TD_IMAGE_NEAREST) || speeds < 1 || speeds > TD_MAX_SPEEDS || grips < 1 ||
         grips > TD_MAX_GRIPS || samples < 1 || samples > TD_MAX_SAMPLES ||
         samples > TD_MAX_LIBRARY_SAMPLES / (speeds * grips))
         return false;
     nodes = (size_t)speeds * grips;
-    if (size != TD_IMAGE_BYTES + 8 * (speeds + grips + nodes) + 2 * nodes * samples)
+    counts = nodes * samples;
+    tables = cool_bits == 0 ? nodes : 2 * nodes;
+    /* A sample of memory holds two counts of 8 bit. */
+    if ((cool_bits == 8 ? (counts + 1) / 2 : cool_bits / 16 * counts) > TD_MAX_LIBRARY_SAMPLES - counts ||
+        size != TD_IMAGE_BYTES + 8 * (speeds + grips + tables) + (2 + cool_bits / 8) * counts)
         return false;
     bank->speeds = (int32_t)speeds;
     bank->grips = (int32_t)grips;
@@ -53,9 +65,17 @@ bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
     bank->by_grip = (flags & TD_IMAGE_BY_GRIP) != 0;
     bank->nearest = (flags & TD_IMAGE_NEAREST) != 0;
     bank->feedback_A = axes + 8 * ((size_t)speeds + grips);
-    bank->counts = bank->feedback_A + 8 * nodes;
+    bank->counts = bank->feedback_A + 8 * tables;
     for (j = 0; j < nodes; j++)
-        bank->transient_A[j] = td_get_f64(image + TD_IMAGE_SCALE_A) * root_of_squares(bank->counts, samples, j);
+        bank->transient_A[j] = td_get_f64(image + TD_IMAGE_SCALE_A) * root_of_squares(bank->counts, 16, samples, j);
+    bank->cool_bits = cool_bits;
+    if (cool_bits == 0)
+        return true;
+    bank->cool_scale_A = bank->feedback_A + 8 * nodes;
+    bank->cool_counts = bank->counts + 2 * counts;
+    for (j = 0; j < nodes; j++)
+        bank->cool_A[j] =
+            td_get_f64(bank->cool_scale_A + 8 * j) * root_of_squares(bank->cool_counts, cool_bits, samples, j);
     return true;
 }
 
@@ -90,6 +110,26 @@ static interval find(const td_wide *nodes, int32_t count, td_wide value, bool ne
     if (nearest)
         found.place = found.place < 0.5 ? 0 : 1;
     return found;
+}
+
+/* The second waveform for the same place, if there is one. */
+static void cooler(const td_bank *bank, const td_wide *w, const int32_t *node, td_play *play)
+{
+    const size_t bytes = bank->cool_bits / 8;
+    int32_t j;
+
+    play->cooled = 0;
+    play->cool_A = HUGE_VAL;
+    if (bank->cool_bits == 0)
+        return;
+    for (j = 0; j < 4; j++) {
+        play->cool_scale_A[j] = (td_real)td_get_f64(bank->cool_scale_A + 8 * node[j]);
+        play->cool_corner[j] = bank->cool_counts + (size_t)node[j] * (size_t)bank->samples * bytes;
+    }
+    play->cool_A = w[0] * bank->cool_A[node[0]] +
+                   w[1] * bank->cool_A[node[1]] +
+                   w[2] * bank->cool_A[node[2]] +
+                   w[3] * bank->cool_A[node[3]];
 }
 
 void td_bank_at(const td_bank *bank, td_wide speed_m_s, td_wide grip_N, td_play *play)
@@ -130,15 +170,25 @@ void td_bank_at(const td_bank *bank, td_wide speed_m_s, td_wide grip_N, td_play 
                        w[1] * td_get_f64(bank->feedback_A + 8 * node[1]) +
                        w[2] * td_get_f64(bank->feedback_A + 8 * node[2]) +
                        w[3] * td_get_f64(bank->feedback_A + 8 * node[3]);
+    cooler(bank, w, node, play);
 }
 
 td_real td_bank_sample(const td_bank *bank, const td_play *play, int32_t j)
 {
-    td_real corner[4];
+    td_real corner[4], first, cool;
+    size_t at;
     int32_t c;
 
     for (c = 0; c < 4; c++)
         corner[c] = (td_real)td_get_i16(play->corner[c] + sizeof(int16_t) * (size_t)j) * bank->scale_A;
-    return play->weight[0] * corner[0] + play->weight[1] * corner[1] + play->weight[2] * corner[2] +
+    first = play->weight[0] * corner[0] + play->weight[1] * corner[1] + play->weight[2] * corner[2] +
+            play->weight[3] * corner[3];
+    if (!(play->cooled > 0))
+        return first;
+    at = bank->cool_bits / 8 * (size_t)j;
+    for (c = 0; c < 4; c++)
+        corner[c] = (td_real)td_bank_count(play->cool_corner[c] + at, bank->cool_bits) * play->cool_scale_A[c];
+    cool = play->weight[0] * corner[0] + play->weight[1] * corner[1] + play->weight[2] * corner[2] +
            play->weight[3] * corner[3];
+    return (1 - play->cooled) * first + play->cooled * cool;
 }

@@ -14,21 +14,29 @@ typedef struct {
     td_wide speed_m_s[TD_MAX_SPEEDS], grip_N[TD_MAX_GRIPS]; /* strictly increasing */
     td_wide grip_min_N;                                     /* nothing plays below it; 0 for the free device */
     td_real scale_A;                                        /* per count of a waveform */
-    td_wide root_ticks; /* sqrt(samples + 1): how long a waveform lasts, for td_guard_scale at a contact */
+    td_wide root_ticks; /* sqrt(samples + 1): how long a waveform lasts, for td_guard_allowed at a contact */
     bool by_grip;                                           /* a table that knows no grip is never outside it */
     bool nearest;                                           /* take the nearest node instead of a blend */
     td_wide transient_A[TD_MAX_SPEEDS * TD_MAX_GRIPS];      /* (speeds, grips) scale_A sqrt(sum count^2) */
     const uint8_t *feedback_A;                              /* (speeds, grips) norms, float64 */
     const uint8_t *counts;                                  /* (speeds, grips, samples) int16 */
+    uint32_t cool_bits; /* of a count of the second waveforms, which make less heat: 8 or 16, 0 without them */
+    td_wide cool_A[TD_MAX_SPEEDS * TD_MAX_GRIPS];           /* their norms; what follows is set where cool_bits is */
+    const uint8_t *cool_scale_A;                            /* (speeds, grips) float64 */
+    const uint8_t *cool_counts;                             /* (speeds, grips, samples) int8 or int16 */
 } td_bank;
 
-/* What is played at one contact: four corners and their weights. */
+/* What is played at one contact: four corners and their weights, of the first waveforms and of the second. */
 typedef struct {
     bool silent; /* nothing may be played, for want of speed or grip; the rest is then not set */
     bool out_of_grid;
     td_real weight[4];
     const uint8_t *corner[4];
-    td_wide transient_A, feedback_A; /* bounds on the norms of the currents, for td_guard_scale */
+    td_wide transient_A, feedback_A; /* bounds on the norms of the currents, for td_guard_allowed */
+    td_wide cool_A;                  /* of the second waveform, infinite without one */
+    td_real cooled;                  /* part of the second waveform in what is played, 0 until somebody says otherwise */
+    td_real cool_scale_A[4];
+    const uint8_t *cool_corner[4];
 } td_play;
 
 /* View of the image that controller/protocol/image.py writes; whether it is one, of this version, whole and not too large.
@@ -37,6 +45,9 @@ bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size);
 
 /* The transient for a contact; outside the grid its edge is taken, and NaN plays nothing. */
 void td_bank_at(const td_bank *bank, td_wide speed_m_s, td_wide grip_N, td_play *play);
+
+/* A count of `bits` bits, 8 or 16, as the image has it. */
+int32_t td_bank_count(const uint8_t *at, uint32_t bits);
 
 /* Sample j of a blend [A], 0 <= j < samples. */
 td_real td_bank_sample(const td_bank *bank, const td_play *play, int32_t j);

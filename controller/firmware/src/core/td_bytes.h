@@ -20,6 +20,14 @@ static inline uint64_t td_get_u64(const uint8_t *at)
     return (uint64_t)td_get_u32(at) | (uint64_t)td_get_u32(at + 4) << 32;
 }
 
+static inline int8_t td_get_i8(const uint8_t *at)
+{
+    int8_t value;
+
+    memcpy(&value, at, sizeof value);
+    return value;
+}
+
 static inline int16_t td_get_i16(const uint8_t *at)
 {
     const uint16_t bits = td_get_u16(at);

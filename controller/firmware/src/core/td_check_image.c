@@ -11,8 +11,8 @@ static bool is_size(double value)
 /* Header and length: whether it is an image at all, and fits in here. */
 static td_refusal check_size(const uint8_t *image, size_t size)
 {
-    uint64_t nodes, samples;
-    uint32_t speeds, grips;
+    uint64_t nodes, samples, counts, taken;
+    uint32_t speeds, grips, cool_bits;
     int j;
 
     if (size < TD_IMAGE_BYTES)
@@ -25,8 +25,14 @@ static td_refusal check_size(const uint8_t *image, size_t size)
     grips = td_get_u16(image + TD_IMAGE_GRIPS);
     samples = td_get_u32(image + TD_IMAGE_SAMPLES);
     nodes = (uint64_t)speeds * grips;
-    if (nodes < 1 || samples < 1 || td_get_u32(image + TD_IMAGE_RESERVED) != 0 ||
-        TD_IMAGE_BYTES + 8 * (speeds + grips + nodes) + 2 * nodes * samples != size)
+    cool_bits = td_get_u32(image + TD_IMAGE_COOL_BITS);
+    if (cool_bits != 0 && cool_bits != 8 && cool_bits != 16)
+        return td_refuse(TD_REASON_BAD_FORMAT, cool_bits);
+    /* No image has as many nodes or samples as it has bytes: below that the products do not overflow. */
+    if (nodes < 1 || samples < 1 || nodes > size || samples > size)
+        return td_refuse(TD_REASON_BAD_FORMAT, (double)size);
+    counts = nodes * samples;
+    if (TD_IMAGE_BYTES + 8 * (speeds + grips + (cool_bits == 0 ? 1 : 2) * nodes) + (2 + cool_bits / 8) * counts != size)
         return td_refuse(TD_REASON_BAD_FORMAT, (double)size);
     for (j = 0; j < 2; j++) {
         const double value = td_get_f64(image + (j == 0 ? TD_IMAGE_SCALE_A : TD_IMAGE_GRIP_MIN_N));
@@ -40,8 +46,10 @@ static td_refusal check_size(const uint8_t *image, size_t size)
         return td_refuse(TD_REASON_TOO_LARGE, grips);
     if (samples > TD_MAX_SAMPLES)
         return td_refuse(TD_REASON_TOO_LARGE, (double)samples);
-    if (nodes * samples > TD_MAX_LIBRARY_SAMPLES)
-        return td_refuse(TD_REASON_TOO_LARGE, (double)(nodes * samples));
+    /* A sample of memory holds two counts of 8 bit. */
+    taken = counts + (cool_bits == 8 ? (counts + 1) / 2 : cool_bits / 16 * counts);
+    if (taken > TD_MAX_LIBRARY_SAMPLES)
+        return td_refuse(TD_REASON_TOO_LARGE, (double)taken);
     return td_granted;
 }
 
@@ -56,49 +64,95 @@ static bool is_axis(const td_wide *nodes, int32_t count)
     return true;
 }
 
-/* The feedback's norms: finite, none negative. They are the host's word, and serve the prediction of heat alone. */
+/* The feedback's norms, which are the host's word and serve the prediction of heat alone, and the scales of the second
+ * waveforms: finite in the core's own precision too, none negative. */
 static bool are_sizes(const td_bank *bank)
 {
+    const int32_t nodes = bank->speeds * bank->grips;
     int32_t j;
 
-    for (j = 0; j < bank->speeds * bank->grips; j++) {
+    for (j = 0; j < nodes; j++) {
         if (!is_size(td_get_f64(bank->feedback_A + 8 * j)))
+            return false;
+    }
+    for (j = 0; bank->cool_bits != 0 && j < nodes; j++) {
+        const double scale_A = td_get_f64(bank->cool_scale_A + 8 * j);
+
+        if (!is_size(scale_A) || !isfinite((td_real)scale_A))
             return false;
     }
     return true;
 }
 
-/* Largest |command| and largest |current| that commands make from rest, over all waveforms; whether each ends in
- * `tail` zeros. */
-static bool measure(const td_bank *bank, double scale_A, double decay, uint32_t tail, double peak_A[2])
+/* What waveforms come to. */
+typedef struct {
+    double peak_A[2]; /* largest |command|, and largest |current| that commands make from rest */
+    double count_A;   /* the largest scale of any */
+    bool ends;        /* whether each ends in zeros */
+} reach;
+
+/* One waveform more. */
+static void measure(reach *found, const uint8_t *at, uint32_t bits, double scale_A, const td_bank *bank,
+                    const td_config *config, uint32_t tail)
 {
     const int32_t first_zero = bank->samples - (int32_t)tail;
-    const uint8_t *at = bank->counts;
-    int32_t node, j;
-    bool ends = true;
+    const double decay = (double)config->decay;
+    double current = 0;
+    int32_t j;
 
-    peak_A[0] = peak_A[1] = 0;
-    for (node = 0; node < bank->speeds * bank->grips; node++) {
-        double current = 0;
+    found->count_A = scale_A > found->count_A ? scale_A : found->count_A;
+    for (j = 0; j < bank->samples; j++, at += bits / 8) {
+        const double command = td_bank_count(at, bits) * scale_A;
 
-        for (j = 0; j < bank->samples; j++, at += 2) {
-            const double command = td_get_i16(at) * scale_A;
-
-            current = (1 - decay) * command + decay * current;
-            peak_A[0] = fabs(command) > peak_A[0] ? fabs(command) : peak_A[0];
-            peak_A[1] = fabs(current) > peak_A[1] ? fabs(current) : peak_A[1];
-            ends = ends && (j < first_zero || !(fabs(command) > 0));
-        }
+        current = (1 - decay) * command + decay * current;
+        found->peak_A[0] = fabs(command) > found->peak_A[0] ? fabs(command) : found->peak_A[0];
+        found->peak_A[1] = fabs(current) > found->peak_A[1] ? fabs(current) : found->peak_A[1];
+        found->ends = found->ends && (j < first_zero || !(fabs(command) > 0));
     }
-    return ends;
+}
+
+/* Whether peaks keep the limits, with `room_A` for rounding; the one that does not is told. */
+static td_refusal check_peaks(const reach *found, const td_config *config, double room_A)
+{
+    const double walled = config->wall.present ? TD_IMAGE_WALLED_COMMAND : 1;
+    const double limit_A[2] = {(double)config->command_limit_A * walled, (double)config->current_limit_A};
+    int j;
+
+    for (j = 0; j < 2; j++) {
+        if (!isfinite(found->peak_A[j]) || !(found->peak_A[j] <= limit_A[j] + room_A))
+            return td_refuse(TD_REASON_OVER_LIMIT, found->peak_A[j]);
+    }
+    return td_granted;
+}
+
+/* Every waveform, first and second: that it ends in zeros and keeps the limits from rest. The room for rounding is one
+ * count, the finer one for the second: those are rounded towards zero. */
+static td_refusal check_waveforms(const td_bank *bank, const td_config *config, double scale_A, uint32_t tail)
+{
+    const size_t samples = (size_t)bank->samples;
+    reach first = {{0, 0}, 0, true}, cool = {{0, 0}, 0, true};
+    td_refusal refusal;
+    int32_t node;
+
+    if (tail < 1 || tail > samples)
+        return td_refuse(TD_REASON_NO_ZERO_TAIL, tail);
+    for (node = 0; node < bank->speeds * bank->grips; node++) {
+        const size_t begin = (size_t)node * samples;
+
+        measure(&first, bank->counts + 2 * begin, 16, scale_A, bank, config, tail);
+        if (bank->cool_bits != 0)
+            measure(&cool, bank->cool_counts + bank->cool_bits / 8 * begin, bank->cool_bits,
+                    td_get_f64(bank->cool_scale_A + 8 * node), bank, config, tail);
+    }
+    if (!first.ends || !cool.ends)
+        return td_refuse(TD_REASON_NO_ZERO_TAIL, tail);
+    refusal = check_peaks(&first, config, scale_A);
+    return refusal.reason != 0 ? refusal : check_peaks(&cool, config, scale_A < cool.count_A ? scale_A : cool.count_A);
 }
 
 td_refusal td_check_image(const uint8_t *image, size_t size, const td_config *config, td_bank *bank)
 {
-    const double walled = config->wall.present ? TD_IMAGE_WALLED_COMMAND : 1;
-    double scale_A, peak_A[2], limit_A[2];
     td_refusal found = check_size(image, size);
-    uint32_t tail;
     bool playable;
     int j;
 
@@ -120,17 +174,5 @@ td_refusal td_check_image(const uint8_t *image, size_t size, const td_config *co
     playable = bank->speed_m_s[0] > 0 && bank->grip_N[0] >= bank->grip_min_N;
     if (config->host_starts && !(bank->speeds * bank->grips == 1 && playable))
         return td_refuse(TD_REASON_ONE_WAVEFORM, bank->speeds * bank->grips);
-    tail = td_get_u32(image + TD_IMAGE_TAIL_SAMPLES);
-    scale_A = td_get_f64(image + TD_IMAGE_SCALE_A);
-    if (tail < 1 || tail > (uint32_t)bank->samples ||
-        !measure(bank, scale_A, (double)config->decay, tail, peak_A))
-        return td_refuse(TD_REASON_NO_ZERO_TAIL, tail);
-    limit_A[0] = (double)config->command_limit_A * walled;
-    limit_A[1] = (double)config->current_limit_A;
-    for (j = 0; j < 2; j++) {
-        /* One count of room for rounding. */
-        if (!isfinite(peak_A[j]) || !(peak_A[j] <= limit_A[j] + scale_A))
-            return td_refuse(TD_REASON_OVER_LIMIT, peak_A[j]);
-    }
-    return td_granted;
+    return check_waveforms(bank, config, td_get_f64(image + TD_IMAGE_SCALE_A), td_get_u32(image + TD_IMAGE_TAIL_SAMPLES));
 }

@@ -169,6 +169,8 @@ static size_t take_due(td_device *device, uint8_t *kind)
     td_put_u16(body + TD_EVENT_LOST, told->lost);
     td_put_f64(body + TD_EVENT_SPEED_M_S, (double)told->event.speed_m_s);
     td_put_f64(body + TD_EVENT_GRIP_N, (double)told->event.grip_N);
+    td_put_f64(body + TD_EVENT_SCALE, (double)told->event.scale);
+    td_put_f64(body + TD_EVENT_COOLED, (double)told->event.cooled);
     return TD_EVENT_BYTES;
 }
 

@@ -52,22 +52,37 @@ bool td_guard_too_hot(const td_guard *guard, const td_coil *coil)
     return !(guard->winding_C + coming_K <= coil->limit_C);
 }
 
-td_wide td_guard_scale(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks,
-                       td_wide root_ticks)
+td_allowed td_guard_allowed(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide cool_A,
+                            td_wide feedback_A, int32_t ticks, td_wide root_ticks)
 {
     const td_wide left = coil->play_limit_C - guard->winding_C, warmer = guard->housing_C - guard->winding_C;
     const td_wide inflow_K = warmer > 0 ? (td_wide)ticks * coil->from_housing * warmer : 0;
     const td_wide ripple = PWM_RIPPLE_A * root_ticks, whole = transient_A + feedback_A + ripple;
-    td_wide steady, without, allowed;
+    const bool cooler = cool_A < transient_A;
+    td_allowed found = {1, 0};
+    td_wide steady, without, norm_A;
 
     /* Bound on the winding's rise [K]: the energy of a sum of currents is at most that of the sum of their norms. */
     if (coil->rise_K * whole * whole + inflow_K <= left)
-        return 1;
+        return found;
+    found.scale = 0;
     steady = feedback_A + ripple;
     without = coil->rise_K * steady * steady + inflow_K;
     if (!(without < left && transient_A > 0))
-        return 0;
-    /* rise = a (s n_t + m)^2 + h with a m^2 + h = `without` */
-    allowed = (sqrt(steady * steady + (left - without) / coil->rise_K) - steady) / transient_A;
-    return allowed >= coil->least_scale ? allowed : 0;
+        return found;
+    /* rise = a (n + m)^2 + h with a m^2 + h = `without` */
+    norm_A = sqrt(steady * steady + (left - without) / coil->rise_K) - steady;
+    if (cooler && norm_A >= cool_A) {
+        const td_wide cooled = (transient_A - norm_A) / (transient_A - cool_A);
+
+        found.scale = 1;
+        found.cooled = cooled > 0 ? cooled : 0;
+        return found;
+    }
+    found.scale = norm_A / (cooler ? cool_A : transient_A);
+    if (!(found.scale >= coil->least_scale))
+        found.scale = 0;
+    else if (cooler)
+        found.cooled = 1;
+    return found;
 }

@@ -19,10 +19,18 @@ void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A);
 /* Whether the winding may pass its limit before a command of zero is felt; heat since the last update counts. */
 bool td_guard_too_hot(const td_guard *guard, const td_coil *coil);
 
-/* Largest scale <= 1 that keeps the winding at or below the play limit; 0 if not even the least one does.
- * `transient_A`, `feedback_A`: norms sqrt(sum i^2) over the `ticks` servo periods that the transient takes; their root
- * comes from the caller, since a square root in software costs more than all the rest at a contact. */
-td_wide td_guard_scale(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks,
-                       td_wide root_ticks);
+/* What keeps the winding at or below the play limit. */
+typedef struct {
+    td_wide scale;  /* of what is played, 0 if it is withheld */
+    td_wide cooled; /* part of the second transient in it, 0 to 1 */
+} td_allowed;
+
+/* All of the first transient, else a blend with the second whose norms add up to what the coil can take, else the second
+ * scaled, or nothing below the least scale; without a second one of less heat the first is scaled.
+ * `transient_A`, `cool_A` (infinite without), `feedback_A`: norms sqrt(sum i^2) over the `ticks` servo periods that a
+ * transient takes; their root comes from the caller, since a square root in software costs more than all the rest at a
+ * contact. */
+td_allowed td_guard_allowed(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide cool_A,
+                            td_wide feedback_A, int32_t ticks, td_wide root_ticks);
 
 #endif

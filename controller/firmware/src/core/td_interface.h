@@ -27,12 +27,14 @@ typedef struct {
     bool host_stop;            /* a stop has come over the link; set by the device, not by a port */
 } td_readings;
 
-/* Something that happened at a tick; speed and grip where a contact is meant, else NaN. */
+/* Something that happened at a tick; speed and grip where a contact is meant, else NaN. With SCALED_FOR_HEAT how much of
+ * the blend is played, and the second waveform's part in it, else NaN. */
 typedef struct {
     uint64_t tick;
     uint8_t what; /* TD_WHAT_... */
     td_real speed_m_s;
     td_real grip_N;
+    td_real scale, cooled;
 } td_event;
 
 /* What the servo answers to one tick's readings. */

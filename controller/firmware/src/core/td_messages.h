@@ -8,7 +8,7 @@
 
 #include "td_port.h"
 
-#define TD_PROTOCOL 3
+#define TD_PROTOCOL 4
 #define TD_MAGIC 0x54504E54u
 #define TD_HEADER_KIND 0 /* u8 */
 #define TD_HEADER_FLAGS 1 /* u8, 0 */
@@ -141,9 +141,9 @@ enum {
     /* LEASE_REPLY: host_us u64, tick u64, state u8, fault u8 */
     TD_LEASE_REPLY_HOST_US = 0, TD_LEASE_REPLY_TICK = 8, TD_LEASE_REPLY_STATE = 16, TD_LEASE_REPLY_FAULT = 17,
     TD_LEASE_REPLY_BYTES = 18,
-    /* EVENT: number u32, tick u64, code u8, lost u16, speed_m_s f64, grip_N f64 */
+    /* EVENT: number u32, tick u64, code u8, lost u16, speed_m_s f64, grip_N f64, scale f64, cooled f64 */
     TD_EVENT_NUMBER = 0, TD_EVENT_TICK = 4, TD_EVENT_CODE = 12, TD_EVENT_LOST = 13, TD_EVENT_SPEED_M_S = 15,
-    TD_EVENT_GRIP_N = 23, TD_EVENT_BYTES = 31,
+    TD_EVENT_GRIP_N = 23, TD_EVENT_SCALE = 31, TD_EVENT_COOLED = 39, TD_EVENT_BYTES = 47,
     /* TELEMETRY_DATA: first u32, tick u64, every u16, records bytes up to the end */
     TD_TELEMETRY_DATA_FIRST = 0, TD_TELEMETRY_DATA_TICK = 4, TD_TELEMETRY_DATA_EVERY = 12,
     TD_TELEMETRY_DATA_RECORDS = 14, TD_TELEMETRY_DATA_BYTES = 14,
@@ -161,15 +161,15 @@ enum {
     TD_RECORD_FEEDBACK_A = 24, TD_RECORD_WINDING_C = 28, TD_RECORD_STATE = 32, TD_RECORD_FLAGS = 33,
     TD_RECORD_BYTES = 34,
     /* Header of an image: magic u32, version u16, flags u16, speeds u16, grips u16, samples u32, tail_samples
-     * u32, reserved u32, dt_s f64, lead_s f64, scale_A f64, grip_min_N f64 */
+     * u32, cool_bits u32, dt_s f64, lead_s f64, scale_A f64, grip_min_N f64 */
     TD_IMAGE_MAGIC = 0, TD_IMAGE_VERSION = 4, TD_IMAGE_FLAGS = 6, TD_IMAGE_SPEEDS = 8, TD_IMAGE_GRIPS = 10,
-    TD_IMAGE_SAMPLES = 12, TD_IMAGE_TAIL_SAMPLES = 16, TD_IMAGE_RESERVED = 20, TD_IMAGE_DT_S = 24,
+    TD_IMAGE_SAMPLES = 12, TD_IMAGE_TAIL_SAMPLES = 16, TD_IMAGE_COOL_BITS = 20, TD_IMAGE_DT_S = 24,
     TD_IMAGE_LEAD_S = 32, TD_IMAGE_SCALE_A = 40, TD_IMAGE_GRIP_MIN_N = 48, TD_IMAGE_BYTES = 56,
 };
 
-/* Image of a library: header, then speeds, grips, feedback norms f64, counts i16. */
+/* Image of a library: header; speeds, grips, feedback norms, scales of second waveforms f64; counts. */
 #define TD_IMAGE_MAGIC_VALUE 0x4D494E54u
-#define TD_IMAGE_VERSION_VALUE 2
+#define TD_IMAGE_VERSION_VALUE 3
 #define TD_IMAGE_BY_GRIP 1 /* flag */
 #define TD_IMAGE_NEAREST 2 /* flag */
 #define TD_IMAGE_WALLED_COMMAND 2.0 /* of the command limit, for a transient beside a wall */
@@ -230,7 +230,7 @@ enum {
 #define TD_UPLOAD_FRAMES 16
 #endif
 
-#define TD_MAX_IMAGE_BYTES (56 + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + TD_MAX_SPEEDS * TD_MAX_GRIPS) + 2 * TD_MAX_LIBRARY_SAMPLES)
+#define TD_MAX_IMAGE_BYTES (56 + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + 2 * TD_MAX_SPEEDS * TD_MAX_GRIPS) + 2 * TD_MAX_LIBRARY_SAMPLES)
 
 #define TD_LEASE_LEAST_MS 50
 #define TD_LEASE_MOST_MS 1000

@@ -83,23 +83,26 @@ void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts)
         servo->ring_z[j] = (td_real)((td_wide)servo->ring_z[j] + by_m);
 }
 
-static void tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
+/* The event that was told, NULL if there was no room. */
+static td_event *tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
 {
     td_event *event;
 
     if (output->event_count >= TD_MAX_EVENTS)
-        return;
+        return NULL;
     event = &output->events[output->event_count++];
     event->tick = tick;
     event->what = (uint8_t)what;
     event->speed_m_s = speed_m_s;
     event->grip_N = grip_N;
+    event->scale = event->cooled = (td_real)NAN;
+    return event;
 }
 
-static void note(td_servo *servo, td_output *output, uint64_t tick, int notice, td_real speed_m_s, td_real grip_N)
+static td_event *note(td_servo *servo, td_output *output, uint64_t tick, int notice, td_real speed_m_s, td_real grip_N)
 {
     servo->counts[notice - TD_FIRST_NOTICE]++;
-    tell(output, tick, notice, speed_m_s, grip_N);
+    return tell(output, tick, notice, speed_m_s, grip_N);
 }
 
 /* Latch these faults, and tell each. The first of the list is the servo's. */
@@ -213,8 +216,9 @@ bool td_servo_excite(td_servo *servo, bool negative)
     if (play->silent)
         return false;
     if (config->coil.present &&
-        td_guard_scale(&servo->guard, &config->coil, play->transient_A, play->feedback_A, bank->samples + 1,
-                       bank->root_ticks) < 1)
+        td_guard_allowed(&servo->guard, &config->coil, play->transient_A, HUGE_VAL, play->feedback_A, bank->samples + 1,
+                         bank->root_ticks)
+                .scale < 1)
         return false;
     servo->scale = negative ? -1 : 1;
     servo->held = !loose(servo);
@@ -228,7 +232,8 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
     const td_config *config = servo->config;
     const td_approach *approach = &servo->approach;
     const td_real speed = (td_real)approach->speed_m_s, grip = servo->watch.grip_N;
-    td_wide scale = 1;
+    td_allowed allowed = {1, 0};
+    td_play *play = &servo->play;
     td_touch found;
 
     if (config->host_starts)
@@ -240,24 +245,31 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
         note(servo, output, tick, TD_WHAT_CONTACT_CHATTER, speed, grip);
         return;
     }
-    td_bank_at(servo->bank, approach->speed_m_s, (td_wide)grip, &servo->play);
-    if (servo->play.silent || loose(servo)) {
+    td_bank_at(servo->bank, approach->speed_m_s, (td_wide)grip, play);
+    if (play->silent || loose(servo)) {
         note(servo, output, tick, TD_WHAT_NO_GRIP, speed, grip);
         return;
     }
     if (config->coil.present)
-        scale = td_guard_scale(&servo->guard, &config->coil, servo->play.transient_A, servo->play.feedback_A,
-                               servo->bank->samples + 1, servo->bank->root_ticks);
-    if (scale <= 0) {
+        allowed = td_guard_allowed(&servo->guard, &config->coil, play->transient_A, play->cool_A, play->feedback_A,
+                                   servo->bank->samples + 1, servo->bank->root_ticks);
+    if (allowed.scale <= 0) {
         note(servo, output, tick, TD_WHAT_TOO_HOT_TO_PLAY, speed, grip);
         return;
     }
     note(servo, output, tick, TD_WHAT_CONTACT, speed, grip);
-    if (servo->play.out_of_grid && outside(servo, approach->speed_m_s, (td_wide)grip))
+    if (play->out_of_grid && outside(servo, approach->speed_m_s, (td_wide)grip))
         note(servo, output, tick, TD_WHAT_OUT_OF_GRID, speed, grip);
-    if (scale < 1)
-        note(servo, output, tick, TD_WHAT_SCALED_FOR_HEAT, speed, grip);
-    servo->scale = (td_real)scale;
+    servo->scale = (td_real)allowed.scale;
+    play->cooled = (td_real)allowed.cooled;
+    if (allowed.scale < 1 || allowed.cooled > 0) {
+        td_event *told = note(servo, output, tick, TD_WHAT_SCALED_FOR_HEAT, speed, grip);
+
+        if (told != NULL) {
+            told->scale = servo->scale;
+            told->cooled = play->cooled;
+        }
+    }
     servo->held = true;
     if (servo->bank->samples > 0)
         start(servo, approach->phase);

@@ -26,7 +26,7 @@ typedef struct {
     uint32_t latched;              /* all that tripped, see td_fault_bit */
     uint32_t counts[TD_NOTICES];   /* how often each notice was given, modulo 2^32 */
     td_wide gain, wanted_gain;     /* in force; it follows the wanted one, in steps that would add up their rounding */
-    td_real scale;                 /* how much of the transient the heat allowed */
+    td_real scale;                 /* how much of the blend in `play` the heat allowed */
     td_real expected_A;            /* current of the amplifier model at the coming switching instant */
     td_real least_A, most_A;       /* between these it is, for every amplifier within the tolerance */
     td_real earlier_A;             /* feedback current wanted one tick ago */

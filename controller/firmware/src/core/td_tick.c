@@ -10,7 +10,7 @@ static void tell(td_device *device, int what)
 
     event.tick = device->tick;
     event.what = (uint8_t)what;
-    event.speed_m_s = event.grip_N = (td_real)NAN;
+    event.speed_m_s = event.grip_N = event.scale = event.cooled = (td_real)NAN;
     td_events_put(&device->events, &event);
 }
 
