@@ -7,8 +7,9 @@ Scripts that only print have their place on a page between two marks, the first 
     <!-- output of: python scripts/NAME.py ... -->
     <!-- end -->
 
-Between them stands what the command printed, without pytest's progress and summary, with a stamp below. A campaign of the tests writes the tables that
-belong on a page into a file of their own, where it is asked to, and they are put on the page as they are:
+Between them stands what the command printed, without pytest's progress and summary, with a stamp below. A campaign of
+the tests writes the tables that belong on a page into a file of their own, where it is asked to, and they are put on
+the page as they are:
 
     <!-- tables of: python -m pytest -m long -n 0 tests/campaigns/test_NAME.py -->
     <!-- end -->
