@@ -101,6 +101,9 @@ class Check(Enum):
     CUT_SHORT = Fault.CUT_SHORT, TOLD, END_PART, (
         "{quantity} ends {last:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}; record "
         "until everything rests")
+    BEGUN_LATE = Fault.CUT_SHORT, TOLD, END_PART, (
+        "{quantity} begins {first:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}: what "
+        "came before is not known, so that nothing is judged by this record; begin it before the command does")
     RATES = Fault.RATES, FATAL, None, (
         "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
     FEW_CYCLES = Fault.TOO_FEW_CYCLES, TOLD, LEAST_CYCLES, (
@@ -226,6 +229,23 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
     if quantity != "command" and last > END_PART * peak:
         found.append(Check.CUT_SHORT.at(name, quantity=quantity, last=last, unit=unit, part=last / peak))
     return found
+
+
+def begun_late(name: str, signals: Sequence[tuple[str, Signal | None, str]]) -> list[Finding]:
+    """A burst whose record begins in the middle of it, where it should be at rest as at its end.
+
+    Parameters
+    ----------
+    signals : quantity, what was recorded of it if anything was, and its unit.
+    """
+    for quantity, x, unit in signals:
+        if x is None:
+            continue
+        centred = x.values - np.median(x.values[-max(END_SAMPLES, x.values.size // 10) :])
+        first, peak = float(np.abs(np.median(centred[:END_SAMPLES]))), float(np.abs(centred).max())
+        if first > END_PART * peak:
+            return [Check.BEGUN_LATE.at(name, quantity=quantity, first=first, unit=unit, part=first / peak)]
+    return []
 
 
 def flat_extreme(values: FloatArray) -> NDArray[np.intp]:

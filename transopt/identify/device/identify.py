@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import COHERENT, Finding, by_grip, check_rates, within
+from transopt.identify.checks import COHERENT, Finding, begun_late, by_grip, check_rates, within
 from transopt.identify.device.advice import about_chain, advice
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.causes import beyond_a_chain, causes_of, distorted, two_clocks
@@ -100,7 +100,10 @@ def identify(
     repeated = [run for run in runs if run.period_s is not None]
     transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
     runs = [run for run in runs if run.period_s is None and not run.held_out]
+    begun = {id(run): _begun_late(run) for run in transients}
+    transients = [run for run in transients if not begun[id(run)]]
     runs, transients, late = _on_one_clock(runs, transients, settings)
+    late = [*(said for each in begun.values() for said in each), *late]
     records = sort_trials(runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
     grips = records.grips
     measured = [grip.response for grip in grips]
@@ -184,6 +187,16 @@ def _at_use(
     known = [run for run in runs if run.grip_N is not None and within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
     return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
+
+
+def _begun_late(run: Measurement) -> list[Finding]:
+    """Whether a burst is recorded from its middle on, so that what is missing would be held against the model."""
+    signals = (
+        ("command", run.command, "A"),
+        ("current", run.current, "A"),
+        ("acceleration", run.acceleration, "m/s^2"),
+    )
+    return begun_late(run.name, signals)
 
 
 def _largest_A(grip_N: float, runs: Sequence[Measurement]) -> float:

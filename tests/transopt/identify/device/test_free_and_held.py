@@ -68,7 +68,7 @@ def test_every_recording_is_found_as_the_chain_it_is(drive: str, seed: int, enco
 
 
 def test_an_amplifier_that_is_no_pole_at_one_grip_is_taken_for_none_at_another() -> None:
-    """By itself the dead band looks like another pole where the slow part of a sweep is missing."""
+    """Alone, the dead band looks like another pole where the slow part of a sweep is missing."""
     _, runs = recorded("default", 1, encoder=True)
     records = sort_trials(runs, [], AMPLIFIER, None)
     groups = [grip.fitted for grip in records.grips]

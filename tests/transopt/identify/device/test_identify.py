@@ -325,3 +325,21 @@ def test_the_largest_recorded_current_of_each_grip_is_stated(found: DeviceResult
     alone = identify(sweeps, [], SETTINGS)
     assert alone.error.recorded_A == pytest.approx([0.75] * 4, rel=0.05)
     assert device_part(alone).error == alone.error
+
+
+def test_a_burst_recorded_from_its_middle_on_is_named_and_judges_nothing(rig: Rig, sweeps: list[Measurement]) -> None:
+    """Alone, it would look like an amplifier that gives way: what moves it at first is in no record."""
+    whole = rig.transients((1.0, 3.0, 5.0))
+
+    def cut(run: Measurement) -> Measurement:
+        return run.changed(lambda _, x: replace(x, values=x.values[230:]))  # 3 ms into the burst, from tick 200 on
+
+    late = [cut(run) for run in whole]
+    result = identify(sweeps, [*late[:1], *whole[1:]], SETTINGS)
+    (said,) = [finding for finding in result.findings if finding.where == whole[0].name]
+    assert said.fault is Fault.CUT_SHORT
+    assert "off its rest" in said.text
+    assert "amplifier saturation" not in result.causes
+    assert {tap.grip_N for tap in result.error.at_use} == {3.0, 5.0}
+    # The whole ones tell of no such thing.
+    assert not [f for f in result.findings if f.where in {run.name for run in whole[1:]}]
