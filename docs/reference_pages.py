@@ -19,8 +19,8 @@ from transopt.base import sizes
 from transopt.base.section import Section
 from transopt.base.units import LARGEST, unit_of
 from transopt.library.arrays import HASH_FIELD
-from transopt.library.library import ARRAYS
 from transopt.library.meta import META
+from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
 from transopt.scene.fitted import Source

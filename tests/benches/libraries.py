@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from transopt.library.library import ARRAYS, Library
+from transopt.library.library import Library
+from transopt.library.multipliers import ARRAYS
 from transopt.scene.keys import with_values
 
 

@@ -18,8 +18,8 @@ from controller.protocol.codes import Kind, Reason
 from controller.servo.interface import Fault, Notice
 from tests.benches.places import ROOT
 from tests.docs.pages import DOCS, FENCED, PAGES, blocks, fenced, named, text
-from transopt.library.library import ARRAYS
 from transopt.library.meta import META
+from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import keys

@@ -17,7 +17,7 @@ from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.price import Price, binding, prices
 from transopt.library.columns import COLUMNS, NAN, PAIR, EntryTable
-from transopt.library.library import ARRAYS
+from transopt.library.multipliers import ARRAYS
 from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.limits import kinds_of

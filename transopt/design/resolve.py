@@ -12,8 +12,9 @@ from transopt.design.context import Posed
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.library.derived import derived
-from transopt.library.library import ARRAYS, MULTIPLIERS, Library, further_arrays, multiplier_arrays
+from transopt.library.library import Library
 from transopt.library.meta import entry_left_out, heat_is_in, shared_left_out
+from transopt.library.multipliers import ARRAYS, MULTIPLIERS, further_arrays, multiplier_arrays
 from transopt.solvers.options import SolverOptions
 
 # What an entry that is solved again brings along.

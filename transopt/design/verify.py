@@ -8,7 +8,8 @@ from transopt.base.threads import one_blas_thread
 from transopt.design.batch import Batch
 from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
-from transopt.library.library import ARRAYS, Library
+from transopt.library.library import Library
+from transopt.library.multipliers import ARRAYS
 from transopt.library.nonlinear import as_on_linear, nonlinear_problem
 from transopt.library.nonlinear_proven import certificate_of, of_linear_design, shortfall
 from transopt.library.proven import contradictions

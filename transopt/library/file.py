@@ -26,8 +26,9 @@ from transopt.base.sizes import (
 )
 from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.library import ARRAYS, COOL, Library, further_arrays, is_of_entries, posing_of
+from transopt.library.library import COOL, Library, posing_of
 from transopt.library.meta import SCHEMA, lacking, stated
+from transopt.library.multipliers import ARRAYS, further_arrays, is_of_entries
 from transopt.library.own_scene import scene_in
 
 ADVICE = "give a library.npz written by `transopt solve`"

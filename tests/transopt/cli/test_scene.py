@@ -52,7 +52,7 @@ class TestScene:
         assert outcome.code == 0
         rows = rows_of(outcome.out)
         assert rows["limits.slew_A_per_s"][1] == "A/s"
-        assert rows["time.stages"][2:5] == ["800", "800", ">= 2, <= 20000"]
+        assert rows["time.stages"][2:5] == ["-", "800", ">= 2, <= 20000 or none"]
         assert rows["model.stylus_mass_kg"][2] == "to be stated"
         Path("mine.toml").write_text(WOOD.replace("beta = 3.2", "beta = 2.5"))
         assert rows_of(run("scene", "keys", "mine.toml").out)["limits.beta"][3] == "2.5"

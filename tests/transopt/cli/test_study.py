@@ -22,7 +22,9 @@ from tests.benches.study import plain, read, serial, short_scene
 from transopt.design import entry as entries
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
+from transopt.study import named
 from transopt.study.axes import parse_axis
+from transopt.study.executors import Pool
 from transopt.study.plan import TOGETHER, Plan
 from transopt.study.session import run_plan
 
@@ -104,6 +106,23 @@ class TestCommandLine:
         assert "Evidence where it is missed" in Path("least/report.md").read_text(encoding="utf-8")
         never = run("--require", "tap_error<=1e-6", "--solve-for", "limits.current_A=2:6:4", *words, "--out", "never")
         assert never.code == 1
+
+    def test_all_named_studies_are_run_and_the_worst_code_is_the_exit_code(
+        self, run: Run, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        asked = []
+
+        def write(
+            name: str, scene: Scene, out: Path, pool: Pool, *, search: object, figures: Path
+        ) -> tuple[int, str]:
+            asked.append((name, scene.name, out, figures))
+            return int(name == "lead"), f"the finding of {name}"
+
+        monkeypatch.setattr(named, "write", write)
+        ended = run("--study", "all", "--executor", "serial", "--out", "out", "--figures", "figures")
+        assert ended.code == 1
+        assert asked == [(name, "wood_on_foam", Path("out"), Path("figures")) for name in named.STUDIES]
+        assert ended.out.splitlines() == [f"{name}: the finding of {name}" for name in named.STUDIES]
 
     def test_list_keys(self, run: Run) -> None:
         ran = run("--list-keys")

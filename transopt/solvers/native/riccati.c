@@ -818,8 +818,15 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
     for (int i = 0; i < t; i++) w->th_end[i] = th[i];
 }
 
-/* Sizes that are known when compiled keep their rows in registers. */
-#define OF_SIZE(n, t, call) call(n, t, BLOCKS(n))
+/* Sizes that are known when compiled keep their rows in registers. A program that solves few problems, such as one for
+ * sanitizers, may say which sizes it SOLVES: the others are then left to the code for any size.
+ */
+#if !defined(SOLVES)
+#define SOLVES(n, t) 1
+#endif
+#define OF_SIZE(n, t, call)         \
+    if (!SOLVES(n, t)) goto any;    \
+    call(n, t, BLOCKS(n))
 #define BY_SIZE(call)                                              \
     switch (w->q->nodes * 100 + w->q->states) {                    \
     case 4: OF_SIZE(4, 0, call);                                   \
@@ -835,7 +842,8 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
     case 110: OF_SIZE(10, 1, call);                                \
     case 208: OF_SIZE(8, 2, call);                                 \
     case 210: OF_SIZE(10, 2, call);                                \
-    default: call(w->q->states, w->q->nodes, w->ld / WIDTH);       \
+    default:                                                       \
+    any: call(w->q->states, w->q->nodes, w->ld / WIDTH);           \
     }
 #define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved, end)
 #define BACKWARD(n, t, blocks) backward_sized(n, blocks, w, t, end, own, offset, offset_e, newton); return

@@ -11,7 +11,8 @@ from problems.stress.judge import played
 from tests.benches.limits import supply_of
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
-from transopt.library.library import ARRAYS, MULTIPLIERS, Library
+from transopt.library.library import Library
+from transopt.library.multipliers import ARRAYS, MULTIPLIERS
 from transopt.plant.discretise import discretise
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.answer import Multipliers

@@ -1,0 +1,77 @@
+"""Multipliers of a library by their names in the file, and the declarations of all its arrays."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.library.arrays import Array, declared
+from transopt.library.held import Held
+from transopt.problem.answer import Multipliers
+from transopt.problem.limits import KINDS, kinds_of
+from transopt.problem.limits.limit import SIDES, device_row
+from transopt.problem.limits.own import OwnLimit, follows_motion
+from transopt.problem.posing import Posing
+
+
+def _multiplier_arrays() -> dict[str, tuple[str, Array]]:
+    found: dict[str, tuple[str, Array]] = {}
+    for kind in KINDS:
+        for row, side in itertools.product(kind.row_names, kind.sides):
+            name, meaning = f"mu_{row}_{side}", f"multiplier of the {side} bound on the {kind.label}"
+            unit = f"1/{kind.step_unit}"
+            if name in found and (before := found[name][1].unit) != unit:
+                unit = f"{before} or {unit}"  # of the same limit on an input of the other unit
+            found[name] = row, Array("vgN", unit, meaning, needs=kind.stored_with(row))
+    return found
+
+
+# Array -> the row it belongs to, and what it is; in the order of the limits.
+MULTIPLIERS = _multiplier_arrays()
+ARRAYS = {**declared(Held), **{name: array for name, (_, array) in MULTIPLIERS.items()}}
+
+
+def is_of_entries(name: str) -> bool:
+    """Whether an array is made of the answers, and not of what they were asked."""
+    return name not in ARRAYS or name in MULTIPLIERS or ARRAYS[name].made is not None
+
+
+def multiplier_arrays(
+    of_entries: Sequence[Sequence[Multipliers]], further: Sequence[str] = ()
+) -> dict[str, FloatArray]:
+    """`Library.multipliers_of` from the multipliers of all entries, speeds outermost.
+
+    Parameters
+    ----------
+    further : those that not every library has, see `further_arrays`.
+    """
+    found = {}
+    for name in (*MULTIPLIERS, *further):
+        row, side = row_of(name), name.rsplit("_", 1)[1]
+        found[name] = np.array([[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries])
+    return found
+
+
+def row_of(array: str) -> str:
+    """The row whose multipliers on one side are stored under a name."""
+    return array.removeprefix("mu_").rsplit("_", 1)[0]
+
+
+def further_arrays(posing: Posing, spread: int) -> list[str]:
+    """Names of the multipliers that not every library has, from its limits and its input.
+
+    They are those of a user's own limits and, for each further device of a spread, those of the limits on the motion.
+
+    Parameters
+    ----------
+    spread : number of further devices.
+    """
+    limits, drive = posing.asked, posing.driven_by
+    own = limits.get(OwnLimit.key) or []
+    of_each = [kind for kind in kinds_of(drive) if kind.of_each_device and limits.get(kind.key) is not None]
+    rows = [row for kind in of_each for row in kind.row_names]
+    rows += [table["name"] for table in own if follows_motion(table["outputs"], drive)]
+    found = [table["name"] for table in own]
+    found += [device_row(row, device) for device in range(1, spread + 1) for row in dict.fromkeys(rows)]
+    return [f"mu_{row}_{side}" for row in found for side in SIDES]
