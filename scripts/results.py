@@ -7,8 +7,9 @@ Scripts that only print have their place on a page between two marks, the first 
     <!-- output of: python scripts/NAME.py ... -->
     <!-- end -->
 
-Between them stands what the command printed, with a stamp below. A campaign of the tests writes the tables that
-belong on a page into a file of their own, where it is asked to, and they are put on the page as they are:
+Between them stands what the command printed, without pytest's progress and summary, with a stamp below. A campaign of
+the tests writes the tables that belong on a page into a file of their own, where it is asked to, and they are put on
+the page as they are:
 
     <!-- tables of: python -m pytest -m long -n 0 tests/campaigns/test_NAME.py -->
     <!-- end -->
@@ -34,13 +35,14 @@ from transopt.base.sizes import MOST_TEXT_BYTES
 from transopt.base.writing import write_text
 
 PART = re.compile(rf"<!-- (output|tables) of: (python [^\n]+) -->\n.*?{END}", re.DOTALL)
+OF_PYTEST = re.compile(r"^\.+ +\[100%\]$|^\d+ (?:passed|failed)\b.* in [\d.]+s\b.*$", re.MULTILINE)
 
 
 def printed(command: str) -> tuple[str, int]:
     """What a command prints in the checkout, without control sequences, as a block; and its exit code."""
     _, *words = shlex.split(command)
     ended = subprocess.run([sys.executable, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
-    output = re.sub(r"\x1b\[[0-9;]*m", "", ended.stdout).strip("\n")
+    output = OF_PYTEST.sub("", re.sub(r"\x1b\[[0-9;]*m", "", ended.stdout)).strip("\n")
     return f"```text\n{output}\n```", ended.returncode
 
 

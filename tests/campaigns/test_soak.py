@@ -10,7 +10,8 @@ told how far the amplifier's pole may be off, unless --amplifier-tolerance says 
 servo after a fault.
 
 Checked: |i| of the true current between ticks too, the true winding's temperature, numbers in every output, a notice
-for every contact that the encoder shows, and an explanation in the truth for every fault. Exit code 1 on a violation.
+for every contact that the encoder shows, within one count of it, and an explanation in the truth for every fault.
+Exit code 1 on a violation.
 """
 
 import math
@@ -114,6 +115,16 @@ class Tally:
         return found + self.silent + self.unexplained
 
 
+@dataclass(frozen=True)
+class Touched:
+    """A contact that waits for its notice. ticks : of leaving the surface, of the contact, and of the last moment."""
+
+    left: int
+    tick: int
+    due: int
+    speed_m_s: float
+
+
 class Witness:
     """Looks at every tick with what the servo does not know."""
 
@@ -121,6 +132,7 @@ class Witness:
         self.tally, self.simulator, self.servo, self.user, self.name = tally, simulator, servo, user, name
         self._z = deque([0.0] * SPEED_TICKS, maxlen=SPEED_TICKS)
         self._above, self._left, self._answered, self.armed = False, 0, -1, 0
+        self._touched: Touched | None = None
 
     def __call__(self, readings: Readings, output: Output) -> None:
         tally, tick, s = self.tally, readings.tick, self.servo.settings
@@ -136,24 +148,30 @@ class Witness:
                 tally.notices[event.what] += 1
                 if event.what in ANSWERS:
                     self._answered = tick
+        if self._touched is not None and (self._answered >= self._touched.left or tick >= self._touched.due):
+            self._contact(self._touched)
+            self._touched = None
         z = readings.encoder_counts * s.count_m
         if z > ABOVE_M and not self._above:
             self._above, self._left = True, tick
         elif z <= 0.0 and self._above:
             self._above = False
             if output.state is not State.FAULT and tick > self.armed + SETTLED_TICKS:
-                self._contact(tick, (self._z[0] - z) / (SPEED_TICKS * s.dt_s))
+                speed = (self._z[0] - z) / (SPEED_TICKS * s.dt_s)
+                # The servo fits the motion, which may lie within one count of what the encoder says.
+                late = max(math.ceil(s.count_m / (max(speed, SLOWEST_M_S) * s.dt_s)), 1)
+                self._touched = Touched(self._left, tick, tick + late, speed)
         self._z.append(z)
 
-    def _contact(self, tick: int, speed_m_s: float) -> None:
-        if self._answered >= self._left:
+    def _contact(self, touched: Touched) -> None:
+        if self._answered >= touched.left:
             self.tally.contacts += 1
-        elif speed_m_s < SLOWEST_M_S:
+        elif touched.speed_m_s < SLOWEST_M_S:
             self.tally.slow += 1
         else:
             self.tally.contacts += 1
-            at = tick * self.servo.settings.dt_s
-            self.tally.silent.append(f"{self.name}, {at:.4f} s: a contact at {speed_m_s:.3f} m/s without a notice")
+            at, speed = touched.tick * self.servo.settings.dt_s, touched.speed_m_s
+            self.tally.silent.append(f"{self.name}, {at:.4f} s: a contact at {speed:.3f} m/s without a notice")
 
     def _explained(self, fault: Fault, readings: Readings) -> bool:
         """Whether the truth itself is at fault: a loose grip, or a coil that a wall has heated to its limit."""

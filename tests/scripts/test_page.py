@@ -94,6 +94,15 @@ def test_tables_that_a_campaign_writes_are_put_on_the_page_as_they_are(tmp_path:
     assert text.endswith("<!-- end -->\n\nafter\n")
 
 
+def test_what_a_campaign_prints_is_put_on_the_page_without_the_words_of_pytest(tmp_path: Path) -> None:
+    campaign, page = tmp_path / "campaign.py", tmp_path / "p.md"
+    words = "." + 30 * " " + "[100%]\\n1 passed, 16 deselected in 51.67s (0:00:51)"
+    campaign.write_text(f"print('\\n2 taps, 1 passed by\\n{words}')")
+    page.write_text(f"before\n\n<!-- output of: python {campaign} -->\nold\n{END}\n\nafter\n")
+    assert script("results").main(page) == 0
+    assert f"```text\n2 taps, 1 passed by\n```\n\n*`python {campaign}`, " in page.read_text()
+
+
 def test_a_campaign_that_writes_no_tables_leaves_the_page_alone(tmp_path: Path) -> None:
     campaign, page = tmp_path / "campaign.py", tmp_path / "p.md"
     campaign.write_text("raise SystemExit(1)")
