@@ -88,7 +88,7 @@ TARGETS = (
     Target("Cortex-M4F", "mps2-an386", M4F, "single", SINGLE, SINGLE),
     Target("Cortex-M7", "mps2-an500", M7, "double"),
     Target("Arduino, Cortex-M4F", "mps2-an386", M4F, "single", (), (*SINGLE, *_capacities(16384, 16, 8, 128)), True),
-    Target("Arduino, Teensy 4.1", "mps2-an500", M7, "double", TEENSY, _capacities(98304, 32, 16, 512), True),
+    Target("Arduino, Teensy 4.1", "mps2-an500", M7, "double", TEENSY, _capacities(94208, 32, 16, 512), True),
 )
 
 

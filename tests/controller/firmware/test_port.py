@@ -211,7 +211,7 @@ def test_what_it_says_of_itself_is_what_the_block_of_the_sketch_says(teensy: Tee
     assert (device.current_A, device.command_A, device.has_coil, device.limit_C) == (4.5, 6.0, 1, 100.0)
     assert device.dt_s == pytest.approx(1e-4, rel=1e-6)
     assert device.dt_s == pytest.approx(1e-6 * teensy.c.stub_period_us(), rel=1e-6)
-    assert device.capacity_samples == 98304
+    assert device.capacity_samples == 94208
     assert device.firmware == 0x20000
     assert (FIRMWARE / "library.properties").read_text().splitlines()[1] == "version=2.0.0"
 
