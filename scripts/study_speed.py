@@ -33,7 +33,7 @@ from transopt.study.rows import OPTIMAL, Row
 from transopt.study.session import run_plan
 
 SPEEDS, GRIPS, CURRENTS_A = 10, 10, (1.2, 2.0)
-SAME = 1e-6  # relative, and of what is small absolute
+SAME = 1e-8  # relative, and of what is small absolute
 WARM = 500  # entries after which the caches are full
 PAGE = os.sysconf("SC_PAGE_SIZE")
 CLOCK_HZ = os.sysconf("SC_CLK_TCK")
@@ -129,13 +129,13 @@ def cluster() -> Iterator[str]:
 
 
 def alike(rows: list[Row], others: list[Row]) -> bool:
-    """Whether rows are the same but for times: numbers to 1e-6, as sums depend on where an array lies in memory."""
+    """Whether rows are the same but for times: numbers to 1e-8, as sums depend on where an array lies in memory."""
 
     def same(cell: str, other: str) -> bool:
         try:
-            return bool(np.isclose(float(cell), float(other), rtol=SAME, atol=SAME))
+            return cell == other or bool(np.isclose(float(cell), float(other), rtol=SAME, atol=SAME))
         except ValueError:
-            return cell == other
+            return False
 
     return len(rows) == len(others) and all(
         row.keys() == other.keys() and all(same(row[name], other[name]) for name in row if not name.endswith("_ms"))
