@@ -206,9 +206,7 @@ def build_library(
         context = context.varied(scene)
     columns: list[list[Entry]] = []
     for grip in scene.grid.grips_N:
-        columns.append(
-            design([context.posed(v, grip, target) for v, target in scene.axes.rows], rivals=True, options=options)
-        )
+        columns.append(design([context.posed(v, grip, target) for v, target in scene.axes.rows], options=options))
         # An entry is replayed here, before its progress is told.
         progress(len([entry.played for entry in columns[-1]]))
     entries = [[column[i] for column in columns] for i in range(len(scene.axes.rows))]
