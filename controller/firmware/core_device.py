@@ -249,11 +249,14 @@ class CoreDevice:
         state = self._library.td_probe_step(
             self._device.at, r.tick, counts, r.emergency_stop | r.late << 1, *pointers
         )
-        events = tuple(
-            Event(r.tick, EVENTS[code], *self._contacts[4 * j : 4 * j + 4])  # type: ignore[arg-type]
-            for j, code in enumerate(self._events)
-            if code
-        )
+        happened = bytes(self._events)
+        events: tuple[Event, ...] = ()
+        if any(happened):  # a step in a thousand
+            events = tuple(
+                Event(r.tick, EVENTS[code], *self._contacts[4 * j : 4 * j + 4])  # type: ignore[arg-type]
+                for j, code in enumerate(happened)
+                if code
+            )
         command, transient, feedback, winding = self._answer
         return Output(command, STATES[state], transient, feedback, winding, events)
 

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -118,8 +119,8 @@ class Check:
 
     def column(self, name: str, duration_s: float = WINDOW_S) -> FloatArray:
         """The newest readings of so long a time."""
-        size = self.ticks(duration_s)
-        return column((record for _, record in list(self.records)[-size:]), name)
+        newest = islice(reversed(self.records), self.ticks(duration_s))
+        return column((record for _, record in newest), name)[::-1]
 
     def mean(self, name: str) -> float:
         """Mean of a whole window; NaN before one has come."""

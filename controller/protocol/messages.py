@@ -21,6 +21,7 @@ is dropped, but for EMERGENCY_STOP.
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import dataclass_transform
 
 import numpy as np
@@ -392,7 +393,7 @@ RECORDS_LIMIT = (BODY_LIMIT - TelemetryData.FORMAT.size) // Record.FORMAT.size
 
 def column(records: Iterable[Record], name: str) -> FloatArray:
     """(n,) one field of records."""
-    return np.array([getattr(record, name) for record in records], dtype=float)
+    return np.fromiter(map(attrgetter(name), records), dtype=float)
 
 
 @dataclass(frozen=True, slots=True)

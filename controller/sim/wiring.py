@@ -36,4 +36,5 @@ class Wired:
         )
 
     def advance(self, output: Output) -> None:
-        self._world.advance(replace(output, command_A=self._device.amplifier.scale * output.command_A))
+        scale = self._device.amplifier.scale
+        self._world.advance(output if scale == 1.0 else replace(output, command_A=scale * output.command_A))
