@@ -1,4 +1,4 @@
-"""Real numeric arrays of level 5 MAT files (The MathWorks, "MAT-File Format", Sec. 1).
+"""Numeric arrays of level 5 MAT files (The MathWorks, "MAT-File Format", Sec. 1).
 
 scipy.io.loadmat reads them too, but one damaged type tag in a file makes it crash the process, and a recording that
 was copied badly must end in an error message.
@@ -18,10 +18,12 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"
 _COMPRESSED = 15
 _NUMERIC_CLASSES = range(6, 16)  # mxDOUBLE_CLASS to mxUINT64_CLASS
 _COMPLEX = 0x800
+_STRUCTURE = 2
+_DEEPEST = 4  # structures in structures
 
 
 def variables(data: bytes) -> dict[str, object]:
-    """Every variable of a file by name; None for text, cells, structures and complex numbers.
+    """Every variable of a file by name, a field of a structure as `log.acc`; None for text, cells and the like.
 
     Parameters
     ----------
@@ -43,15 +45,29 @@ def variables(data: bytes) -> dict[str, object]:
             unpacked = _unpacked(content, room)
             room -= len(unpacked)
             matrix = next(_elements(unpacked, order))[1]
-        (_, flags), (_, dims), (_, name), *elements = _elements(matrix, order)
-        flag_bits = int(np.frombuffer(flags, order + "u4")[0])
-        value = None
-        if flag_bits & 0xFF in _NUMERIC_CLASSES and not flag_bits & _COMPLEX:
-            shape = np.frombuffer(dims, order + "i4")
-            real_type, real = elements[0]
-            value = np.frombuffer(real, order + _TYPES[real_type]).reshape(shape, order="F")
-        found[name.decode("latin-1")] = value
+        _, _, (_, name), *_ = _elements(matrix, order)
+        _put(found, name.decode("latin-1"), matrix, order, _DEEPEST)
     return found
+
+
+def _put(found: dict[str, object], name: str, matrix: bytes, order: str, deepest: int) -> None:
+    """Add a matrix to what was found under its name, or the fields of a structure of one element."""
+    (_, flags), (_, dims), _, *elements = _elements(matrix, order)
+    flag_bits, shape = int(np.frombuffer(flags, order + "u4")[0]), np.frombuffer(dims, order + "i4")
+    found[name] = None
+    if flag_bits & 0xFF == _STRUCTURE and deepest and np.prod(shape) == 1:
+        (_, length), (_, names), *fields = elements
+        size = int(np.frombuffer(length, order + "i4")[0])
+        del found[name]
+        for k, (_, field) in enumerate(fields):
+            own = names[k * size : (k + 1) * size].split(b"\0")[0].decode("latin-1")
+            _put(found, f"{name}.{own}", field, order, deepest - 1)
+    elif flag_bits & 0xFF in _NUMERIC_CLASSES:
+        parts = [
+            np.frombuffer(part, order + _TYPES[kind]) for kind, part in elements[: 1 + bool(flag_bits & _COMPLEX)]
+        ]
+        values = parts[0] + 1j * parts[1] if len(parts) == 2 else parts[0]
+        found[name] = values.reshape(shape, order="F")
 
 
 def _unpacked(packed: bytes, room: int) -> bytes:

@@ -23,7 +23,9 @@ OPTIONS = {
 
 
 def taps(
-    files: Annotated[list[Path], typer.Argument(help="Recordings: CSV, TXT, MAT, NPZ, WAV.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Recordings: CSV, text, XLSX, ODS, MAT, NPZ, TDMS, LVM, HDF5, WAV.")
+    ],
     out: Annotated[Path | None, typer.Option(help="Folder for the overlay figure.")] = None,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
@@ -32,6 +34,9 @@ def taps(
     ] = None,
     channel: Annotated[int | None, typer.Option(help="Channel of WAV files with several, counted from 1.")] = None,
     rate_Hz: RateHz = None,
+    axis: Annotated[
+        str, typer.Option(help="Of several axes: main (the tap's direction, the default), x, y, z or dft321.")
+    ] = "",
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
     grip: Annotated[float | None, typer.Option(help="Grip force where the files state none, in N.")] = None,
     trusted_from_Hz: Annotated[
@@ -73,6 +78,7 @@ def taps(
             units=stated_units(units),
             channel=channel,
             rate_Hz=rate_Hz,
+            axis=axis or None,
             taps_by_file={"*": tap} if tap else {},
             speed_m_s=speed,
             grip_N=grip,

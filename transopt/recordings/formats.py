@@ -9,30 +9,36 @@ import codecs
 import io
 import math
 import re
-import warnings
 from array import array
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from transopt.base import mat5
 from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW, MOST_ROWS
+from transopt.recordings.containers import HDF5, Channels, guarded, hdf5_datasets, sheet_as_text, tdms_channels
 from transopt.recordings.names import (
     SKIPPED,
     Layout,
     Meaning,
     Vocabulary,
+    apart,
     looks_known,
     meanings,
+    means_acceleration,
     means_time,
     quote,
+    spared,
     split_names,
     stated_for,
 )
@@ -42,6 +48,7 @@ LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and it
 MIN_SAMPLES = 8
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
+_AXES = "xyz"
 _REMARKS = ("#", "*", "%", "//")
 _HEADER_LINE = re.compile(r"(?:[#*%]|//)\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
 _UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
@@ -66,6 +73,7 @@ _RATE = re.compile(r"\b(?:sampl\w*[ _]*(?:rate|freq\w*)|rate|fs)" + _VALUE, re.I
 _STEP = re.compile(
     r"\b(?:delta[ _]?[xt]|(?:x[ _])?increment|sampl\w*[ _]*(?:interval|period))" + _VALUE, re.IGNORECASE
 )
+_START = re.compile(r"(?:start|x[ _]?0|t[ _]?0)\w*: *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 
@@ -101,25 +109,32 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
     ------
     InputError : an unknown format or column, or content that is not of the format.
     """
+    words = words.knowing(layout.units or {})
     if layout.rate_Hz is None:
         return _read(suffix, data, layout, words)
     raw = _read(suffix, data, layout, replace(words, required=tuple(of for of in words.required if of != "time")))
     rows = np.arange(max((values.size for values in raw.columns.values()), default=0))
-    columns = {"time_s": rows / layout.rate_Hz, **raw.columns}
+    columns = {"time_s": layout.start_s + rows / layout.rate_Hz, **raw.columns}
     return replace(raw, columns=columns, meanings={"time_s": Meaning("time", 1.0), **raw.meanings})
 
 
 def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     match suffix.lower():
-        case ".csv" | ".txt" | ".dat":
+        case ".csv" | ".txt" | ".dat" | ".tsv" | ".lvm":
             return _read_text(data, layout, words)
+        case ".xlsx" | ".xlsm" | ".xls" | ".ods":
+            return _read_text(sheet_as_text(data), layout, words)
+        case ".tdms":
+            return _from_channels(tdms_channels(data), layout, words)
+        case ".h5" | ".hdf5":
+            return _from_channels(hdf5_datasets(data), layout, words)
         case ".npz":
             return _read_npz(data, layout, words)
         case ".mat":
             return _read_mat(data, layout, words)
         case ".wav":
             return _read_wav(data, layout)
-    known = ".csv, .txt, .dat, .npz, .mat, .wav"
+    known = ".csv, .tsv, .txt, .dat, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .wav"
     raise InputError(f"unknown format {quote(suffix)}; known: {known}; export it as CSV")
 
 
@@ -178,8 +193,9 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
         > MOST_COLUMNS
     ):
         raise InputError(f"row {numbers[0]}: more than {MOST_COLUMNS} columns; export the ones that are needed")
+    told = list[str]()
     if above:
-        found = _names_above(above, header, words)
+        found = _names_above(above, header, words, told)
     else:
         found = split_names(remark.lstrip("".join(_REMARKS) + " "))
         if len(found) != len(_cells(first)) or not any(looks_known(name, words) for name in found):
@@ -187,15 +203,19 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     if not (layout.columns or found):
         need = 'name them: --columns time_s,acceleration_g (in a scene recordings.columns), "-" skips one'
         raise InputError(f"row {numbers[0]}: {quote(first)} has no row of names above it; {need}")
-    names = _untimed(layout.columns or found, layout, words)
+    names, idle = (_chosen(layout.columns, found, words), "") if layout.columns else (found, "")
+    names = _untimed(names, layout, words)
     if layout.rate_Hz is None and "time" in words.required and not any(means_time(name, words) for name in names):
         head = data[:_HEAD].decode(encoding_of(data), errors="ignore").splitlines()[: numbers[0] - 1 + start]
-        if rate := _rate_of(head):
-            raw = read_raw(".csv", data, replace(layout, rate_Hz=rate[0]), words)
+        if rate := _rate_of([*head, *told]):
+            start_s = next((float(at[1]) for line in told if (at := _START.fullmatch(line))), 0.0)
+            raw = read_raw(".csv", data, replace(layout, rate_Hz=rate[0], start_s=start_s), words)
             note = (
                 f"no column of times; the sample rate of {rate[0]:g} Hz is that of the file's line {quote(rate[1])}"
             )
             return replace(raw, meanings={**raw.meanings, "time_s": raw.meanings["time_s"]._replace(note=note)})
+    if not layout.columns:
+        names, idle = spared(names, words)
     del rows[:start], numbers[:start]
     for name, cell in zip(names, _cells(first), strict=False):
         if rows and means_time(name, words) and _DATE.search(cell):
@@ -208,7 +228,21 @@ def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     for name, stride in _fill(columns, blanks, numbers).items():
         note = f"{name} stands in one row of {stride} only, and is interpolated between them"
         known[name] = known[name]._replace(note="; ".join(filter(None, [known[name].note, note])))
+    if idle:
+        last = list(known)[-1]
+        known[last] = known[last]._replace(note="; ".join(filter(None, [known[last].note, idle])))
     return RawTable(columns, known, header, lambda k: f"row {numbers[k]}")
+
+
+def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> list[str]:
+    """The columns as a user names them; where that leaves the unit out, it is the one in the file."""
+    if len(columns) != len(found):
+        return list(columns)
+    units = [apart(name)[1] for name in found]
+    return [
+        f"{name} [{unit}]" if unit and looks_known(name, words) and not apart(name)[1] else name
+        for name, unit in zip(columns, units, strict=True)
+    ]
 
 
 def _rate_of(lines: Sequence[str]) -> tuple[float, str] | None:
@@ -286,17 +320,25 @@ def _first_of_numbers(rows: Sequence[str]) -> int:
     return next(begins, next(has_number, len(rows)))
 
 
-def _names_above(above: list[str], header: dict[str, object], words: Vocabulary) -> list[str]:
+def _names_above(above: list[str], header: dict[str, object], words: Vocabulary, told: list[str]) -> list[str]:
     """Names and units of the columns, which end what stands above the numbers.
 
     Parameters
     ----------
     header : takes what the other rows state, as `speed_m_s,0.21`; an instrument states much else there.
+    told : takes what a row of units states as a number below a name, `Increment: 1e-4`; such a column has no rows.
     """
     names, rest = split_names(above[-1]), above[:-1]
-    if rest and (units := _units_of(names, len(split_names(rest[-1])))):
-        above_units = split_names(rest.pop())
-        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(above_units, units, strict=True)]
+    heads = split_names(rest[-1]) if rest else []
+    if len(heads) == len(names) and any(cell and _NUMBER.fullmatch(cell) for cell in names):
+        told += [f"{name}: {cell}" for name, cell in zip(heads, names, strict=True) if _NUMBER.fullmatch(cell)]
+        units = [cell if is_unit(cell) else "" for cell in names]
+        names = [SKIPPED if _NUMBER.fullmatch(cell) else name for name, cell in zip(heads, names, strict=True)]
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+        rest.pop()
+    elif rest and (units := _units_of(names, len(heads))):
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(heads, units, strict=True)]
+        rest.pop()
     for row in rest:
         found = _METADATA.fullmatch(row)
         if found and found[1] in words.header:
@@ -470,47 +512,87 @@ def _read_npz(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
 
 
 def _read_mat(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
+    if data[512:520] == HDF5:  # what -v7.3 writes
+        return _from_channels(hdf5_datasets(data), layout, words)
     with guarded("not a readable MAT file", _SAVE_MAT):
         variables = mat5.variables(data)
     return _from_variables(variables, layout, words, lambda k: f"element ({k + 1})")
 
 
-@contextmanager
-def guarded(what: str, remedy: str) -> Iterator[None]:
-    """Run a reader on unchecked bytes: whatever it raises or warns of, nothing but InputError comes out."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.filterwarnings("error", "Reached EOF prematurely")  # a WAV file cut short
-            yield
-    except Exception as error:
-        raise InputError(f"{what} ({quote(str(error) or type(error).__name__)}); {remedy}") from error
+def _from_channels(found: Channels, layout: Layout, words: Vocabulary) -> RawTable:
+    """Variables of a logger's file, whose step stands in for times that it does not have."""
+    has_times = any(means_time(name, words) for name in found.values)
+    rate = {} if found.step_s is None or layout.rate_Hz or has_times else {"time_s": found.step_s}
+    raw = _from_variables(
+        found.values,
+        layout,
+        replace(words, required=tuple(of for of in words.required if of != "time" or not rate)),
+        lambda k: f"sample {k}",
+    )
+    if not rate:
+        return raw
+    size = max((values.size for values in raw.columns.values()), default=0)
+    columns = {"time_s": found.start_s + np.arange(size) * rate["time_s"], **raw.columns}
+    return replace(raw, columns=columns, meanings={"time_s": Meaning("time", 1.0), **raw.meanings})
 
 
 def _from_variables(
     named: Mapping[str, object], layout: Layout, words: Vocabulary, place: Callable[[int], str]
 ) -> RawTable:
     """The chosen columns among the variables; without a choice, all whose names end in a unit or are given one."""
-    units = layout.units or {}
+    units, reads = layout.units or {}, _parted(named, words)
+    candidates = [name for name in reads if name not in words.header]
     chosen = layout.columns or [
         name
-        for name in named
-        if name not in words.header and (words.unit_suffix.search(name) or stated_for(name, words, units))
+        for name in candidates
+        if words.unit_suffix.search(name) or apart(name)[1] or stated_for(name, words, units)
     ]
+    # Where no name has a unit, those that mean something are asked about.
+    chosen = chosen or [name for name in candidates if looks_known(name, words)]
     wanted = [name for name in _untimed(chosen, layout, words) if name != SKIPPED]
-    known = meanings(wanted, words, units, list(named))
-    header = {name: _column(named, name) for name in words.header if name in named}
-    return RawTable({name: _column(named, name) for name in wanted}, known, header, place)
+    known = meanings(wanted, words, units, list(reads))
+    columns = dict[str, FloatArray]()
+    for name in wanted:
+        values = _column(reads[name], name, is_complex=known[name].quantity == "magnitude")
+        if np.iscomplexobj(values):
+            means = known.pop(name)
+            for part, of in (("real", values.real), ("imaginary", values.imag)):
+                columns[f"{name} ({part} part)"] = np.asarray(of)
+                known[f"{name} ({part} part)"] = means._replace(quantity=part)
+        else:
+            columns[name] = values
+    header = {name: _column(reads[name], name) for name in words.header if name in reads}
+    return RawTable(columns, known, header, place)
 
 
-def _column(named: Mapping[str, object], name: str) -> FloatArray:
+def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callable[[], object]]:
+    """What reads each variable, by its name within a structure where that is clear; axes of an acceleration apart."""
+    short = Counter(name.rpartition(".")[2] for name in named)
+    found: dict[str, Callable[[], object]] = {}
+    for name in named:
+        last = name.rpartition(".")[2]
+        key = last if short[last] == 1 else name
+        found[key] = partial(named.__getitem__, name)
+        if means_acceleration(key, words):
+            with guarded(f"variable {name} is not readable", _SAVE_NPZ):
+                values = np.asarray(named[name])
+            rows = values if values.ndim == 2 and values.shape[0] == len(_AXES) else values.T
+            if values.ndim == 2 and rows.shape[0] == len(_AXES) < rows.shape[1]:
+                base, unit = apart(key)
+                behind = f" [{unit}]" if unit else ""
+                del found[key]
+                found |= {f"{base} {axis}{behind}": partial(rows.__getitem__, k) for k, axis in enumerate(_AXES)}
+    return found
+
+
+def _column(read: Callable[[], object], name: str, *, is_complex: bool = False) -> NDArray[Any]:
     with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable when it is asked for
-        values = np.asarray(named[name])
-    if values.dtype.kind not in "iuf" or values.size != max(values.shape, default=1):
+        values = np.asarray(read())
+    if values.dtype.kind not in ("iufc" if is_complex else "iuf") or values.size != max(values.shape, default=1):
         found = f"{quote(str(values.dtype))} of shape {values.shape}"
         raise InputError(f"variable {name} is {found}: must be one row or column of real numbers; convert it")
     _check_size(values.size)
-    return np.asarray(values.ravel(), dtype=float)
+    return np.asarray(values.ravel(), dtype=complex if values.dtype.kind == "c" else float)
 
 
 def _read_wav(data: bytes, layout: Layout) -> RawTable:

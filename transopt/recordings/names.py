@@ -12,11 +12,21 @@ A unit is never guessed: 9.81 lies between the two that are usual for an acceler
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from transopt.base.errors import InputError
-from transopt.recordings.units import Unit, known_units, parts, read_unit, remedy_of, with_input
+from transopt.recordings.units import (
+    RATIOS,
+    Unit,
+    is_electrical,
+    is_sensed,
+    known_units,
+    parts,
+    read_unit,
+    remedy_of,
+    with_input,
+)
 
 SKIPPED = "-"
 MOST_CHOICES = 3  # among columns of one quantity, which a message lists
@@ -95,6 +105,7 @@ class Vocabulary:
     required : quantities that every file has.
     step_s : shortest and longest median time step [s].
     unit_suffix : how names end that are meant for a quantity, known or misspelt; others are the user's own.
+    called : name of a column without its unit -> quantity, as a user states it.
     """
 
     columns: Mapping[str, tuple[str, float]]
@@ -102,6 +113,15 @@ class Vocabulary:
     required: tuple[str, ...]
     step_s: tuple[float, float]
     unit_suffix: re.Pattern[str] = UNIT_SUFFIX
+    called: Mapping[str, str] = field(default_factory=dict)
+
+    def knowing(self, units: Mapping[str, str]) -> "Vocabulary":
+        """With the names of a user's own whose stated unit is one of a single quantity, as CH1 in "V @ 0.1 V/g"."""
+        own = {name: [of for of in self.quantities if read_unit(unit, of)] for name, unit in units.items()}
+        # A response's unit is that of its magnitude; a complex array is parted into its two parts.
+        clear = {name: of[0] for name, of in own.items() if len(of) == 1 or (of and set(of) <= set(RATIOS))}
+        called = {name: of for name, of in clear.items() if _quantity(name, self) is None}
+        return replace(self, called=called) if called else self
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -121,6 +141,8 @@ class Layout:
     full_scale_m_s2 : acceleration of full scale of WAV files [m/s^2].
     channel : of a WAV file with several, counted from 1.
     rate_Hz : sample rate of all files but WAV, which goes before what a column of times says.
+    axis : how several axes of an accelerometer become one signal, see `axes.joined`; empty for the default.
+    start_s : instant of the first sample of a file without times, where its head states it.
     """
 
     columns: Sequence[str] = ()
@@ -128,6 +150,8 @@ class Layout:
     full_scale_m_s2: float | None = None
     channel: int | None = None
     rate_Hz: float | None = None
+    axis: str = ""
+    start_s: float = 0.0
 
 
 def stated_units(text: str) -> dict[str, str]:
@@ -155,13 +179,26 @@ def split_names(line: str) -> list[str]:
 def _quantity(base: str, words: Vocabulary) -> str | None:
     """The quantity that a name without unit means, None if none."""
     small = base.strip().lower().replace("_", " ")
+    if base in words.called:
+        return words.called[base]
     named = (q for q in words.quantities if small == q or small in ALIASES.get(q, ()))
     return next(named, None)
 
 
 def _quantity_of(name: str, words: Vocabulary) -> str | None:
     """The quantity that a column means by its name, with or without a unit; None if none."""
-    return words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
+    return words.columns[name][0] if name in words.columns else _quantity(apart(name)[0], words)
+
+
+def axis_of(name: str) -> str:
+    """The axis that a column's name ends in before its unit, as accel_x or ay_g; empty where it names none."""
+    small = apart(name)[0].lower().replace("_", " ")
+    return small[-1] if small in AXES else ""
+
+
+def means_acceleration(name: str, words: Vocabulary) -> bool:
+    """Whether a column holds an acceleration, with or without a unit."""
+    return _quantity_of(name, words) == "acceleration"
 
 
 def means_time(name: str, words: Vocabulary) -> bool:
@@ -174,20 +211,35 @@ def looks_known(name: str, words: Vocabulary) -> bool:
     return _quantity_of(name, words) is not None
 
 
+def spared(names: Sequence[str], words: Vocabulary) -> tuple[list[str], str]:
+    """Columns without those that mean nothing here, where the others suffice; and a sentence that names these.
+
+    A name that ends in a unit may be a misspelt quantity: it stays, and is refused.
+    """
+    idle = [name for name in names if not looks_known(name, words) and not words.unit_suffix.search(name)]
+    idle = [name for name in idle if name != SKIPPED]
+    present = {_quantity_of(name, words) for name in names}
+    if not idle or not present.issuperset(words.required):
+        return list(names), ""
+    plural = "s" if len(idle) > 1 else ""
+    said = f"column{plural} {quote(', '.join(idle))} not used: nothing here goes by such a name"
+    return [SKIPPED if name in idle else name for name in names], said
+
+
 def stated_for(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
     """Whether a user states a unit for a name that means a quantity."""
-    quantity = _quantity(_apart(name)[0], words)
-    return quantity is not None and (name in units or quantity in units)
+    quantity = _quantity(apart(name)[0], words)
+    return quantity is not None and _stated_unit(name, quantity, units) is not None
 
 
-def _apart(name: str) -> tuple[str, str | None]:
+def apart(name: str) -> tuple[str, str | None]:
     """A name without its unit, and the unit."""
     found = _WITH_UNIT.fullmatch(name.strip())
     if found is None:
         return next(
             filter(None, (_unit_in_word(name, at) for at, mark in enumerate(name) if mark == "_")), (name, None)
         )
-    return found["base"].replace("_", " ").strip(), (found["inside"] or found["behind"] or "").strip() or None
+    return found["base"].strip(), (found["inside"] or found["behind"] or "").strip() or None
 
 
 def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
@@ -200,39 +252,35 @@ def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
 
 def _stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | None:
     """The unit of a column as a user states it; None if no user does."""
-    return next((units[key] for key in (name, _apart(name)[0], quantity) if key in units), None)
+    return next((units[key] for key in (*_keys(name), quantity) if key in units), None)
+
+
+def _keys(name: str) -> tuple[str, ...]:
+    """What a user may call a column by: its name, that without the unit, and that without the axis."""
+    base = apart(name)[0]
+    return (name, base, base[:-1].strip(" _")) if axis_of(name) else (name, base)
 
 
 def _lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
-    base, label = _apart(name)
+    base, label = apart(name)
     quantity = None if label or name in words.columns else _quantity(base, words)
     return quantity is not None and _stated_unit(name, quantity, units) is None
 
 
-def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Sequence[str]) -> Meaning:
-    """Quantity and unit of a column.
+def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
+    """Quantity and unit of a column whose name means something.
 
     Parameters
     ----------
     units : as a user states them, see `Layout`; they take the place of the unit in the file.
-    names : of all columns, in order, for the message that says how to skip this one.
 
     Raises
     ------
-    InputError : a name that means nothing here, or a unit that is none of the quantity.
+    InputError : a unit that is none of the quantity.
     """
     quantity = _quantity_of(name, words)
-    if quantity is None:
-        known = ", ".join(words.columns)
-        usual = "time [s], acc [g] and the like"
-        kept = [SKIPPED if _quantity_of(each, words) is None else each for each in names]
-        short = sum(map(len, names)) < LONGEST_SHOWN
-        skip = "rename it, or skip it"
-        if not (short and all(any(_quantity_of(each, words) == of for each in kept) for of in words.required)):
-            skip, kept = "name the columns in their order, - for one to skip", [*words.required, SKIPPED]
-        remedy = f"{skip}: --columns {shlex.quote(','.join(kept))} (in a scene recordings.columns)"
-        raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
-    user, label = _stated_unit(name, quantity, units), _apart(name)[1] or ""
+    assert quantity is not None
+    user, label = _stated_unit(name, quantity, units), apart(name)[1] or ""
     own: Unit | None
     if name in words.columns:
         own = Unit(words.columns[name][1])
@@ -245,7 +293,27 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Seque
     if read_unit(stated, quantity) is None:
         known = ", ".join(known_units(quantity)) + remedy_of(stated)
         raise InputError(f"column {quote(name)}: {quote(stated)} is no unit of {quantity}; known: {known}")
-    return settled(quantity, stated, own, label and f"column is {quote(name)}")
+    said = "" if is_sensed(stated, label) else label and f"column is {quote(name)}"
+    return settled(quantity, stated, own, said)
+
+
+def _unknown(name: str, words: Vocabulary, names: Sequence[str]) -> str:
+    """What to do about a column that means nothing here."""
+    if is_electrical(label := apart(name)[1] or "") and "acceleration" in words.quantities:
+        sensor = shlex.quote(f"{apart(name)[0]}={label} @ 100 mV/g")
+        return (
+            f"column {quote(name)} is what a sensor gives: state its quantity with the sensor's sensitivity, here of "
+            f"100 mV/g: --units {sensor} (in a scene recordings.units)"
+        )
+    known = ", ".join(words.columns)
+    usual = "time [s], acc [g] and the like"
+    kept = [SKIPPED if _quantity_of(each, words) is None else each for each in names]
+    short = sum(map(len, names)) < LONGEST_SHOWN
+    skip = "rename it, or skip it"
+    if not (short and all(any(_quantity_of(each, words) == of for each in kept) for of in words.required)):
+        skip, kept = "name the columns in their order, - for one to skip", [*words.required, SKIPPED]
+    remedy = f"{skip}: --columns {shlex.quote(','.join(kept))} (in a scene recordings.columns)"
+    return f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}"
 
 
 def settled(quantity: str, stated: str, own: Unit | None, said: str) -> Meaning:
@@ -276,14 +344,23 @@ def meanings(
 
     Raises
     ------
-    InputError : see `meaning`; a quantity twice, or a required one not at all.
+    InputError : see `meaning`; a name that means nothing here; a quantity twice, or a required one not at all.
     """
     present = quote(", ".join(found or names))
     used = [name for name in names if name != SKIPPED]
     _refuse_rivals(used, names, present, words)
+    unknown = [name for name in used if not looks_known(name, words)]
+    if unknown:
+        likeliest = next((name for name in unknown if is_electrical(apart(name)[1] or "")), unknown[0])
+        raise InputError(_unknown(likeliest, words, names))
+    for quantity in words.quantities:
+        if quantity in words.required and all(_quantity_of(name, words) != quantity for name in used):
+            choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
+            rate = ", or state the sample rate, --rate-Hz 10000" if quantity == "time" else ""
+            raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}{rate}")
     said, without = {}, [name for name in used if _lacks_unit(name, words, units)]
     if without:
-        wanted = [_quantity(_apart(name)[0], words) or name for name in without]
+        wanted = list(dict.fromkeys(_quantity(apart(name)[0], words) or name for name in without))
         stated = [f"{quantity}={known_units(quantity)[0]}" for quantity in wanted]
         in_scene = ", ".join(f'{quantity} = "{known_units(quantity)[0]}"' for quantity in wanted)
         known = "; ".join(f"{quantity} in {', '.join(known_units(quantity))}" for quantity in wanted)
@@ -292,15 +369,10 @@ def meanings(
             f"example --units {','.join(stated)} (in a scene recordings.units = {{ {in_scene} }}); known: {known}"
         )
     for name in used:
-        said[name] = meaning(name, words, units, names)
+        said[name] = meaning(name, words, units)
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
-    for quantity in words.quantities:
-        if quantity in words.required and all(said[name].quantity != quantity for name in used):
-            choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
-            rate = ", or state the sample rate, --rate-Hz 10000" if quantity == "time" else ""
-            raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}{rate}")
-    own = {*said, *(_apart(name)[0] for name in said), *words.quantities}
+    own = {*words.quantities, *(key for name in said for key in _keys(name))}
     unused = [key for key in units if key not in own]
     if unused:
         raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
@@ -308,10 +380,11 @@ def meanings(
 
 
 def _refuse_rivals(used: Sequence[str], names: Sequence[str], present: str, words: Vocabulary) -> None:
-    """Refuse several columns of one quantity, as the three axes of a sensor, with the choices that there are."""
+    """Refuse several columns of one quantity but for the axes of a sensor, with the choices that there are."""
     for quantity in words.quantities:
         rivals = [at for at, name in enumerate(names) if name in used and _quantity_of(name, words) == quantity]
-        if len(rivals) > 1:
+        several = {axis_of(names[at]) for at in rivals}
+        if len(rivals) > 1 and ("" in several or len(several) < len(rivals)):
             choices = [
                 ",".join(SKIPPED if at in rivals and at != kept else name for at, name in enumerate(names))
                 for kept in rivals[:MOST_CHOICES]

@@ -43,6 +43,7 @@ class Recordings(Section):
     full_scale_m_s2: Positive | None = None
     channel: Annotated[int, Field(ge=1, le=MOST_COLUMNS)] | None = None
     rate_Hz: Annotated[float, Field(ge=20, le=1e9)] | None = None
+    axis: Literal["main", "x", "y", "z", "dft321"] | None = None  # None: main, where the files have several
     taps_by_file: Annotated[dict[str, list[Annotated[int, Field(ge=1)]]], Field(max_length=MOST_FILES)] = Field(
         default_factory=dict
     )
@@ -63,7 +64,7 @@ class Recordings(Section):
 
     def layout(self) -> Layout:
         """How the files are to be read."""
-        return Layout(self.columns, self.units, self.full_scale_m_s2, self.channel, self.rate_Hz)
+        return Layout(self.columns, self.units, self.full_scale_m_s2, self.channel, self.rate_Hz, self.axis or "")
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:

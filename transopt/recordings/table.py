@@ -18,8 +18,10 @@ from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.formats import LARGEST, MIN_SAMPLES, RawTable, guarded, read_raw
-from transopt.recordings.names import Layout, Vocabulary, quote
+from transopt.recordings.axes import joined
+from transopt.recordings.containers import guarded
+from transopt.recordings.formats import LARGEST, MIN_SAMPLES, RawTable, read_raw
+from transopt.recordings.names import Layout, Vocabulary, axis_of, quote
 
 _UNIFORM = 0.01  # steps: stamps nearer than that to the uniform grid are taken as on it
 _ASTRAY = 0.45  # steps: a stamp farther off the grid than this says nothing; its sample counts as missing
@@ -44,7 +46,7 @@ class Table:
     sha256 : of the file's bytes.
     off_grid : how far time stamps lay off the uniform grid, rms, in steps.
     missing : what was interpolated, in one sentence; empty where no sample was missing.
-    notes : units that a user states against the file, one sentence each.
+    notes : how axes were joined, what was not used, units that a user states against the file; one sentence each.
     """
 
     signals: Mapping[str, Signal]
@@ -95,8 +97,10 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
         if not data:
             raise InputError("is empty (0 bytes); record or export it again")
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the checks
-            raw = read_raw(path.suffix, data, Layout() if layout is None else layout, words)
-            signals, clock = _signals(raw, words)
+            layout = layout or Layout()
+            raw = read_raw(path.suffix, data, layout, words)
+            joining: list[str] = []
+            signals, clock = _signals(raw, words, layout.axis, joining)
             scalars = {}
             for quantity in dict.fromkeys(scalar.quantity for scalar in words.header.values()):
                 value = _stated(raw.header, quantity, words)
@@ -106,12 +110,18 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
         # A message is one line, a file's name need not be.
         file = str(path) if str(path).isprintable() else repr(str(path))
         raise InputError(f"{file}: {error}") from error
-    notes = tuple(each.note for each in raw.meanings.values() if each.note)
+    notes = (*joining, *(each.note for each in raw.meanings.values() if each.note))
     return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
 
 
-def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Clock]:
-    """Every quantity of the table but time, in SI, on one uniform grid; and that grid."""
+def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -> tuple[dict[str, Signal], _Clock]:
+    """Every quantity of the table but time, in SI, on one uniform grid; and that grid.
+
+    Parameters
+    ----------
+    way : how axes are joined, see `axes.joined`; empty for the default.
+    joining : takes a sentence that says how they were.
+    """
     sizes = {name: values.size for name, values in table.columns.items()}
     size = min(sizes.values())
     if max(sizes.values()) != size:
@@ -119,7 +129,14 @@ def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Cl
         raise InputError(f"columns differ in length ({listed} samples); save them equally long")
     if size < MIN_SAMPLES:
         raise InputError(f"{size} samples, at least {MIN_SAMPLES} are needed; record a longer piece")
-    si = {table.meanings[name].quantity: _to_si(name, values, table) for name, values in table.columns.items()}
+    converted = {name: _to_si(name, values, table) for name, values in table.columns.items()}
+    si = {table.meanings[name].quantity: values for name, values in converted.items()}
+    axes = {axis: values for name, values in converted.items() if (axis := axis_of(name))}
+    if len(axes) > 1:
+        si["acceleration"], said = joined(axes, way or "main")
+        joining.append(said)
+    elif way:
+        raise InputError(f"--axis {way} (in a scene recordings.axis): the file has one acceleration; leave it out")
     times = si.pop("time")
     clock = _clock(times, table.place, words.step_s)
     if not clock.uniform:

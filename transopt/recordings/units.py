@@ -2,7 +2,8 @@
 
 A unit means what it says whatever signs, words or capitals spell it: m/s², M/S^2, m/sec**2 and m s-2 are one unit. A
 capital that changes the meaning counts: MV is no millivolt. A response has an acceleration over an input, g/V for
-example; its parts are looked up in the rows of the acceleration, the current and the voltage.
+example; its parts are looked up in the rows of the acceleration, the current and the voltage. What a sensor gives
+before anybody has divided by its sensitivity is written with it: "mV @ 100 mV/g", "counts @ 3.9 mg/count".
 """
 
 import math
@@ -44,6 +45,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
 RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
+_COUNTS = ("count", "counts", "LSB", "digit", "digits")  # of a converter
+_AMOUNT = re.compile(r"\s*(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)?\s*(?P<unit>\S.*?)\s*")
 _SIGNS = str.maketrans({"²": "2", "⁻": "-", "µ": "u", "μ": "u", "·": " ", "*": " ", "^": None})
 _WORD = re.compile(
     r"(?<![a-z])(?P<prefix>milli|micro|nano|kilo|[munk])?"
@@ -90,12 +93,47 @@ _SMALL = {of: {unit.lower(): factor for unit, factor in table.items()} for of, t
 
 def _factor(unit: str, quantity: str) -> float | None:
     """What makes SI of a unit; None for one that this quantity does not have."""
+    if "@" in unit:
+        return _sensed(unit, quantity)
     plain, exact = _plain(unit), _EXACT[quantity]
     if plain in exact:
         return exact[plain]
     if plain[:1] == "M" and plain[1:] in exact:
         return None  # mega, which small letters would make milli
     return _SMALL[quantity].get(plain.lower())
+
+
+def _sensed(unit: str, quantity: str) -> float | None:
+    """What makes SI of a sensor's volts or counts by its sensitivity, which may be written either way up."""
+    signal, _, sensitivity = unit.partition("@")
+    read, pieces = _electrical(signal), sensitivity.split("/")
+    for at in range(1, len(pieces) if read else 0):
+        amounts = [_AMOUNT.fullmatch("/".join(part).strip(" ()")) for part in (pieces[:at], pieces[at:])]
+        told = [(float(found["number"] or 1), found["unit"]) for found in amounts if found]
+        for (by, electrical), (of, sensed) in (told, told[::-1]) if len(told) == 2 else ():
+            given, factor = _electrical(electrical), _factor(sensed, quantity)
+            if given and read and factor is not None and given[0] == read[0] and min(by, of) > 0:
+                return factor * of * read[1] / (by * given[1])
+    return None
+
+
+def _electrical(unit: str) -> tuple[str, float] | None:
+    """Kind and size of what a sensor gives, in volts or counts; None for something else."""
+    if unit.strip() in _COUNTS:
+        return "counts", 1.0
+    factor = _factor(unit.strip(), "voltage")
+    return None if factor is None else ("voltage", factor)
+
+
+def is_electrical(unit: str) -> bool:
+    """Whether a unit is what a sensor gives, volts or counts."""
+    return _electrical(unit) is not None
+
+
+def is_sensed(stated: str, label: str) -> bool:
+    """Whether a unit with a sensitivity reads the volts or counts that a file's label says."""
+    read, mark, _ = stated.partition("@")
+    return bool(mark) and (not label or _electrical(label) == _electrical(read))
 
 
 def parts(unit: str) -> tuple[str, str]:
@@ -139,7 +177,7 @@ def remedy_of(unit: str) -> str:
     """What to do with a column in a unit of another quantity than the wanted one; empty where that is not known."""
     above = parts(unit)[0]
     if _factor(unit, "voltage") is not None:
-        return "; divide a sensor's voltage by its sensitivity first"
+        return f"; state the sensor's sensitivity with it, '{unit} @ 100 mV/g' for 100 mV/g"
     if _factor(above, "velocity") is not None:
         return "; that is a velocity: multiply it by 2j pi f first, an acceleration's response is wanted"
     return ""

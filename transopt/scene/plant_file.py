@@ -25,7 +25,7 @@ from transopt.base.shown import cut
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_MODEL_BYTES, MOST_STATES
 from transopt.plant.state_space import StateSpace
-from transopt.recordings.formats import guarded
+from transopt.recordings.containers import guarded
 
 OUTPUT = "output_"  # how the name of a further output's row begins
 USUAL_UNITS = {"position": "m", "velocity": "m/s", "current": "A"}  # of outputs that limits know by name
