@@ -532,7 +532,8 @@ def _from_channels(found: Channels, layout: Layout, words: Vocabulary) -> RawTab
     if not rate:
         return raw
     size = max((values.size for values in raw.columns.values()), default=0)
-    columns = {"time_s": found.start_s + np.arange(size) * rate["time_s"], **raw.columns}
+    times_s = np.asarray(found.start_s + np.arange(size) * rate["time_s"], dtype=float)
+    columns = {"time_s": times_s, **raw.columns}
     return replace(raw, columns=columns, meanings={"time_s": Meaning("time", 1.0), **raw.meanings})
 
 
@@ -547,7 +548,7 @@ def _from_variables(
         for name in candidates
         if words.unit_suffix.search(name) or apart(name)[1] or stated_for(name, words, units)
     ]
-    # Where no name has a unit, those that mean something are asked about.
+    # Names that mean something are asked about where none has a unit.
     chosen = chosen or [name for name in candidates if looks_known(name, words)]
     wanted = [name for name in _untimed(chosen, layout, words) if name != SKIPPED]
     known = meanings(wanted, words, units, list(reads))

@@ -11,7 +11,7 @@ A unit is never guessed: 9.81 lies between the two that are usual for an acceler
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -44,6 +44,7 @@ AXES = tuple(
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("t", "zeit", "times"),
     "acceleration": ("acc", "accel", "a", "beschleunigung", *AXES),
+    "velocity": ("vel", "geschwindigkeit"),
     "position": ("pos", "displacement", "z"),
     "force": ("f", "hammer", "kraft"),
     "current": ("i", "strom"),
@@ -85,6 +86,7 @@ class Meaning(NamedTuple):
     per : what a response is to, "current" or "voltage"; empty where nobody states it.
     stated : the unit as user or file state it; empty where neither does.
     note : that the user states another unit than the file, in one sentence; empty where both agree.
+    slopes : see `units.Unit`.
     """
 
     quantity: str
@@ -92,6 +94,7 @@ class Meaning(NamedTuple):
     per: str = ""
     stated: str = ""
     note: str = ""
+    slopes: int = 0
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ class Vocabulary:
     called: Mapping[str, str] = field(default_factory=dict)
 
     def knowing(self, units: Mapping[str, str]) -> "Vocabulary":
-        """With the names of a user's own whose stated unit is one of a single quantity, as CH1 in "V @ 0.1 V/g"."""
+        """The words, and a user's own names whose stated unit only one quantity has, as CH1 in "V @ 0.1 V/g"."""
         own = {name: [of for of in self.quantities if read_unit(unit, of)] for name, unit in units.items()}
         # A response's unit is that of its magnitude; a complex array is parted into its two parts.
         clear = {name: of[0] for name, of in own.items() if len(of) == 1 or (of and set(of) <= set(RATIOS))}
@@ -219,11 +222,17 @@ def spared(names: Sequence[str], words: Vocabulary) -> tuple[list[str], str]:
     idle = [name for name in names if not looks_known(name, words) and not words.unit_suffix.search(name)]
     idle = [name for name in idle if name != SKIPPED]
     present = {_quantity_of(name, words) for name in names}
-    if not idle or not present.issuperset(words.required):
+    if not idle or _lacking(present, words):
         return list(names), ""
     plural = "s" if len(idle) > 1 else ""
     said = f"column{plural} {quote(', '.join(idle))} not used: nothing here goes by such a name"
     return [SKIPPED if name in idle else name for name in names], said
+
+
+def _lacking(present: Collection[str | None], words: Vocabulary) -> list[str]:
+    """Required quantities that are absent; a velocity stands for the acceleration, which is its slope."""
+    lacking = [of for of in words.required if of not in present]
+    return [of for of in lacking if of != "acceleration" or "velocity" not in present]
 
 
 def stated_for(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
@@ -288,7 +297,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
     else:
         own = read_unit(label, quantity)
     if user is None and own is not None:
-        return Meaning(quantity, own.factor, own.per, label)
+        return Meaning(quantity, own.factor, own.per, label, slopes=own.slopes)
     stated = with_input(user, label) if user else label
     if read_unit(stated, quantity) is None:
         known = ", ".join(known_units(quantity)) + remedy_of(stated)
@@ -330,7 +339,7 @@ def settled(quantity: str, stated: str, own: Unit | None, said: str) -> Meaning:
     compared = unit if own is None or own.per else read_unit(parts(stated)[0], quantity)
     agrees = own is not None and compared is not None and compared.means(own)
     note = f"the file's {said}, --units says {stated}, which is taken" if said and not agrees else ""
-    return Meaning(quantity, unit.factor, unit.per, stated, note)
+    return Meaning(quantity, unit.factor, unit.per, stated, note, unit.slopes)
 
 
 def meanings(
@@ -353,11 +362,10 @@ def meanings(
     if unknown:
         likeliest = next((name for name in unknown if is_electrical(apart(name)[1] or "")), unknown[0])
         raise InputError(_unknown(likeliest, words, names))
-    for quantity in words.quantities:
-        if quantity in words.required and all(_quantity_of(name, words) != quantity for name in used):
-            choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
-            rate = ", or state the sample rate, --rate-Hz 10000" if quantity == "time" else ""
-            raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}{rate}")
+    for quantity in _lacking({_quantity_of(name, words) for name in used}, words):
+        choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
+        rate = ", or state the sample rate, --rate-Hz 10000" if quantity == "time" else ""
+        raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}{rate}")
     said, without = {}, [name for name in used if _lacks_unit(name, words, units)]
     if without:
         wanted = list(dict.fromkeys(_quantity(apart(name)[0], words) or name for name in without))

@@ -22,6 +22,7 @@ VOCABULARY = Vocabulary(
         "time_ms": ("time", 1e-3),
         "acceleration_m_s2": ("acceleration", 1.0),
         "acceleration_g": ("acceleration", STANDARD_GRAVITY_M_S2),
+        "velocity_m_s": ("velocity", 1.0),  # of a vibrometer, whose slope is the acceleration
         "position_m": ("position", 1.0),
         "position_mm": ("position", 1e-3),
         "force_N": ("force", 1.0),

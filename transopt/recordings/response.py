@@ -167,14 +167,18 @@ def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Mea
             "magnitude_dB) and phase_deg (or phase_rad), or real and imaginary; name these by --columns, - skips one"
         )
     said = {name: each for name, each in raw.meanings.items() if each.quantity in RATIOS}
-    if len({each.per for each in said.values()}) > 1:
+    if len({(each.per, each.slopes) for each in said.values()}) > 1:
         listed = " and ".join(f"{name} in {each.stated or 'no stated unit'}" for name, each in said.items())
         raise InputError(f"{listed}: state the unit of both by --units real=m/s^2/V,imaginary=m/s^2/V")
     values, factor = columns["frequency"]
     (one, by), (other, other_by) = columns[pair[0]], columns[pair[1]]
+    frequencies_Hz = values * factor
+    # A vibrometer's mobility, or a receptance, becomes an accelerance.
+    slopes = max(each.slopes for each in said.values())
+    slope = np.asarray((2j * np.pi * frequencies_Hz) ** slopes, dtype=complex)
     if pair[0] == "real":
-        return values * factor, one * by + 1j * other * other_by, said
+        return frequencies_Hz, slope * (one * by + 1j * other * other_by), said
     magnitude = 10 ** (one / 20) if math.isnan(by) else one * by
     if magnitude.min() < 0:
         raise InputError("a magnitude is negative: is it in dB? name the column magnitude_dB")
-    return values * factor, magnitude * np.exp(1j * other * other_by), said
+    return frequencies_Hz, slope * magnitude * np.exp(1j * other * other_by), said

@@ -43,7 +43,7 @@ class Recordings(Section):
     full_scale_m_s2: Positive | None = None
     channel: Annotated[int, Field(ge=1, le=MOST_COLUMNS)] | None = None
     rate_Hz: Annotated[float, Field(ge=20, le=1e9)] | None = None
-    axis: Literal["main", "x", "y", "z", "dft321"] | None = None  # None: main, where the files have several
+    axis: Literal["main", "x", "y", "z", "dft321"] | None = None
     taps_by_file: Annotated[dict[str, list[Annotated[int, Field(ge=1)]]], Field(max_length=MOST_FILES)] = Field(
         default_factory=dict
     )

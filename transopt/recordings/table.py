@@ -138,6 +138,12 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
     elif way:
         raise InputError(f"--axis {way} (in a scene recordings.axis): the file has one acceleration; leave it out")
     times = si.pop("time")
+    velocity = si.pop("velocity", None)
+    if velocity is not None and "acceleration" not in si:
+        joining.append("the acceleration is the slope of the velocity")
+        in_order = bool(np.all(np.diff(times) > 0))  # else `_clock` refuses them
+        slope = scipy.interpolate.CubicSpline(times, velocity)(times, 1) if in_order else velocity
+        si["acceleration"] = np.asarray(slope)
     clock = _clock(times, table.place, words.step_s)
     if not clock.uniform:
         grid = clock.start_s + clock.step_s * np.arange(clock.size)

@@ -1,8 +1,8 @@
 """Units as instruments and people write them, and what makes SI of each: one table for all readers.
 
 A unit means what it says whatever signs, words or capitals spell it: m/s², M/S^2, m/sec**2 and m s-2 are one unit. A
-capital that changes the meaning counts: MV is no millivolt. A response has an acceleration over an input, g/V for
-example; its parts are looked up in the rows of the acceleration, the current and the voltage. What a sensor gives
+capital that changes the meaning counts: MV is no millivolt. A response has an acceleration, a velocity or a
+position over an input, g/V for example; its parts are looked up in the rows of these quantities. What a sensor gives
 before anybody has divided by its sensitivity is written with it: "mV @ 100 mV/g", "counts @ 3.9 mg/count".
 """
 
@@ -64,15 +64,18 @@ class Unit(NamedTuple):
     ----------
     factor : to SI; `LEVEL` for a level in dB.
     per : what a response is to, "current" or "voltage"; empty where the unit does not say it.
+    slopes : how often a response is differentiated to be an acceleration's: once a velocity's, twice a position's.
     """
 
     factor: float
     per: str = ""
+    slopes: int = 0
 
     def means(self, other: "Unit") -> bool:
         """Whether another unit is the same, however it is spelled."""
         levels = math.isnan(self.factor), math.isnan(other.factor)
-        return self.per == other.per and (all(levels) or math.isclose(self.factor, other.factor))
+        same = (self.per, self.slopes) == (other.per, other.slopes)
+        return same and (all(levels) or math.isclose(self.factor, other.factor))
 
 
 def _symbol(word: re.Match[str]) -> str:
@@ -153,7 +156,7 @@ def input_unit(unit: str) -> Unit | None:
 def with_input(unit: str, other: str) -> str:
     """A unit of an acceleration over the input that another unit has, where it has none itself."""
     below = parts(other)[1]
-    is_bare = _factor(unit, "acceleration") is not None
+    is_bare = any(_factor(unit, of) is not None for of in ("acceleration", "velocity", "position"))
     return f"{unit}/{below}" if is_bare and below else unit
 
 
@@ -163,9 +166,11 @@ def read_unit(unit: str, quantity: str) -> Unit | None:
     if factor is not None or quantity not in RATIOS:
         return None if factor is None else Unit(factor)
     above, below = parts(unit)
-    factor = _factor(above, "acceleration")
     by = input_unit(below) if below else Unit(1.0)
-    return None if factor is None or by is None else Unit(factor * by.factor, by.per)
+    if by is None:
+        return None
+    found = enumerate(_factor(above, of) for of in ("acceleration", "velocity", "position"))
+    return next((Unit(factor * by.factor, by.per, k) for k, factor in found if factor is not None), None)
 
 
 def is_unit(text: str) -> bool:
@@ -179,7 +184,7 @@ def remedy_of(unit: str) -> str:
     if _factor(unit, "voltage") is not None:
         return f"; state the sensor's sensitivity with it, '{unit} @ 100 mV/g' for 100 mV/g"
     if _factor(above, "velocity") is not None:
-        return "; that is a velocity: multiply it by 2j pi f first, an acceleration's response is wanted"
+        return "; that is a velocity: name the column so, velocity for example"
     return ""
 
 

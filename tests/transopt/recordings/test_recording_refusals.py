@@ -65,10 +65,11 @@ def test_a_pipe_does_not_block(tmp_path: Path) -> None:
     assert "a pipe or a device, not a file" in path_refusal(tmp_path / "pipe.csv")
 
 
-@pytest.mark.parametrize("suffix", [".xlsx", ""])
+@pytest.mark.parametrize("suffix", [".docx", ""])
 def test_unknown_format(tmp_path: Path, suffix: str) -> None:
     message = refusal(tmp_path, csv(), suffix)
-    assert message == f"unknown format {suffix!r}; known: .csv, .txt, .dat, .npz, .mat, .wav; export it as CSV"
+    known = ".csv, .tsv, .txt, .dat, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .wav"
+    assert message == f"unknown format {suffix!r}; known: {known}; export it as CSV"
 
 
 def test_unnamed_columns(tmp_path: Path) -> None:
@@ -224,7 +225,8 @@ def test_pickles_are_refused_unopened(tmp_path: Path) -> None:
 
 def test_mat_versions_and_damage(tmp_path: Path) -> None:
     hdf5 = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(384) + b"\x89HDF\r\n\x1a\n" + bytes(99)
-    for content in (hdf5, mat(version="4", **VARIABLES), b"\x00"):
+    assert refusal(tmp_path, hdf5, ".mat").startswith("not a readable HDF5 file (")
+    for content in (mat(version="4", **VARIABLES), b"\x00"):
         message = refusal(tmp_path, content, ".mat")
         assert message == "not a readable MAT file ('not of -v6 or -v7; -v7.3 is HDF5'); save it in MATLAB with -v7"
     assert "it is cut short" in refusal(tmp_path, VALID[".mat"][:-100], ".mat")

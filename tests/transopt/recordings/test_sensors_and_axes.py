@@ -1,0 +1,385 @@
+"""What sensors, loggers and analysers hand over: volts, counts, three axes, velocities, structures, sheets."""
+
+import io
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+
+from tests.benches.places import CASES
+from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
+from transopt.base.signals import FloatArray
+from transopt.recordings import containers
+from transopt.recordings.axes import joined
+from transopt.recordings.names import Layout, stated_units
+from transopt.recordings.recording import load_recording
+from transopt.recordings.response import read_response
+from transopt.recordings.units import read_unit
+
+FREQUENCIES_Hz = np.linspace(20.0, 500.0, 60)
+ACCELERANCE = 4.0 * (2j * np.pi * FREQUENCIES_Hz) ** 2 / (np.square(2 * np.pi * 150) + 2j * np.pi * FREQUENCIES_Hz)
+
+
+def proposed(message: str, option: str) -> str:
+    """The value that a message proposes for an option."""
+    found = re.search(rf"--{option} (?:'([^']*)'|(\S+))", message)
+    assert found is not None, message
+    return found[1] or found[2]
+
+
+# ---- volts and counts -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("unit", "size"),
+    [
+        ("mV @ 100 mV/g", G / 100),
+        ("V @ 0.1 V/g", 10 * G),
+        ("V @ 100 mV/g", 10 * G),
+        ("mV @ 10.2 mV/(m/s^2)", 1 / 10.2),
+        ("mV @ 0.098 m/s^2/mV", 0.098),
+        ("counts @ 3.9 mg/count", 3.9e-3 * G),
+        ("LSB @ 16384 LSB/g", G / 16384),
+        ("counts @ 16 g/32768 counts", 16 * G / 32768),
+    ],
+)
+def test_a_sensitivity_may_be_written_either_way_up(unit: str, size: float) -> None:
+    found = read_unit(unit, "acceleration")
+    assert found is not None
+    assert found.factor == pytest.approx(size, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "unit", ["V @ 10", "@", "mV @@ /g", "V @ -1 V/g", "V @ 0 V/g", "g @ 1 mV/g", "counts @ 1 V/g", "MV @ 1 mV/g"]
+)
+def test_no_sensitivity_can_be_read_from_less(unit: str) -> None:
+    assert read_unit(unit, "acceleration") is None
+
+
+@pytest.mark.parametrize(
+    ("head", "size"),
+    [
+        ("Time,Channel A,Channel B\n(ms),(mV),(mV)\n\n", (1e3, 1e3 / G * 0.1)),
+        ("Time (ms);Channel A (V);Remark (V)\n", (1e3, 0.1 / G)),
+        ("Time [ms],Channel A [counts],Channel B [counts]\n", (1e3, 1 / (0.1 * G))),
+    ],
+)
+def test_a_scopes_channel_is_asked_for_its_sensitivity(tmp_path: Path, head: str, size: tuple[float, float]) -> None:
+    mark = ";" if ";" in head else ","
+    rows = text(size[0] * TIMES_S, size[1] * TAP_M_S2, 0 * TIMES_S, delimiter=mark)
+    said = refusal(tmp_path, head + rows)
+    assert "is what a sensor gives: state its quantity with the sensor's sensitivity" in said
+    stated = proposed(said, "units")
+    assert stated.startswith("Channel A=")
+    # What is proposed reads the file; the sensitivity itself is the user's to know.
+    own = {
+        "Channel A": stated.partition("=")[2].replace("100 mV/g", "0.1 g/count" if "counts" in head else "0.1 V/g")
+    }
+    for units in (stated_units(stated), own):
+        recording = load(tmp_path, head + rows, units=units) if "counts" not in head or units is own else None
+    assert recording is not None
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert len(recording.notes) == 1
+    assert "not used" in recording.notes[0]
+
+
+def test_other_volts_than_the_files_are_named(tmp_path: Path) -> None:
+    content = "t [s],CH1 [mV]\n" + text(TIMES_S, 100 / G * TAP_M_S2)
+    recording = load(tmp_path, content, units={"CH1": "V @ 0.1 V/g"})
+    assert recording.notes == ("the file's column is 'CH1 [mV]', --units says V @ 0.1 V/g, which is taken",)
+    np.testing.assert_allclose(recording.acceleration.values, 1e3 * TAP_M_S2, rtol=1e-9)
+
+
+def test_a_column_that_is_named_keeps_the_unit_of_the_file(tmp_path: Path) -> None:
+    content = "clock [ms],what [g]\n" + text(1e3 * TIMES_S, TAP_M_S2 / G)
+    recording = load(tmp_path, content, columns=["time", "acceleration"])
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+def test_numbers_below_names_are_no_units(tmp_path: Path) -> None:
+    """A scope writes start and step of its samples into the row of units."""
+    rows = "".join(f"{k},{value:.9g},,\n" for k, value in enumerate(0.1 / G * TAP_M_S2))
+    content = f"X,CH1,Start,Increment,\nSequence,Volt,-5.0e-03,{DT_S:e}\n{rows}"
+    recording = load(tmp_path, content, units=stated_units(proposed(refusal(tmp_path, content), "units")))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+    assert recording.acceleration.start_s == pytest.approx(-5e-3)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S)
+
+
+# ---- axes -------------------------------------------------------------------------------------------------
+
+
+def three(direction: FloatArray, gravity: FloatArray) -> FloatArray:
+    """(3, n) what the axes of a sensor read of the tap along a direction."""
+    return np.outer(direction, TAP_M_S2) + gravity[:, None]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_taps_direction_is_found(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    direction = random.standard_normal(3)
+    direction /= np.linalg.norm(direction)
+    gravity = G * random.standard_normal(3)
+    noise = 0.05 * random.standard_normal((3, TIMES_S.size))
+    made, said = joined(dict(zip("xyz", three(direction, gravity) + noise, strict=True)), "main")
+    nearest = int(np.argmax(np.abs(direction)))
+    sign = np.sign(direction[nearest])
+    np.testing.assert_allclose(made - np.median(made), sign * TAP_M_S2, atol=0.5)
+    off = np.degrees(np.arccos(abs(direction[nearest])))
+    stated = re.search(r"(\d+) degrees off ([xyz]); (\d+\.\d) %", said)
+    assert stated is not None
+    assert abs(float(stated[1]) - off) < 1.5
+    assert stated[2] == "xyz"[nearest]
+    assert float(stated[3]) < 1
+
+
+def test_dft321_keeps_the_energy_of_all_axes() -> None:
+    random = np.random.default_rng(3)
+    axes = random.standard_normal((3, 400))
+    made, _ = joined(dict(zip("xyz", axes, strict=True)), "dft321")
+    moved = axes - np.median(axes, axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        np.sum(made**2), np.sum(moved**2), rtol=1e-2
+    )  # the line of the highest frequency is real
+    spectra = np.abs(np.fft.rfft(moved))
+    np.testing.assert_allclose(np.abs(np.fft.rfft(made))[1:-1], np.linalg.norm(spectra, axis=0)[1:-1], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [
+        ("t_s,ax_g,ay_g,az_g", {}),
+        ("Time [s],Acc X [g],Acc Y [g],Acc Z [g]", {}),
+        ("#time,accel_x,accel_y,accel_z", {"time": "s", "acceleration": "g"}),
+        ("t,acc_x,acc_y,acc_z", {"t": "s", "acc": "g"}),
+    ],
+)
+@pytest.mark.parametrize("axis", ["", "z", "dft321"])
+def test_three_axes_of_a_file(tmp_path: Path, head: str, units: dict[str, str], axis: str) -> None:
+    rows = text(TIMES_S, *three(np.array([0.0, 0.0, 1.0]), G * np.array([0.1, 0.2, 0.0])) / G)
+    recording = load(tmp_path, f"{head}\n{rows}", units=units, axis=axis)
+    np.testing.assert_allclose(
+        np.abs(recording.acceleration.values), np.abs(TAP_M_S2), atol=1e-6 if axis != "dft321" else 2
+    )
+    assert recording.notes[0].startswith(
+        "axis z of x, y, z is used alone" if axis == "z" else "axes x, y, z are joined "
+    )
+
+
+def test_axes_that_are_not_there(tmp_path: Path) -> None:
+    content = "t_s,ax_g,az_g\n" + text(TIMES_S, 0 * TIMES_S, TAP_M_S2 / G)
+    assert refusal(tmp_path, content, axis="y").startswith(
+        "--axis y (in a scene recordings.axis): the file has x, z; "
+    )
+    one = "t_s,az_g\n" + text(TIMES_S, TAP_M_S2 / G)
+    assert "the file has one acceleration; leave it out" in refusal(tmp_path, one, axis="z")
+    twice = "t_s,az_g,az_g\n" + text(TIMES_S, TAP_M_S2, TAP_M_S2)
+    assert refusal(tmp_path, twice).startswith("2 acceleration columns in ")
+
+
+# ---- arrays and structures --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pack", [npz, mat])
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_array_of_three_axes(tmp_path: Path, pack: Any, turned: bool) -> None:
+    table = three(np.array([0.6, 0.0, 0.8]), np.zeros(3)) / G
+    content = pack(t_ms=1e3 * TIMES_S, acc_g=table if turned else table.T)
+    recording = load(tmp_path, content, ".npz" if pack is npz else ".mat")
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert "37 degrees off z" in recording.notes[0]
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_fields_of_a_structure(tmp_path: Path, compressed: bool) -> None:
+    log = {"rig": "A7", "sensor": {"time": TIMES_S, "acc": TAP_M_S2 / G}}
+    content = mat(log=log, do_compression=compressed)
+    said = refusal(tmp_path, content, ".mat")
+    assert said.startswith("no unit stated in the columns 'time, acc'; state it, for example --units time=s")
+    recording = load(tmp_path, content, ".mat", units={"time": "s", "acc": "g"})
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+@pytest.mark.parametrize("pack", [npz, mat])
+def test_a_complex_response(tmp_path: Path, pack: Any) -> None:
+    path = tmp_path / ("frf.npz" if pack is npz else "frf.mat")
+    path.write_bytes(pack(freq=FREQUENCIES_Hz, frf=ACCELERANCE / G))
+    found = read_response(path, Layout(units={"freq": "Hz", "frf": "g/V"}))
+    np.testing.assert_allclose(found.response, ACCELERANCE, rtol=1e-9)
+    assert found.driven_by == "voltage"
+
+
+# ---- velocities and positions -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unit", "slopes", "size"), [("mm/s/V", 1, 1e3), ("um/V", 2, 1e6), ("m/s^2/V", 0, 1.0)])
+def test_mobility_and_receptance_become_accelerance(tmp_path: Path, unit: str, slopes: int, size: float) -> None:
+    measured = size * ACCELERANCE / (2j * np.pi * FREQUENCIES_Hz) ** slopes
+    path = tmp_path / "ldv.csv"
+    rows = text(FREQUENCIES_Hz, np.abs(measured), np.degrees(np.angle(measured)))
+    path.write_text(f"Frequency (Hz),Magnitude ({unit}),Phase (deg)\n{rows}")
+    np.testing.assert_allclose(read_response(path).response, ACCELERANCE, rtol=1e-6)
+
+
+def test_the_slope_of_a_velocity_is_an_acceleration(tmp_path: Path) -> None:
+    times_s = np.arange(2000) * 1e-5
+    phase = 2 * np.pi * 200 * times_s
+    content = "t [s],velocity [mm/s]\n" + text(times_s, 1e3 * np.sin(phase))
+    recording = load(tmp_path, content)
+    np.testing.assert_allclose(recording.acceleration.values, 2 * np.pi * 200 * np.cos(phase), atol=0.02)
+    assert recording.notes == ("the acceleration is the slope of the velocity",)
+    message = refusal(tmp_path, content.replace("velocity", "acc"))
+    assert message.endswith("that is a velocity: name the column so, velocity for example")
+
+
+# ---- files of other programs ------------------------------------------------------------------------------
+
+
+def workbook(rows: list[tuple[object, ...]]) -> bytes:
+    """A workbook of one sheet: the least that the format demands (ECMA-376)."""
+    head, kind = '<?xml version="1.0"?>', "http://schemas.openxmlformats.org"
+    office = f"{kind}/officeDocument/2006/relationships"
+    cells = "".join(
+        "<row>"
+        + "".join(
+            f"<c><v>{cell!r}</v></c>" if isinstance(cell, float) else f'<c t="inlineStr"><is><t>{cell}</t></is></c>'
+            for cell in row
+        )
+        + "</row>"
+        for row in rows
+    )
+    parts = {
+        "[Content_Types].xml": f'<Types xmlns="{kind}/package/2006/content-types">'
+        '<Default Extension="xml" ContentType="application/xml"/></Types>',
+        "_rels/.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
+        f'<Relationship Id="r1" Type="{office}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
+        "xl/workbook.xml": f'<workbook xmlns="{kind}/spreadsheetml/2006/main" xmlns:r="{office}">'
+        '<sheets><sheet name="tap" sheetId="1" r:id="r1"/></sheets></workbook>',
+        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
+        f'<Relationship Id="r1" Type="{office}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
+        "xl/worksheets/sheet1.xml": f'<worksheet xmlns="{kind}/spreadsheetml/2006/main">'
+        f"<sheetData>{cells}</sheetData></worksheet>",
+    }
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, part in parts.items():
+            archive.writestr(name, head + part)
+    return stream.getvalue()
+
+
+def sheet() -> bytes:
+    numbers = [(float(t), float(a)) for t, a in zip(1e3 * TIMES_S, TAP_M_S2 / G, strict=True)]
+    return workbook([("Logger X7", ""), ("Time [ms]", "Acc [g]"), *numbers])
+
+
+def hdf5(user_block: int = 0) -> bytes:
+    stream = io.BytesIO()
+    with h5py.File(stream, "w", userblock_size=user_block) as file:
+        file["log/time_s"] = TIMES_S[None]
+        file.create_dataset("log/acc", data=TAP_M_S2[None] / G).attrs["units"] = "g"
+    return stream.getvalue()
+
+
+def tdms(**more: object) -> bytes:
+    stream = io.BytesIO()
+    with TdmsWriter(stream) as writer:
+        writer.write_segment(
+            [ChannelObject("taps", "acc", TAP_M_S2 / G, {"unit_string": "g", "wf_increment": DT_S, **more})]
+        )
+    return stream.getvalue()
+
+
+FILES = {".xlsx": sheet, ".h5": hdf5, ".tdms": tdms, ".mat": lambda: hdf5(512)}
+
+
+@pytest.mark.parametrize("suffix", FILES)
+def test_files_of_other_programs(tmp_path: Path, suffix: str) -> None:
+    recording = load(tmp_path, FILES[suffix](), suffix)
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+
+
+def test_a_waveform_keeps_its_start(tmp_path: Path) -> None:
+    recording = load(tmp_path, tdms(wf_start_offset=-3e-3), ".tdms")
+    assert recording.acceleration.start_s == pytest.approx(-3e-3)
+
+
+def test_labview_text(tmp_path: Path) -> None:
+    head = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\nDelta_X\t1.0E-4\n***End_of_Header***\t\n"
+    rows = text(0 * TIMES_S, TAP_M_S2 / G, delimiter="\t")
+    recording = load(tmp_path, f"{head}Unused\tacc [g]\n{rows}", ".lvm")
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", FILES)
+def test_a_library_that_is_not_there_is_named(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setattr(containers, "import_module", missing)
+    said = refusal(tmp_path, FILES[suffix](), suffix)
+    assert said.endswith("which is not installed: pip install 'transopt[formats]', or export the file as CSV")
+
+
+@pytest.mark.parametrize(("suffix", "count"), [(".xlsx", 100), (".tdms", 100), (".h5", 4)])
+def test_damaged_files_are_read_or_refused(
+    tmp_path: Path, suffix: str, count: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    random, whole = np.random.default_rng(5), FILES[suffix]()
+    for _ in range(count):
+        damaged = bytearray(whole)
+        for at in random.integers(len(damaged), size=3):
+            damaged[at] = random.integers(256)
+        try:
+            recording = load(tmp_path, bytes(damaged[: random.integers(len(damaged))]), suffix)
+        except InputError:
+            continue  # one line, as the tests of other damaged files see
+        assert np.isfinite(recording.acceleration.values).all()
+    assert capfd.readouterr() == ("", "")
+
+
+# ---- files as they were brought ---------------------------------------------------------------------------
+
+BROUGHT = {
+    "milo.csv": {},
+    "klipper.csv": {"units": {"time": "s", "acceleration": "mm/s^2"}},
+    "picoscope.csv": {"units": {"Channel A": "mV @ 100 mV/g"}},
+    "rigol.csv": {"units": {"CH1": "V @ 0.1 V/g"}},
+    "iso.csv": {"rate_Hz": 1e4},
+    "fifo.csv": {"rate_Hz": 3200.0},
+    "metadata.csv": {},
+    "cp1252.csv": {},
+    "multirate.csv": {},
+    "gn.csv": {},
+    "chans.mat": {"units": {"time": "s", "acc": "m/s^2"}, "axis": "z"},
+}
+
+
+@pytest.mark.parametrize("name", BROUGHT)
+def test_brought_files_hold_the_same_tap(name: str) -> None:
+    if not (CASES / name).exists():
+        pytest.skip("the files as people bring them are not here")
+    base, own = (
+        load_recording(CASES / file, Layout(**options)).acceleration.values  # type: ignore[arg-type]
+        for file, options in (("base.csv", {}), (name, BROUGHT[name]))
+    )
+    peaks = [np.abs(values - np.median(values)).max() for values in (base, own)]
+    assert peaks[1] == pytest.approx(peaks[0], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "units"), [("ldv.csv", {}), ("frf.npz", {"freq": "Hz", "frf": "m/s^2/V"}), ("uff_g.uff", {})]
+)
+def test_brought_responses_are_the_same(name: str, units: dict[str, str]) -> None:
+    if not (CASES / name).exists():
+        pytest.skip("the files as people bring them are not here")
+    found = read_response(CASES / name, Layout(units=units))
+    gain = np.interp(150.0, found.frequencies_Hz, np.abs(found.response))
+    assert gain == pytest.approx(32.0, rel=0.01)
