@@ -35,7 +35,8 @@ def taps(
     channel: Annotated[int | None, typer.Option(help="Channel of WAV files with several, counted from 1.")] = None,
     rate_Hz: RateHz = None,
     axis: Annotated[
-        str, typer.Option(help="How several axes become one: main (the tap's direction, the default), x, y, z or dft321.")
+        str,
+        typer.Option(help="How axes become one: main (the tap's direction, the default), x, y, z or dft321."),
     ] = "",
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
     grip: Annotated[float | None, typer.Option(help="Grip force where the files state none, in N.")] = None,

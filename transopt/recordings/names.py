@@ -145,7 +145,6 @@ class Layout:
     channel : of a WAV file with several, counted from 1.
     rate_Hz : sample rate of all files but WAV, which goes before what a column of times says.
     axis : how several axes of an accelerometer become one signal, see `axes.joined`; empty for the default.
-    start_s : instant of the first sample of a file without times, where its head states it.
     """
 
     columns: Sequence[str] = ()
@@ -154,7 +153,6 @@ class Layout:
     channel: int | None = None
     rate_Hz: float | None = None
     axis: str = ""
-    start_s: float = 0.0
 
 
 def stated_units(text: str) -> dict[str, str]:

@@ -18,8 +18,9 @@ from transopt.base.files import read_file
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.formats import MIN_SAMPLES, RawTable, read_raw, refuse_idle
+from transopt.recordings.formats import read_raw, refuse_idle
 from transopt.recordings.names import Layout, Meaning, Vocabulary, quote
+from transopt.recordings.raw_table import MIN_SAMPLES, RawTable
 from transopt.recordings.units import INPUTS, LEVEL, RATIOS, parts
 from transopt.recordings.universal_file import read_universal_file
 

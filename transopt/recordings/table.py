@@ -20,8 +20,9 @@ from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_RECORD_BYTES
 from transopt.recordings.axes import joined
 from transopt.recordings.containers import guarded
-from transopt.recordings.formats import LARGEST, MIN_SAMPLES, RawTable, read_raw
+from transopt.recordings.formats import read_raw
 from transopt.recordings.names import Layout, Vocabulary, axis_of, quote
+from transopt.recordings.raw_table import LARGEST, MIN_SAMPLES, RawTable
 
 _UNIFORM = 0.01  # steps: stamps nearer than that to the uniform grid are taken as on it
 _ASTRAY = 0.45  # steps: a stamp farther off the grid than this says nothing; its sample counts as missing

@@ -13,8 +13,9 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.recordings.formats import RawTable, encoding_of
 from transopt.recordings.names import Layout, Meaning, quote, settled
+from transopt.recordings.raw_table import RawTable
+from transopt.recordings.text import encoding_of
 from transopt.recordings.units import input_unit, parts, read_unit, remedy_of
 
 FREQUENCY_RESPONSE = 4  # function type of record 6

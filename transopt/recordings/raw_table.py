@@ -1,0 +1,55 @@
+"""What a file holds before it is checked and converted, whatever its format."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.base.sizes import MOST_ROWS
+from transopt.recordings.names import Meaning, Vocabulary
+
+LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
+MIN_SAMPLES = 8
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """What a file holds, in the file's own units.
+
+    Attributes
+    ----------
+    columns : name in the file -> (n,) numbers.
+    meanings : name in the file -> quantity and unit.
+    header : name in the file -> what stands there, unchecked.
+    place : where in the file a user finds the sample of an index, for messages.
+    """
+
+    columns: Mapping[str, FloatArray]
+    meanings: Mapping[str, Meaning]
+    header: Mapping[str, object]
+    place: Callable[[int], str]
+
+    def timed(self, step_s: float, start_s: float = 0.0, note: str = "") -> "RawTable":
+        """The table with times of the rows, which the file does not have, before its other columns."""
+        size = max((values.size for values in self.columns.values()), default=0)
+        times_s = np.asarray(start_s + step_s * np.arange(size), dtype=float)
+        meanings = {"time_s": Meaning("time", 1.0, note=note), **self.meanings}
+        return replace(self, columns={"time_s": times_s, **self.columns}, meanings=meanings)
+
+
+def without_times(words: Vocabulary) -> Vocabulary:
+    """The words of files whose times follow from a rate."""
+    return replace(words, required=tuple(of for of in words.required if of != "time"))
+
+
+def check_size(samples: int) -> None:
+    """Refuse more rows than a recording may have.
+
+    Raises
+    ------
+    InputError : more.
+    """
+    if samples > MOST_ROWS:
+        raise InputError(f"{samples} samples, at most {MOST_ROWS}; cut the taps out of it")
