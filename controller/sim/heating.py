@@ -62,7 +62,7 @@ def heat_record(
     current = np.where(np.arange(rows) < round(heating_s / every_s), current_A, 0.0)
     steps = max(round(every_s / STEP_S), 1)
     coil, winding, housing = Coil(model), np.empty(rows), np.empty(rows)
-    for k, square in enumerate(effective_square(current).tolist()):
+    for k, square in enumerate(effective_square(current, model.ripple_A).tolist()):
         winding[k], housing[k] = coil.winding_C, coil.housing_C
         if coil.winding_C > model.limit_C:
             raise InputError(

@@ -12,6 +12,7 @@ from typing import Any
 UNITS = {
     "A_per_s": "A/s",
     "V_per_s": "V/s",
+    "V_A": "V/A",
     "m_s2": "m/s^2",
     "N_s_m": "N s/m",
     "V_s_m": "V s/m",
@@ -36,6 +37,7 @@ LARGEST = {
     "A or V": 1e6,
     "A/s": 1e10,
     "V/s": 1e13,
+    "V/A": 1e6,
     "m/s^2": 1e7,
     "N s/m": 1e8,
     "V s/m": 1e5,

@@ -432,8 +432,8 @@ def verdict(fit: CoilFit, nominal: CoilModel) -> str:
     continuous_A = replace(fit.coil, ambient_C=nominal.ambient_C).continuous_current_A()
     ripple = (
         ""
-        if fit.record.ripple_A == PWM_RIPPLE_A
-        else f"; fitted with {fit.record.ripple_A:g} A of ripple, a design counts {PWM_RIPPLE_A:g} A"
+        if fit.record.ripple_A == nominal.ripple_A
+        else f"; fitted with {fit.record.ripple_A:g} A of ripple, a design counts {nominal.ripple_A:g} A"
     )
     return (
         f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "

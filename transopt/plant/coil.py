@@ -19,15 +19,17 @@ PAUSE_STEPS = 100  # into which the pause between two taps is divided
 
 
 def effective_square(current_A: FloatArray, ripple_A: float = PWM_RIPPLE_A) -> FloatArray:
-    """i_eff^2 = (|i| + 0.02 A)^2 of seed Eq. 7: the PWM ripple heats even around zero current [A^2]."""
+    """i_eff^2 = (|i| + ripple)^2 of seed Eq. 7: the PWM ripple heats even around zero current [A^2]."""
     return np.asarray((np.abs(current_A) + ripple_A) ** 2)
 
 
-def following_square_mean(before_A: FloatArray, command_A: FloatArray, decays: FloatArray) -> FloatArray:
+def following_square_mean(
+    before_A: FloatArray, command_A: FloatArray, decays: FloatArray, ripple_A: float = PWM_RIPPLE_A
+) -> FloatArray:
     """Mean of i_eff^2 over steps in which the current follows a held command through one pole [A^2].
 
-    The current is i(t) = c + (i_0 - c) exp(-w t), and i_eff = |i| + 0.02 A (seed Eq. 7). The mean is exact, however
-    fast the pole is beside the step, and also where the current changes its sign within it.
+    The current is i(t) = c + (i_0 - c) exp(-w t), and i_eff = |i| + `ripple_A` (seed Eq. 7). The mean is exact,
+    however fast the pole is beside the step, and also where the current changes its sign within it.
 
     Parameters
     ----------
@@ -50,7 +52,7 @@ def following_square_mean(before_A: FloatArray, command_A: FloatArray, decays: F
     share = -command / gap
     first = (-command * np.log(share) + gap * (1 - share)) / np.broadcast_to(x, turns.shape)[turns]
     size[turns] = np.abs(first) + np.abs(mean[turns] - first)
-    return np.asarray(square + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
+    return np.asarray(square + 2 * ripple_A * size + ripple_A**2)
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class CoilModel:
     ambient_C : temperature around the housing.
     start_winding_C, start_housing_C : temperatures at the start, the winding's at most `limit_C`.
     nodes : 1 (winding) or 2 (winding and housing).
+    ripple_A : constant of seed Eq. 7, by which the amplifier's PWM heats; the seed's, or that of a `Bridge`.
 
     Raises
     ------
@@ -87,6 +90,7 @@ class CoilModel:
     start_winding_C: float = 25.0
     start_housing_C: float = 25.0
     nodes: int = 2
+    ripple_A: float = PWM_RIPPLE_A
 
     def __post_init__(self) -> None:
         for field in ("R_ohm", "R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s"):
@@ -128,7 +132,9 @@ class CoilModel:
         leaves it, and where it is not it lies below a node that only cools.
         """
         hottest = max(self.start_winding_C, self.start_housing_C, self.ambient_C)
-        heating = self.R_ohm * float(effective_square(np.asarray(current_A))) * self.R_wh_K_W / self.tau_w_s
+        heating = (
+            self.R_ohm * float(effective_square(np.asarray(current_A), self.ripple_A)) * self.R_wh_K_W / self.tau_w_s
+        )
         above = hottest - RESISTANCE_REFERENCE_C
         with np.errstate(over="ignore"):  # a bound of infinity is one
             growth = np.expm1(COPPER_PER_K * heating * duration_s)
@@ -226,7 +232,7 @@ class CoilModel:
         """
         M = effective_square_A2.shape[0]
         pause_steps = np.full(PAUSE_STEPS, pause_s / PAUSE_STEPS)
-        idle = np.broadcast_to(effective_square(idle_A)[:, None], (M, PAUSE_STEPS))
+        idle = np.broadcast_to(effective_square(idle_A, self.ripple_A)[:, None], (M, PAUSE_STEPS))
         heat = np.concatenate([effective_square_A2, idle], axis=1)
         steps = np.concatenate([steps_s, pause_steps])
 

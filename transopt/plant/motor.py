@@ -4,7 +4,11 @@ from transopt.base.section import Finite, NonNegative, Positive, Section, Words
 
 
 class Motor(Section):
-    """One row of a datasheet; its values belong together."""
+    """One row of a datasheet; its values belong together.
+
+    `R_eddy_ohm`, across the inductance, is in no datasheet: a step of the voltage makes the current jump by
+    step / (R_ohm + R_eddy_ohm). Without it the current does not jump.
+    """
 
     name: Words
     datasheet: Words
@@ -19,6 +23,7 @@ class Motor(Section):
     tau_w_s: Positive
     tau_h_s: Positive
     winding_max_C: Finite
+    R_eddy_ohm: Positive | None = None
 
 
 class Winding(Section):

@@ -40,17 +40,19 @@ class Heating:
 
     The current goes exponentially, hence monotonically, to i_(k+1) = decay i_k + (1 - decay) c_k, so its mean square
     is a convex quadratic in the two, and the mean of |i| is |mean of i| unless the sign changes on the way:
-    mean i_eff^2 = quadratic + 2 * 0.02 A |mean i| + (0.02 A)^2, convex throughout.
+    mean i_eff^2 = quadratic + 2 ripple |mean i| + ripple^2, convex throughout.
 
     Attributes
     ----------
     decay : exp(-w dt), 0 for an ideal amplifier (i = c_k throughout).
     square : (3,) weights of i_k^2, i_k i_(k+1), i_(k+1)^2. share : weight of i_k in the mean current.
+    ripple_A : constant of seed Eq. 7.
     """
 
     decay: float
     square: FloatArray
     share: float
+    ripple_A: float = PWM_RIPPLE_A
 
     def after(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
         """i_(k+1)."""
@@ -61,9 +63,9 @@ class Heating:
         return np.asarray(mean_current(self.share, self.decay, current_A, command))
 
     def mean_square(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
-        """(...) mean of i_eff^2 = (|i| + 0.02 A)^2 over the period [A^2]."""
+        """(...) mean of i_eff^2 = (|i| + ripple)^2 over the period [A^2]."""
         size = np.abs(self.mean_current(current_A, command))
-        return np.asarray(mean_square(self.square, self.decay, PWM_RIPPLE_A, current_A, command, size))
+        return np.asarray(mean_square(self.square, self.decay, self.ripple_A, current_A, command, size))
 
     def gradient(self, current_A: FloatArray, command: FloatArray, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of `mean_square` by the current and by the command, (...) each [A].
@@ -73,22 +75,22 @@ class Heating:
         sign : (...) slope of |mean i|: its sign, and any number from -1 to 1 where it is zero.
         """
         a, b = current_A, self.after(current_A, command)
-        by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * PWM_RIPPLE_A * self.share * sign
-        by_b = 2 * self.square[2] * b + self.square[1] * a + 2 * PWM_RIPPLE_A * (1 - self.share) * sign
+        by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * self.ripple_A * self.share * sign
+        by_b = 2 * self.square[2] * b + self.square[1] * a + 2 * self.ripple_A * (1 - self.share) * sign
         return by_a + self.decay * by_b, (1 - self.decay) * by_b
 
 
 @lru_cache(maxsize=16)
-def heating(amplifier: Amplifier | None, dt_s: float) -> Heating:
+def heating(amplifier: Amplifier | None, dt_s: float, ripple_A: float = PWM_RIPPLE_A) -> Heating:
     """Heating of one servo period through this amplifier."""
     if amplifier is None:
-        return Heating(0.0, np.array([0.0, 0.0, 1.0]), 0.0)
+        return Heating(0.0, np.array([0.0, 0.0, 1.0]), 0.0, ripple_A)
     x = amplifier.rate_rad_s * dt_s
     e = float(np.exp(-x))
     # i(t) = (1 - s) i_k + s i_(k+1) with s = (1 - exp(-w t)) / (1 - e); means of s and s^2 over the period.
     s1 = (1 + np.expm1(-x) / x) / (1 - e)
     s2 = (1 + 2 * np.expm1(-x) / x - np.expm1(-2 * x) / (2 * x)) / (1 - e) ** 2
-    return Heating(e, np.array([1 - 2 * s1 + s2, 2 * (s1 - s2), s2]), float(1 - s1))
+    return Heating(e, np.array([1 - 2 * s1 + s2, 2 * (s1 - s2), s2]), float(1 - s1), ripple_A)
 
 
 @dataclass(frozen=True)
@@ -261,7 +263,7 @@ def _nodes(coil: CoilModel, grid: TimeGrid) -> _Nodes:
         start = np.zeros((N + 1, m))
         start[0] = unit
         courses.append(unpowered.run(start)[:, 0])
-    waiting = linalg.expm(_under_power(coil, held, PWM_RIPPLE_A) * grid.delay_s)
+    waiting = linalg.expm(_under_power(coil, held, coil.ripple_A) * grid.delay_s)
     return _Nodes(M, b, held, np.stack(courses, axis=1), waiting)
 
 
@@ -279,7 +281,7 @@ def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, bud
         start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
         unpowered += nodes.winding @ (nodes.waiting[:m, :m] @ start + nodes.waiting[:m, m])
     else:
-        pause = _under_power(coil, nodes.held, budget.pause_A + PWM_RIPPLE_A)
+        pause = _under_power(coil, nodes.held, budget.pause_A + coil.ripple_A)
         pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s
         if not 1 / budget.tap_rate_Hz > takes_s:
             raise InputError(
@@ -291,7 +293,7 @@ def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, bud
         closure = (paused[:m, :m], paused[:m, m])
         margin_K = steady_margin_K(coil, budget)
     return HeatModel(
-        heating=heating(amplifier, dt),
+        heating=heating(amplifier, dt, coil.ripple_A),
         M=nodes.M,
         b=nodes.b,
         gain=coil.R_ohm * (1 + COPPER_PER_K * (unpowered[:-1] - RESISTANCE_REFERENCE_C)),

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits import hand_over
@@ -280,7 +279,7 @@ def _kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) 
         return 0.0
     mean = thermal.model.heating.mean_current(effect.motion.plant_input, effect.command)
     short = np.abs(mean) - multipliers.slope * mean
-    return float(np.abs(by_heating) @ (2 * PWM_RIPPLE_A * short))
+    return float(np.abs(by_heating) @ (2 * thermal.model.heating.ripple_A * short))
 
 
 def certify(

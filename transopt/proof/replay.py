@@ -190,9 +190,9 @@ def _temperatures(
     # Exact for whole segments, as the command is held within each.
     before, felt = run.plant_input[:, first], run.felt[:, first]
     if amplifier is None:
-        heat = effective_square(before)
+        heat = effective_square(before, coil.ripple_A)
     else:
-        heat = following_square_mean(before, felt, amplifier.rate_rad_s * lengths)
+        heat = following_square_mean(before, felt, amplifier.rate_rad_s * lengths, coil.ripple_A)
     rate_Hz = None if budgets is None else budgets[0].tap_rate_Hz
     if budgets is None or rate_Hz is None:
         winding, housing = coil.simulate(heat, lengths)

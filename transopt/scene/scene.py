@@ -17,8 +17,9 @@ from transopt.base.shown import cut, wrapped
 from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS, MOST_NODES, MOST_STAGES
 from transopt.base.writing import rounded_down
 from transopt.plant.amplifier import Amplifier
+from transopt.plant.bridge import Bridge
 from transopt.plant.circuit import Circuit
-from transopt.plant.coil import CoilModel
+from transopt.plant.coil import PWM_RIPPLE_A, CoilModel
 from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.plant.intention import FreeMotion
 from transopt.plant.kind import PlantKind
@@ -135,12 +136,12 @@ class Scene(Section):
                 f"limits: transient limit {self.limits.transient_input:g} A is above the motor's i_peak_A = "
                 f"{self.motor.i_peak_A:g} A: lower beta or current_A"
             )
+        self._check_amplifier()
         commands = self.axes.entries * self.stages
         if commands > MOST_COMMANDS:
             raise ValueError(
                 f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages"
             )
-        self._check_amplifier()
         self._check_time()
         self._check_what_needs_what()
         if self.hand_over_samples > self.stages:
@@ -297,11 +298,27 @@ class Scene(Section):
                 raise ValueError(f"robust.model_uncertainty: {error}") from None
 
     def _check_amplifier(self) -> None:
-        """Pole and delay are stated once: in the scene, or in its model file."""
+        """Pole and delay stand in the scene or in its model file, in one of them, or follow from bridge and motor."""
         identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
+        stated = None if self.amplifier == "ideal" else self.amplifier
+        if stated is not None and stated.switching_Hz is not None:
+            if self.circuit() is None or self.limits.supply_V is None:
+                raise ValueError(
+                    "amplifier.switching_Hz: needs [motor] and the rail that the bridge switches, limits.supply_V: "
+                    "add them, or take it out"
+                )
+            self.bridge()
+        if stated is not None and stated.gain_V_A is not None:
+            if stated.switching_Hz is None:
+                raise ValueError("amplifier.gain_V_A: is of a bridge's current loop: add amplifier.switching_Hz too")
+            if stated.pole_Hz is not None or identified is not None:
+                raise ValueError(
+                    "amplifier.gain_V_A: the pole follows from it, and is stated too: take one of them out"
+                )
         if identified is None:
             for name in ("pole_Hz", "delay_s"):
-                if isinstance(self.amplifier, AmplifierSection) and getattr(self.amplifier, name) is None:
+                follows = self.bridge() is not None and (stated is None or stated.pole_Hz is None)
+                if stated is not None and getattr(stated, name) is None and not follows:
                     raise ValueError(f"amplifier.{name}: missing; add it to the scene")
             return
         assert isinstance(self.model, IdentifiedModel)
@@ -383,13 +400,30 @@ class Scene(Section):
         assert isinstance(self.amplifier, AmplifierSection)
         identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
         stated = self.amplifier if identified is None else identified
-        assert stated.pole_Hz is not None
-        assert stated.delay_s is not None
+        pole_Hz, delay_s, bridge = stated.pole_Hz, stated.delay_s, self.bridge()
+        if bridge is not None:
+            pole_Hz = bridge.pole_Hz if pole_Hz is None else pole_Hz
+            delay_s = bridge.delay_s if delay_s is None else delay_s
+        assert pole_Hz is not None
+        assert delay_s is not None
         if self.driven_by.unit == "V":
             limit = self.amplifier.command_limit_V or self.limits.transient_input
         else:
             limit = self.amplifier.command_limit_A
-        return Amplifier(stated.pole_Hz, stated.delay_s, limit)
+        return Amplifier(pole_Hz, delay_s, limit)
+
+    def bridge(self) -> Bridge | None:
+        """Give the bridge that the amplifier is made of; None where its switching frequency is not stated.
+
+        Raises
+        ------
+        InputError : a motor, rail, frequency or gain for which its model was not tried.
+        """
+        circuit, rail_V = self.circuit(), self.limits.supply_V
+        if self.amplifier == "ideal" or self.amplifier.switching_Hz is None or circuit is None or rail_V is None:
+            return None
+        eddy_ohm = None if self.motor is None else self.motor.R_eddy_ohm
+        return Bridge(circuit, rail_V, self.amplifier.switching_Hz, self.amplifier.gain_V_A, eddy_ohm)
 
     @property
     def delay_s(self) -> float:
@@ -544,7 +578,9 @@ class Scene(Section):
             return None
         identified = self.model.coil if isinstance(self.model, IdentifiedModel) else None
         heat = winding if identified is None else identified
+        bridge = self.bridge()
         return CoilModel(
+            ripple_A=PWM_RIPPLE_A if bridge is None else bridge.ripple_A(self.limits.transient_input),
             R_ohm=circuit.R_ohm,
             R_wh_K_W=heat.R_wh_K_W,
             R_ha_K_W=heat.R_ha_K_W,

@@ -20,6 +20,7 @@ from transopt.base.sizes import (
     MOST_STAGES,
     SHORTEST_DT_S,
 )
+from transopt.plant.bridge import FASTEST_SWITCHING_HZ, SLOWEST_SWITCHING_HZ
 from transopt.plant.discretise import WHOLE
 from transopt.plant.intention import INTENTION_S, Intention, Yielding
 from transopt.plant.kinds import Model
@@ -101,14 +102,19 @@ class Time(Section):
 class AmplifierSection(Section):
     """Amplifier: pole, delay beyond the hold, range of the command.
 
-    Pole and delay stand here unless the scene's model file has them. A voltage amplifier's range is
-    `command_limit_V`, a class-D stage's rail, by default `limits.voltage_V`.
+    Pole and delay stand here unless the scene's model file has them. With `switching_Hz`, the PWM frequency of an
+    H-bridge on the rail `limits.supply_V`, whichever is not stated follows from the motor, and so does the ripple's
+    heat. `gain_V_A` is the proportional gain of its PI current loop, by default that of a crossover at a tenth of
+    `switching_Hz`. A voltage amplifier's range is `command_limit_V`, a class-D stage's rail, by default
+    `limits.voltage_V`.
     """
 
     pole_Hz: Positive | None = None
     delay_s: Annotated[float, Field(ge=0, le=LONGEST_DELAY_S)] | None = None
     command_limit_A: Positive = 6.0
     command_limit_V: Positive | None = None
+    switching_Hz: Annotated[float, Field(ge=SLOWEST_SWITCHING_HZ, le=FASTEST_SWITCHING_HZ)] | None = None
+    gain_V_A: Positive | None = None
 
 
 class Striker(Section):

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.heat import mean_current
 from transopt.problem.limits import hand_over
@@ -70,7 +69,7 @@ def heat_values(problem: TransientProblem, input_scale: float) -> dict[str, Floa
         "square": model.heating.square,
         "share": np.array([model.heating.share]),
         "decay": np.array([model.heating.decay]),
-        "ripple": np.array([PWM_RIPPLE_A / input_scale]),
+        "ripple": np.array([model.heating.ripple_A / input_scale]),
         "F": F,
         "f": f / unit,
     }

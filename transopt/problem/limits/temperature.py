@@ -167,7 +167,7 @@ class TemperatureLimit(Limit):
         duration = (grid.stages + 1) * grid.dt_s + grid.delay_s
         if self.period_s is None:
             return self.coil.adiabatic_bound_C(limit, duration)
-        heat = np.full((1, grid.stages + 1), float(effective_square(np.asarray(limit))))
+        heat = np.full((1, grid.stages + 1), float(effective_square(np.asarray(limit), self.coil.ripple_A)))
         steps = np.full(grid.stages + 1, duration / (grid.stages + 1))
         winding, _ = self.coil.steady_course(heat, steps, self.period_s - duration, np.array([self.budget.pause_A]))
         return float(winding.max())
@@ -204,7 +204,7 @@ class TemperatureLimit(Limit):
         over = f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C"
         # No winding warms faster than by the limit current with no heat leaving.
         resistance = self.coil.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
-        power_W = resistance * float(effective_square(np.asarray(problem.limits.input_limit)))
+        power_W = resistance * float(effective_square(np.asarray(problem.limits.input_limit), self.coil.ripple_A))
         warming_K = power_W * self.coil.R_wh_K_W / self.coil.tau_w_s * dt_s
         if peak - hottest <= warming_K:
             return f"{over} within a servo period, in which it may warm by {warming_K:.3g} K: time.dt_s = {dt_s:g} s"
@@ -212,7 +212,7 @@ class TemperatureLimit(Limit):
             return ""
         # The recursion takes |mean of i| for the mean of |i|, which is less where the current changes its sign.
         decays = np.full(command.size, problem.stage.amplifier.rate_rad_s * dt_s)
-        heating = following_square_mean(motion.plant_input, command, decays)
+        heating = following_square_mean(motion.plant_input, command, decays, self.coil.ripple_A)
         truly = float((model.rise(heating)[1:, 0] + model.unpowered_C).max())
         if not peak - truly <= warming_K:
             return ""
