@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,7 +64,8 @@ def simulated(
 
     device = DEFAULT_DEVICE
     if like is not None:
-        device = device_of(scene_like(like))
+        # The compiled plant moves by matrices alone: it has the pole that a bridge's loop amounts to.
+        device = replace(device_of(scene_like(like)), bridge=None)
     user: TapsInTurn | StillHand
     if hold_N is None:
         round_s = TapsInTurn(taps).period_s + rest_s

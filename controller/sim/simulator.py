@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controller.servo.interface import Readings
+from controller.sim.current_loop import CurrentLoop
 from controller.sim.sensors import SEED_SENSORS, SensorBench, Sensors
 from controller.sim.true_device import (
     COMMAND,
@@ -148,6 +149,11 @@ class Simulator:
         self.sensors = imperfections.sensors
         self.bench = SensorBench(imperfections.sensors, dt_s, seed, user.grip_N(0.0))
         self._coil = None if self.device.coil is None else Coil(self.device.coil)
+        self._ripple_A = PWM_RIPPLE_A if self.device.coil is None else self.device.coil.ripple_A
+        bridge, amplifier = self.device.bridge, self.device.amplifier
+        self._loop = None
+        if bridge is not None and amplifier is not None:
+            self._loop = CurrentLoop(bridge, amplifier.pole_Hz / bridge.pole_Hz)
         whole = int(self.device.delay_s / dt_s + 1e-9)
         late = max(self.device.delay_s - whole * dt_s, 0.0)
         lengths, behind = ((dt_s,), (whole,)) if late < EARLIEST_S else ((late, dt_s - late), (whole + 1, whole))
@@ -193,16 +199,24 @@ class Simulator:
             if amplifier is None:
                 self._x[current] = felt
             for j in range(1, self.steps + 1):
-                before = abs(float(self._x[current])) + PWM_RIPPLE_A
+                mean = None if self._loop is None else self._through_bridge(self._loop, felt, step_s)
+                before = abs(float(self._x[current])) + self._ripple_A
                 self._advance_step(segment, felt, start_s + j * step_s, step_s)
-                after = abs(float(self._x[current])) + PWM_RIPPLE_A
-                square += step_s * (before * before + before * after + after * after) / 3
-                self.peak_current_A = max(self.peak_current_A, after - PWM_RIPPLE_A)
+                after = abs(float(self._x[current])) + self._ripple_A
+                square += step_s * ((before * before + before * after + after * after) / 3 if mean is None else mean)
+                self.peak_current_A = max(self.peak_current_A, after - self._ripple_A)
             start_s += self.steps * step_s
         self._tick += 1
         self.time_s = self._tick * self.dt_s
         if self._coil is not None:
             self._coil.step(square / self.dt_s, self.dt_s)
+
+    def _through_bridge(self, loop: CurrentLoop, felt_A: float, step_s: float) -> float:
+        """Put the mean current of the coming step among the states, and give the mean of its square [A^2]."""
+        circuit = loop.bridge.circuit if self._coil is None else loop.bridge.circuit.at(self._coil.winding_C)
+        emf_V = self.device.force_per_current_N_A * float(self._x[self._at.n])
+        self._x[self._at.current], square = loop.advance(step_s, felt_A, emf_V, circuit.R_ohm)
+        return square
 
     @property
     def winding_C(self) -> float:

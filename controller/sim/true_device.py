@@ -13,6 +13,7 @@ from scipy import linalg
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
+from transopt.plant.bridge import Bridge
 from transopt.plant.coil import CoilModel
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
@@ -81,6 +82,7 @@ class TrueDevice:
     skin : index of the joint that a grip closes; None where stylus and hand are one mass.
     amplifier : None is ideal. crossover_A : half-width of its dead band around zero.
     coil : None where the drive is stated at the tip.
+    bridge : what makes the amplifier's pole; None where the pole is all that is known.
     """
 
     masses_kg: tuple[LinearInGrip, ...]
@@ -92,10 +94,13 @@ class TrueDevice:
     coil: CoilModel | None
     ground: Ground = NO_GROUND
     crossover_A: float = 0.0
+    bridge: Bridge | None = None
 
     @property
     def delay_s(self) -> float:
-        return 0.0 if self.amplifier is None else self.amplifier.delay_s
+        """From a command to what follows it: the pole, or the loop of a bridge, which has a delay of its own."""
+        of_loop = 0.0 if self.bridge is None else self.bridge.delay_s
+        return 0.0 if self.amplifier is None else max(self.amplifier.delay_s - of_loop, 0.0)
 
     def mismatched(self, fraction: float, random: np.random.Generator) -> "TrueDevice":
         """Every mass, stiffness, damping, the force per ampere, the amplifier's pole and delay times 1 +- `fraction`.
@@ -181,6 +186,7 @@ def device_of(scene: Scene) -> TrueDevice:
         force_per_current_N_A=tip.force_per_current_N_A,
         amplifier=scene.amplifier_model(),
         coil=scene.coil(),
+        bridge=None if scene.pole_is_stated else scene.bridge(),
     )
 
 
@@ -236,7 +242,7 @@ def rates(device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float,
     G[n, at.current] += device.force_per_current_N_A / masses[0]
     G[n, S + MOTOR_FORCE] += 1 / masses[0]
     G[n + device.stylus, S + CONTACT_FORCE] += 1 / masses[device.stylus]
-    if device.amplifier is not None:
+    if device.amplifier is not None and device.bridge is None:
         G[at.current, at.current] = -device.amplifier.rate_rad_s
         G[at.current, S + COMMAND] = device.amplifier.rate_rad_s
     pole = 2 * np.pi * bandwidth_Hz

@@ -412,6 +412,12 @@ class Scene(Section):
             limit = self.amplifier.command_limit_A
         return Amplifier(pole_Hz, delay_s, limit)
 
+    @property
+    def pole_is_stated(self) -> bool:
+        """Whether the amplifier's pole stands in the scene or its model file, and does not follow from a bridge."""
+        identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
+        return identified is not None or (self.amplifier != "ideal" and self.amplifier.pole_Hz is not None)
+
     def bridge(self) -> Bridge | None:
         """Give the bridge that the amplifier is made of; None where its switching frequency is not stated.
 
