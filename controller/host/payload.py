@@ -146,13 +146,14 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
 
 def excitation_settings_of(scene: Scene, amplifier_tolerance: float, device: DeviceFile = BUILT_IN) -> Settings:
     """Settings for a scene's own device, whose amplifier may be off by this part."""
+    coil = scene.coil()
     return Settings(
         dt_s=scene.time.dt_s,
         lead_s=0.0,
         current_limit_A=scene.limits.transient_input,
         amplifier=scene.amplifier_model(),
         amplifier_tolerance=amplifier_tolerance,
-        coil=scene.coil(),
+        coil=None if coil is None else coil.on_a_device(),
         host_starts=True,
         assumed_grip_N=assumed_grip_N(device, ()),
         **{**servo_numbers(device, scene.time.dt_s), **NEVER_STUCK},

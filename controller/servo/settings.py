@@ -199,13 +199,14 @@ class Settings:
     @classmethod
     def of(cls, library: Library, **others: Any) -> Self:
         """Settings for a library; `others` override what it says and the defaults."""
+        coil = library.coil()
         known: dict[str, Any] = {
             "dt_s": library.dt_s,
             "lead_s": library.lead_s,
             "current_limit_A": library.input_limit,
             "amplifier": library.amplifier(),
             "wall": library.wall(),
-            "coil": library.coil(),
+            "coil": None if coil is None else coil.on_a_device(),
             "slew_limit_A_per_s": library.posing().asked[SlewLimit.key],
             "grip_min_N": library.grip_min_N,
         }

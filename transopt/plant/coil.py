@@ -4,7 +4,7 @@ Seed Eq. 6 has one node and is printed with (1 + exp(-dt / tau)) where (1 - exp(
 tick of 1 A would heat the coil by 75 K. Here there are two nodes, because over a tap only the winding warms.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -123,6 +123,19 @@ class CoilModel:
         rise = self.limit_C - self.ambient_C
         resistance = self.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
         return float(np.sqrt(rise / ((self.R_wh_K_W + self.R_ha_K_W) * resistance)))
+
+    def on_a_device(self) -> "CoilModel":
+        """The coil as a device may estimate it, which counts the ripple of the seed, whatever it is.
+
+        A larger ripple makes the estimate too low: most of all, at a given estimate, while a steady current holds it.
+        So the limit becomes what such a device says at the current that truly holds the winding at its limit.
+        """
+        if self.ripple_A <= PWM_RIPPLE_A:
+            return self
+        counted_A = self.continuous_current_A() - self.ripple_A + PWM_RIPPLE_A
+        warming = (self.R_wh_K_W + self.R_ha_K_W) * self.R_ohm * counted_A**2
+        cold = 1 + COPPER_PER_K * (self.ambient_C - RESISTANCE_REFERENCE_C)
+        return replace(self, limit_C=self.ambient_C + warming * cold / (1 - COPPER_PER_K * warming))
 
     def adiabatic_bound_C(self, current_A: float, duration_s: float) -> float:
         """Rigorous bound on the winding temperature while |i| <= `current_A` for `duration_s`.

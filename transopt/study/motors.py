@@ -1,16 +1,20 @@
 """Which motor, and at which transmission ratio, on a stated rail and at a stated temperature."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy import optimize
 
+from transopt.base.errors import InputError
 from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, style
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent, table
+from transopt.plant.bridge import Bridge
+from transopt.scene.identified import IdentifiedModel
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, parse_axis
@@ -25,13 +29,45 @@ MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30
 RATIOS = "transmission.ratio_1_m=15:1000:15:log"
 SPEEDS_M_S, GRIPS_N = (0.2, 0.4), (1.0, 5.0)
 RAIL_V, AMBIENT_C, TAPS_PER_S = 24.0, 40.0, 4.0
+SWITCHING_HZ = 100e3  # at a lower one the ripple of the smallest motor on this rail is above 1 A
 GOAL = 0.05  # felt error of every entry; without a limit it is about 0.04
+
+
+def shared_amplifier(scene: Scene) -> dict[str, float | None]:
+    """Keys of the bridge on which all motors are: its loop has the gain that gives the scene's own motor its pole.
+
+    The delay is the scene's; a pole in the scene's model file stands for every motor.
+
+    Raises
+    ------
+    InputError : the scene's own motor is beyond the model of the bridge.
+    """
+    circuit, amplifier, bridge = scene.circuit(), scene.amplifier_model(), scene.bridge()
+    switching_Hz = SWITCHING_HZ if bridge is None else bridge.switching_Hz
+    in_file = isinstance(scene.model, IdentifiedModel) and scene.model.amplifier is not None
+    if circuit is None or amplifier is None or in_file:
+        return {"switching_Hz": switching_Hz}
+
+    def missing_Hz(gain_V_A: float) -> float:
+        return amplifier.pole_Hz - Bridge(circuit, RAIL_V, switching_Hz, gain_V_A).pole_Hz
+
+    most = Bridge(circuit, RAIL_V, switching_Hz)
+    gain_V_A = most.loop_gain_V_A
+    if missing_Hz(gain_V_A) < 0:
+        # The pole is 1 to 2.2 times the crossover, which is in proportion to the gain.
+        gain_V_A = optimize.brentq(missing_Hz, gain_V_A * amplifier.pole_Hz / most.crossover_Hz / 3, gain_V_A)
+    return {"switching_Hz": switching_Hz, "gain_V_A": gain_V_A, "pole_Hz": None, "delay_s": amplifier.delay_s}
 
 
 def motor_scene(scene: Scene, motor: dict[str, Any]) -> Scene:
     """The scene with a motor used up to its own limits, on the stated rail and at the stated temperature.
 
-    The current is limited by the motor's peak and by the amplifier's range, the coil by tapping for ever.
+    The current is limited by the motor's peak and by the amplifier's range, the coil by tapping for ever. Pole and
+    ripple follow from the motor (`shared_amplifier`).
+
+    Raises
+    ------
+    InputError : a motor beyond the model of the bridge.
     """
     amplifier = scene.amplifier_model()
     most = motor["i_peak_A"] if amplifier is None else min(motor["i_peak_A"], amplifier.command_limit)
@@ -42,6 +78,7 @@ def motor_scene(scene: Scene, motor: dict[str, Any]) -> Scene:
             "limits.steady_current_A": motor["i_continuous_A"],
             "limits.current_A": most,
             "limits.supply_V": RAIL_V,
+            **{f"amplifier.{name}": value for name, value in shared_amplifier(scene).items()},
             "thermal.tap_rate_Hz": TAPS_PER_S,
             **{f"thermal.{name}_C": AMBIENT_C for name in ("ambient", "start_winding", "start_housing")},
         },
@@ -74,9 +111,10 @@ class Choice:
 
 @dataclass(frozen=True)
 class Selection:
-    """Plan and rows of every motor, by the stem of its file."""
+    """Plan and rows of every motor, by the stem of its file, and why a motor has none."""
 
     studies: dict[str, tuple[Plan, list[Row]]]
+    refused: dict[str, str] = field(default_factory=dict)
 
     def errors(self) -> FloatArray:
         """(motors, ratios, speeds, grips) felt error; NaN where there is no certified answer."""
@@ -124,6 +162,16 @@ class Selection:
         """For every motor error, current, voltage and temperature over the ratio."""
         return {stem: _page(plan, rows) for stem, (plan, rows) in self.studies.items()}
 
+    def bandwidths(self) -> dict[str, tuple[float, float]]:
+        """Pole of the current [Hz] and constant of seed Eq. 7 [A] of every motor."""
+        found = {}
+        for stem, (plan, _) in self.studies.items():
+            amplifier, coil = plan.scene.amplifier_model(), plan.scene.coil()
+            assert amplifier is not None
+            assert coil is not None
+            found[stem] = (amplifier.pole_Hz, coil.ripple_A)
+        return found
+
     def sentence(self) -> str:
         """The finding."""
         best = self.ranked()
@@ -131,12 +179,15 @@ class Selection:
             return "no motor has a certified answer for every entry at any ratio"
         first, last = best[0], best[-1]
         met = sum(c.worst <= GOAL for c in best)
+        poles = sorted(pole_Hz for pole_Hz, _ in self.bandwidths().values())
         return (
-            f"On {RAIL_V:g} V, at {AMBIENT_C:g} C and {TAPS_PER_S:g} taps/s for ever, {met} of {len(self.studies)} "
+            f"On {RAIL_V:g} V, at {AMBIENT_C:g} C and {TAPS_PER_S:g} taps/s for ever, "
+            f"{met} of {len(self.studies) + len(self.refused)} "
             f"motors bring all entries to a felt error of {100 * GOAL:g} %; the first, "
             f"{first.stem.replace('_', ' ')} at {first.ratio_1_m:.0f} 1/m, has {1e3 * first.mass_kg:.0f} g at the "
             f"tip and {percent(first.worst)} % at its worst entry, the last, {last.stem.replace('_', ' ')}, "
-            f"{percent(last.worst)} % at best."
+            f"{percent(last.worst)} % at best. One amplifier gives them poles of "
+            f"{poles[0]:.0f} to {poles[-1]:.0f} Hz."
         )
 
     def report(self, figure: str, head: Sequence[str]) -> list[str]:
@@ -144,6 +195,7 @@ class Selection:
         cells = []
         for place, c in enumerate(self.ranked(), start=1):
             plan, _ = self.studies[c.stem]
+            pole_Hz, ripple_A = self.bandwidths()[c.stem]
             assert plan.scene.motor is not None
             cells.append(
                 [
@@ -154,6 +206,8 @@ class Selection:
                     entry_name(c.row),
                     f"{c.force_N_A:.2f}",
                     f"{1e3 * c.mass_kg:.1f}",
+                    f"{pole_Hz:.0f}",
+                    f"{1e3 * ripple_A:.1f}",
                     f"{number(c.row, 'peak_input'):.2f} of {plan.scene.limits.transient_input:g}",
                     f"{number(c.row, 'peak_voltage_V'):.1f}",
                     f"{number(c.row, 'peak_temperature_C'):.1f} of {plan.scene.motor.winding_max_C:g}",
@@ -168,6 +222,8 @@ class Selection:
             "at",
             "N/A",
             "mass at tip g",
+            "pole Hz",
+            "ripple mA",
             "peak A",
             "peak V",
             "coil C",
@@ -178,9 +234,13 @@ class Selection:
             f"{TAPS_PER_S:g} taps/s for ever with the coil below its limit. The taps are those recorded with the "
             "scene's own device; stiffness, damping and mass of the link are those of its transmission. Ranked by "
             f"the mass at the tip of the least ratio with at most {100 * GOAL:g} % at every entry, then by error: "
-            "higher ratios err less but make the stylus heavy in the hand.",
+            "higher ratios err less but make the stylus heavy in the hand. Pole and ripple, the constant of seed Eq. 7, "
+            "follow from the motor: one bridge drives them all, and its current loop has the gain that gives the "
+            "scene's own motor the scene's pole.",
             "",
             *table([*columns, "what binds"], cells),
+            *(f"- not posed: {stem.replace('_', ' ')}: {reason}" for stem, reason in self.refused.items()),
+            "",
         ]
         for stem, (plan, rows) in self.studies.items():
             assert plan.scene.motor is not None
@@ -231,12 +291,18 @@ def motor_selection(
 
     Raises
     ------
-    InputError : as of `run_plan`; a scene whose drive is stated at the tip.
+    InputError : as of `run_plan`; no motor that can be posed, as for a drive that is stated at the tip.
     """
-    found = {}
+    found, refused = {}, {}
     axis = parse_axis(scene, "--study", f"motor={motors}", search)
     for stem, motor in zip(axis.labels, axis.values, strict=True):
-        own = motor_scene(scene, motor)
+        try:
+            own = motor_scene(scene, motor)
+        except InputError as error:
+            refused[stem] = str(error)
+            continue
         plan = Plan(own, (parse_axis(own, "--study", ratios),), SPEEDS_M_S, GRIPS_N)
         found[stem] = (plan, run_plan(plan, folder / stem, pool, name=stem))
-    return Selection(found)
+    if not found:
+        raise InputError("; ".join(dict.fromkeys(refused.values())))
+    return Selection(found, refused)

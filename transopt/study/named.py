@@ -109,7 +109,7 @@ def _motors(name: str, scene: Scene, folder: Path, pool: Pool, search: Sequence[
         found.figure(),
         lambda head: "\n".join([*found.report(f"{name}.png", head), *refusal_lines(rows)]),
         found.sentence(),
-        exit_code(rows) if found.ranked() else 1,
+        exit_code(rows) if found.ranked() and not found.refused else 1,
     )
 
 
