@@ -8,8 +8,9 @@ import math
 
 import numpy as np
 
-from transopt.plant.bridge import DUTIES, Bridge
+from transopt.plant.bridge import Bridge
 
+DUTIES = np.linspace(0.0, 1.0, 2001)  # at which the ripple's heat is tabulated
 PHASE = 0.3  # of a sample, at which the clocks of loop and servo start apart: they shall never tick together
 
 

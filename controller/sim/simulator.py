@@ -212,11 +212,14 @@ class Simulator:
             self._coil.step(square / self.dt_s, self.dt_s)
 
     def _through_bridge(self, loop: CurrentLoop, felt_A: float, step_s: float) -> float:
-        """Put the mean current of the coming step among the states, and give the mean of its square [A^2]."""
+        """Put the mean current of the coming step among the states, and give the mean of its square [A^2].
+
+        The coil's resistance has a share of the ripple in it that the square here has already.
+        """
         circuit = loop.bridge.circuit if self._coil is None else loop.bridge.circuit.at(self._coil.winding_C)
         emf_V = self.device.force_per_current_N_A * float(self._x[self._at.n])
         self._x[self._at.current], square = loop.advance(step_s, felt_A, emf_V, circuit.R_ohm)
-        return square
+        return square / loop.bridge.heat_factor
 
     @property
     def winding_C(self) -> float:

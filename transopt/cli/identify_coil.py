@@ -1,5 +1,6 @@
 """`transopt identify coil`: a heating and cooling record in, thermal resistances and time constants out."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -59,7 +60,9 @@ def identify_coil(
 def _coil_of(scene: str) -> "CoilModel":
     from transopt.scene import builtin
 
-    coil = builtin.load_scene(scene).coil()
-    if coil is None:
+    loaded = builtin.load_scene(scene)
+    coil, circuit = loaded.coil(), loaded.circuit()
+    if coil is None or circuit is None:
         raise InputError(f"--scene {scene}: states no motor, so no coil; give a scene with [motor]")
-    return coil
+    # The winding's own resistance tells its temperature; how much the ripple adds to the heat is another option.
+    return replace(coil, R_ohm=circuit.R_ohm)

@@ -10,7 +10,7 @@ negative, so the motor sees a pulse of the rail twice a carrier period: pulses e
 - Ripple: the periodic current of R and L under pulses of duty d; for R T << L its peak to peak value is
   V d (1 - d) / (2 L f_s) (Mohan, Undeland, Robbins 2003, Power Electronics, Sec. 7-7).
 - Eddy currents act as a resistance across the inductance: the current jumps by step / (R + R_eddy) with a voltage
-  step. The jump's heat grows with |i|, as in seed Eq. 7; that of the rest of the ripple with i^2.
+  step. The jump's heat grows with |i|, as in seed Eq. 7, that of the rest of the ripple with i^2.
 """
 
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ SLOWEST_SWITCHING_HZ, FASTEST_SWITCHING_HZ = 10e3, 100e3  # what the model was t
 LEAST_L_H, MOST_L_H = 0.05e-3, 2e-3
 FASTEST_CROSSOVER = 0.1  # of the switching frequency; faster loops ring with their delay
 MOST_RIPPLE_A = 1.0  # peak to peak, at the worst duty
-MOST_LAPSE = 1.0  # T R / L; within a longer one a sampled loop reads the ripple instead of the current
+MOST_LAPSE = 0.75  # T R / L; a loop that samples between longer pulses reads over 2.4 % less than the mean current
 SHORT_LAPSE = 1e-3  # below it the ripple is a triangle, to 1e-7
-DUTIES = np.linspace(0.0, 1.0, 2001)  # at which the heating is looked at
+LEAST_EDDY = 4.0  # of the winding's resistance, below which the jump is no small part of a current
 
 
 @dataclass(frozen=True)
@@ -59,34 +59,39 @@ class Bridge:
 
     def __post_init__(self) -> None:
         L_H, fastest_Hz = self.circuit.L_H, FASTEST_CROSSOVER * self.switching_Hz
-        stands = "or state pole_Hz and delay_s as measured in place of switching_Hz and gain_V_A"
+        stands = "state pole_Hz and delay_s as measured in place of switching_Hz and gain_V_A"
+        switched = f"amplifier.switching_Hz = {self.switching_Hz:g} Hz"
         if not LEAST_L_H <= L_H <= MOST_L_H:
             raise InputError(
                 f"amplifier.switching_Hz: the motor's L_H = {L_H:g} H: the model of the bridge holds from "
-                f"{LEAST_L_H:g} to {MOST_L_H:g} H: take another motor, {stands}"
+                f"{LEAST_L_H:g} to {MOST_L_H:g} H: take another motor, or {stands}"
+            )
+        if self.R_eddy_ohm is not None and not self.R_eddy_ohm >= LEAST_EDDY * self.circuit.R_ohm:
+            raise InputError(
+                f"motor.R_eddy_ohm = {self.R_eddy_ohm:g} ohm: the model of the bridge holds from "
+                f"{LEAST_EDDY * self.circuit.R_ohm:g} ohm on, {LEAST_EDDY:g} R_ohm: measure it anew, or take it out"
             )
         if self.crossover_Hz > fastest_Hz * (1 + 1e-9):
             raise InputError(
                 f"amplifier.gain_V_A = {self.loop_gain_V_A:g} V/A: a crossover of {self.crossover_Hz:.4g} Hz with "
                 f"{L_H:g} H, at most {fastest_Hz:g} Hz, {FASTEST_CROSSOVER:g} of switching_Hz: lower it to "
-                f"{rounded_down(2 * np.pi * fastest_Hz * L_H):g} V/A, {stands}"
+                f"{rounded_down(2 * np.pi * fastest_Hz * self.inductance_H):g} V/A, or {stands}"
             )
         if self.lapse > MOST_LAPSE:
             raise InputError(
-                f"amplifier.switching_Hz = {self.switching_Hz:g} Hz: half its period, {1e6 * self.period_s:.3g} us, "
-                f"is longer than the motor's L / R = {1e6 * self.period_s / self.lapse:.3g} us: raise it to "
-                f"{self.switching_Hz * self.lapse * 1.001:.4g} Hz, {stands}"
+                f"{switched}: half its period, {1e6 * self.period_s:.3g} us, is more than {MOST_LAPSE:g} of the "
+                f"motor's L / R = {1e6 * self.period_s / self.lapse:.3g} us: "
+                f"{_raised(self.switching_Hz * self.lapse / MOST_LAPSE)}{stands}"
             )
         ripple_A = float(self.peak_to_peak_A(0.5))
         if ripple_A > MOST_RIPPLE_A:
             # The inductance's ripple is at most V / (8 L f_s), whatever the resistance.
             left_A = MOST_RIPPLE_A - self.rail_V * self.jump_A_V
             enough_Hz = self.rail_V / (8 * self.inductance_H * left_A) if left_A > 0 else np.inf
-            raised = f"raise it to {1.001 * enough_Hz:.4g} Hz, " if 1.001 * enough_Hz <= FASTEST_SWITCHING_HZ else ""
             raise InputError(
-                f"amplifier.switching_Hz = {self.switching_Hz:g} Hz: a ripple of {ripple_A:.3g} A peak to peak on a "
-                f"rail of {self.rail_V:g} V, at most {MOST_RIPPLE_A:g} A: {raised}lower limits.supply_V to "
-                f"{rounded_down(self.rail_V * MOST_RIPPLE_A / ripple_A):g} V, {stands}"
+                f"{switched}: a ripple of {ripple_A:.3g} A peak to peak on a rail of {self.rail_V:g} V, at most "
+                f"{MOST_RIPPLE_A:g} A: {_raised(enough_Hz)}lower limits.supply_V to "
+                f"{rounded_down(self.rail_V * MOST_RIPPLE_A / ripple_A):g} V, or {stands}"
             )
 
     @property
@@ -176,15 +181,29 @@ class Bridge:
         slow = (self.rail_V / R) ** 2 * (triangle if x < SHORT_LAPSE else exact)
         return np.asarray((1 - (R * self.jump_A_V) ** 2) * slow + (self.rail_V * self.jump_A_V) ** 2 * pulses)
 
-    def ripple_A(self, limit_A: float) -> float:
-        """Constant of seed Eq. 7: the least r for which |i| + r is nowhere below the effective current.
+    @property
+    def heat_factor(self) -> float:
+        """By how much the ripple that comes with a current raises its heat: at a small duty, where it is most.
 
-        It holds for all currents at standstill within rail and limit; what back-EMF and a changing current add to
-        the duty is not in it.
+        The variance over the square of the mean current, (x / 2) coth(x / 2) - 1 of the inductance's, x = T R / L,
+        which is x^2 / 12 for small x; at a duty d some (1 - d)^2 of it.
         """
-        current = DUTIES * min(self.rail_V / self.circuit.R_ohm, limit_A)
-        square = current**2 + self.ripple_square_A2(self.circuit.R_ohm * current)
-        return float((np.sqrt(square) - current).max())
+        half = self.lapse / 2
+        return float(1 + (1 - (self.circuit.R_ohm * self.jump_A_V) ** 2) * (half / np.tanh(half) - 1))
+
+    @property
+    def ripple_A(self) -> float:
+        """Constant r of seed Eq. 7, for which `heat_factor` (|i| + r)^2 is the mean square of the current or more.
+
+        It is what the jumps add at standstill, V R |i| / (R + R_eddy)^2 and less at a large duty.
+        """
+        return self.rail_V * self.circuit.R_ohm * self.jump_A_V**2 / (2 * self.heat_factor)
+
+
+def _raised(least_Hz: float) -> str:
+    """Advice to switch at least so fast, if that is within the model."""
+    rounded_up = 100 * np.ceil(least_Hz / 100)
+    return f"raise it to {rounded_up:g} Hz, " if rounded_up <= FASTEST_SWITCHING_HZ else ""
 
 
 @lru_cache(maxsize=64)

@@ -66,7 +66,7 @@ class CoilModel:
 
     Attributes
     ----------
-    R_ohm : resistance at 25 C.
+    R_ohm : resistance at 25 C by which a current heats; on a `Bridge` more than the winding's, by its ripple.
     R_wh_K_W, R_ha_K_W : thermal resistances winding to housing and housing to ambient.
     tau_w_s, tau_h_s : time constants of winding and housing.
     limit_C : highest temperature that the winding may have.

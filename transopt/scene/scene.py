@@ -586,8 +586,8 @@ class Scene(Section):
         heat = winding if identified is None else identified
         bridge = self.bridge()
         return CoilModel(
-            ripple_A=PWM_RIPPLE_A if bridge is None else bridge.ripple_A(self.limits.transient_input),
-            R_ohm=circuit.R_ohm,
+            ripple_A=PWM_RIPPLE_A if bridge is None else bridge.ripple_A,
+            R_ohm=circuit.R_ohm * (1.0 if bridge is None else bridge.heat_factor),
             R_wh_K_W=heat.R_wh_K_W,
             R_ha_K_W=heat.R_ha_K_W,
             tau_w_s=heat.tau_w_s,

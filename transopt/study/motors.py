@@ -234,9 +234,9 @@ class Selection:
             f"{TAPS_PER_S:g} taps/s for ever with the coil below its limit. The taps are those recorded with the "
             "scene's own device; stiffness, damping and mass of the link are those of its transmission. Ranked by "
             f"the mass at the tip of the least ratio with at most {100 * GOAL:g} % at every entry, then by error: "
-            "higher ratios err less but make the stylus heavy in the hand. Pole and ripple, the constant of seed Eq. 7, "
-            "follow from the motor: one bridge drives them all, and its current loop has the gain that gives the "
-            "scene's own motor the scene's pole.",
+            "higher ratios err less but make the stylus heavy in the hand. Pole and ripple, the constant of "
+            "seed Eq. 7, follow from the motor: one bridge drives them all, and its current loop has the gain that "
+            "gives the scene's own motor the scene's pole.",
             "",
             *table([*columns, "what binds"], cells),
             *(f"- not posed: {stem.replace('_', ' ')}: {reason}" for stem, reason in self.refused.items()),
