@@ -59,12 +59,11 @@ class Bridge:
 
     def __post_init__(self) -> None:
         L_H, fastest_Hz = self.circuit.L_H, FASTEST_CROSSOVER * self.switching_Hz
-        stands = "state pole_Hz and delay_s as measured in place of switching_Hz and gain_V_A"
         switched = f"amplifier.switching_Hz = {self.switching_Hz:g} Hz"
         if not LEAST_L_H <= L_H <= MOST_L_H:
             raise InputError(
                 f"amplifier.switching_Hz: the motor's L_H = {L_H:g} H: the model of the bridge holds from "
-                f"{LEAST_L_H:g} to {MOST_L_H:g} H: take another motor, or {stands}"
+                f"{LEAST_L_H:g} to {MOST_L_H:g} H: {_advice('take another motor')}"
             )
         if self.R_eddy_ohm is not None and not self.R_eddy_ohm >= LEAST_EDDY * self.circuit.R_ohm:
             raise InputError(
@@ -72,26 +71,27 @@ class Bridge:
                 f"{LEAST_EDDY * self.circuit.R_ohm:g} ohm on, {LEAST_EDDY:g} R_ohm: measure it anew, or take it out"
             )
         if self.crossover_Hz > fastest_Hz * (1 + 1e-9):
+            most_V_A = rounded_down(2 * np.pi * fastest_Hz * self.inductance_H)
             raise InputError(
                 f"amplifier.gain_V_A = {self.loop_gain_V_A:g} V/A: a crossover of {self.crossover_Hz:.4g} Hz with "
-                f"{L_H:g} H, at most {fastest_Hz:g} Hz, {FASTEST_CROSSOVER:g} of switching_Hz: lower it to "
-                f"{rounded_down(2 * np.pi * fastest_Hz * self.inductance_H):g} V/A, or {stands}"
+                f"{L_H:g} H, at most {fastest_Hz:g} Hz, {FASTEST_CROSSOVER:g} of switching_Hz: "
+                f"{_advice(f'lower it to {most_V_A:g} V/A')}"
             )
         if self.lapse > MOST_LAPSE:
             raise InputError(
                 f"{switched}: half its period, {1e6 * self.period_s:.3g} us, is more than {MOST_LAPSE:g} of the "
                 f"motor's L / R = {1e6 * self.period_s / self.lapse:.3g} us: "
-                f"{_raised(self.switching_Hz * self.lapse / MOST_LAPSE)}{stands}"
+                f"{_advice(_raised(self.switching_Hz * self.lapse / MOST_LAPSE))}"
             )
         ripple_A = float(self.peak_to_peak_A(0.5))
         if ripple_A > MOST_RIPPLE_A:
             # The inductance's ripple is at most V / (8 L f_s), whatever the resistance.
             left_A = MOST_RIPPLE_A - self.rail_V * self.jump_A_V
             enough_Hz = self.rail_V / (8 * self.inductance_H * left_A) if left_A > 0 else np.inf
+            lowered = f"lower limits.supply_V to {rounded_down(self.rail_V * MOST_RIPPLE_A / ripple_A):g} V"
             raise InputError(
                 f"{switched}: a ripple of {ripple_A:.3g} A peak to peak on a rail of {self.rail_V:g} V, at most "
-                f"{MOST_RIPPLE_A:g} A: {_raised(enough_Hz)}lower limits.supply_V to "
-                f"{rounded_down(self.rail_V * MOST_RIPPLE_A / ripple_A):g} V, or {stands}"
+                f"{MOST_RIPPLE_A:g} A: {_advice(_raised(enough_Hz), lowered)}"
             )
 
     @property
@@ -201,9 +201,16 @@ class Bridge:
 
 
 def _raised(least_Hz: float) -> str:
-    """Advice to switch at least so fast, if that is within the model."""
+    """Advice to switch at least so fast, empty where that is beyond the model."""
     rounded_up = 100 * np.ceil(least_Hz / 100)
-    return f"raise it to {rounded_up:g} Hz, " if rounded_up <= FASTEST_SWITCHING_HZ else ""
+    return f"raise it to {rounded_up:g} Hz" if rounded_up <= FASTEST_SWITCHING_HZ else ""
+
+
+def _advice(*steps: str) -> str:
+    """Each step that there is, or what always is one: the amplifier as it was measured."""
+    known = ", ".join(filter(None, steps))
+    measured = "state pole_Hz and delay_s as measured in place of switching_Hz and gain_V_A"
+    return f"{known}, or {measured}" if known else measured
 
 
 @lru_cache(maxsize=64)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import optimize
 
 from controller.servo.guard import CEILING_C, Guard
 from controller.waveforms.bank import Bank, bank, currents, norms
@@ -42,6 +43,25 @@ def test_rests_at_the_datasheets_continuous_current() -> None:
     for _ in range(300_000):
         guard.step(current)
     assert guard.winding_C == pytest.approx(100.0, abs=0.01)
+
+
+@pytest.mark.parametrize("ripple_A", [0.03, 0.1])
+@pytest.mark.parametrize("pattern", [[1.0], [1.0, 0.0], [1.0, 0.2, 0.0, 0.0, 0.0], [1.0] * 20 + [0.0] * 1000])
+def test_a_limit_by_another_ripple_keeps_the_coils_own(ripple_A: float, pattern: list[float]) -> None:
+    """A device counts 0.02 A: currents that just keep the limit by its estimate truly keep the coil's."""
+    coil, steps = replace(COIL, ripple_A=ripple_A), np.full(6000, 0.5)
+    told = coil.on_a_device()
+    course = np.resize(pattern, steps.size)
+
+    def hottest(size_A: float, counted_A: float) -> float:
+        winding, _ = coil.simulate(effective_square(size_A * course, counted_A)[None], steps)
+        return float(winding.max())
+
+    size_A = optimize.brentq(lambda size: hottest(size, 0.02) - told.limit_C, 0.5, 20.0)
+    assert hottest(size_A, ripple_A) <= coil.limit_C
+    if pattern == [1.0]:
+        assert hottest(size_A, ripple_A) > coil.limit_C - 0.5
+    assert replace(coil, ripple_A=0.02).on_a_device().limit_C == coil.limit_C
 
 
 def test_nan_is_too_hot_and_nothing_runs_away() -> None:

@@ -10,9 +10,12 @@ from matplotlib import image
 
 import problems
 from tests.benches.study import read, serial
+from transopt.base.errors import InputError
 from transopt.base.writing import percent
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study import motors
+from transopt.study.axes import parse_axis
 from transopt.study.figures import entry_grid
 from transopt.study.grid_spacing import spacing
 from transopt.study.grip_mismatch import mismatch, mismatch_sentence
@@ -116,6 +119,43 @@ class TestNamed:
         assert float(rows[1]["relative_gap"]) < 1e-6
         assert len(read(tmp_path / "grip_mismatch" / "grip_mismatch.csv")) == 9
         assert "2 of 3 optima certified" in (tmp_path / "grip_mismatch" / "report.md").read_text(encoding="utf-8")
+
+    def test_motors_differ_in_bandwidth_and_ripple(self, scene: Scene) -> None:
+        """One amplifier before all of them, that of the scene before its own motor."""
+        axis = parse_axis(scene, "--study", f"motor={motors.MOTORS}", [problems.FOLDER])
+        posed = {stem: motors.motor_scene(scene, m) for stem, m in zip(axis.labels, axis.values, strict=True)}
+        own = posed["maxon_re25_118743"].amplifier_model()
+        assert own is not None
+        assert own.pole_Hz == pytest.approx(1050.0)
+        assert own.delay_s == 68e-6
+        by_inductance = sorted(posed.values(), key=lambda each: each.motor.L_H)  # type: ignore[union-attr]
+        poles = [each.amplifier_model().pole_Hz for each in by_inductance]  # type: ignore[union-attr]
+        assert poles == sorted(poles, reverse=True)
+        assert len({each.amplifier.gain_V_A for each in posed.values()}) == 1  # type: ignore[union-attr]
+        shares = [each.coil().R_ohm / each.motor.R_ohm for each in by_inductance]  # type: ignore[union-attr]
+        assert max(shares) > 1.02
+        assert min(shares) < 1.0001
+
+    def test_a_scene_with_a_bridge_of_its_own_keeps_it(self, scene: Scene) -> None:
+        stated = {"amplifier.pole_Hz": None, "amplifier.switching_Hz": 60e3, "amplifier.gain_V_A": 1.25}
+        own = with_values(scene, {**stated, "limits.supply_V": 20.0})
+        found = motors.shared_amplifier(own)
+        assert found["switching_Hz"] == 60e3
+        assert found["gain_V_A"] == pytest.approx(1.25)
+
+    def test_a_motor_beyond_the_bridge_is_told_and_the_others_are_solved(
+        self, short: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(motors, "SWITCHING_HZ", 50e3)
+        chosen = {"motors": "maxon_re25,faulhaber_0816k003", "ratios": "transmission.ratio_1_m=150"}
+        found = motors.motor_selection(short, tmp_path, serial(), [problems.FOLDER], **chosen)
+        assert list(found.studies) == ["maxon_re25_118743"]
+        assert "switching_Hz = 50000 Hz: half its period" in found.refused["faulhaber_0816k003sr"]
+        assert "not posed: faulhaber 0816k003sr" in "\n".join(found.report("motors.png", []))
+        assert " of 2 motors" in found.sentence()
+        chosen["motors"] = "faulhaber_0816k003"
+        with pytest.raises(InputError, match="half its period"):
+            motors.motor_selection(short, tmp_path, serial(), [problems.FOLDER], **chosen)
 
     def test_motors(self, short: Scene, tmp_path: Path) -> None:
         found = motors.motor_selection(
