@@ -25,6 +25,7 @@ HEADER = struct.Struct("<IHH")
 PARTS: dict[str, type] = {"amplifier": Amplifier, "wall": Wall, "coil": CoilModel}
 # An amplifier may be one of voltages; a device's is one of currents, and its name says so.
 IN_AMPERES = {"amplifier_command_limit": "amplifier_command_limit_A"}
+COMPILED_IN = ("coil_ripple_A",)  # a device counts that of the seed, for which `on_a_device` allows
 OPTIONAL = ("slew_limit_A_per_s", "assumed_grip_N")
 PREDICTION = ("pulse_grip_N", "pulse_acceleration", "pulse_path_m")  # over `pulse_nodes` grips
 PLAIN = tuple(f.name for f in fields(Settings) if f.name not in (*PARTS, *OPTIONAL, *PREDICTION))
@@ -45,6 +46,8 @@ def numbers(settings: Settings) -> dict[str, float]:
         values[f"has_{part}"] = float(there is not None)
         for field in fields(kind):
             name = f"{part}_{field.name}"
+            if name in COMPILED_IN:
+                continue
             values[IN_AMPERES.get(name, name)] = 0.0 if there is None else float(getattr(there, field.name))
     return values
 
