@@ -183,7 +183,7 @@ class Bridge:
 
     @property
     def heat_factor(self) -> float:
-        """By how much the ripple that comes with a current raises its heat: at a small duty, where it is most.
+        """Heat of a current with its ripple over that without, at a small duty, where it is most.
 
         The variance over the square of the mean current, (x / 2) coth(x / 2) - 1 of the inductance's, x = T R / L,
         which is x^2 / 12 for small x; at a duty d some (1 - d)^2 of it.

@@ -70,7 +70,7 @@ class TestAgainstSwitching:
 
 class TestJump:
     def test_the_current_jumps_with_the_voltage(self) -> None:
-        """By step / (R + R_eddy), which no inductance allows without eddy currents."""
+        """It goes by step / (R + R_eddy), which no inductance allows without eddy currents."""
         for R_eddy_ohm, ohm in ((38.0, 40.18), (None, np.inf)):
             bridge = Bridge(RE_25, 20.0, 22.5e3, 1.5, R_eddy_ohm)
             loop, moment = CurrentLoop(bridge, 1.0), 1e-12
@@ -126,7 +126,7 @@ class TestDevice:
         assert np.abs(a - b).max() < 0.02 * np.ptp(b)
 
     def test_it_heats_as_counted(self, derived: Scene) -> None:
-        """By the true square of a loop here, with heat factor and ripple of the bridge where there is a pole."""
+        """A loop heats by its true square, a pole with heat factor and ripple of the bridge."""
         motor = {**derived.motor.model_dump(), "R_eddy_ohm": 60.0}  # type: ignore[union-attr]
         for scene in (derived, with_values(derived, {"motor": motor, "amplifier.switching_Hz": 30e3})):
             device = device_of(scene)

@@ -118,7 +118,7 @@ class TestBandwidth:
         assert slow.delay_s == pytest.approx(1.5 * slow.period_s, rel=0.01)
 
     def test_more_inductance_makes_the_same_amplifier_slower(self) -> None:
-        """As the seed observed (Sec. 4.1)."""
+        """The seed observed it (Sec. 4.1)."""
         poles = [Bridge(replace(RE_25, L_H=L), 12.0, 50e3, 1.5).pole_Hz for L in (0.1e-3, 0.2e-3, 0.5e-3, 1e-3)]
         assert poles == sorted(poles, reverse=True)
         assert poles[0] / poles[-1] > 9
@@ -199,7 +199,7 @@ class TestHeat:
         assert Bridge(RE_25, 24.0, 100e3).ripple_A == 0
 
     def test_less_inductance_and_slower_switching_heat_more(self) -> None:
-        """As the seed found (Sec. 4.2)."""
+        """The seed found it (Sec. 4.2)."""
         more = [Bridge(replace(RE_25, L_H=L), 12.0, 30e3).heat_factor for L in (0.1e-3, 0.238e-3, 1e-3)]
         assert more == sorted(more, reverse=True)
         more = [Bridge(RE_25, 12.0, f).heat_factor for f in (10e3, 22.5e3, 80e3)]
