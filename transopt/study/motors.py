@@ -163,13 +163,13 @@ class Selection:
         return {stem: _page(plan, rows) for stem, (plan, rows) in self.studies.items()}
 
     def bandwidths(self) -> dict[str, tuple[float, float]]:
-        """Pole of the current [Hz] and constant of seed Eq. 7 [A] of every motor."""
+        """Pole of the current [Hz] of every motor, and what the ripple adds to the heat of a steady 1 A, as a share."""
         found = {}
         for stem, (plan, _) in self.studies.items():
-            amplifier, coil = plan.scene.amplifier_model(), plan.scene.coil()
+            amplifier, bridge = plan.scene.amplifier_model(), plan.scene.bridge()
             assert amplifier is not None
-            assert coil is not None
-            found[stem] = (amplifier.pole_Hz, coil.ripple_A)
+            assert bridge is not None
+            found[stem] = (amplifier.pole_Hz, bridge.heat_factor * (1 + bridge.ripple_A) ** 2 - 1)
         return found
 
     def sentence(self) -> str:
@@ -195,7 +195,7 @@ class Selection:
         cells = []
         for place, c in enumerate(self.ranked(), start=1):
             plan, _ = self.studies[c.stem]
-            pole_Hz, ripple_A = self.bandwidths()[c.stem]
+            pole_Hz, ripple = self.bandwidths()[c.stem]
             assert plan.scene.motor is not None
             cells.append(
                 [
@@ -207,7 +207,7 @@ class Selection:
                     f"{c.force_N_A:.2f}",
                     f"{1e3 * c.mass_kg:.1f}",
                     f"{pole_Hz:.0f}",
-                    f"{1e3 * ripple_A:.1f}",
+                    percent(ripple),
                     f"{number(c.row, 'peak_input'):.2f} of {plan.scene.limits.transient_input:g}",
                     f"{number(c.row, 'peak_voltage_V'):.1f}",
                     f"{number(c.row, 'peak_temperature_C'):.1f} of {plan.scene.motor.winding_max_C:g}",
@@ -223,20 +223,24 @@ class Selection:
             "N/A",
             "mass at tip g",
             "pole Hz",
-            "ripple mA",
+            "ripple heat %",
             "peak A",
             "peak V",
             "coil C",
         ]
+        first, _ = next(iter(self.studies.values()))
+        bridge = first.scene.bridge()
+        assert bridge is not None
+        switching_Hz = bridge.switching_Hz
         lines = ["# Motor selection", "", *head, self.sentence(), "", f"![motors]({figure})", ""]
         lines += [
             f"Every motor to its own peak current or the amplifier's range, on {RAIL_V:g} V, at {AMBIENT_C:g} C, "
             f"{TAPS_PER_S:g} taps/s for ever with the coil below its limit. The taps are those recorded with the "
             "scene's own device; stiffness, damping and mass of the link are those of its transmission. Ranked by "
             f"the mass at the tip of the least ratio with at most {100 * GOAL:g} % at every entry, then by error: "
-            "higher ratios err less but make the stylus heavy in the hand. Pole and ripple, the constant of "
-            "seed Eq. 7, follow from the motor: one bridge drives them all, and its current loop has the gain that "
-            "gives the scene's own motor the scene's pole.",
+            "higher ratios err less but make the stylus heavy in the hand. Pole and ripple "
+            f"follow from the motor: one bridge drives them all, switching at {switching_Hz / 1e3:g} kHz, and its current "
+            "loop has the gain that gives the scene's own motor the scene's pole.",
             "",
             *table([*columns, "what binds"], cells),
             *(f"- not posed: {stem.replace('_', ' ')}: {reason}" for stem, reason in self.refused.items()),
@@ -246,7 +250,6 @@ class Selection:
             assert plan.scene.motor is not None
             lines += [f"## {plan.scene.motor.name}", "", plan.scene.motor.datasheet, "", f"![{stem}]({stem}.png)", ""]
             lines += rows_table(rows, [plan.axes[0].key], plan.scene.driven_by.unit)
-        first, _ = next(iter(self.studies.values()))
         return [*lines, legend(first.scene), ""]
 
 
