@@ -163,7 +163,7 @@ class Selection:
         return {stem: _page(plan, rows) for stem, (plan, rows) in self.studies.items()}
 
     def bandwidths(self) -> dict[str, tuple[float, float]]:
-        """Pole of the current [Hz] of every motor, and what the ripple adds to the heat of a steady 1 A, as a share."""
+        """Pole of every motor's current [Hz], and what ripple adds to the heat of a steady 1 A, as a share."""
         found = {}
         for stem, (plan, _) in self.studies.items():
             amplifier, bridge = plan.scene.amplifier_model(), plan.scene.bridge()
@@ -238,9 +238,9 @@ class Selection:
             f"{TAPS_PER_S:g} taps/s for ever with the coil below its limit. The taps are those recorded with the "
             "scene's own device; stiffness, damping and mass of the link are those of its transmission. Ranked by "
             f"the mass at the tip of the least ratio with at most {100 * GOAL:g} % at every entry, then by error: "
-            "higher ratios err less but make the stylus heavy in the hand. Pole and ripple "
-            f"follow from the motor: one bridge drives them all, switching at {switching_Hz / 1e3:g} kHz, and its current "
-            "loop has the gain that gives the scene's own motor the scene's pole.",
+            "higher ratios err less but make the stylus heavy in the hand. Pole and ripple follow from "
+            f"the motor: one bridge drives them all, switching at {switching_Hz / 1e3:g} kHz, and its current loop "
+            "has the gain that gives the scene's own motor the scene's pole.",
             "",
             *table([*columns, "what binds"], cells),
             *(f"- not posed: {stem.replace('_', ' ')}: {reason}" for stem, reason in self.refused.items()),
