@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.problem.problem import TransientProblem
 
 
@@ -74,7 +73,7 @@ def commonly_written(problem: TransientProblem) -> tuple[ca.Opti, ca.MX]:
             first, last = z[current, k], heating.decay * z[current, k] + (1 - heating.decay) * z[n, k + 1]
             mean = heating.share * first + (1 - heating.share) * last
             square = heating.square[0] * first**2 + heating.square[1] * first * last + heating.square[2] * last**2
-            heat = square + 2 * PWM_RIPPLE_A * ca.fabs(mean) + PWM_RIPPLE_A**2
+            heat = square + 2 * heating.ripple_A * ca.fabs(mean) + heating.ripple_A**2
             power = (model.gain[k] + model.copper * rise[0, k]) * heat
             opti.subject_to(rise[:, k + 1] == model.M @ rise[:, k] + model.b * power)
             opti.subject_to(rise[0, k + 1] <= model.headroom_K[k])

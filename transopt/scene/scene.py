@@ -316,8 +316,8 @@ class Scene(Section):
                     "amplifier.gain_V_A: the pole follows from it, and is stated too: take one of them out"
                 )
         if identified is None:
+            follows = self.bridge() is not None and not self.pole_is_stated
             for name in ("pole_Hz", "delay_s"):
-                follows = self.bridge() is not None and (stated is None or stated.pole_Hz is None)
                 if stated is not None and getattr(stated, name) is None and not follows:
                     raise ValueError(f"amplifier.{name}: missing; add it to the scene")
             return

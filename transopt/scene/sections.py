@@ -103,10 +103,10 @@ class AmplifierSection(Section):
     """Amplifier: pole, delay beyond the hold, range of the command.
 
     Pole and delay stand here unless the scene's model file has them. With `switching_Hz`, the PWM frequency of an
-    H-bridge on the rail `limits.supply_V`, whichever is not stated follows from the motor, and so does the ripple's
-    heat. `gain_V_A` is the proportional gain of its PI current loop, by default that of a crossover at a tenth of
-    `switching_Hz`. A voltage amplifier's range is `command_limit_V`, a class-D stage's rail, by default
-    `limits.voltage_V`.
+    H-bridge on the rail `limits.supply_V`, a pole that is not stated follows from the motor, the delay with it, and
+    so does the ripple's heat. `gain_V_A` is the proportional gain of its PI current loop, by default that of a
+    crossover at a tenth of `switching_Hz`. A voltage amplifier's range is `command_limit_V`, a class-D stage's rail,
+    by default `limits.voltage_V`.
     """
 
     pole_Hz: Positive | None = None

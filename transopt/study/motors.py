@@ -29,7 +29,7 @@ MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30
 RATIOS = "transmission.ratio_1_m=15:1000:15:log"
 SPEEDS_M_S, GRIPS_N = (0.2, 0.4), (1.0, 5.0)
 RAIL_V, AMBIENT_C, TAPS_PER_S = 24.0, 40.0, 4.0
-SWITCHING_HZ = 100e3  # at a lower one the ripple of the smallest motor on this rail is above 1 A
+SWITCHING_HZ = 100e3  # below 68 kHz the smallest motor is beyond the model of the bridge
 GOAL = 0.05  # felt error of every entry; without a limit it is about 0.04
 
 
