@@ -41,6 +41,16 @@ def plant_new(
         float | None,
         typer.Option(help="What it stands for ever, in V or A, as the peak of a sine (1.414 times its rms)."),
     ] = None,
+    rms_V: Annotated[
+        float | None, typer.Option("--rms-V", help="Rated voltage of an LRA's sine at resonance, rms.")
+    ] = None,
+    rms_A: Annotated[float | None, typer.Option("--rms-A", help="Rated current of that sine, rms.")] = None,
+    rms_g: Annotated[
+        float | None, typer.Option("--rms-g", help="Rated acceleration of the jig by that sine, rms, in g.")
+    ] = None,
+    rise_s: Annotated[
+        float | None, typer.Option("--rise-s", help="Time from rest to 90 % of it, by that sine alone.")
+    ] = None,
     peak: Annotated[float | None, typer.Option(help="The most that the driver may ever put out, in V or A.")] = None,
     stroke_m: Annotated[
         float | None, typer.Option("--stroke-m", help="From rest to the stop, in either direction.")
@@ -54,7 +64,10 @@ def plant_new(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help=FORCE_HELP)] = False,
 ) -> None:
-    """Write a commented scene of an actuator from its datasheet; on a terminal what is missing is asked for."""
+    """Write a commented scene of an actuator from its datasheet; on a terminal what is missing is asked for.
+
+    Moving mass, BL, Q and resistance, which sheets of LRAs leave out, follow from the rated sine and the rise time.
+    """
     from transopt.scene.datasheet import KINDS, needed, scene_text
 
     for option, word, known in (("--kind", kind, KINDS), ("--input", driven_by, ("voltage", "current"))):
@@ -77,6 +90,9 @@ def plant_new(
         "rate_Hz": rate_Hz,
     }
     stated = {"kind": kind, "input": driven_by, **{key: each for key, each in options.items() if each is not None}}
+    sine = {"rms_V": rms_V, "rms_A": rms_A, "rms_g": rms_g, "rise_s": rise_s}
+    if said := {key: each for key, each in sine.items() if each is not None}:
+        stated = _from_the_sine(stated, said)
     file = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
     missing = [key for key in needed(kind, driven_by) if key not in stated]
     if missing and asking.on_a_terminal():
@@ -88,6 +104,33 @@ def plant_new(
         )
     write_new(file, scene_text(_sheet(stated), file.stem), force=force)
     typer.echo(f"{file} written; edit its targets, then: transopt solve {shlex.quote(str(file))}")
+
+
+def _from_the_sine(stated: dict[str, Any], sine: dict[str, float]) -> dict[str, Any]:
+    """What is stated with what follows from the rated sine of a sheet, which is printed with how sure it is."""
+    from transopt.base.units import unit_of
+    from transopt.scene.rated import SAID, UNKNOWN, UNSURE, completed
+
+    lacking = [key for key in ("resonance_Hz", "case_mass_kg") if key not in stated]
+    if stated["kind"] != "inertial" or lacking:
+        options = " and ".join(map(option_of, lacking)) or "--kind inertial"
+        raise InputError(
+            f"{option_of(next(iter(sine)))}: the rated sine of an LRA needs {options} as well; state that"
+        )
+    numbers = {key: value for key, value in {**stated, **sine}.items() if isinstance(value, float)}
+    if bad := next((key for key, value in numbers.items() if not 0 < value < float("inf") and key != "L_H"), None):
+        raise InputError(f"{option_of(bad)} {numbers[bad]:g}: must be above 0 and finite")
+    found = completed(
+        numbers, stated["resonance_Hz"], stated["case_mass_kg"], stated.get("L_H", 0.0), sine.get("rms_V")
+    )
+    if found.note:
+        typer.echo(f"note: {found.note}; correct it, or leave it out")
+    for key in (key for key in UNKNOWN if key not in stated):
+        sure = found.deviations[key]
+        about = f"+-{100 * sure:.0f} %" if sure < UNSURE else f"a guess: measure it, and state {option_of(key)}"
+        typer.echo(f"{SAID[key]} {found.values[key]:.3g} {unit_of(key)}".rstrip() + f": {about}")
+    peak = {"rated": 2**0.5 * sine["rms_V"]} if "rms_V" in sine and stated["input"] == "voltage" else {}
+    return {**peak, **{key: float(f"{found.values[key]:.4g}") for key in UNKNOWN}, **stated}
 
 
 def option_of(key: str) -> str:
