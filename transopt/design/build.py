@@ -179,7 +179,7 @@ class Build:
 @one_blas_thread()
 def build_library(
     scene: Scene,
-    recordings: Sequence[Recording],
+    recordings: Sequence[Recording] | References,
     *,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] = lambda done: None,
@@ -189,7 +189,8 @@ def build_library(
 
     Parameters
     ----------
-    recordings : of the scene (`reference.read_recordings`, or `transopt.scene.strikes.recordings`).
+    recordings : of the scene (`reference.read_recordings`, or `transopt.scene.strikes.recordings`), or the references
+        of a library whose recordings are not at hand (`transopt.library.recorded`).
     progress : called with the number of entries that have just been finished.
     refinement : of this scene (`refine_grid.refine_grid`); its grid is solved in place of the scene's own, with
         references at added speeds blended of the recorded ones (`References.at`).
@@ -200,7 +201,8 @@ def build_library(
     """
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
-    context = Context.recorded(scene, recordings)
+    given = isinstance(recordings, References)
+    context = Context(scene, recordings) if given else Context.recorded(scene, recordings)
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
         context = context.varied(scene)

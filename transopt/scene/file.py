@@ -199,8 +199,8 @@ def read_scene(
 ) -> Scene:
     """Read and check a scene file.
 
-    Relative paths in it count from the scene's folder; motor and transmission, where they are file names and
-    not tables, are also looked for in the `search` folders. A model that is a file name is a model file, which takes
+    Relative paths in it count from the scene's folder; motor, transmission and population, where they are file names
+    and not tables, are also looked for in the `search` folders. A model that is a file name is a model file, which takes
     the place of the [model] table; `model_file` names one beside that table. A plant by its matrices may have them in
     a file, `model.file`. The files below `limits.own` are run.
 
@@ -215,16 +215,18 @@ def read_scene(
     """
     content = read_toml(path)
     content.setdefault("name", "".join(c if c.isprintable() else "_" for c in path.stem))
-    for table in ("motor", "transmission"):
-        named = content.get(table)
-        if not isinstance(named, str):
+    for table in ("motor", "transmission", "robust.population"):
+        *inside, key = table.split(".")
+        tables = content.get(inside[0]) if inside else content
+        named = tables.get(key) if isinstance(tables, dict) else None
+        if not isinstance(tables, dict) or not isinstance(named, str):
             continue
         places = [folder / named for folder in (path.parent, *search)]
         found = next((place for place in places if is_file(place)), None)
         if found is None:
             folders = ", ".join(str(place.parent) for place in places)
             raise InputError(f"{path}: {table} = {named!r}: no such file in {folders}")
-        content[table] = read_toml(found)
+        tables[key] = read_toml(found)
     if model is not None:
         content.pop("model_file", None)
         identified = identified_table(model, model.as_posix())

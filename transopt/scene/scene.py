@@ -21,6 +21,9 @@ from transopt.plant.bridge import Bridge
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import PWM_RIPPLE_A, CoilModel
 from transopt.plant.discretise import TimeGrid, samples_after
+from transopt.plant.drive import Drive
+from transopt.plant.fourth_order import FourthOrder
+from transopt.plant.hand import HandSection
 from transopt.plant.intention import FreeMotion
 from transopt.plant.kind import PlantKind
 from transopt.plant.kinds import Model
@@ -54,6 +57,7 @@ from transopt.scene.sections import (
 )
 
 BELOW = 1 - 1e-6  # of a bound that has to be stayed below
+POPULATION_SEED = 2  # of the hands that a robust design serves
 FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
 
 
@@ -238,6 +242,8 @@ class Scene(Section):
             )
         if self.robust is not None and self.robust.grip_spread is not None and self.grid.grips_N[0] == 0:
             raise ValueError("robust.grip_spread: the free device has no grip to spread")
+        if self.robust is not None and self.robust.population is not None:
+            self._check_population(self.robust)
         produced = self.robust is not None and (self.robust.resonance_spread or self.robust.quality_spread)
         if produced and not isinstance(self.model, MovingCoil):
             raise ValueError(
@@ -246,6 +252,19 @@ class Scene(Section):
             )
         if self.robust is not None and self.robust.model_uncertainty and not isinstance(self.model, IdentifiedModel):
             raise ValueError('robust.model_uncertainty: needs a model file (model = "MODEL.json"), which has it')
+
+    def _check_population(self, robust: Robust) -> None:
+        """Hands of a population take the place of a hand that is stated by itself and holds the device."""
+        if not isinstance(self.model, Drive | FourthOrder) or self.grid.grips_N[0] == 0:
+            raise ValueError(
+                "robust.population: spreads the hand that a scene states by [model.hand], at grips above 0: leave it "
+                "out; an identified model has robust.model_uncertainty"
+            )
+        assert robust.population is not None
+        try:
+            robust.population.drawn(robust.samples, POPULATION_SEED, self.grid.grips_N)
+        except InputError as error:
+            raise ValueError(f"robust.{error}") from None
 
     @property
     def _drive_in_file(self) -> bool:
@@ -558,17 +577,32 @@ class Scene(Section):
     def spread(self, grip_N: float) -> list[tuple[Self, float]]:
         """Further devices that the command of a node shall serve, each as its scene and its grip.
 
-        The scene itself at other grips, and what the uncertainty of its model makes of it at the node's own.
+        The scene itself at other grips, what the uncertainty of its model makes of it at the node's own, and the
+        device in other hands.
         """
         devices: list[tuple[Self, float]] = [(self, grip) for grip in self.spread_grips_N(grip_N)]
         if self.robust is not None and self.robust.model_uncertainty:
             assert isinstance(self.model, IdentifiedModel)
             drawn = self.model.drawn(self.robust.samples, self.grid.grips_N)
             devices += [(self.model_copy(update={"model": model}), grip_N) for model in drawn]
+        if self.robust is not None and self.robust.population is not None:
+            hands = self.robust.population.drawn(self.robust.samples, POPULATION_SEED, self.grid.grips_N)
+            devices += [(self.in_hand(hand), grip_N) for hand in hands]
         if self.robust is not None and isinstance(self.model, MovingCoil):
             others = [self.model.produced(*factors) for factors in self.robust.produced()]
             devices += [(self.model_copy(update={"model": model}), grip_N) for model in others]
         return devices
+
+    def in_hand(self, hand: HandSection) -> Self:
+        """The scene whose device is held by another hand.
+
+        Raises
+        ------
+        InputError : a model that does not state a hand by itself.
+        """
+        if not isinstance(self.model, Drive | FourthOrder):
+            raise InputError(f"{self.name}: model.hand: its model states none: take a scene of kind drive")
+        return self.model_copy(update={"model": self.model.model_copy(update={"hand": hand})})
 
     @property
     def _winding(self) -> Motor | Winding | None:

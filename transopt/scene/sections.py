@@ -25,6 +25,7 @@ from transopt.plant.discretise import WHOLE
 from transopt.plant.intention import INTENTION_S, Intention, Yielding
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Tip
+from transopt.scene.population import Population
 
 
 def _increasing(values: list[float]) -> list[float]:
@@ -278,13 +279,15 @@ SAME_DEVICE = 1e-9  # a factor this near to 1 makes no other device
 class Robust(Section):
     """One command for a spread of devices around each node: least in the mean of their squared errors, or the worst.
 
-    The spread is of grips, of devices that the uncertainty of the identified model allows, or of both side by side;
+    The spread is of grips, of devices that the uncertainty of the identified model allows, of hands of a population,
+    or of these side by side;
     of a moving coil it is that of resonance and quality as production has it, `samples` resonances evenly across and
     three qualities for each.
     """
 
     grip_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
     model_uncertainty: bool = False
+    population: Population | None = None
     resonance_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
     quality_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
     samples: Annotated[int, Field(ge=2, le=15)] = 5
@@ -300,7 +303,9 @@ class Robust(Section):
 
     @model_validator(mode="after")
     def _of_something(self) -> Self:
-        made = (self.resonance_spread, self.quality_spread)
-        if self.grip_spread is None and not self.model_uncertainty and made == (None, None):
-            raise ValueError("give grip_spread, model_uncertainty = true, resonance_spread or quality_spread")
+        stated = (self.grip_spread, self.population, self.resonance_spread, self.quality_spread)
+        if not self.model_uncertainty and stated == (None,) * len(stated):
+            raise ValueError(
+                "give grip_spread, model_uncertainty = true, population, resonance_spread or quality_spread"
+            )
         return self

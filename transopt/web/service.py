@@ -24,6 +24,7 @@ from transopt.design.explain import what_would_do
 from transopt.design.remedy import remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
+from transopt.library.recorded import references_of_library
 from transopt.library.proven import load_proven
 from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.problem.answer import Status
@@ -167,7 +168,7 @@ class Service:
         self._known = {key.path for key in keys(scene) if key.path.split(".", 1)[0] in TABLES} - set(DEVICE)
         scene.posing()  # a nonlinear plant is refused here, by name
         if library is not None:
-            self._references = (self._axis(scene), _references(library))
+            self._references = (self._axis(scene), references_of_library(library))
         self.scene = scene
         self.references(scene)
 
@@ -421,44 +422,6 @@ def own_taps(scene: Scene, folder: Path, files: Sequence[str], speed_m_s: float 
         if not nodes or abs(nodes[-1] / tap.speed_m_s - 1) > settings.speed_tolerance:
             nodes.append(speed)
     return Service(with_values(scene, {"recordings": table, "grid.speeds_m_s": nodes}))
-
-
-def _references(library: Library) -> References:
-    """What a library was designed for, as its file has it."""
-    rows, (nv, ng) = library.axes.rows, library.command.shape[:2]
-    return References(
-        tuple(_reference(library, iv, ig) for iv in range(nv) for ig in range(1 if rows[iv][1] else ng))
-    )
-
-
-def _reference(library: Library, iv: int, ig: int) -> Reference:
-    """One cell of them, whose taps are not at hand."""
-    grid, wanted = library.time_grid(), library.wanted_of(iv, ig)
-    speed, name = library.axes.rows[iv]
-    spread = library.meta["repeatability"][iv][ig]
-    times_s = np.append(grid.switching_times_s, grid.after_times_s)
-    return Reference(
-        speed_m_s=speed,
-        grip_N=float(library.grips_N[ig]),
-        recorded_m_s2=library.recorded_m_s2[iv, ig],
-        recorded_before_m_s2=library.recorded_before_m_s2[iv, ig],
-        recorded_after_m_s2=library.recorded_after_m_s2[iv, ig],
-        free_m_s2=library.free_m_s2[iv, ig],
-        free_before_m_s2=library.free_before_m_s2[iv, ig],
-        free_after_m_s2=library.free_after_m_s2[iv, ig],
-        nominal_position_m=wanted.nominal_position_m,
-        nominal_velocity_m_s=wanted.nominal_velocity_m_s,
-        nominal_position_at_ticks_m=wanted.nominal_position_at_ticks_m,
-        repeatability=np.nan if spread is None else spread,
-        repeatability_unaligned=np.nan,
-        taps=(),
-        factors=np.zeros(0),
-        times_s=np.array([wanted.ends_s]) if name else times_s,
-        repeats_m_s2=np.zeros((0, 0)),
-        of_grips_N=() if name else (float(library.grips_N[ig]),),
-        slow_part_known=wanted.slow_part_known,
-        name=name,
-    )
 
 
 def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:

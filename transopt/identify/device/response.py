@@ -11,6 +11,7 @@ from math import factorial
 import numpy as np
 from scipy import linalg
 
+from transopt.base.recursions import LinearSystem
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.amplifier import sampled_response as amplifier_response
 from transopt.plant.amplifier import Amplifier
@@ -244,6 +245,35 @@ def responses(
         elif name == "late":
             slope[j, ACCELERATION] = np.log(back) * value[ACCELERATION]
     return np.asarray(value), slope
+
+
+def courses(
+    plant: StateSpace, instrument: Instrument, command_A: FloatArray, slopes: tuple[Slope, ...] = ()
+) -> FloatArray:
+    """Current, acceleration and position at the ticks under commands, from rest, and their derivatives.
+
+    The sampled model of `responses` over time in place of frequency, without gain and lateness of the instrument.
+
+    Parameters
+    ----------
+    command_A : (K,) issued at the ticks and held. slopes : p derivatives of the plant.
+
+    Returns
+    -------
+    (1 + p, 3, K) [A, m/s^2, m].
+    """
+    model = _sampled(plant, instrument, slopes, position=True, moved=())
+    whole = 0 if instrument.amplifier is None else split_delay(instrument.amplifier.delay_s, instrument.dt_s)[0]
+    felt = np.append(np.zeros(whole + 1), command_A)[: command_A.size + 1]
+    felt = np.stack([felt[1:], felt[:-1]])  # of this tick and of the one before it
+    phi, n = model.phi[0], model.phi.shape[1]
+    driven, one = np.stack([model.now, model.before], axis=2), np.eye(n)
+    states = LinearSystem(phi, driven[0], one, np.zeros((n, 2))).outputs(felt)
+    found = model.rows @ states + model.direct[..., None] * felt[1]
+    follow = LinearSystem(phi, one, model.rows[0], np.zeros((len(model.rows[0]), n)))
+    for j in range(1, len(found)):
+        found[j] += follow.outputs(model.phi[j] @ states + driven[j] @ felt)
+    return np.asarray(found)
 
 
 def current_response(instrument: Instrument, frequencies_Hz: FloatArray) -> ComplexArray:

@@ -1,0 +1,45 @@
+"""The references of a library file, from which its scene is solved again where the recordings are not at hand."""
+
+import numpy as np
+
+from transopt.library.library import Library
+from transopt.recordings.reference import Reference
+from transopt.recordings.references import References
+
+
+def references_of_library(library: Library) -> References:
+    """The references that a library was designed for, as its file has them; the recordings are not at hand."""
+    rows, (nv, ng) = library.axes.rows, library.command.shape[:2]
+    return References(
+        tuple(_reference(library, iv, ig) for iv in range(nv) for ig in range(1 if rows[iv][1] else ng))
+    )
+
+
+def _reference(library: Library, iv: int, ig: int) -> Reference:
+    """One cell of them."""
+    grid, wanted = library.time_grid(), library.wanted_of(iv, ig)
+    speed, name = library.axes.rows[iv]
+    spread = library.meta["repeatability"][iv][ig]
+    times_s = np.append(grid.switching_times_s, grid.after_times_s)
+    return Reference(
+        speed_m_s=speed,
+        grip_N=float(library.grips_N[ig]),
+        recorded_m_s2=library.recorded_m_s2[iv, ig],
+        recorded_before_m_s2=library.recorded_before_m_s2[iv, ig],
+        recorded_after_m_s2=library.recorded_after_m_s2[iv, ig],
+        free_m_s2=library.free_m_s2[iv, ig],
+        free_before_m_s2=library.free_before_m_s2[iv, ig],
+        free_after_m_s2=library.free_after_m_s2[iv, ig],
+        nominal_position_m=wanted.nominal_position_m,
+        nominal_velocity_m_s=wanted.nominal_velocity_m_s,
+        nominal_position_at_ticks_m=wanted.nominal_position_at_ticks_m,
+        repeatability=np.nan if spread is None else spread,
+        repeatability_unaligned=np.nan,
+        taps=(),
+        factors=np.zeros(0),
+        times_s=np.array([wanted.ends_s]) if name else times_s,
+        repeats_m_s2=np.zeros((0, 0)),
+        of_grips_N=() if name else (float(library.grips_N[ig]),),
+        slow_part_known=wanted.slow_part_known,
+        name=name,
+    )

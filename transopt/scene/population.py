@@ -1,0 +1,160 @@
+"""A population of hands: how the parameters of a hand are spread over those who may hold a device, as a file.
+
+The logarithms of the five parameters at two grips are normal over the population. Between the two grips a hand is
+linear in grip, as every `Hand` is. A population is the prior of a calibration (`transopt.identify.calibration`), the
+spread of a robust design (`robust.population`), and what hands are drawn from to try either.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from transopt.base.errors import InputError
+from transopt.base.section import Positive, Section, Words
+from transopt.base.signals import FloatArray
+from transopt.plant.hand import HandSection, LinearParameter
+
+PARAMETERS = tuple(HandSection.model_fields)
+TRIES = 50  # draws for each hand that is asked for, of which one is passive at all grips
+WIDEST = 1.0  # standard deviation of a logarithm: beyond it a tenth of all hands is off by a factor of five
+
+Ends = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+Deviation = Annotated[float, Field(ge=0, le=WIDEST)]
+
+
+class Spread(Section):
+    """One parameter over the population.
+
+    Attributes
+    ----------
+    median : at the two grips of the population [the parameter's own SI unit].
+    spread : standard deviation of the natural logarithm from hand to hand.
+    tilt : standard deviation of the logarithm of the value at the second grip over that at the first.
+    source : where the numbers come from.
+    """
+
+    median: Ends
+    spread: Deviation
+    tilt: Deviation = 0.0
+    source: Words
+
+
+class Correlation(Section):
+    """Correlation of the logarithms of two parameters, alike at both grips."""
+
+    of: tuple[str, str]
+    value: Annotated[float, Field(gt=-1, lt=1)]
+    source: Words
+
+
+class Population(Section):
+    """Hands as a file describes them.
+
+    Attributes
+    ----------
+    grips_N : the two grips at which the parameters are stated.
+    """
+
+    description: Words = ""
+    grips_N: Ends
+    mass_kg: Spread
+    skin_stiffness_N_m: Spread
+    skin_damping_N_s_m: Spread
+    arm_stiffness_N_m: Spread
+    arm_damping_N_s_m: Spread
+    correlations: Annotated[list[Correlation], Field(max_length=10)] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _possible_spread(self) -> Self:
+        if not self.grips_N[0] < self.grips_N[1]:
+            raise ValueError("grips_N: must be two grips, the light one first")
+        for each in self.correlations:
+            unknown = next((name for name in each.of if name not in PARAMETERS), None)
+            if unknown is not None or each.of[0] == each.of[1]:
+                raise ValueError(f"correlations: of = {list(each.of)}: name two of {', '.join(PARAMETERS)}")
+        if np.linalg.eigvalsh(self._correlation())[0] < 0:
+            raise ValueError("correlations: contradict each other (a negative eigenvalue): lower the largest of them")
+        return self
+
+    @property
+    def _spreads(self) -> list[Spread]:
+        return [getattr(self, name) for name in PARAMETERS]
+
+    def _correlation(self) -> FloatArray:
+        found = np.eye(len(PARAMETERS))
+        for each in self.correlations:
+            j, k = (PARAMETERS.index(name) for name in each.of)
+            found[j, k] = found[k, j] = each.value
+        return found
+
+    def mean(self) -> FloatArray:
+        """(10,) logarithms of the median hand: `PARAMETERS` at the first grip, then at the second."""
+        return np.log([spread.median[end] for end in range(2) for spread in self._spreads])
+
+    def covariance(self) -> FloatArray:
+        """(10, 10) of these logarithms."""
+        spread = np.array([each.spread for each in self._spreads])
+        tilt = np.array([each.tilt for each in self._spreads])
+        together = np.outer(spread, spread) * self._correlation()
+        return np.asarray(np.kron(np.ones((2, 2)), together) + np.kron([[1, -1], [-1, 1]], np.diag(tilt**2) / 4))
+
+    def factor(self) -> FloatArray:
+        """(10, 10) L with L L' = covariance, columns of zeros where nothing is spread."""
+        size, along = np.linalg.eigh(self.covariance())
+        return np.asarray(along * np.sqrt(np.maximum(size, 0.0)))
+
+    def hand(self, logarithms: FloatArray) -> HandSection:
+        """The hand of (10,) logarithms."""
+        light, firm = np.exp(logarithms).reshape(2, -1)
+        slope = (firm - light) / (self.grips_N[1] - self.grips_N[0])
+        values = zip(PARAMETERS, light - slope * self.grips_N[0], slope, strict=True)
+        lines = {name: LinearParameter(constant=float(c), per_newton=float(s)) for name, c, s in values}
+        return HandSection(**lines)
+
+    def drawn(self, count: int, seed: int, grips_N: Sequence[float], wider: float = 1.0) -> list[HandSection]:
+        """Hands of the population that are passive at some grips, in pairs of opposite deviations.
+
+        Parameters
+        ----------
+        seed : the same seed draws the same hands.
+        wider : factor on all deviations.
+
+        Raises
+        ------
+        InputError : hardly any hand is passive at these grips.
+        """
+        random, factor, found = np.random.default_rng(seed), wider * self.factor(), list[HandSection]()
+        for _ in range(TRIES * count):
+            off = factor @ random.standard_normal(factor.shape[1])
+            found += [hand for sign in (1.0, -1.0) if _passive(hand := self.hand(self.mean() + sign * off), grips_N)]
+            if len(found) >= count:
+                return found[:count]
+        said = ", ".join(f"{grip:g}" for grip in grips_N)
+        raise InputError(
+            f"population: its hands are stated at {self.grips_N[0]:g} and {self.grips_N[1]:g} N and hardly any is "
+            f"passive at {said} N: keep the grips nearer to these two, or the spreads smaller"
+        )
+
+
+def _passive(hand: HandSection, grips_N: Sequence[float]) -> bool:
+    lines = [line.linear() for line in (getattr(hand, name) for name in PARAMETERS)]
+    return all(line.at(grip) > 0 for line in lines for grip in grips_N)
+
+
+def load_population(path: Path) -> Population:
+    """Read and check a population file.
+
+    Raises
+    ------
+    InputError : one line: file, key, what is wrong.
+    """
+    from transopt.scene.file import explain, read_toml
+
+    content = read_toml(path)
+    try:
+        return Population.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(path, error, content)) from None
