@@ -1,17 +1,28 @@
-"""A library solved again for another model of its device or hand: the taps, limits and grid stay what they were."""
+"""A library solved again for another hand on its device: limits and grid stay what they were.
+
+What is tracked is the tap that the object would give this hand (`transopt.recordings.another_hand`), or the tap as it
+was recorded.
+"""
 
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.design.build import Build, build_library
 from transopt.library.library import Library
 from transopt.library.recorded import references_of_library
+from transopt.recordings.another_hand import in_another_hand
+from transopt.recordings.reference import Reference
 from transopt.scene.file import with_model
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
 OF_RECORDINGS = "grid_speed_m_s"  # a key of every source that is a recording
+
+
+CARRIED_OVER = "carried over to another hand: what the object would do to the stylus in it"
 
 
 def scene_with(library: Library, model: Path) -> Scene:
@@ -21,7 +32,7 @@ def scene_with(library: Library, model: Path) -> Scene:
     ------
     InputError : a library that is not of taps in a hand, or a model file that does not go with its scene.
     """
-    library.check_linear("another model")
+    library.check_linear("another hand")
     scene = library.scene()
     if scene.targets:
         raise InputError(f"{scene.name}: has named targets, for a device that nobody holds: give a library of taps")
@@ -31,18 +42,45 @@ def scene_with(library: Library, model: Path) -> Scene:
     return with_model(scene.model_copy(update={"robust": robust}), model)
 
 
-def built_on(library: Library, model: Path, options: SolverOptions | None = None) -> Build:
+def built_on(
+    library: Library, model: Path, *, as_recorded: bool = False, options: SolverOptions | None = None
+) -> Build:
     """A library's entries designed for a model file in place of its own device, from the references that it has.
 
     Corrections of a refinement are not taken over: they are of the device that it was refined on.
+
+    Parameters
+    ----------
+    as_recorded : track the taps as they were recorded, in the hand that recorded them.
 
     Raises
     ------
     InputError : see `scene_with`.
     """
-    build = build_library(scene_with(library, model), references_of_library(library), options=options)
+    scene, references = scene_with(library, model), references_of_library(library)
+    recorder = library.scene().striking()
+    if not as_recorded:
+        # The hand that strikes is now the one that plays.
+        scene = scene.model_copy(update={"striker": None})
+        cells = tuple(_carried_over(cell, recorder, scene) for cell in references)
+        references = replace(references, cells=cells)
+    build = build_library(scene, references, options=options)
     if build.library is None:
         return build
     recorded = [source for source in library.meta["sources"] if OF_RECORDINGS in source]
+    if not as_recorded:
+        recorded = [{**source, "in_hand": CARRIED_OVER} for source in recorded]
     sources = [*recorded, *build.library.meta["sources"]]
     return replace(build, library=replace(build.library, meta={**build.library.meta, "sources": sources}))
+
+
+def _carried_over(cell: Reference, recorder: Scene, player: Scene) -> Reference:
+    """A reference of the recording hand as it would be in the hand of another scene; the hands' intention stays."""
+    parts = ("before", "", "after")
+    names = [f"recorded_{part}_m_s2".replace("__", "_") for part in parts]
+    free = np.concatenate([getattr(cell, f"free_{part}_m_s2".replace("__", "_")) for part in parts])
+    recorded = np.concatenate([getattr(cell, name) for name in names])
+    old, new = (scene.plant(cell.grip_N, struck=True) for scene in (recorder, player))
+    tap = free + in_another_hand(recorded - free, cell.speed_m_s, old, new, player.time.dt_s)
+    ends = np.cumsum([getattr(cell, name).size for name in names])[:-1]
+    return replace(cell, **dict(zip(names, np.split(tap, ends), strict=True)))
