@@ -8,6 +8,7 @@ import typer
 
 from controller.cli import port as port_commands
 from controller.cli import record as record_commands
+from controller.cli.calibrate import calibrate
 from controller.cli.describe import device_app
 from controller.cli.refine import refine
 from controller.cli.tap import tap
@@ -33,6 +34,7 @@ app.command(epilog=f"Example: transopt-play monitor --port {PORT} --for 10")(por
 app.command(epilog=f"Example: transopt-play check {LIBRARY} --port {PORT}")(port_commands.check)
 app.command(epilog=f"Example: transopt-play zero --device device.toml --port {PORT}")(zero)
 app.command(epilog=f"Example: transopt-play refine {LIBRARY} --simulate --out refined")(refine)
+app.command(epilog=f"Example: transopt-play calibrate {LIBRARY} --simulate --out my_hand")(calibrate)
 app.command(epilog=f"Example: transopt-play tap {LIBRARY} --simulate --speed 0.2 --out played")(tap)
 app.add_typer(record_commands.record_app, name="record")
 app.add_typer(device_app, name="device")

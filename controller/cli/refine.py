@@ -1,6 +1,6 @@
 """`transopt-play refine`: play a library's taps, learn from them, solve again, under the same limits.
 
-The one command of the controller that solves; `transopt.design.resolve`, and with it the optimiser, is
+With `calibrate` the command of the controller that solves; `transopt.design.resolve`, and with it the optimiser, is
 imported inside it.
 """
 
@@ -192,8 +192,8 @@ def _tell(learner: "Learner", results: "Round") -> None:
 
 
 @contextmanager
-def _ended_in_words() -> Iterator[None]:
-    """What ends a refinement on a port: exit codes 130 and 1."""
+def ended_in_words() -> Iterator[None]:
+    """What ends taps on a port before they are done: exit codes 130 and 1."""
     from controller.cli.port import StoppedError
     from controller.cli.refine_taps import EndedError
 
@@ -223,7 +223,7 @@ def _refined(
     from controller.refine import rounds as refinement
     from transopt.design.resolve import resolve
 
-    with connected(bench.port, reset) as device, _ended_in_words(), hand:
+    with connected(bench.port, reset) as device, ended_in_words(), hand:
         play = Taps(device, bench, hand, described, out, taps, seconds)
         return refinement.refine(library, play, resolve, rounds, stated, tell=_tell)
 

@@ -17,6 +17,7 @@ from controller.protocol.codes import LinkNotice
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.refine.heard import Heard, Node, hear, node_near
 from controller.refine.tables import place
+from controller.servo.settings import Settings
 from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
@@ -162,24 +163,30 @@ class Taps:
         StoppedError : Ctrl-C.
         EndedError : a fault or a lost lease.
         """
+        contacts, settings = self.contacts(library, number, nodes)
+        heard: dict[Node, list[Heard]] = {node: [] for node in nodes}
+        for contact in contacts:
+            node = node_near(library, contact.speed_m_s, contact.grip_N)
+            if node is None or node not in heard:
+                continue
+            found = hear(contact, library, settings, node, self._described.accelerometer.bandwidth_Hz)
+            if isinstance(found, str):
+                self._say(f"tap {contact.number} does not count: {found}")
+            else:
+                heard[node].append(found)
+        return heard
+
+    def contacts(
+        self, library: Library, number: int, nodes: Sequence[Node]
+    ) -> tuple[Sequence[Contact], Settings]:
+        """All taps of a round as the device recorded them, and the settings that it had; errors as of a call."""
         given = payload_of(library, device=self._described, amplifier_tolerance=self._hand.amplifier_tolerance)
         device = self._device
         folder = None if device.harmless else self._folder / f"round_{number}"
         if folder is not None:
             make_room(folder)
         load(device, given, self._bench.console)
-        contacts = self._tapped(library, given, folder, number, nodes)
-        heard: dict[Node, list[Heard]] = {node: [] for node in nodes}
-        for contact in contacts:
-            node = node_near(library, contact.speed_m_s, contact.grip_N)
-            if node is None or node not in heard:
-                continue
-            found = hear(contact, library, given.settings, node, self._described.accelerometer.bandwidth_Hz)
-            if isinstance(found, str):
-                self._say(f"tap {contact.number} does not count: {found}")
-            else:
-                heard[node].append(found)
-        return heard
+        return self._tapped(library, given, folder, number, nodes), given.settings
 
     def _say(self, words: str) -> None:
         self._bench.console.print(words, highlight=False, soft_wrap=True)

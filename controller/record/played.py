@@ -22,7 +22,7 @@ from transopt.library.library import Library
 from transopt.plant.intention import INTENTION_S
 from transopt.problem.answer import verdict
 from transopt.problem.objective.bands import Levels, levels
-from transopt.problem.objective.figures import Figures
+from transopt.problem.objective.figures import Figures, felt
 
 FIT_S = 0.03  # of straight approach that the parabola is laid through
 LEAST_FIT = 10  # records of it
@@ -38,7 +38,7 @@ class Compared:
     Attributes
     ----------
     latency_s : the one shift within 1 ms that aligns played and predicted, positive if played late.
-    tap_error : after it, against the recorded tap.
+    tap_error : after it, against the recorded tap. felt_error : the same in the band in which vibration is felt.
     playback_error : after it, against the prediction.
     scale : after it, the factor of the prediction that is nearest to what was played in the mean square.
     speed : change of speed, played over recorded.
@@ -57,6 +57,7 @@ class Compared:
     spectral_error_dB: float
     levels: Levels | None
     scale: float = float("nan")
+    felt_error: float = float("nan")
 
 
 NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, None)
@@ -232,6 +233,7 @@ def _compare(
     played, expected = lowpass(measured, CUTOFF_HZ), sensed(prediction.whole_m_s2)
     aligned = align(played.times_s, played.values, at, expected)
     reference = sensed(prediction.recorded_m_s2)
+    heard = [felt(course, contact.dt_s) for course in (aligned.played_m_s2, reference)]
     return Compared(
         latency_s=aligned.latency_s,
         tap_error=nrmse(aligned.played_m_s2, reference),
@@ -243,4 +245,5 @@ def _compare(
         spectral_error_dB=spectral_error_dB(aligned.played_m_s2, reference, contact.dt_s),
         levels=levels(aligned.played_m_s2, reference, contact.dt_s),
         scale=float(aligned.played_m_s2 @ expected / (expected @ expected)),
+        felt_error=nrmse(*heard),
     )

@@ -14,7 +14,7 @@ above the sensors' noise; they then count by so much less, and the prior by so m
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ LOOSE = 30.0  # sensors taken to be so much worse in the first search, which so 
 ROUNDS = 3  # of searches after it, each with the residuals' size as the one before left it
 GRIP_ERROR = 0.03  # standard deviation of a grip that is read, relative: a hysteresis of 5 % to either side
 TOLD = 0.7  # a posterior deviation above this share of the prior's: the taps hardly tell
+UNEXPLAINED = 2.25  # mean square of the residuals over the sensors' noise from which on that is said
 LEAST_SPREAD = 1e-9  # of the population: an axis along which it does not vary
 NORMAL_95 = 1.959964
 
@@ -81,6 +82,11 @@ class Calibration:
     scatter: tuple[float, float]
 
     @property
+    def at_ends(self) -> FloatArray:
+        """(2, 5) values of `HAND` at both grips of the population."""
+        return np.exp(self.logarithms).reshape(2, -1)
+
+    @property
     def told(self) -> dict[str, tuple[float, float, bool]]:
         """Name of `HAND` -> relative deviations of prior and posterior, the larger of both grips, and who speaks.
 
@@ -88,6 +94,22 @@ class Calibration:
         """
         pairs = zip(*(each.reshape(2, -1).max(axis=0).tolist() for each in (self.prior_deviation, self.deviation)))
         return {name: (prior, own, own <= TOLD * prior) for name, (prior, own) in zip(HAND, pairs, strict=True)}
+
+
+    def in_words(self, taps: int) -> str:
+        """How sure the hand is, what the taps left to the population, and what they do not fit."""
+        known = [f"{name} to {100 * own:.2g} %" for name, (_, own, told) in self.told.items() if told]
+        left = [name for name, (_, _, told) in self.told.items() if not told]
+        said = f"the hand by {taps} tap{'s' if taps > 1 else ''} on a drive that is taken as known: "
+        said += f"{', '.join(known) or 'nothing'} (one standard deviation)"
+        if left:
+            said += f"; left to the population: {', '.join(left)}: tap at other grips and speeds to know them"
+        if (worst := max(self.scatter)) > UNEXPLAINED:
+            said += (
+                f"; the taps are {np.sqrt(worst):.1f} times as far from any such hand as the sensors' noise explains, "
+                "and count by so much less: is the drive as its scene states it (identify it), was the hand steady?"
+            )
+        return said
 
 
 class _Posterior:
@@ -204,7 +226,7 @@ def calibrate(
     n = posterior.factor.shape[1]
     covariance = posterior.factor @ inverse(posterior.evaluate(unknowns)[1])[:n, :n] @ posterior.factor.T
     logarithms = posterior.logarithms(unknowns)
-    return Calibration(
+    found = Calibration(
         device=_device(drive, posterior.coordinates, logarithms, covariance, sources),
         logarithms=logarithms,
         covariance=covariance,
@@ -212,6 +234,8 @@ def calibrate(
         deviation=np.sqrt(np.diag(covariance)),
         scatter=(float(scatter[0]), float(scatter[1])),
     )
+    device = found.device.model_copy(update={"verdict": found.in_words(len(records))})
+    return replace(found, device=device)
 
 
 def _device(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).parents[2] / "problems"
 SCENES = FOLDER / "scenes"
+POPULATION = FOLDER / "populations" / "stylus_grip.toml"
 
 
 def scene_names() -> list[str]:

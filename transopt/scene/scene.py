@@ -39,7 +39,7 @@ from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.recordings.targets import TargetTable
 from transopt.scene.identified import IdentifiedModel
-from transopt.scene.model_parts import StateSpaceDevice
+from transopt.scene.model_parts import ChainHand, DriveDevice, StateSpaceDevice
 from transopt.scene.sections import (
     OF_A_CURRENT,
     WINDOW_S,
@@ -598,11 +598,18 @@ class Scene(Section):
 
         Raises
         ------
-        InputError : a model that does not state a hand by itself.
+        InputError : a model that has no hand of its own.
         """
-        if not isinstance(self.model, Drive | FourthOrder):
-            raise InputError(f"{self.name}: model.hand: its model states none: take a scene of kind drive")
-        return self.model_copy(update={"model": self.model.model_copy(update={"hand": hand})})
+        model = self.model
+        if isinstance(model, Drive | FourthOrder):
+            return self.model_copy(update={"model": model.model_copy(update={"hand": hand})})
+        if isinstance(model, IdentifiedModel) and isinstance(model.device, DriveDevice):
+            device = model.device.model_copy(update={"hand": ChainHand.model_validate(hand.model_dump())})
+            return self.model_copy(update={"model": model.model_copy(update={"device": device})})
+        raise InputError(
+            f"{self.name}: model.kind = {model.kind} has no skin and arm that could be another hand's: take a scene of "
+            "kind drive, or identify its device as a drive chain"
+        )
 
     @property
     def _winding(self) -> Motor | Winding | None:

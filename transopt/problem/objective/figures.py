@@ -68,7 +68,7 @@ class Yardstick:
 
     @cached_property
     def _felt(self) -> tuple[ErrorFilter, ...]:
-        return bandpass(*FELT_Hz, self.grid.dt_s, 1) if 2 * FELT_Hz[1] * self.grid.dt_s < 1 else ()
+        return _felt(self.grid.dt_s)
 
     @cached_property
     def _bump(self) -> tuple[ErrorFilter, ...]:
@@ -121,6 +121,16 @@ class Yardstick:
             error_after=_over(float(np.linalg.norm(tail)), size),
             peak_after_m_s2=float(np.abs(tail).max(initial=0.0)),
         )
+
+
+def _felt(dt_s: float) -> tuple[ErrorFilter, ...]:
+    return bandpass(*FELT_Hz, dt_s, 1) if 2 * FELT_Hz[1] * dt_s < 1 else ()
+
+
+def felt(course: FloatArray, dt_s: float) -> FloatArray:
+    """(K,) what is felt of an acceleration from rest, `Figures.felt_error`; NaN at a rate that cannot carry it."""
+    filters = _felt(dt_s)
+    return _through(filters, course) if filters else np.full_like(course, np.nan)
 
 
 def _through(filters: tuple[ErrorFilter, ...], course: FloatArray) -> FloatArray:

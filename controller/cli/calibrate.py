@@ -1,0 +1,212 @@
+"""`transopt-play calibrate`: from three taps of a new user to the library of that hand.
+
+Beside `refine` the one command of the controller that solves; what does is imported inside it.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from controller.cli.options import (
+    AnyPort,
+    Crossover,
+    DeviceName,
+    LibraryFile,
+    Mismatch,
+    Reset,
+    Seed,
+    Simulate,
+    TrueDeviceName,
+    imperfect,
+    is_simulated,
+    with_port,
+    with_simulate,
+    within,
+)
+from controller.cli.port import connected, person_at
+from transopt.base import terminal
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from controller.cli.bench import Bench
+    from controller.cli.refine_taps import Hand
+    from controller.device.reading import Described
+    from controller.refine.new_hand import Tried
+    from controller.sim.simulator import Imperfections
+    from transopt.identify.calibration import Calibration
+    from transopt.library.library import Library
+    from transopt.scene.population import Population
+
+USERS = 20  # hands of simulated users that can be asked for
+USERS_SEED = 1
+
+
+def calibrate(
+    context: typer.Context,
+    library: LibraryFile,
+    out: Annotated[Path, typer.Option(help="Folder for the hand's model.json and library.npz.")],
+    simulate: Simulate = False,
+    port: AnyPort = None,
+    population: Annotated[
+        Path | None, typer.Option(help="Population of hands, a .toml file; default the built-in stylus_grip.")
+    ] = None,
+    as_recorded: Annotated[
+        bool,
+        typer.Option(
+            "--as-recorded",
+            help="Track the taps as they were recorded, not what the object would do in the new hand.",
+        ),
+    ] = False,
+    device: DeviceName = None,
+    user: Annotated[
+        int,
+        with_simulate("Whose hand it is: number 1 to 20 of the population; 0 for the hand of the true device."),
+    ] = 1,
+    scene: TrueDeviceName = None,
+    mismatch: Mismatch = 0.0,
+    seed: Seed = 0,
+    crossover: Crossover = 0.01,
+    seconds: Annotated[float | None, with_port("End the taps after so many seconds.", "--for")] = None,
+    reset: Reset = False,
+) -> None:
+    """Find a new user's hand from three taps on the device, solve its library, and play it beside the old one.
+
+    Exit 1: the new library is worse than the one that was played, an entry of it is refused, or a fault or a lost
+    lease ended the taps.
+    """
+    simulated = is_simulated(context, "calibrate", simulate, port)
+    within("user", user, 0, USERS)
+    within("for", seconds, 1.0, 1e6, " s")
+    wrong = imperfect(mismatch, seed, crossover)
+    from controller.waveforms.playable import load_playable
+    from transopt.scene import builtin
+    from transopt.scene.population import load_population
+
+    loaded = load_playable(library)
+    if (out / "library.npz").resolve() == library.resolve():
+        raise InputError(f"--out {out}: holds the library that is played; choose another folder")
+    hands = load_population(builtin.POPULATION if population is None else population)
+    from controller.cli.describe import described
+    from controller.refine.new_hand import drive_of
+
+    found = described(device, library, quiet=simulated)
+    if not found.device.accelerometer.sensor:
+        raise InputError("calibrate: this device has no accelerometer, which tells most of a hand: identify without it")
+    drive_of(loaded.scene())
+    terminal.make_folder(out)
+    if simulated:
+        bench, hand = _simulated(loaded, hands, user, scene, wrong, seed, found)
+    else:
+        from controller.cli.refine_taps import PersonsHand
+
+        assert port is not None
+        bench, hand = person_at(port), PersonsHand(terminal.console())
+    _calibrate(loaded, library, bench, hand, found, hands, as_recorded, out, seconds, reset)
+
+
+def _simulated(
+    library: "Library",
+    hands: "Population",
+    user: int,
+    scene: str | None,
+    wrong: "Imperfections",
+    seed: int,
+    found: "Described",
+) -> "tuple[Bench, Hand]":
+    """The bench of a true device in the hand of a user of the population, mismatch of the drive included."""
+    from controller.cli.describe import sensing
+    from controller.cli.refine_taps import simulated_at
+    from controller.sim.chosen_device import device_in, scene_like
+
+    own = library.scene().striking() if scene is None else scene_like(scene)
+    if user:
+        own = own.in_hand(hands.drawn(USERS, USERS_SEED, library.grips_N.tolist())[user - 1])
+    wrong = sensing(found, wrong)
+    return simulated_at(library, device_in(own, wrong, seed), wrong, seed, found.device)
+
+
+def _calibrate(
+    library: "Library",
+    path: Path,
+    bench: "Bench",
+    hand: "Hand",
+    found: "Described",
+    hands: "Population",
+    as_recorded: bool,
+    out: Path,
+    seconds: float | None,
+    reset: bool,
+) -> None:
+    """Taps, hand, library, taps again; and what came of it."""
+    from controller.cli.refine import ended_in_words
+    from controller.cli.refine_taps import Taps
+    from controller.refine.new_hand import calibrated, judged, nodes_to_tap, save_model, tried
+    from transopt.design.another_model import built_on
+    from transopt.scene.fitted import Source
+
+    console, accelerometer_Hz = terminal.console(), found.device.accelerometer.bandwidth_Hz
+    nodes, taps = nodes_to_tap(library, found.device)
+    source = Source(file=path.name, sha256=library.content_sha256)
+    model, written = out / "model.json", out / "library.npz"
+    with connected(bench.port, reset) as device, ended_in_words(), hand:
+        play = Taps(device, bench, hand, found.device, out, taps, seconds)
+        before, settings = play.contacts(library, 0, nodes)
+        result, complaints = calibrated(before, settings, library, hands, accelerometer_Hz, [source])
+        for words in complaints:
+            console.print(words, style="yellow", highlight=False, soft_wrap=True)
+        save_model(model, library.scene(), result.device)
+        console.print(hand_table(result, hands, len(before)))
+        console.print(result.device.verdict, highlight=False, soft_wrap=True)
+        build = built_on(library, model, as_recorded=as_recorded)
+        if build.library is None:
+            refused = build.refused[0]
+            reason = "; ".join(refused.shortfalls) or refused.status.value
+            console.print(f"{refused.place}: refused: {reason}; {model} has the hand", style="red", soft_wrap=True)
+            raise typer.Exit(1)
+        build.library.save(written)
+        after, new_settings = play.contacts(build.library, 1, nodes)
+    each = tried(nodes, build.library, before, after, (settings, new_settings), accelerometer_Hz)
+    console.print(tried_table(build.library, each))
+    words, good = judged(each)
+    console.print(f"{out}: model.json, library.npz", highlight=False, soft_wrap=True)
+    console.print(words, style=None if good else "red", highlight=False, soft_wrap=True)
+    if not good:
+        raise typer.Exit(1)
+
+
+def hand_table(found: "Calibration", hands: "Population", taps: int) -> "Table":
+    """The hand's parameters with what is known of them, and who tells it."""
+    from rich.table import Table
+
+    from transopt.identify.device.chain import HAND, unit_of
+
+    table = Table(title=f"the hand by {taps} taps, and the population as prior")
+    ends = [f"{grip:g} N" for grip in hands.grips_N]
+    for name in ("parameter", "unit", *ends, "known to %", "population %", "told by"):
+        table.add_column(name, justify="left" if name in ("parameter", "unit", "told by") else "right")
+    values = [*map(list, zip(*found.at_ends, strict=True))]
+    for name, at_ends in zip(HAND, values, strict=True):
+        prior, own, told = found.told[name]
+        row = [f"{value:.3g}" for value in at_ends]
+        table.add_row(
+            name, unit_of(name), *row, f"{100 * own:.1f}", f"{100 * prior:.0f}", "taps" if told else "population"
+        )
+    return table
+
+
+def tried_table(library: "Library", each: "list[Tried]") -> "Table":
+    """Both libraries, node by node."""
+    from rich.table import Table
+
+    from controller.refine.tables import place
+
+    table = Table(title="played: the library as it was -> the new one, beside the tap that the new one tracks")
+    for name in ("node", "tap %", "felt %"):
+        table.add_column(name, justify="left" if name == "node" else "right")
+    for one in each:
+        pairs = zip(one.before, one.after, strict=True)
+        table.add_row(place(library, one.node), *(f"{100 * old:.1f} -> {100 * new:.1f}" for old, new in pairs))
+    return table

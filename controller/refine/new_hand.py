@@ -1,0 +1,213 @@
+"""A new user's hand from taps that the device played: which taps, what is read of them, and what came of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from controller.device.device_file import DeviceFile
+from controller.record.played import height_m, met_surface, played_tap
+from controller.record.recorder import Contact
+from controller.refine.heard import Node, node_near
+from controller.servo.settings import Settings
+from transopt.base.errors import InputError
+from transopt.identify.calibration import Calibration, PlayedRecord, calibrate
+from transopt.identify.device.response import Instrument
+from transopt.library.library import Library
+from transopt.plant.drive import Drive
+from transopt.scene.fitted import Source
+from transopt.scene.identified import IdentifiedModel
+from transopt.scene.model_file import save_part
+from transopt.scene.model_parts import MODEL_PARTS, DriveDevice
+from transopt.scene.population import Population
+from transopt.scene.scene import Scene
+
+TAPS = 3
+BEFORE_S = 0.05  # of approach, which knows the hand's own course
+LEAST_NOISE = 1e-3  # of the largest acceleration, where a sensor shows hardly any noise
+LEAST_GAIN, MOST_LOSS = 0.005, 0.01  # of tap or felt error, below and above which a library is no other or a worse one
+
+
+def nodes_to_tap(library: Library, device: DeviceFile) -> tuple[list[Node], int]:
+    """Nodes that tell most of a hand, and how many taps at each: the outermost grips and the middle one.
+
+    Where there is one grip, or no sensor that reads it, the outermost speeds and the middle one.
+    """
+    (nv, ng), middle = library.command.shape[:2], (library.command.shape[0] - 1) // 2
+
+    def three(count: int) -> list[int]:
+        return sorted(set(np.linspace(0, count - 1, TAPS).round().astype(int).tolist()))
+
+    if device.grip.sensor and ng > 1:
+        nodes = [(middle, ig) for ig in three(ng)]
+    else:
+        held = int(np.argmin(np.abs(library.grips_N - device.grip.assumed_grip_N)))
+        nodes = [(iv, 0 if ng == 1 else held) for iv in three(nv)]
+    return nodes, -(-TAPS // len(nodes))
+
+
+def drive_of(scene: Scene) -> DriveDevice:
+    """The drive of a scene, with its own hand, as a model file states it.
+
+    Raises
+    ------
+    InputError : a device that is no motor, transmission and stylus in a hand.
+    """
+    grips = [grip for grip in scene.grid.grips_N if grip > 0]
+    if not grips:
+        raise InputError(f"{scene.name}: its library is of the free device, which nobody holds: solve held grips")
+    served = sorted({round(each, 9) for grip in grips for each in (grip, *scene.spread_grips_N(grip))})
+    model = scene.model
+    if isinstance(model, IdentifiedModel) and isinstance(model.device, DriveDevice):
+        return model.device.model_copy(update={"grips_N": served})
+    if not isinstance(model, Drive):
+        raise InputError(
+            f"{scene.name}: model.kind = {model.kind}: a hand is calibrated on a known drive, which is a scene of kind "
+            "drive, or a device that `transopt identify device` found as a drive chain"
+        )
+    tip = scene.drive_at_tip()
+    hand = model.hand.hand()
+    lines = {name: vars(getattr(hand, name)) for name in type(model.hand).model_fields}
+    return DriveDevice.model_validate(
+        {
+            "kind": "drive",
+            "force_per_current_N_A": tip.force_per_current_N_A,
+            "moving_mass_kg": tip.moving_mass_kg,
+            "stylus_mass_kg": model.stylus_mass_kg,
+            "transmission_stiffness_N_m": tip.stiffness_N_m,
+            "transmission_damping_N_s_m": tip.damping_N_s_m,
+            "hand": lines,
+            "grips_N": served,
+            "nrmse": {},
+            "intervals": {},
+            "parameters": [],
+            "covariance": [],
+            "verdict": f"the drive of {scene.name}, as its scene states it",
+            "sources": [],
+        }
+    )
+
+
+def record_of(contact: Contact, settings: Settings, intention_s: float) -> PlayedRecord | str:
+    """What a played tap says of the hand; or why it says nothing.
+
+    Parameters
+    ----------
+    intention_s : from contact on, for which a hand goes on as it came.
+    """
+    if contact.missed:
+        return f"{contact.missed} records were lost"
+    met_s = met_surface(contact, settings)[0]
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    if not (np.isfinite(met_s) and times[0] <= -BEFORE_S and times[-1] >= met_s + intention_s):
+        return "not all of it was recorded, from 50 ms before the contact until the hand can react"
+    taken = (times >= -BEFORE_S) & (times < met_s + intention_s)
+    first = int(np.argmax(times[taken] > -contact.dt_s / 2))
+    acceleration = contact.acceleration_m_s2[taken]
+    largest = float(np.ptp(acceleration))
+    if largest == 0:
+        return "the accelerometer reads nothing: without one no hand is calibrated"
+    return PlayedRecord(
+        grip_N=contact.grip_N,
+        dt_s=contact.dt_s,
+        command_A=contact.command_A[taken],
+        current_A=contact.current_A[taken],
+        acceleration_m_s2=acceleration,
+        position_m=height_m(contact, settings)[taken],
+        first=first,
+        acceleration_noise_m_s2=max(float(acceleration[:first].std(ddof=1)), LEAST_NOISE * largest),
+        position_noise_m=settings.count_m / np.sqrt(12),
+    )
+
+
+def calibrated(
+    contacts: Sequence[Contact],
+    settings: Settings,
+    library: Library,
+    population: Population,
+    accelerometer_Hz: float,
+    sources: Sequence[Source],
+) -> tuple[Calibration, list[str]]:
+    """The hand behind some taps of a library, and why which of them do not count.
+
+    Raises
+    ------
+    InputError : none counts, or the library's device is not a drive in a hand.
+    """
+    scene = library.scene()
+    drive, found = drive_of(scene), [record_of(each, settings, scene.hand.intention_s) for each in contacts]
+    instrument = Instrument(library.dt_s, library.amplifier(), accelerometer_Hz)
+    records = [one for one in found if isinstance(one, PlayedRecord)]
+    complaints = [
+        f"tap {contact.number} does not count: {why}"
+        for contact, why in zip(contacts, found, strict=True)
+        if isinstance(why, str)
+    ]
+    return calibrate(records, drive, instrument, population, sources), complaints
+
+
+def save_model(path: Path, scene: Scene, device: DriveDevice) -> None:
+    """A model file with the device in its new hand, and what else the scene's own model file has."""
+    path.unlink(missing_ok=True)
+    if isinstance(scene.model, IdentifiedModel):
+        for name in MODEL_PARTS:
+            part = getattr(scene.model, name)
+            if part is not None and name not in ("device", "hand"):
+                save_part(path, name, part)
+    save_part(path, "device", device)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A node played with two libraries, told beside the tap that the new one tracks; NaN where nothing counts.
+
+    Attributes
+    ----------
+    before, after : tap error and felt error, of means over the taps, with the library as it was and with the new one.
+    """
+
+    node: Node
+    before: tuple[float, float]
+    after: tuple[float, float]
+
+
+def tried(
+    nodes: Sequence[Node],
+    library: Library,
+    before: Sequence[Contact],
+    after: Sequence[Contact],
+    settings: tuple[Settings, Settings],
+    accelerometer_Hz: float,
+) -> list[Tried]:
+    """What the new library is worth beside the old one, by the device's own sensors.
+
+    Parameters
+    ----------
+    library : the new one. before, after : taps that the old and the new library played.
+    """
+
+    def means(contacts: Sequence[Contact], known: Settings, node: Node) -> tuple[float, float]:
+        own = [each for each in contacts if node_near(library, each.speed_m_s, each.grip_N) == node]
+        compared = [played_tap(each, library, known, 1.0, accelerometer_Hz).compared for each in own]
+        figures = np.array([[each.tap_error, each.felt_error] for each in compared]).reshape(-1, 2)
+        known_ones = figures[np.isfinite(figures).all(axis=1)]
+        return tuple(known_ones.mean(axis=0).tolist()) if len(known_ones) else (np.nan, np.nan)
+
+    return [Tried(node, means(before, settings[0], node), means(after, settings[1], node)) for node in nodes]
+
+
+def judged(each: Sequence[Tried]) -> tuple[str, bool]:
+    """Whether the new library is better, in words, and whether it may be taken."""
+    pairs = np.array([[one.before, one.after] for one in each])
+    pairs = pairs[np.isfinite(pairs).all(axis=(1, 2))]
+    if not len(pairs):
+        return "no node was played with both libraries: whether the new one is better is not known", False
+    (tap, felt), (new_tap, new_felt) = pairs.mean(axis=0)
+    said = f"tap error {100 * tap:.1f} -> {100 * new_tap:.1f} %, felt error {100 * felt:.1f} -> {100 * new_felt:.1f} %"
+    gains = np.array([tap - new_tap, felt - new_felt])
+    if gains.min() < -MOST_LOSS and gains.max() < -2 * gains.min():
+        return f"worse than the library that was played: {said}: keep that one", False
+    if gains.max() < LEAST_GAIN:
+        return f"no better than the library that was played, whose hand this one is like: {said}", True
+    return f"better than the library that was played: {said}", True
