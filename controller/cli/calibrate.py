@@ -94,7 +94,9 @@ def calibrate(
 
     found = described(device, library, quiet=simulated)
     if not found.device.accelerometer.sensor:
-        raise InputError("calibrate: this device has no accelerometer, which tells most of a hand: identify without it")
+        raise InputError(
+            "calibrate: this device has no accelerometer, which tells most of a hand: identify without it"
+        )
     drive_of(loaded.scene())
     terminal.make_folder(out)
     if simulated:
@@ -185,7 +187,7 @@ def hand_table(found: "Calibration", hands: "Population", taps: int) -> "Table":
 
     table = Table(title=f"the hand by {taps} taps, and the population as prior")
     ends = [f"{grip:g} N" for grip in hands.grips_N]
-    for name in ("parameter", "unit", *ends, "known to %", "population %", "told by"):
+    for name in ("parameter", "unit", *ends, f"known to %, {found.grip_N:.2g} N", "population %", "told by"):
         table.add_column(name, justify="left" if name in ("parameter", "unit", "told by") else "right")
     values = [*map(list, zip(*found.at_ends, strict=True))]
     for name, at_ends in zip(HAND, values, strict=True):
@@ -202,11 +204,12 @@ def tried_table(library: "Library", each: "list[Tried]") -> "Table":
     from rich.table import Table
 
     from controller.refine.tables import place
+    from transopt.base.writing import percent
 
     table = Table(title="played: the library as it was -> the new one, beside the tap that the new one tracks")
     for name in ("node", "tap %", "felt %"):
         table.add_column(name, justify="left" if name == "node" else "right")
     for one in each:
         pairs = zip(one.before, one.after, strict=True)
-        table.add_row(place(library, one.node), *(f"{100 * old:.1f} -> {100 * new:.1f}" for old, new in pairs))
+        table.add_row(place(library, one.node), *(f"{percent(old)} -> {percent(new)}" for old, new in pairs))
     return table

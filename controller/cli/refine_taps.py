@@ -90,9 +90,10 @@ class SimulatedHand:
         self._in_all += taps * len(nodes)
         self._progress.update(self._bar, total=self._in_all)
         each = [(node, n) for node in nodes for n in range(taps)]
-        self.hand.plan(tap_of(library, self._device, self._tap(library, number, *one)) for one in each)
+        self.hand.plan(tap_of(library, self._device, self.tap(library, number, *one)) for one in each)
 
-    def _tap(self, library: Library, number: int, node: Node, n: int) -> SimulatedTap:
+    def tap(self, library: Library, number: int, node: Node, n: int) -> SimulatedTap:
+        """One of the taps that are asked for."""
         return SimulatedTap(
             speed_m_s=float(library.speeds_m_s[node[0]]),
             grip_N=float(library.grips_N[node[1]]),
@@ -176,9 +177,7 @@ class Taps:
                 heard[node].append(found)
         return heard
 
-    def contacts(
-        self, library: Library, number: int, nodes: Sequence[Node]
-    ) -> tuple[Sequence[Contact], Settings]:
+    def contacts(self, library: Library, number: int, nodes: Sequence[Node]) -> tuple[Sequence[Contact], Settings]:
         """All taps of a round as the device recorded them, and the settings that it had; errors as of a call."""
         given = payload_of(library, device=self._described, amplifier_tolerance=self._hand.amplifier_tolerance)
         device = self._device

@@ -19,14 +19,18 @@ from transopt.plant.drive import Drive
 from transopt.scene.fitted import Source
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_file import save_part
-from transopt.scene.model_parts import MODEL_PARTS, DriveDevice
+from transopt.scene.model_parts import DriveDevice
 from transopt.scene.population import Population
 from transopt.scene.scene import Scene
 
 TAPS = 3
 BEFORE_S = 0.05  # of approach, which knows the hand's own course
+FIRM = 1.1  # times the grip below which nothing is played: a hand that means to hold so firmly does
 LEAST_NOISE = 1e-3  # of the largest acceleration, where a sensor shows hardly any noise
-LEAST_GAIN, MOST_LOSS = 0.005, 0.01  # of tap or felt error, below and above which a library is no other or a worse one
+LEAST_GAIN, MOST_LOSS = (
+    0.005,
+    0.01,
+)  # of tap or felt error, below and above which a library is no other or a worse one
 
 
 def nodes_to_tap(library: Library, device: DeviceFile) -> tuple[list[Node], int]:
@@ -39,11 +43,13 @@ def nodes_to_tap(library: Library, device: DeviceFile) -> tuple[list[Node], int]
     def three(count: int) -> list[int]:
         return sorted(set(np.linspace(0, count - 1, TAPS).round().astype(int).tolist()))
 
-    if device.grip.sensor and ng > 1:
-        nodes = [(middle, ig) for ig in three(ng)]
+    firm = np.flatnonzero(library.grips_N > FIRM * library.grip_min_N)
+    if device.grip.sensor and firm.size > 1:
+        nodes = [(middle, int(firm[j])) for j in three(firm.size)]
+    elif device.grip.sensor:
+        nodes = [(iv, ng - 1) for iv in three(nv)]
     else:
-        held = int(np.argmin(np.abs(library.grips_N - device.grip.assumed_grip_N)))
-        nodes = [(iv, 0 if ng == 1 else held) for iv in three(nv)]
+        nodes = [(iv, int(np.argmin(np.abs(library.grips_N - device.grip.assumed_grip_N)))) for iv in three(nv)]
     return nodes, -(-TAPS // len(nodes))
 
 
@@ -63,8 +69,8 @@ def drive_of(scene: Scene) -> DriveDevice:
         return model.device.model_copy(update={"grips_N": served})
     if not isinstance(model, Drive):
         raise InputError(
-            f"{scene.name}: model.kind = {model.kind}: a hand is calibrated on a known drive, which is a scene of kind "
-            "drive, or a device that `transopt identify device` found as a drive chain"
+            f"{scene.name}: model.kind = {model.kind}: a hand is calibrated on a known drive: give a library of a "
+            "scene of kind drive, or of a device that `transopt identify device` found as a drive chain"
         )
     tip = scene.drive_at_tip()
     hand = model.hand.hand()
@@ -100,6 +106,8 @@ def record_of(contact: Contact, settings: Settings, intention_s: float) -> Playe
         return f"{contact.missed} records were lost"
     met_s = met_surface(contact, settings)[0]
     times = (contact.ticks - contact.tick) * contact.dt_s
+    if not np.any(contact.command_A):
+        return "nothing was played: hold the stylus more firmly, or tap faster"
     if not (np.isfinite(met_s) and times[0] <= -BEFORE_S and times[-1] >= met_s + intention_s):
         return "not all of it was recorded, from 50 ms before the contact until the hand can react"
     taken = (times >= -BEFORE_S) & (times < met_s + intention_s)
@@ -151,10 +159,10 @@ def save_model(path: Path, scene: Scene, device: DriveDevice) -> None:
     """A model file with the device in its new hand, and what else the scene's own model file has."""
     path.unlink(missing_ok=True)
     if isinstance(scene.model, IdentifiedModel):
-        for name in MODEL_PARTS:
-            part = getattr(scene.model, name)
-            if part is not None and name not in ("device", "hand"):
-                save_part(path, name, part)
+        if scene.model.amplifier is not None:
+            save_part(path, "amplifier", scene.model.amplifier)
+        if scene.model.coil is not None:
+            save_part(path, "coil", scene.model.coil)
     save_part(path, "device", device)
 
 
@@ -204,7 +212,9 @@ def judged(each: Sequence[Tried]) -> tuple[str, bool]:
     if not len(pairs):
         return "no node was played with both libraries: whether the new one is better is not known", False
     (tap, felt), (new_tap, new_felt) = pairs.mean(axis=0)
-    said = f"tap error {100 * tap:.1f} -> {100 * new_tap:.1f} %, felt error {100 * felt:.1f} -> {100 * new_felt:.1f} %"
+    said = (
+        f"tap error {100 * tap:.1f} -> {100 * new_tap:.1f} %, felt error {100 * felt:.1f} -> {100 * new_felt:.1f} %"
+    )
     gains = np.array([tap - new_tap, felt - new_felt])
     if gains.min() < -MOST_LOSS and gains.max() < -2 * gains.min():
         return f"worse than the library that was played: {said}: keep that one", False

@@ -76,11 +76,10 @@ def built_on(
 
 def _carried_over(cell: Reference, recorder: Scene, player: Scene) -> Reference:
     """A reference of the recording hand as it would be in the hand of another scene; the hands' intention stays."""
-    parts = ("before", "", "after")
-    names = [f"recorded_{part}_m_s2".replace("__", "_") for part in parts]
-    free = np.concatenate([getattr(cell, f"free_{part}_m_s2".replace("__", "_")) for part in parts])
-    recorded = np.concatenate([getattr(cell, name) for name in names])
+    free = np.concatenate([cell.free_before_m_s2, cell.free_m_s2, cell.free_after_m_s2])
+    parts = (cell.recorded_before_m_s2, cell.recorded_m_s2, cell.recorded_after_m_s2)
+    recorded, ends = np.concatenate(parts), np.cumsum([part.size for part in parts])[:-1]
     old, new = (scene.plant(cell.grip_N, struck=True) for scene in (recorder, player))
     tap = free + in_another_hand(recorded - free, cell.speed_m_s, old, new, player.time.dt_s)
-    ends = np.cumsum([getattr(cell, name).size for name in names])[:-1]
-    return replace(cell, **dict(zip(names, np.split(tap, ends), strict=True)))
+    before, window, after = np.split(tap, ends)
+    return replace(cell, recorded_before_m_s2=before, recorded_m_s2=window, recorded_after_m_s2=after)

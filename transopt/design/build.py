@@ -201,8 +201,10 @@ def build_library(
     """
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
-    given = isinstance(recordings, References)
-    context = Context(scene, recordings) if given else Context.recorded(scene, recordings)
+    if isinstance(recordings, References):
+        context = Context(scene, recordings)
+    else:
+        context = Context.recorded(scene, recordings)
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
         context = context.varied(scene)

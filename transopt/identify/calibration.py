@@ -33,6 +33,8 @@ ROUNDS = 3  # of searches after it, each with the residuals' size as the one bef
 GRIP_ERROR = 0.03  # standard deviation of a grip that is read, relative: a hysteresis of 5 % to either side
 TOLD = 0.7  # a posterior deviation above this share of the prior's: the taps hardly tell
 UNEXPLAINED = 2.25  # mean square of the residuals over the sensors' noise from which on that is said
+ONE_GRIP = 1.2  # largest over smallest grip of taps that say nothing of how a hand changes with grip
+LEAST_SHARE = 0.01  # of a parameter at the lighter end, below which it is taken for no hand's
 LEAST_SPREAD = 1e-9  # of the population: an axis along which it does not vary
 NORMAL_95 = 1.959964
 
@@ -70,16 +72,23 @@ class Calibration:
     ----------
     device : drive and hand, with the covariance of the hand.
     logarithms, covariance : (10,), (10, 10) of the hand's parameters at both grips of the population.
-    prior_deviation, deviation : (10,) of the logarithms, before and after the taps.
+    grips_N : of the taps, as read.
+    prior_deviation, deviation : (5,) of the parameters' logarithms at their mean grip, before and after the taps.
     scatter : mean square of the residuals over the sensors' own noise, of acceleration and of position.
     """
 
     device: DriveDevice
     logarithms: FloatArray
     covariance: FloatArray
+    grips_N: tuple[float, ...]
     prior_deviation: FloatArray
     deviation: FloatArray
     scatter: tuple[float, float]
+
+    @property
+    def grip_N(self) -> float:
+        """Mean grip of the taps."""
+        return float(np.mean(self.grips_N))
 
     @property
     def at_ends(self) -> FloatArray:
@@ -88,26 +97,30 @@ class Calibration:
 
     @property
     def told(self) -> dict[str, tuple[float, float, bool]]:
-        """Name of `HAND` -> relative deviations of prior and posterior, the larger of both grips, and who speaks.
+        """Name of `HAND` -> relative deviations of prior and posterior, and whether the taps speak.
 
-        The third is whether the taps speak; else the population does.
+        If they do not, the population does.
         """
-        pairs = zip(*(each.reshape(2, -1).max(axis=0).tolist() for each in (self.prior_deviation, self.deviation)))
-        return {name: (prior, own, own <= TOLD * prior) for name, (prior, own) in zip(HAND, pairs, strict=True)}
+        rows = zip(HAND, self.prior_deviation.tolist(), self.deviation.tolist(), strict=True)
+        return {name: (prior, own, own <= TOLD * prior) for name, prior, own in rows}
 
-
-    def in_words(self, taps: int) -> str:
+    @property
+    def in_words(self) -> str:
         """How sure the hand is, what the taps left to the population, and what they do not fit."""
         known = [f"{name} to {100 * own:.2g} %" for name, (_, own, told) in self.told.items() if told]
         left = [name for name, (_, _, told) in self.told.items() if not told]
+        taps = len(self.grips_N)
         said = f"the hand by {taps} tap{'s' if taps > 1 else ''} on a drive that is taken as known: "
-        said += f"{', '.join(known) or 'nothing'} (one standard deviation)"
+        said += f"at {self.grip_N:.2g} N {', '.join(known) or 'nothing'} (one standard deviation)"
         if left:
             said += f"; left to the population: {', '.join(left)}: tap at other grips and speeds to know them"
+        if max(self.grips_N) < ONE_GRIP * min(self.grips_N):
+            said += "; at other grips the population speaks, for all taps are of one: tap at more"
         if (worst := max(self.scatter)) > UNEXPLAINED:
             said += (
-                f"; the taps are {np.sqrt(worst):.1f} times as far from any such hand as the sensors' noise explains, "
-                "and count by so much less: is the drive as its scene states it (identify it), was the hand steady?"
+                f"; the taps are {np.sqrt(worst):.1f} times as far from any such hand as the sensors' noise "
+                "explains, and count by so much less: is the drive as its scene states it (identify it), was the hand "
+                "steady?"
             )
         return said
 
@@ -129,7 +142,10 @@ class _Posterior:
         # Noise of the acceleration goes through the accelerometer's pole, that of counts is white.
         self._kept = (0.0 if pole_Hz is None else float(np.exp(-2 * np.pi * pole_Hz * instrument.dt_s)), 0.0)
         self._left_out = [
-            [_own_course(kept, degree, record.command_A.size) for kept, degree in zip(self._kept, (0, 2), strict=True)]
+            [
+                _own_course(kept, degree, record.command_A.size)
+                for kept, degree in zip(self._kept, (0, 2), strict=True)
+            ]
             for record in records
         ]
         # What the amplifier lets flow beside what its model says, joined by straight lines, in means over a tick.
@@ -149,7 +165,9 @@ class _Posterior:
         record, n, at_ends = self.records[j], self.factor.shape[1], np.exp(self.logarithms(unknowns))
         off_N = GRIP_ERROR * record.grip_N
         matrix = self.coordinates.at(record.grip_N + off_N * unknowns[n + j])
-        hand, by_grip = matrix @ at_ends, (self.coordinates.at(off_N) - self.coordinates.at(0.0)) @ at_ends
+        # Beyond the population's grips a line may cross zero on the way of a search: no hand does.
+        hand = np.maximum(matrix @ at_ends, LEAST_SHARE * at_ends.reshape(2, -1).min(axis=0))
+        by_grip = (self.coordinates.at(off_N) - self.coordinates.at(0.0)) @ at_ends
         plant, slopes = log_slopes(np.concatenate([self._shared, hand]), self._drive.force_per_current_N_A)
         own = slopes[len(SHARED) :]
         ideal = Instrument(record.dt_s, None, self._instrument.accelerometer_Hz)
@@ -161,7 +179,7 @@ class _Posterior:
         return np.concatenate([value, slope])[:, [ACCELERATION, POSITION]]
 
     def data(self, unknowns: FloatArray, j: int) -> FloatArray:
-        """(1 + u, 2, K) residuals of a record over the sensors' noise, and their derivatives, as white noise has it."""
+        """(1 + u, 2, K) residuals of a record over the sensors' noise, made white, and their derivatives."""
         record, found = self.records[j], self._motion(unknowns, j)
         found[0] -= [record.acceleration_m_s2, record.position_m]
         for o, noise in enumerate((record.acceleration_noise_m_s2, record.position_noise_m)):
@@ -226,15 +244,23 @@ def calibrate(
     n = posterior.factor.shape[1]
     covariance = posterior.factor @ inverse(posterior.evaluate(unknowns)[1])[:n, :n] @ posterior.factor.T
     logarithms = posterior.logarithms(unknowns)
+    grips = tuple(record.grip_N for record in records)
+    matrix, at_ends = posterior.coordinates.at(float(np.mean(grips))), np.exp(logarithms)
+    by_ends = matrix * at_ends / (matrix @ at_ends)[:, None]
+
+    def deviations(of: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.diag(by_ends @ of @ by_ends.T)))
+
     found = Calibration(
         device=_device(drive, posterior.coordinates, logarithms, covariance, sources),
         logarithms=logarithms,
         covariance=covariance,
-        prior_deviation=np.sqrt(np.diag(population.covariance())),
-        deviation=np.sqrt(np.diag(covariance)),
+        grips_N=grips,
+        prior_deviation=deviations(population.covariance()),
+        deviation=deviations(covariance),
         scatter=(float(scatter[0]), float(scatter[1])),
     )
-    device = found.device.model_copy(update={"verdict": found.in_words(len(records))})
+    device = found.device.model_copy(update={"verdict": found.in_words})
     return replace(found, device=device)
 
 

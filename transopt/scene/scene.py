@@ -607,8 +607,8 @@ class Scene(Section):
             device = model.device.model_copy(update={"hand": ChainHand.model_validate(hand.model_dump())})
             return self.model_copy(update={"model": model.model_copy(update={"device": device})})
         raise InputError(
-            f"{self.name}: model.kind = {model.kind} has no skin and arm that could be another hand's: take a scene of "
-            "kind drive, or identify its device as a drive chain"
+            f"{self.name}: model.kind = {model.kind} has no skin and arm that could be another hand's: take a scene "
+            "of kind drive, or identify its device as a drive chain"
         )
 
     @property

@@ -24,8 +24,8 @@ from transopt.design.explain import what_would_do
 from transopt.design.remedy import remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
-from transopt.library.recorded import references_of_library
 from transopt.library.proven import load_proven
+from transopt.library.recorded import references_of_library
 from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
