@@ -80,9 +80,9 @@ def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
     return tuple(keys)
 
 
-def _known_keys(keys: tuple[str | int, ...], content: Any) -> list[str]:
+def _known_keys(keys: tuple[str | int, ...], content: Any, kind: type[Section]) -> list[str]:
     """The keys that the table around the last of `keys` takes."""
-    tables: list[Any] = [Scene]
+    tables: list[Any] = [kind]
     for key in keys[:-1]:
         content = content[key]
         annotations = [t.model_fields[key].annotation for t in tables if key in t.model_fields]
@@ -97,7 +97,9 @@ def _known_keys(keys: tuple[str | int, ...], content: Any) -> list[str]:
     return list(dict.fromkeys(name for table in tables for name in table.model_fields))
 
 
-def explain(source: Path | str, error: ValidationError, content: dict[str, Any]) -> str:
+def explain(
+    source: Path | str, error: ValidationError, content: dict[str, Any], kind: type[Section] = Scene
+) -> str:
     """The first complaint about a scene's content in one line, and how many more keys there are complaints about.
 
     Parameters
@@ -105,22 +107,23 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     source : the file or the scene's name, first in the line.
     error : what pydantic found.
     content : the tables that it was given.
+    kind : what they shall be, where that is not a scene but a file of its own.
     """
     # A misspelt key comes before the one that is missing for it.
     first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
     keys = _keys_only(first, content)
     where = ".".join(str(key) for key in keys)
     if first["type"] == "extra_forbidden":
-        known = _known_keys(keys, content)
+        known = _known_keys(keys, content, kind)
         if where in REPLACED:
             return f"{source}: {where}: {REPLACED[where]}"
         text = f"{where}: unknown key{did_you_mean(str(keys[-1]), known)}; known here: {', '.join(known)}"
-        if len(keys) > 1 and keys[-1] in Scene.model_fields:
+        if kind is Scene and len(keys) > 1 and keys[-1] in Scene.model_fields:
             text = (
                 f"{where}: {keys[-1]} is no key of this table but of the scene: put its line above the first [table]"
             )
     elif first["type"] == "missing":
-        text = f"{where}: missing; add it to the scene"
+        text = f"{where}: missing; add it to the {'scene' if kind is Scene else 'file'}"
     else:
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {cut(repr(first['input']))}"

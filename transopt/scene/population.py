@@ -157,4 +157,4 @@ def load_population(path: Path) -> Population:
     try:
         return Population.model_validate(content)
     except ValidationError as error:
-        raise InputError(explain(path, error, content)) from None
+        raise InputError(explain(path, error, content, Population)) from None
