@@ -25,6 +25,7 @@ from transopt.scene.scene import Scene
 
 TAPS = 3
 BEFORE_S = 0.05  # of approach, which knows the hand's own course
+NEAR_S = 0.01  # between the first command and the contact that it was played for: longer is another contact
 FIRM = 1.1  # times the grip below which nothing is played: a hand that means to hold so firmly does
 LEAST_NOISE = 1e-3  # of the largest acceleration, where a sensor shows hardly any noise
 LEAST_GAIN, MOST_LOSS = (
@@ -108,7 +109,7 @@ def record_of(contact: Contact, settings: Settings, intention_s: float) -> Playe
     times = (contact.ticks - contact.tick) * contact.dt_s
     if not np.any(contact.command_A):
         return "nothing was played: hold the stylus more firmly, or tap faster"
-    if not (np.isfinite(met_s) and times[0] <= -BEFORE_S and times[-1] >= met_s + intention_s):
+    if not (abs(met_s) < NEAR_S and times[0] <= -BEFORE_S and times[-1] >= met_s + intention_s):
         return "not all of it was recorded, from 50 ms before the contact until the hand can react"
     taken = (times >= -BEFORE_S) & (times < met_s + intention_s)
     first = int(np.argmax(times[taken] > -contact.dt_s / 2))

@@ -119,8 +119,7 @@ class Calibration:
         if (worst := max(self.scatter)) > UNEXPLAINED:
             said += (
                 f"; the taps are {np.sqrt(worst):.1f} times as far from any such hand as the sensors' noise "
-                "explains, and count by so much less: is the drive as its scene states it (identify it), was the hand "
-                "steady?"
+                "explains, and count by so much less: identify the drive, or tap with a steadier hand"
             )
         return said
 

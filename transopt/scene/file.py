@@ -97,9 +97,7 @@ def _known_keys(keys: tuple[str | int, ...], content: Any, kind: type[Section]) 
     return list(dict.fromkeys(name for table in tables for name in table.model_fields))
 
 
-def explain(
-    source: Path | str, error: ValidationError, content: dict[str, Any], kind: type[Section] = Scene
-) -> str:
+def explain(source: Path | str, error: ValidationError, content: dict[str, Any], kind: type[Section] = Scene) -> str:
     """The first complaint about a scene's content in one line, and how many more keys there are complaints about.
 
     Parameters
@@ -204,8 +202,8 @@ def read_scene(
 
     Relative paths in it count from the scene's folder; motor, transmission and population, where they are file names
     and not tables, are also looked for in the `search` folders. A model that is a file name is a model file, which
-    takes the place of the [model] table; `model_file` names one beside that table. A plant by its matrices may have them in
-    a file, `model.file`. The files below `limits.own` are run.
+    takes the place of the [model] table; `model_file` names one beside that table. A plant by its matrices may have them
+    in a file, `model.file`. The files below `limits.own` are run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The most probable hand behind played taps: found, with intervals that hold, and by the population where taps say nothing."""
+"""The most probable hand behind played taps: it is found, its intervals hold, and the population fills the gaps."""
 
 from dataclasses import replace
 

@@ -101,9 +101,9 @@ class TestRobust:
             assert not np.allclose(device.plant(3.0).A, scene.plant(3.0).A, rtol=1e-3)
 
     def test_what_has_no_hand_of_its_own_is_refused(self, tmp_path: Path, population: Population) -> None:
-        with pytest.raises(InputError, match="robust.population: spreads the hand that a scene states"):
+        with pytest.raises(InputError, match=r"robust\.population: spreads the hand that a scene states"):
             read_scene(self.scene_file(tmp_path, "second_order", "populations/stylus_grip.toml"), search=[FOLDER])
-        with pytest.raises(InputError, match=r"robust.population = 'hands.toml': no such file"):
+        with pytest.raises(InputError, match=r"robust\.population = 'hands.toml': no such file"):
             read_scene(self.scene_file(tmp_path, "wood_on_foam", "hands.toml"), search=[FOLDER])
         with pytest.raises(InputError, match="has no skin and arm"):
             load_scene("second_order").in_hand(population.hand(population.mean()))
