@@ -202,8 +202,8 @@ def read_scene(
 
     Relative paths in it count from the scene's folder; motor, transmission and population, where they are file names
     and not tables, are also looked for in the `search` folders. A model that is a file name is a model file, which
-    takes the place of the [model] table; `model_file` names one beside that table. A plant by its matrices may have them
-    in a file, `model.file`. The files below `limits.own` are run.
+    takes the place of the [model] table; `model_file` names one beside that table. A plant by its matrices may have
+    them in a file, `model.file`. The files below `limits.own` are run.
 
     Parameters
     ----------
