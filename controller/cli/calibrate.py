@@ -95,7 +95,8 @@ def calibrate(
     found = described(device, library, quiet=simulated)
     if not found.device.accelerometer.sensor:
         raise InputError(
-            "calibrate: this device has no accelerometer, which tells most of a hand: identify without it"
+            "calibrate: accelerometer.sensor = false: an accelerometer tells most of a hand: mount one, and state it "
+            "in the device file (--device)"
         )
     drive_of(loaded.scene())
     terminal.make_folder(out)
@@ -160,7 +161,7 @@ def _calibrate(
         for words in complaints:
             console.print(words, style="yellow", highlight=False, soft_wrap=True)
         save_model(model, library.scene(), result.device)
-        console.print(hand_table(result, hands, len(before)))
+        console.print(hand_table(result, hands))
         console.print(result.device.verdict, highlight=False, soft_wrap=True)
         build = built_on(library, model, as_recorded=as_recorded)
         if build.library is None:
@@ -179,13 +180,13 @@ def _calibrate(
         raise typer.Exit(1)
 
 
-def hand_table(found: "Calibration", hands: "Population", taps: int) -> "Table":
+def hand_table(found: "Calibration", hands: "Population") -> "Table":
     """The hand's parameters with what is known of them, and who tells it."""
     from rich.table import Table
 
     from transopt.identify.device.chain import HAND, unit_of
 
-    table = Table(title=f"the hand by {taps} taps, and the population as prior")
+    table = Table(title=f"the hand by {len(found.grips_N)} taps, and the population as prior")
     ends = [f"{grip:g} N" for grip in hands.grips_N]
     for name in ("parameter", "unit", *ends, f"known to %, {found.grip_N:.2g} N", "population %", "told by"):
         table.add_column(name, justify="left" if name in ("parameter", "unit", "told by") else "right")

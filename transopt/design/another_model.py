@@ -17,21 +17,13 @@ from transopt.recordings.another_hand import in_another_hand
 from transopt.recordings.reference import Reference
 from transopt.scene.file import with_model
 from transopt.scene.scene import Scene
-from transopt.solvers.options import SolverOptions
 
 OF_RECORDINGS = "grid_speed_m_s"  # a key of every source that is a recording
-
-
 CARRIED_OVER = "carried over to another hand: what the object would do to the stylus in it"
 
 
-def scene_with(library: Library, model: Path) -> Scene:
-    """The scene of a library on a model file; what its spread of hands was is what the model file leaves open.
-
-    Raises
-    ------
-    InputError : a library that is not of taps in a hand, or a model file that does not go with its scene.
-    """
+def _scene_with(library: Library, model: Path) -> Scene:
+    """The scene of a library on a model file; what its spread of hands was is what the model file leaves open."""
     library.check_linear("another hand")
     scene = library.scene()
     if scene.targets:
@@ -42,9 +34,7 @@ def scene_with(library: Library, model: Path) -> Scene:
     return with_model(scene.model_copy(update={"robust": robust}), model)
 
 
-def built_on(
-    library: Library, model: Path, *, as_recorded: bool = False, options: SolverOptions | None = None
-) -> Build:
+def built_on(library: Library, model: Path, *, as_recorded: bool = False) -> Build:
     """A library's entries designed for a model file in place of its own device, from the references that it has.
 
     Corrections of a refinement are not taken over: they are of the device that it was refined on.
@@ -55,16 +45,16 @@ def built_on(
 
     Raises
     ------
-    InputError : see `scene_with`.
+    InputError : a library that is not of taps in a hand, or a model file that does not go with its scene.
     """
-    scene, references = scene_with(library, model), references_of_library(library)
+    scene, references = _scene_with(library, model), references_of_library(library)
     recorder = library.scene().striking()
     if not as_recorded:
         # The hand that strikes is now the one that plays.
         scene = scene.model_copy(update={"striker": None})
         cells = tuple(_carried_over(cell, recorder, scene) for cell in references)
         references = replace(references, cells=cells)
-    build = build_library(scene, references, options=options)
+    build = build_library(scene, references)
     if build.library is None:
         return build
     recorded = [source for source in library.meta["sources"] if OF_RECORDINGS in source]

@@ -17,13 +17,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import ValidationError
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import HAND, SHARED, Coordinates, log_slopes
 from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION, Instrument, courses
 from transopt.identify.squares import Squares, inverse
-from transopt.scene.fitted import Source
+from transopt.scene.fitted import Source, complaint
 from transopt.scene.model_parts import DriveDevice
 from transopt.scene.population import Population
 
@@ -279,13 +280,18 @@ def _device(
         _, parameter, part = name.split(".")
         hand.setdefault(parameter, {})[part] = value
     bounds = np.stack([values - half, values + half], axis=1).tolist()
-    return DriveDevice.model_validate(
-        {
-            **drive.model_dump(),
-            "hand": hand,
-            "intervals": dict(zip(names, bounds, strict=True)),
-            "parameters": list(names),
-            "covariance": ((spread + spread.T) / 2).tolist(),
-            "sources": [source.model_dump() for source in sources],
-        }
-    )
+    stated = {
+        "hand": hand,
+        "intervals": dict(zip(names, bounds, strict=True)),
+        "parameters": list(names),
+        "covariance": ((spread + spread.T) / 2).tolist(),
+        "sources": [source.model_dump() for source in sources],
+    }
+    try:
+        return DriveDevice.model_validate({**drive.model_dump(), **stated})
+    except ValidationError as error:
+        ends = " and ".join(f"{end:g}" for end in coordinates.ends_N)
+        raise InputError(
+            f"calibrate: the hand is linear in grip from {ends} N, and not passive farther out ({complaint(error)}): "
+            "solve the library for grips nearer to these, or state the population at its grips"
+        ) from None

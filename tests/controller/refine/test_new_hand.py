@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import transopt as to
 from controller.cli.port import connected
 from controller.cli.refine_taps import Taps, simulated_at
 from controller.device.device_file import BUILT_IN, DeviceFile
@@ -33,6 +34,7 @@ from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.library.recorded import references_of_library
 from transopt.scene.builtin import POPULATION, load_scene
+from transopt.scene.keys import with_values
 from transopt.scene.model_file import load_model
 from transopt.scene.population import load_population
 from transopt.scene.scene import Scene
@@ -100,6 +102,26 @@ def test_three_taps_come_near_to_who_knows_the_hand(
     assert references_of_library(again).speeds_m_s == (0.2,)
 
 
+def test_a_library_for_a_population_becomes_one_for_what_the_taps_leave_open(
+    tmp_path: Path, scene: Scene, small: Library, tapped: tuple[list[Contact], Settings]
+) -> None:
+    population = load_population(POPULATION)
+    robust = {"population": population.model_dump(), "samples": 2}
+    nodes = {"grid.speeds_m_s": [0.2], "grid.grips_N": [3.0]}
+    library = to.solve(with_values(scene, {"robust": robust, **nodes}))
+    assert library.spread_A.shape[:2] == (1, 2)
+    found, _ = calibrated(*tapped, small, population, 2500.0, [])
+    save_model(tmp_path / "model.json", library.scene(), found.device)
+    made = built_on(library, tmp_path / "model.json").library
+    assert made is not None
+    stated = made.scene().robust
+    assert stated is not None
+    assert (stated.population, stated.model_uncertainty) == (None, True)
+    # The devices that it serves lie around the hand, nearer than those of the population lie around theirs.
+    wide, near = (np.abs(each.spread_A - each.plant_A[:, None]).max() for each in (library, made))
+    assert 0 < near < 0.5 * wide
+
+
 def test_what_is_no_whole_tap_does_not_count(tapped: tuple[list[Contact], Settings]) -> None:
     [first, *_], settings = tapped
     assert isinstance(record_of(first, settings, 0.03), PlayedRecord)
@@ -160,7 +182,7 @@ class TestCommand:
         again = ("calibrate", tmp_path / "library.npz", "--simulate", "--out", tmp_path)
         assert_refused(play(*again), "holds the library that is played; choose another folder")
         (tmp_path / "deaf.toml").write_text('name = "deaf"\n\n[accelerometer]\nsensor = false\n')
-        assert_refused(play(*again[:-1], "hand", "--device", "deaf.toml"), "has no accelerometer")
+        assert_refused(play(*again[:-1], "hand", "--device", "deaf.toml"), "accelerometer.sensor = false")
         assert not Path("hand").exists()
 
     @pytest.mark.parametrize(

@@ -181,3 +181,14 @@ def test_the_model_file_states_the_hand_with_its_covariance(
 def test_without_taps_there_is_no_hand(drive: DriveDevice, population: Population) -> None:
     with pytest.raises(InputError, match="no tap was played to its end"):
         calibrate([], drive, INSTRUMENT, population, [])
+
+
+def test_grips_where_the_hand_is_not_passive_are_refused(
+    scene: Scene, library: Library, drive: DriveDevice, population: Population
+) -> None:
+    tap = record(scene, library, population.hand(population.mean()), (1, 1), 4)
+    far = drive.model_copy(update={"grips_N": [1.0, 40.0]})
+    steep = population.model_dump()
+    steep["skin_damping_N_s_m"]["median"] = [21.0, 9.0]
+    with pytest.raises(InputError, match=r"linear in grip from 1 and 5 N, and not passive farther out \("):
+        calibrate([tap], far, INSTRUMENT, Population.model_validate(steep), [])
