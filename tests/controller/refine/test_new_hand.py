@@ -1,5 +1,6 @@
 """A new user's hand from taps on the simulated device: which are asked for, and what they lead to."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import transopt as to
 from controller.cli.port import connected
 from controller.cli.refine_taps import Taps, simulated_at
 from controller.device.device_file import BUILT_IN, DeviceFile
+from controller.host.payload import payload
 from controller.record.recorder import Contact
 from controller.refine.heard import Node
 from controller.refine.new_hand import (
@@ -21,10 +23,12 @@ from controller.refine.new_hand import (
     record_of,
     save_model,
 )
+from controller.servo.interface import State
 from controller.servo.settings import Settings
-from controller.sim.simulator import Imperfections
+from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from tests.benches.commands import Run, assert_refused
+from tests.benches.desk import DT_S, PORT, Desk
 from tests.benches.libraries import part_of, under
 from transopt.base.errors import InputError
 from transopt.design.another_model import built_on
@@ -172,6 +176,27 @@ class TestCommand:
         made = load_library(Path("hand/library.npz"))
         assert made.scene().striker is None
         assert "refinement" not in made.meta or made.meta["refinement"] is None
+
+    def test_on_a_device(self, play: Run, ready: Desk, file: Path, truth: Scene) -> None:
+        """The whole way over the protocol: the hand taps at the three grips in turn while the device is armed."""
+        ready.plant = Simulator(device_of(truth), ready.hand, DT_S, seed=4, steps=1)
+        ready.ticks = 0
+        ready.pass_check(payload(file).configuration)
+        next_s, grips = 0.0, itertools.cycle((1.0, 3.0, 5.0))
+
+        def look() -> None:
+            nonlocal next_s
+            if ready.end.state is State.ARMED and ready.now_s() >= next_s:
+                next_s = ready.now_s() + 1.2
+                ready.hand.held_N = next(grips)
+                ready.hand.tap(ready.now_s() + 0.05, 0.2)
+
+        ready.each_ms = look
+        outcome = play("calibrate", file, *PORT, "--out", "hand", "--for", 10)
+        assert outcome.code == 0, outcome.out + outcome.err
+        assert "round 0: tap 1 times at each of 3 nodes" in outcome.out
+        assert "better than the library that was played" in outcome.out
+        assert Path("hand/round_1/tap_003.csv").exists()
 
     def test_what_cannot_be_calibrated_is_refused_before_a_tap(self, play: Run, file: Path, tmp_path: Path) -> None:
         with_port = ("calibrate", file, "--simulate", "--out")
