@@ -4,6 +4,7 @@ Nothing of `transopt` but the numbers of the problem is used: the device is disc
 of its responses to the commands, and the quadratic program goes to an active-set method.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -13,6 +14,8 @@ from scipy import linalg, signal
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel
 from transopt.problem.problem import TransientProblem
+
+OUTPUTS = {"stroke": "position", "velocity": "velocity"}  # of a limit
 
 
 @dataclass(frozen=True)
@@ -32,20 +35,35 @@ class Responses:
     velocity: FloatArray
 
 
-def _impulse(device: StageModel, dt_s: float, instants: int) -> FloatArray:
-    """(instants, n + 1) states of plant and amplifier after one ampere of command over the first period."""
+def _impulse(device: StageModel, dt_s: float, instants: int, later: float = 1.0) -> FloatArray:
+    """(instants, n + 1) states of plant and current after one ampere of command over the first period.
+
+    Parameters
+    ----------
+    later : share of a period after the end of the last one; the states are those there.
+    """
     plant, amplifier = device.plant, device.amplifier
-    assert amplifier is not None
-    n, w = plant.order, 2 * np.pi * amplifier.pole_Hz
+    n = plant.order
     flow = np.zeros((n + 2, n + 2))
-    flow[:n, :n], flow[:n, n : n + 1] = plant.A, plant.B
-    flow[n, n], flow[n, n + 1] = -w, w
-    step = linalg.expm(flow * dt_s)
-    A, b = step[: n + 1, : n + 1], step[: n + 1, n + 1]
-    states = np.zeros((instants, n + 1))
+    flow[:n, :n] = plant.A
+    if amplifier is None:  # the held command is the current
+        flow[:n, n + 1 :] = plant.B
+    else:
+        w = 2 * np.pi * amplifier.pole_Hz
+        flow[:n, n : n + 1] = plant.B
+        flow[n, n], flow[n, n + 1] = -w, w
+    first, step = np.append(np.zeros(n + 1), 1.0), linalg.expm(flow * dt_s)
+    found = np.zeros((instants, n + 2))
+    found[0] = first
     for k in range(1, instants):
-        states[k] = A @ states[k - 1] + (b if k == 1 else 0.0)
-    return states
+        found[k] = step @ found[k - 1]
+        found[k, -1] = 0.0
+    if later != 1:
+        found[1:] = found[:-1] @ linalg.expm(flow * (later * dt_s)).T
+        found[0] = 0.0
+    if amplifier is None:
+        found[:, n] = found[:, -1]
+    return found[:, :-1]
 
 
 def states(problem: TransientProblem) -> FloatArray:
@@ -55,16 +73,17 @@ def states(problem: TransientProblem) -> FloatArray:
     return np.stack([linalg.toeplitz(each, np.zeros(N)) for each in found.T], axis=-1)
 
 
-def responses(problem: TransientProblem, device: StageModel | None = None) -> Responses:
+def responses(problem: TransientProblem, device: StageModel | None = None, later: float = 1.0) -> Responses:
     """Compute Toeplitz matrices of impulse responses by one matrix exponential of plant and amplifier pole.
 
     Parameters
     ----------
     device : another one than the entry's own.
+    later : share of a period; below 1 row k + 1 is so much later than tau_k, and row 0 is rest.
     """
     device = problem.stage if device is None else device
     plant, N = device.plant, problem.grid.stages
-    n, states = plant.order, _impulse(device, problem.grid.dt_s, N + 1)
+    n, states = plant.order, _impulse(device, problem.grid.dt_s, N + 1, later)
 
     def of(row: FloatArray) -> FloatArray:
         return linalg.toeplitz(states @ row, np.zeros(N))
@@ -72,8 +91,8 @@ def responses(problem: TransientProblem, device: StageModel | None = None) -> Re
     return Responses(
         acceleration=of(np.append(plant.C[0], plant.D[0])),
         current=of(np.eye(n + 1)[n]),
-        position=of(np.append(plant.Ce[0], 0.0)),
-        velocity=of(np.append((plant.Ce @ plant.A)[0], 0.0)),
+        position=of(np.append(plant.output("position").row[0], 0.0)),
+        velocity=of(np.append(plant.output("velocity").row[0], 0.0)),
     )
 
 
@@ -117,7 +136,7 @@ class Program:
             wanted.append(signal.lfilter(b, a, whole))
             weights.append(np.concatenate([np.full(L, term.before), term.weights, np.full(M, term.after)]))
         squares = np.stack(weights) * np.stack(wanted) ** 2
-        limit = problem.limits["current"].stated
+        limit = problem.limits.input_limit
         return cls(
             filtered=np.stack(filtered),
             wanted=np.stack(wanted)[:, L:],
@@ -162,12 +181,19 @@ def responses_of_current(problem: TransientProblem) -> FloatArray:
     return linalg.toeplitz(states[:, -1], np.zeros(N))
 
 
+def within(problem: TransientProblem, name: str, shares: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    """(m N, N) and (m N,) position or velocity after these shares of all periods, by the commands, and z_nom's."""
+    nominal = problem.limits[name].nominal  # type: ignore[attr-defined]
+    rows = [getattr(responses(problem, later=share), OUTPUTS[name])[1:] for share in shares]
+    return np.concatenate(rows), np.concatenate([(1 - s) * nominal[:-1] + s * nominal[1:] for s in shares])
+
+
 def optimum(
     problem: TransientProblem, rows: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, float]:
     """Command (N,) and J of the problem within its current and command limits and lower <= rows c <= upper."""
     N, free, program = problem.grid.stages, problem.free_stages, Program.of(problem)
-    limit, most = problem.limits["current"].stated, problem.limits["command"].stated
+    limit, most = problem.limits.input_limit, problem.command_bound
     H, g = program.quadratic()
     H, g = H[:free, :free], g[:free]
     constraints = np.concatenate([responses(problem).current[:N, :free], rows[:, :free]])

@@ -43,8 +43,13 @@ class Actuator:
         A[4] = np.array([0.0, BL, 0.0, -BL, -self.R_ohm]) / self.L_H
         return A, np.array([0.0, 0.0, 0.0, 0.0, 1 / self.L_H])
 
-    def responses(self, dt_s: float, stages: int, instants: int) -> tuple[FloatArray, FloatArray]:
-        """(instants, stages) the case's acceleration, and (instants, stages) case less mass, by held commands."""
+    def responses(self, dt_s: float, stages: int, instants: int, later: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """(instants, stages) the case's acceleration, and (instants, stages) case less mass, by held commands.
+
+        Parameters
+        ----------
+        later : share of a period by which the instants come after the switching instants.
+        """
         A, b = self.flow()
         whole = np.zeros((6, 6))
         whole[:5, :5], whole[:5, 5] = A * dt_s, b * dt_s
@@ -52,6 +57,9 @@ class Actuator:
         states = np.zeros((instants, 5))
         for j in range(1, instants):
             states[j] = step[:5, :5] @ states[j - 1] + (step[:5, 5] if j == 1 else 0.0)
+        part = linalg.expm(whole * later)
+        states = states @ part[:5, :5].T
+        states[0] += part[:5, 5]
         row = np.zeros(stages)
         return tuple(linalg.toeplitz(states @ out, row) for out in (A[3], np.array([-1.0, 0, 1.0, 0, 0])))  # type: ignore[return-value]
 
@@ -67,16 +75,23 @@ def optimum(
     stroke_m: float,
     rho: float,
     handed_over: int,
+    parts: int = 1,
 ) -> tuple[FloatArray, float]:
-    """Command (N,) and J, the error over all of `wanted` (N + M,), under voltage and stroke at tau_1 to tau_N."""
-    acceleration, apart = device.responses(dt_s, stages, wanted.size)
+    """Command (N,) and J, the error over all of `wanted` (N + M,), under voltage and stroke until tau_N.
+
+    Parameters
+    ----------
+    parts : of every period, at whose ends the stroke is limited.
+    """
+    acceleration, _ = device.responses(dt_s, stages, wanted.size)
     free = stages - handed_over
     E = float(np.sum(wanted[:stages] ** 2))
     moves = np.eye(stages) - np.eye(stages, k=-1)
     by_movement = rho * (1e-4 / dt_s) ** 2 / (stages * voltage_V**2)
     H = 2 / E * (acceleration.T * weights) @ acceleration + 2 * by_movement * moves.T @ moves
     g = -2 / E * acceleration.T @ (weights * wanted)
-    rows = apart[1 : stages + 1, :free]
+    within = [device.responses(dt_s, stages, stages, j / parts)[1][:, :free] for j in range(1, parts + 1)]
+    rows = np.concatenate(within)
     unit = 1 / stroke_m
     solver = ca.conic(
         "dense",

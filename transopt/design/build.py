@@ -23,7 +23,7 @@ from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.columns import FIGURES, EntryTable
 from transopt.library.derived import derived
 from transopt.library.library import PLANT, Library
-from transopt.library.meta import SCHEMA, heat_is_in, shared_left_out
+from transopt.library.meta import SCHEMA, heat_is_in, most_parts, shared_left_out
 from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arrays
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.problem.limits import needed_outputs
@@ -274,9 +274,12 @@ def assemble(
 
     at_ticks = of_cells("nominal_position_at_ticks_m")
     meta = {**_meta(context, cells, entries, options), "grid_refinement": _refined(refinement)}
+    parts = max(max(entry.problem.parts.values(), default=1) for row in (*entries, *cool) for entry in row)
+    if parts > 1:
+        meta["instants_within"] = parts - 1
     if cool:
         meta["cool"] = {"left_out": shared_left_out([[entry.left_out for entry in row] for row in cool])}
-    further = further_arrays(context.posing, len(spreads[0]))
+    further = further_arrays(context.posing, len(spreads[0]), most_parts(meta))
     arrays = {
         "speeds_m_s": np.asarray(scene.axes.speeds_m_s),
         "targets": np.array([target for _, target in scene.axes.rows], dtype=np.str_),

@@ -58,7 +58,8 @@ def at_share_of_heat(posed: Posed, first: Designed, share: float, options: Solve
     warm, cold = _Tried(posed.problem.heat_price, float(np.log(whole)), first), None
     price = max(FIRST / whole, 2 * warm.price)
     for _ in range(MOST_PROBLEMS):
-        designed = best(replace(posed.problem, heat_price=price), options, objective=posed.objective)
+        problem = replace(posed.problem.within(first.problem.parts), heat_price=price)
+        designed = best(problem, options, objective=posed.objective)
         spent_s += designed.solution.solve_time_s
         heat = heat_of(designed)
         if not (designed.is_proven and heat > 0):

@@ -61,7 +61,7 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
     first = optimum(problem.without_intensity(), options)
     if not first.is_proven or problem.reference_is_zero:
         return first
-    found, problems, spent_s = _search(problem, first, options)
+    found, problems, spent_s = _search(problem.within(first.problem.parts), first, options)
     wave = _tried(0.0, first)
     attained = Attained(
         asked_dB=problem.intensity_dB,

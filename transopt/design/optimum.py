@@ -7,6 +7,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.design.explain import infeasibility, unavoidable
+from transopt.design.within import finer, said_of_instants
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import leave_out
@@ -69,7 +70,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
         designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
         if not designed.is_proven:
             return designed, False
-        again = pressing_under(problem, designed.solution.command)
+        again = pressing_under(designed.problem, designed.solution.command)
         if _mask(again) == _mask(problem):
             return designed, True
         if _mask(again) in tried:
@@ -207,7 +208,25 @@ def _hand_over_excess(problem: TransientProblem) -> str:
 
 
 def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
-    """The optimum with the wall's ticks fixed."""
+    """The optimum with the wall's ticks fixed, limits on outputs stated at as many instants as it takes."""
+    designed = _at_its_instants(problem, options)
+    spent = designed.solution.solve_time_s
+    while not options.brief and (parts := finer(designed)):
+        again = _at_its_instants(designed.problem.within(parts), options)
+        spent += again.solution.solve_time_s
+        if not again.is_proven:
+            # Whether any command keeps the limits is told with the smaller margin.
+            designed = designed if designed.solution.status is not Status.INFEASIBLE else again
+            break
+        designed = again
+    left_out = designed.left_out
+    if designed.solved is not None and designed.is_proven:
+        left_out = left_out | said_of_instants(designed)
+    return replace(designed, solution=replace(designed.solution, solve_time_s=spent), left_out=left_out)
+
+
+def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """The optimum with the wall's ticks and the instants of all limits fixed."""
     reduced = leave_out(problem)
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = unlimited.solve(small)

@@ -221,7 +221,9 @@ class _Pricing:
         if free is not None and limit.name in free.binding:
             enough = np.inf
         elif free is not None:
-            enough, there = self._enough(limit, free, widest)
+            # A limit that does not bind is stated at the switching instants alone.
+            plain = replace(self, problem=self.problem.within(dict.fromkeys(self.problem.parts, 1)))
+            enough, there = plain._enough(plain.problem.limits[limit.name], free, widest)
         return Price(
             limit=limit.label,
             unit=limit.unit,

@@ -13,8 +13,8 @@ from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.library.derived import derived
 from transopt.library.library import Library
-from transopt.library.meta import entry_left_out, heat_is_in, shared_left_out
-from transopt.library.multipliers import ARRAYS, MULTIPLIERS, further_arrays, multiplier_arrays
+from transopt.library.meta import entry_left_out, heat_is_in, most_parts, shared_left_out
+from transopt.library.multipliers import ARRAYS, MULTIPLIERS, multiplier_arrays
 from transopt.solvers.options import SolverOptions
 
 # What an entry that is solved again brings along.
@@ -57,17 +57,22 @@ def resolve(
         if said:
             kept[place] = said[0]
     taken = {place: course for place, course in corrections_m_s2.items() if place not in kept}
+    stated = [parts for of_all in entries for place in taken for parts in of_all[place].problem.parts.values()]
+    if (parts := max(stated, default=1)) > most_parts(library.meta):
+        both = [replace(each, meta={**each.meta, "instants_within": parts - 1}) for each in both]
     found = [_with(each, of_all, taken) for each, of_all in zip(both, entries, strict=True)]
     meta = {**found[0].meta, "solver": asdict(options), "refinement": refinement}
     if library.cool is None:
         return replace(found[0], meta=meta), kept
     meta["cool"] = {"left_out": found[1].meta["left_out"]}
-    return replace(found[0], meta=meta).with_cool({name: found[1].array(name) for name in _of_entries(library)}), kept
+    return replace(found[0], meta=meta).with_cool(
+        {name: found[1].array(name) for name in _of_entries(found[0])}
+    ), kept
 
 
 def _of_entries(library: Library) -> list[str]:
     """Names of all arrays that are made of answers."""
-    return [*OF_ENTRIES, *MULTIPLIERS, *further_arrays(library.posing(), library.spread_A.shape[1])]
+    return [*OF_ENTRIES, *MULTIPLIERS, *library.further]
 
 
 def _again(
@@ -92,7 +97,7 @@ def _with(
     library: Library, entries: Mapping[tuple[int, int], Entry], taken: Mapping[tuple[int, int], FloatArray]
 ) -> Library:
     """The library with the entries of some places, by the corrections that they were solved for."""
-    further = further_arrays(library.posing(), library.spread_A.shape[1])
+    further = library.further
     arrays = {name: np.array(library.array(name)) for name in (*_of_entries(library), "correction_m_s2")}
     nv, ng, _ = library.command.shape
     left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]

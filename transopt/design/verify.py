@@ -147,7 +147,7 @@ def _of_nonlinear_plant(library: Library, iv: int, ig: int, entry: Entry) -> lis
     designed = optimum(problem.linear, options)
     # Limits that no command meets at rest may be met on the nonlinear plant: then there is no linear design.
     if designed.is_proven:
-        proof = prove(problem.linear, entry.linear_command, designed.solution.multipliers, options)
+        proof = prove(designed.problem, entry.linear_command, designed.solution.multipliers, options)
         if not proof.is_stationary:
             found.append(
                 "linear_command is not the optimum of the plant at rest: its gap is "

@@ -47,6 +47,7 @@ class _Search:
         shares = np.maximum(shares, 0.0)
         shares = shares / shares.sum()
         designed = optimum(replace(self._problem, worst=False, shares=shares), self._options)
+        self._problem = self._problem.within(designed.problem.parts)
         self.spent_s += designed.solution.solve_time_s
         if not designed.is_proven:
             raise _UnprovenError(designed)

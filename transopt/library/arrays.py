@@ -30,8 +30,8 @@ class Array:
     may_be_nan : NaN stands for what is not known; every other number is finite.
     needs : what has to be stated for the array to stand in the file: a key of the scene's `limits`, `spread`, `worst`
         (as what is minimised over the spread), `nonlinear`, named `targets`, `intensity` as the objective, or a
-        `refinement` in `meta` (`transopt.library.meta.stated`); empty for an array that is always there. Without it
-        the array is zero or empty, or of no device.
+        `refinement` or `instants_within` in `meta` (`transopt.library.meta.stated`); empty for an array that is
+        always there. Without it the array is zero or empty, or of no device.
     made : its value for one entry (`transopt.design.entry.Entry`), from which a library is assembled and by which an
         entry that is solved again takes its place; None for what is not of single entries.
     replayed : whether `verify` makes it again to compare, from the problem and a replay of the file's own command.

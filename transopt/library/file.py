@@ -27,7 +27,7 @@ from transopt.base.sizes import (
 from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import COOL, Library, posing_of
-from transopt.library.meta import SCHEMA, lacking, stated
+from transopt.library.meta import SCHEMA, lacking, most_parts, stated
 from transopt.library.multipliers import ARRAYS, further_arrays, is_of_entries
 from transopt.library.own_scene import scene_in
 
@@ -160,7 +160,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     scene = scene_in(meta)
     posing = posing_of(scene)
     spread = arrays["spread_A"].shape[1] if "spread_A" in arrays else 0
-    further = further_arrays(posing, spread)
+    further = further_arrays(posing, spread, most_parts(meta))
     has_cool = "cool" in meta
     if has_cool is not (scene.grid.cool_share is not None):
         raise InputError(f"{path}: meta.cool does not go with its scene's grid.cool_share; solve the scene again")
@@ -178,6 +178,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     grid = posing.grid
     sizes = {
         "1": 1,
+        "3": 3,
         "N": grid.stages,
         "M": grid.after_stages,
         "L": grid.before_times_s.size,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.library.arrays import Array
+from transopt.problem.limits import OF_OUTPUTS
 
 INPUT = "A or V"  # unit of commands and of what drives the plant; `meta` says which of the two
 
@@ -273,6 +274,16 @@ class Held:
             may_be_nan=True,
             needs="nonlinear",
             made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_tap_error,
+        ),
+    ]
+    instants_within: Annotated[
+        FloatArray,
+        Array(
+            "vg3",
+            "",
+            "instants within a servo period, beside its end, at which coil current, stroke and velocity are limited",
+            needs="instants_within",
+            made=lambda entry: [entry.problem.parts.get(kind.name, 1) - 1.0 for kind in OF_OUTPUTS],
         ),
     ]
     substeps: Annotated[

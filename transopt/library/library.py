@@ -19,7 +19,7 @@ from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.columns import COLUMNS, FIGURES, NAN, EntryTable, TableRow
 from transopt.library.held import Held
-from transopt.library.meta import stated
+from transopt.library.meta import most_parts, parts_of, stated
 from transopt.library.multipliers import ARRAYS, MULTIPLIERS, further_arrays, is_of_entries, row_of
 from transopt.library.place import Place, Waveform, finite, interpolation_weights, speed_weights
 from transopt.plant.amplifier import Amplifier
@@ -28,6 +28,7 @@ from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.state_space import Input, Output, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, verdict
+from transopt.problem.limits import OF_OUTPUTS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.limits.own import OwnLimit
 from transopt.problem.objective.bands import levels
@@ -321,9 +322,23 @@ class Library(Held):
             heat_price=float(self.heat_price[iv, ig]),
             shares=self._shares(iv, ig),
         )
+        problem = problem.within(self.parts(iv, ig))
         if problem.wall is None:
             return problem
         return pressing_under(problem, self.command[iv, ig])
+
+    def parts(self, iv: int, ig: int) -> dict[str, int]:
+        """Name of a limit on an output -> parts of a servo period at whose ends an entry has it.
+
+        Raises
+        ------
+        InputError : a number of parts that no entry of the library has.
+        """
+        stated = self.instants_within[iv, ig].tolist()
+        found = {kind.name: parts_of(within) for kind, within in zip(OF_OUTPUTS, stated, strict=True)}
+        if max(found.values()) > most_parts(self.meta):
+            raise InputError(f"instants_within = {max(stated):g}: more than meta.instants_within")
+        return found
 
     def _shares(self, iv: int, ig: int) -> FloatArray | None:
         """(S,) shares of the devices in J, the own first; None where all have the same."""
@@ -440,7 +455,12 @@ class Library(Held):
         """Names of the arrays that its file has of it."""
         missing = absent(ARRAYS, stated(self.scene(), self.meta))
         named = [name for name in ARRAYS if name not in missing]
-        return named + further_arrays(self.posing(), self.spread_A.shape[1])
+        return named + self.further
+
+    @property
+    def further(self) -> list[str]:
+        """Names of its multipliers that not every library has."""
+        return further_arrays(self.posing(), self.spread_A.shape[1], most_parts(self.meta))
 
     def array(self, name: str) -> NDArray[Any]:
         """One array by its name here; zeros for multipliers of a limit that is not in force."""

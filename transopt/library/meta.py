@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from transopt.base.errors import InputError
+from transopt.base.shown import cut
+from transopt.problem.limits.output import PARTS
 from transopt.problem.limits.temperature import TemperatureLimit
 
 if TYPE_CHECKING:  # which loads pydantic
@@ -73,6 +76,7 @@ META = {
     "solver": _needed("method and its options", whole=True),
     "outputs": Stated("outputs of the plant that limits bound, by grip", whole=True),
     "spread_outputs": Stated("the same of the further devices of a spread, by grip and device", whole=True),
+    "instants_within": Stated("the most of the array of that name; not there where it is zero"),
     "grid_refinement": Stated("what `--grid-tolerance` reached", "the grid was taken as it stood", whole=True),
     "refinement": Stated("what `transopt-play refine` learnt on the device, by round", whole=True),
 }
@@ -95,10 +99,30 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
         "nonlinear": scene.nonlinear,
         "intensity": scene.weights.objective == "intensity",
         "refinement": meta.get("refinement") is not None,
+        "instants_within": meta.get("instants_within") is not None,
         TemperatureLimit.key: heat_is_in(meta["left_out"]),
     }
     limits = {key for key, value in scene.limits.asked().items() if value is not None}
     return {name for name, has in said.items() if has} | (limits - {TemperatureLimit.key})
+
+
+def parts_of(instants_within: Any) -> int:
+    """Parts of a servo period that end at so many instants within it, and at its end.
+
+    Raises
+    ------
+    InputError : a number that no library has.
+    """
+    number = isinstance(instants_within, int | float) and not isinstance(instants_within, bool)
+    if not number or instants_within + 1 not in PARTS:
+        known = ", ".join(str(parts - 1) for parts in PARTS)
+        raise InputError(f"instants_within = {cut(repr(instants_within))}: must be one of {known}")
+    return int(instants_within) + 1
+
+
+def most_parts(meta: Mapping[str, Any]) -> int:
+    """The most of `parts_of` that an entry of a library has."""
+    return parts_of(meta.get("instants_within", 0))
 
 
 def heat_is_in(left_out: Mapping[str, Any]) -> bool:

@@ -9,8 +9,9 @@ from transopt.base.signals import FloatArray
 from transopt.library.arrays import Array, declared
 from transopt.library.held import Held
 from transopt.problem.answer import Multipliers
-from transopt.problem.limits import KINDS, kinds_of
+from transopt.problem.limits import KINDS, OF_OUTPUTS, kinds_of
 from transopt.problem.limits.limit import SIDES, device_row
+from transopt.problem.limits.output import row_within
 from transopt.problem.limits.own import OwnLimit, follows_motion
 from transopt.problem.posing import Posing
 
@@ -58,20 +59,22 @@ def row_of(array: str) -> str:
     return array.removeprefix("mu_").rsplit("_", 1)[0]
 
 
-def further_arrays(posing: Posing, spread: int) -> list[str]:
+def further_arrays(posing: Posing, spread: int, parts: int) -> list[str]:
     """Names of the multipliers that not every library has, from its limits and its input.
 
-    They are those of a user's own limits and, for each further device of a spread, those of the limits on the motion.
+    They are those of a user's own limits, those of limits on outputs within the servo periods and, for each further
+    device of a spread, those of the limits on the motion.
 
     Parameters
     ----------
-    spread : number of further devices.
+    spread : number of further devices. parts : the most of a servo period at whose ends a limit is stated.
     """
     limits, drive = posing.asked, posing.driven_by
     own = limits.get(OwnLimit.key) or []
     of_each = [kind for kind in kinds_of(drive) if kind.of_each_device and limits.get(kind.key) is not None]
-    rows = [row for kind in of_each for row in kind.row_names]
+    inside = [row_within(kind.name, share) for kind in OF_OUTPUTS if kind in of_each for share in kind.shares(parts)]
+    rows = [*(row for kind in of_each for row in kind.row_names), *inside]
     rows += [table["name"] for table in own if follows_motion(table["outputs"], drive)]
-    found = [table["name"] for table in own]
+    found = [*(table["name"] for table in own), *inside]
     found += [device_row(row, device) for device in range(1, spread + 1) for row in dict.fromkeys(rows)]
     return [f"mu_{row}_{side}" for row in found for side in SIDES]

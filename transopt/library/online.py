@@ -133,6 +133,8 @@ class Online:
         self._plant, self._spread = plant, spread or _none
         self._stages: dict[tuple[Any, ...], tuple[StageModel, ...]] = {}
         self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
+        entries = [library.parts(iv, ig) for iv, ig in np.ndindex(library.command.shape[:2])]
+        self._parts = {name: max(parts[name] for parts in entries) for name in entries[0]}
         self._buffers: dict[tuple[int, ...], Buffers] = {}
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
         problem = self._posed(self._posing, fastest, firmest, self._coil)
@@ -166,7 +168,8 @@ class Online:
             by_grip = interpolation_weights(library.grips_N, grip_N)
             correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
             wanted = replace(wanted, target=wanted.target.moved(correction))
-        problem = posing.problem(wanted, stage, tuple(spread), coil)
+        # A limit within the periods has the instants of the node that has the most.
+        problem = posing.problem(wanted, stage, tuple(spread), coil).within(self._parts)
         if posing.objective == "intensity":
             problem = replace(problem, intensity=self._price(speed_m_s, grip_N))
         if problem.wall is None:

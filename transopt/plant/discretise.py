@@ -8,6 +8,7 @@ switching instants, a bound on i(tau_k) bounds |i(t)| for all t; a bound at the 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +24,13 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
 WHOLE = 1e-6  # of a servo period: what rounding makes of a delay that is a whole number of them
-AFTER = " after the period"  # behind the name of an output: its value at the next switching instant
+PERIOD = " the period"  # what the names of outputs end in that the command c_k has a say in at stage k
+AFTER = f" after{PERIOD}"  # behind the name of an output: its value at the next switching instant
+
+
+def within(name: str, share: Fraction) -> str:
+    """What an output is called at an instant within the period, this share of it after the switching instant."""
+    return name + AFTER if share == 1 else f"{name} at {share} of{PERIOD}"
 
 
 def samples_after(after_s: float, dt_s: float) -> int:
@@ -179,6 +186,8 @@ class StageModel:
     Cp, Dp : (1, n), (1, 1) of the encoder position at the tick within the period; None where it is left out.
     outputs : name -> (n,) row of a further output at the switching instants, one that the command moves only later;
         with `AFTER` behind its name the same output one period later, which the command has moved by then.
+    instants : name of a further output -> shares of the period after which it is told as well, under the names of
+        `within`.
     """
 
     plant: StateSpace
@@ -194,6 +203,7 @@ class StageModel:
     Cp: FloatArray | None = None
     Dp: FloatArray | None = None
     outputs: Mapping[str, FloatArray] = field(default_factory=dict)
+    instants: Mapping[str, tuple[Fraction, ...]] = field(default_factory=dict)
 
     __repr__ = brief
 
@@ -221,14 +231,48 @@ class StageModel:
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Names of the further outputs, each at the switching instant and one period later."""
-        return tuple(name for own in self.outputs for name in (own, own + AFTER))
+        """Names of the further outputs, each at the switching instant and one period later, and of those inside."""
+        return (*(name for own in self.outputs for name in (own, own + AFTER)), *self._inside)
 
     def output(self, name: str) -> tuple[FloatArray, float]:
         """(n,) and scalar: a further output by the state and by the command felt."""
+        if name in self._inside:
+            return self._inside[name]
         own = name.removesuffix(AFTER)
         row = self.outputs[own]
         return (row, 0.0) if own == name else (row @ self.A, float(row @ self.B[:, 0]))
+
+    def within(self, instants: Mapping[str, tuple[Fraction, ...]]) -> "StageModel":
+        """Tell outputs at other `instants`; all problems of one grip share that device: it is kept."""
+        asked = {name: shares for name, shares in sorted(instants.items()) if shares}
+        if asked == self.instants:
+            return self
+        key = ("within", *asked.items())
+        if key not in self.derived:
+            self.derived[key] = replace(self, instants=asked)
+        found: StageModel = self.derived[key]
+        return found
+
+    @cached_property
+    def _inside(self) -> dict[str, tuple[FloatArray, float]]:
+        """Name -> row by the state and scalar by the command, of the outputs at the instants within the period."""
+        found: dict[str, tuple[FloatArray, float]] = {}
+        for name, shares in self.instants.items():
+            for share in shares:
+                row = self.outputs[name] @ self.part(share)
+                found[within(name, share)] = row[:-1], float(row[-1])
+        return found
+
+    @cached_property
+    def flow(self) -> FloatArray:
+        """(n + 1, n + 1) of d/dt [x, held command] in continuous time."""
+        rows = [self.plant.output(name).row for name in self.outputs]
+        acting = acting_states(self.plant, position=self.Cp is not None, outputs=rows)
+        return _flow(self.plant.A[np.ix_(acting, acting)], self.plant.B[acting], self.amplifier)
+
+    def part(self, share: Fraction) -> FloatArray:
+        """(n, n + 1) from state and command to the state after a share of the period."""
+        return exponential(self.flow * (self.dt_s * share.numerator / share.denominator))[:-1]
 
     def states(self, command: FloatArray) -> FloatArray:
         """(N, n) states at the switching instants for one held command (N,)."""
@@ -314,6 +358,7 @@ class StageModel:
             None if self.Cp is None else wide(self.Cp),
             None if self.Dp is None else wide(self.Dp),
             {name: wide(row) for name, row in self.outputs.items()},
+            self.instants,
         )
 
     def adjoint(self, gradient: Motion) -> FloatArray:
@@ -395,15 +440,10 @@ def discretise(
     n = int(acting.sum())
     A, B, C = plant.A[np.ix_(acting, acting)], plant.B[acting], plant.C[:, acting]
     velocity, encoder = plant.Cv[:, acting], plant.Ce[:, acting]
-    zero = np.zeros((1, 1))
+    flow, zero = _flow(A, B, amplifier), np.zeros((1, 1))
     if amplifier is None:
-        flow = np.block([[A, B], [np.zeros((1, n + 1))]])
         D, Ci, Di = plant.D, np.zeros((1, n)), np.ones((1, 1))
     else:
-        w = amplifier.rate_rad_s
-        flow = np.zeros((n + 2, n + 2))
-        flow[:n, : n + 1] = np.hstack([A, B])
-        flow[n, n:] = -w, w
         C, D = np.hstack([C, plant.D]), zero
         Ci, Di = np.eye(1, n + 1, n), zero
         # The motor force moves no position and no velocity at once, so neither row sees the current.
@@ -416,6 +456,17 @@ def discretise(
     late = 0.0 if amplifier is None else split_delay(amplifier.delay_s, dt_s)[1]
     until_tick = exponential(flow * (dt_s - late))
     return replace(model, Cp=encoder @ until_tick[:-1, :-1], Dp=encoder @ until_tick[:-1, -1:])
+
+
+def _flow(A: FloatArray, B: FloatArray, amplifier: Amplifier | None) -> FloatArray:
+    """(n + 1, n + 1) of d/dt [plant, current unless the amplifier is ideal, held command]."""
+    m = A.shape[0]
+    if amplifier is None:
+        return np.block([[A, B], [np.zeros((1, m + 1))]])
+    w, flow = amplifier.rate_rad_s, np.zeros((m + 2, m + 2))
+    flow[:m, : m + 1] = np.hstack([A, B])
+    flow[m, m:] = -w, w
+    return flow
 
 
 def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: int) -> FloatArray:

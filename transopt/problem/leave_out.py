@@ -35,4 +35,5 @@ def leave_out(problem: TransientProblem) -> Reduced:
 
 def without_position(stage: StageModel) -> StageModel:
     """Leave out the encoder's position, and the states of the device that only it depends on."""
-    return discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=tuple(stage.outputs))
+    bare = discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=tuple(stage.outputs))
+    return bare.within(stage.instants)

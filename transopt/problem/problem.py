@@ -1,5 +1,6 @@
 """The optimal-control problem of one library entry: terms of the objective, limits, hand-over."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +15,7 @@ from transopt.plant.state_space import Input
 from transopt.plant.wall import HandOver, feedback_command
 from transopt.problem.after import Feedback
 from transopt.problem.limits.limit import Limit, Limits, Row
+from transopt.problem.limits.output import OutputLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.figures import Figures, Yardstick
@@ -141,6 +143,24 @@ class TransientProblem:
             if name in vars(self):
                 vars(found)[name] = vars(self)[name]
         return found
+
+    def within(self, parts: Mapping[str, int]) -> "TransientProblem":
+        """State limits on outputs at the ends of so many parts of every servo period, by their names.
+
+        Those that are not named stay as they are.
+        """
+        limits, instants = self.limits, dict(self.stage.instants)
+        for limit in limits:
+            if isinstance(limit, OutputLimit) and limit.name in parts:
+                limits = limits.replaced(limit.within(self, parts[limit.name]))
+                instants[limit.output] = limit.shares(parts[limit.name])
+        stage, *spread = (device.within(instants) for device in self.devices)
+        return replace(self._under(limits), stage=stage, spread=tuple(spread))
+
+    @property
+    def parts(self) -> dict[str, int]:
+        """Name of a limit on an output -> parts of a servo period at whose ends it is stated."""
+        return {limit.name: limit.parts for limit in self.limits if isinstance(limit, OutputLimit)}
 
     def without_intensity(self) -> "TransientProblem":
         """Take the price on intensity away: J is minimised."""

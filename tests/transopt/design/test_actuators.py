@@ -63,6 +63,7 @@ def test_a_click_is_the_optimum_of_an_own_dense_program(stroke_m: float) -> None
             stroke_m=kept,
             rho=scene.weights.rho,
             handed_over=scene.hand_over_samples,
+            parts=problem.parts["stroke"],
         )
         assert entry.certificate.objective == pytest.approx(J, rel=1e-6)
         assert np.abs(entry.solution.command - command).max() < 1e-2 * 3.0  # J is flat in the command
@@ -280,6 +281,29 @@ def test_the_calmer_the_less_is_left_behind_the_target_in_the_window_and_after_i
     assert np.all(energies[1:] < 0.2 * energies[:-1])
     # A window of 60 ms has ended long after the ringing: what is left there is next to nothing with any weight.
     assert peaks[-1] < max(0.3 * peaks[0], 1e-3 * problem.target.window_m_s2.max())
+
+
+@pytest.mark.parametrize(
+    ("resonance_Hz", "quality", "frequency_Hz", "window_s"),
+    [(220.0, 20.0, 250.0, 14e-3), (90.0, 3.0, 110.0, 30e-3), (150.0, 40.0, 110.0, 60e-3)],
+)
+@pytest.mark.parametrize("stroke_m", [0.15e-3, 0.6e-3])
+def test_what_plays_behind_other_targets_falls_with_the_weight_too(
+    resonance_Hz: float, quality: float, frequency_Hz: float, window_s: float, stroke_m: float
+) -> None:
+    scene = lra({"model.resonance_Hz": resonance_Hz, "model.quality": quality, "limits.stroke_m": stroke_m})
+    target = scene.targets[0].model_copy(update={"frequency_Hz": frequency_Hz, "cycles": 1.5})
+    scene = with_values(
+        scene.model_copy(update={"targets": [target]}), {"time.stages": round(window_s / scene.time.dt_s)}
+    )
+    left = []
+    for weight in (1.0, 5.0, 50.0):
+        ((entry,),) = built(with_values(scene, {"weights.calm": weight})).entries
+        grid, asked = entry.problem.grid, entry.problem.target
+        off = np.append(entry.played.acceleration_m_s2, entry.played.after_m_s2) - asked.continued_m_s2
+        behind = np.append(grid.switching_times_s, grid.after_times_s) > 1.5 / frequency_Hz
+        left.append(float(np.sum(off[behind] ** 2)))
+    assert left[0] > left[1] > left[2]
 
 
 SPREAD: dict[str, Any] = {

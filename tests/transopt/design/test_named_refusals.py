@@ -74,7 +74,11 @@ def test_walls_under_small_currents_are_solved_or_refused_by_name(
         (31337, 1830, "UNSTABLE_WALL"),  # and a pause that heats without bound
         (31337, 63, "INFEASIBLE"),  # the coil is too hot without any transient
         (5, 249, "certified"),  # ripple of a current that changes its sign
-        (31337, 87, "UNRESOLVED"),  # the current between the instants at which it is kept
+        (
+            31337,
+            87,
+            "certified",
+        ),  # a coil current that leaves its limit between the switching instants, and is stated there
         (20261122, 188, "certified"),  # more energy asked for than any price finds
         (20261122, 1869, "certified"),  # rounding makes its gradient, with a temperature limit that does not bind
         (1, 585, "UNSTABLE_WALL"),  # what comes after the waveform grows without bound

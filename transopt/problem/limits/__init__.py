@@ -11,6 +11,7 @@ from transopt.plant.state_space import CURRENT_INPUT, Input
 from transopt.problem.limits.command import CommandLimit, VoltageCommandLimit
 from transopt.problem.limits.current import CoilCurrentLimit, CurrentLimit
 from transopt.problem.limits.limit import Limit, Limits, Setting
+from transopt.problem.limits.output import OutputLimit
 from transopt.problem.limits.own import LawOf, OwnLimit, outputs_needed, own_limits
 from transopt.problem.limits.slew import SlewLimit, VoltageSlewLimit
 from transopt.problem.limits.stroke import StrokeLimit
@@ -33,6 +34,8 @@ KINDS: tuple[type[Limit], ...] = (
     VelocityLimit,
     TemperatureLimit,
 )
+
+OF_OUTPUTS = tuple(kind for kind in KINDS if issubclass(kind, OutputLimit))  # which may be stated within a period
 
 
 def kinds_of(driven_by: Input) -> list[type[Limit]]:

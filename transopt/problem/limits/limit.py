@@ -20,7 +20,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import AFTER, Motion, StageModel, TimeGrid
+from transopt.plant.discretise import PERIOD, Motion, StageModel, TimeGrid
 from transopt.plant.state_space import Input
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
@@ -92,7 +92,7 @@ class Row:
     @property
     def waits(self) -> bool:
         """Whether the command c_k has no say in the value of stage k: in that of the first nobody has."""
-        return not any(name == COMMAND or name.endswith(AFTER) for name in self.outputs)
+        return not any(name == COMMAND or name.endswith(PERIOD) for name in self.outputs)
 
 
 def device_row(name: str, device: int) -> str:

@@ -22,6 +22,7 @@ class StrokeLimit(OutputLimit):
     of_each_device: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no stroke limit"
     output: ClassVar[str] = "position"
+    grading: ClassVar[int] = 1
 
     @staticmethod
     def nominal_part(setting: Setting) -> FloatArray:

@@ -33,9 +33,9 @@ def test_the_optimum_is_that_of_a_dense_solve_and_is_kept_at_all_times(
     limit = found.problem.limits["stroke"]
     assert found.played.peak(limit) <= bound_m
     assert limit.margin() < 2e-3 * bound_m
-    rows = dense.responses(found.problem).position[1:]
+    rows, nominal = dense.within(found.problem, "stroke", [*map(float, limit.shares(limit.parts)), 1.0])
     room = bound_m - limit.margin()
-    _, J = dense.optimum(found.problem, rows, -room - limit.nominal[1:], room - limit.nominal[1:])
+    _, J = dense.optimum(found.problem, rows, -room - nominal, room - nominal)
     assert found.certificate.objective == pytest.approx(J, abs=1e-6 * max(J, OBJECTIVE_SCALE))
 
 

@@ -21,9 +21,9 @@ def test_the_optimum_is_that_of_a_dense_solve_and_is_kept_at_all_times(
     assert "velocity" in found.binding
     limit = found.problem.limits["velocity"]
     assert found.played.peak(limit) <= bound_m_s
-    rows = dense.responses(found.problem).velocity[1:]
+    rows, nominal = dense.within(found.problem, "velocity", [*map(float, limit.shares(limit.parts)), 1.0])
     room = bound_m_s - limit.margin()
-    _, J = dense.optimum(found.problem, rows, -room - limit.nominal[1:], room - limit.nominal[1:])
+    _, J = dense.optimum(found.problem, rows, -room - nominal, room - nominal)
     assert found.certificate.objective == pytest.approx(J, abs=1e-6 * max(J, OBJECTIVE_SCALE))
 
 

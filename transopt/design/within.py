@@ -1,0 +1,96 @@
+"""At how many instants of a servo period limits on outputs are stated: enough for a margin that costs little.
+
+A limit keeps a margin d of its bounds back for the time between its instants (`limits.output`). The least J is convex
+in d, and its slope there is the sum of the limit's multipliers: J(0) >= J(d) - d sum mu. So the multipliers of an
+answer bound what the margin costs it. Where that is more than `MOST_COST`, and where the margin does not cover all
+that may happen between the instants, the limit is stated at 2, 4, 8 ... instants.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
+from transopt.problem.limits.output import MOST_KEPT, PARTS, OutputLimit
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import Effect
+from transopt.proof.designed import Designed
+
+MOST_COST = 5e-3  # of the J that would be without the margin
+AIM = 3e-3  # of it, once there are instants within the period, which need not be those of another program
+FINE, FINE_PARTS = 1e-3, 8  # of a limit: the margin with which infeasibility is told, and the most parts for it
+MOST_ROWS = 96  # of all limits together, which leaves the project's own method some for what is not a limit
+
+
+def finer(designed: Designed) -> dict[str, int]:
+    """Limits to be stated at more instants, each with the parts of a period that it takes; empty for none."""
+    problem, solution = designed.problem, designed.solution
+    if not designed.is_proven:
+        return _finer(problem, {limit.name: FINE * limit.limit for limit in _of_outputs(problem)}, FINE_PARTS)
+    wanted = {
+        limit.name: MOST_KEPT * limit.limit for limit in _of_outputs(problem) if not _covered(limit, designed.effect)
+    }
+    costs = {limit.name: margin_cost(limit, problem, solution.multipliers) for limit in _of_outputs(problem)}
+    least = Certificate.GAP_TOLERANCE * OBJECTIVE_SCALE  # below which a certificate tells no difference
+    without = max(designed.certificate.objective - sum(costs.values()), 0.0)
+    most = MOST_COST if max(problem.parts.values(), default=1) == 1 else AIM
+    if sum(costs.values()) > max(most * without, least):
+        # An even share of what they may cost for each, at the multipliers that are known.
+        dear = {name: cost for name, cost in costs.items() if cost > least / len(costs)}
+        for name, cost in dear.items():
+            enough = AIM * without / len(dear) / cost * problem.limits[name].kept_back
+            wanted[name] = min(enough, wanted.get(name, np.inf))
+    return _finer(problem, wanted, PARTS[-1])
+
+
+def margin_cost(limit: OutputLimit, problem: TransientProblem, multipliers: Multipliers) -> float:
+    """Bound on what the margin of a limit costs of J."""
+    return sum(
+        limit.margin(row.device) * float((multipliers.lower(row.name) + multipliers.upper(row.name)).sum())
+        for row in limit.rows(problem)
+    )
+
+
+def said_of_instants(designed: Designed) -> dict[str, str]:
+    """Limit on an output at more instants than those of the answer -> why they are left out."""
+    problem, multipliers, J = designed.problem, designed.solution.multipliers, designed.certificate.objective
+    found = {}
+    for limit in _of_outputs(problem):
+        cost = margin_cost(limit, problem, multipliers) / max(J, np.finfo(float).tiny)
+        stated = "at the switching instants" if limit.parts == 1 else f"at {limit.parts} instants of a servo period"
+        found[f"{limit.label} at more instants"] = (
+            f"it is stated {stated}: the {limit.kept_back:.2g} {limit.unit} that it keeps back between them cost at "
+            f"most {100 * cost:.2g} % of J"
+        )
+    return found
+
+
+def _of_outputs(problem: TransientProblem) -> list[OutputLimit]:
+    return [limit for limit in problem.limits if isinstance(limit, OutputLimit)]
+
+
+def _covered(limit: OutputLimit, effect: Effect) -> bool:
+    """Whether what may happen between the instants leaves no limit, by the answer's values at them."""
+    return all(
+        float(np.abs(effect.value(row)).max()) + limit.excursion(row.device) <= limit.limit + limit.tolerance
+        for row in limit.rows(effect.problem)
+    )
+
+
+def _finer(problem: TransientProblem, wanted: Mapping[str, float], most: int) -> dict[str, int]:
+    """The parts with which each limit's excursion between the instants comes down to what is wanted, or near it."""
+    limits, found = _of_outputs(problem), dict[str, int]()
+    others = sum(not isinstance(limit, OutputLimit) for limit, _ in problem.rows())
+    each = (MOST_ROWS - others) / max(len(limits) * len(problem.devices), 1)
+    for limit in limits:
+        parts, now = limit.parts, limit
+        while _excursion(now) > wanted.get(limit.name, np.inf) and 2 * parts <= min(most, each):
+            parts *= 2
+            now = limit.within(problem, parts)
+        if parts > limit.parts and _excursion(now) < _excursion(limit):
+            found[limit.name] = parts
+    return found
+
+
+def _excursion(limit: OutputLimit) -> float:
+    return max(limit.excursion(device) for device in range(len(limit.bends)))
