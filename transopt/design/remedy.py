@@ -9,7 +9,7 @@ it is said what was tried and how far it went.
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -199,7 +199,7 @@ def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, *, most_
     problem, played, status = refused.problem, refused.played, refused.status
     search = _Search(entry, options, _excess(problem, played, status), most_s)
     tried: list[Remedy] = []
-    for ways in _ways(entry, problem, status, converged=played.step_error <= AGREEMENT):
+    for ways in _ways(entry, problem, status, played):
         search.begin()
         found = search.tried([way for way in ways if way.strengths])
         solved = [remedy for remedy in found if remedy.solved]
@@ -213,11 +213,14 @@ def _excess(problem: TransientProblem, played: Replay, status: Status) -> float:
     """How many times a limit, and a little more, a refused answer's replay reached; 0 where that means nothing."""
     if status is Status.INFEASIBLE:
         return 0.0
-    reached = [played.peak(limit) / limit.stated for limit in problem.limits if limit.linear]
+    linear = [limit for limit in problem.limits if limit.linear]
+    if status is Status.UNRESOLVED:
+        linear = [limit for limit in linear if played.leaves(limit)]
+    reached = [played.peak(limit) / limit.stated for limit in linear]
     return OVER * max((by for by in reached if by < STRENGTHS[-1]), default=0.0)
 
 
-def _ways(entry: Adjustable, problem: TransientProblem, status: Status, *, converged: bool) -> Iterator[list[_Way]]:
+def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: Replay) -> Iterator[list[_Way]]:
     """What may help, the simplest first; each list is tried as a whole.
 
     Nothing that is tried here helps a replay that does not converge: its device is too fast, whatever is commanded.
@@ -226,10 +229,11 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, *, conve
     def movable(moves: Sequence[Move]) -> list[Move]:
         return [(key, up) for key, up in moves if _is_movable(entry, key)]
 
-    if status is Status.REPLAY_VIOLATION and not converged:
+    if status is Status.REPLAY_VIOLATION and not played.step_error <= AGREEMENT:
         return
+    weaker = _way(entry, [(f"limits.{problem.limits.input.key}", False)])
     if status is Status.PRECISION:
-        yield [_way(entry, [(f"limits.{problem.limits.input.key}", False)]), _steadier(entry)]
+        yield [weaker, _steadier(entry)]
         yield [_shortened(entry)]
         if entry.value(STIFFNESS) is not None:
             yield [_steadier(entry, [FEEDBACK])]
@@ -240,11 +244,16 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, *, conve
         blamed = [limit for limit in blamed if limit.linear]
     if status is Status.UNSTABLE_WALL:
         blamed = []
+    if status is Status.UNRESOLVED:
+        # Only a limit that is left between two instants. A coil that is as fast as a servo period stays below its
+        # limit at less current, whatever its start, and with that the problem is quickly solved.
+        blamed = [limit for limit in blamed if played.leaves(limit)]
     wider = movable([move for limit in blamed for move in limit.relieved_by().items()])
     softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
     if hopeless:
         softer = []
-    yield [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
+    alone = [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
+    yield [replace(weaker, guided=False), *alone] if status is Status.UNRESOLVED else alone
     rising = [move for move in wider if move[1]]
     both = [move for move in softer if move[0] != LATENCY]
     yield [_way(entry, moves) for moves in (rising, both) if len(moves) > 1]
