@@ -3,7 +3,8 @@
 Nothing here is the design's or the simulator's but the numbers of the device: masses, springs and dampers of the
 chain, force per ampere, the amplifier's pole. Masses have absolute positions along the surface normal, outwards
 positive, and the hand's intention moves the far end of the last spring. Between two instants at which a command
-changes, a sample is taken or the hand changes its mind, everything is smooth; each such stretch is integrated anew.
+changes, a sample is taken, the encoder is read or the hand changes its mind, everything is smooth; each such stretch
+is integrated anew.
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from controller.sim.true_device import TrueDevice
+from played.wall import Pushing
 from transopt.base.signals import FloatArray
 from transopt.plant.intention import Yielding
 from transopt.recordings.settings import SimulatedTaps
@@ -51,7 +53,8 @@ class Tap:
     Attributes
     ----------
     speed_m_s : of the stylus at contact, inwards.
-    command_A : (C,) that the device plays, each from its switching instant on; None where the object is struck.
+    command_A : (C,) that the device plays, each from its switching instant on; the transients where it renders a
+        wall besides. None where the object is struck.
     """
 
     speed_m_s: float
@@ -76,10 +79,19 @@ class Taps:
     ----------
     target : the object that taps without a command strike, at rest at z = 0.
     intention_s : for so long after contact every hand goes on as it came.
+    wall : that the device renders under taps with a command; None for none.
     """
 
-    def __init__(self, device: TrueDevice, target: SimulatedTaps, taps: Sequence[Tap], intention_s: float) -> None:
+    def __init__(
+        self,
+        device: TrueDevice,
+        target: SimulatedTaps,
+        taps: Sequence[Tap],
+        intention_s: float,
+        wall: Pushing | None = None,
+    ) -> None:
         self._device, self._target, self._taps, self._intention_s = device, target, taps, intention_s
+        self._wall = wall
         self._hands = [tap.hand for tap in taps]
         each = [self._chain(tap) for tap in taps]
         self._mass, self._spring, self._damper = (np.array(part).T for part in zip(*each, strict=True))
@@ -104,9 +116,10 @@ class Taps:
         ----------
         times_s : (K,) samples, rising, contact at 0. switching_s : (C,) when the commands change.
         """
-        T = self._intention_s
-        edges = np.concatenate([times_s, switching_s, [0.0, T, T + CHANGE_S]])
-        first, last = min(float(times_s[0]), 0.0), float(times_s[-1])
+        T, wall = self._intention_s, self._wall
+        ticks = switching_s - self._device.delay_s if wall is not None else np.zeros(0)
+        edges = np.concatenate([times_s, switching_s, ticks, [0.0, T, T + CHANGE_S]])
+        first, last = min(float(times_s[0]), float(ticks.min(initial=0.0))), float(times_s[-1])
         edges = np.unique(edges[(edges >= first - ROUNDING_S) & (edges <= last + ROUNDING_S)])
         edges = edges[np.append(True, np.diff(edges) > ROUNDING_S)]
         commands = np.zeros((switching_s.size + 1, len(self._taps)))
@@ -117,8 +130,12 @@ class Taps:
         if amplifier is not None:
             commands = np.clip(commands, -amplifier.command_limit, amplifier.command_limit)
         x = self._start(first)
-        found = []
+        found, plays = [], ~self._strikes
+        if wall is not None:
+            wall.start(x[0, plays], x[self._n, plays])
         for j, start in enumerate(edges):
+            for k in np.flatnonzero(np.abs(ticks - start) <= ROUNDING_S):
+                commands[k + 1, plays] = wall.command(x[0, plays], commands[k + 1, plays])
             felt = commands[np.searchsorted(switching_s, start + ROUNDING_S)]
             x, push, decay = self._minded(x, start)
             held = (felt, push, decay)

@@ -12,9 +12,11 @@ from tests.benches.scripts import script
 from transopt.design.build import Build, build_library
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
+from transopt.scene.sections import Feedback
 from transopt.scene.strikes import recordings, strike
 
-against, motion, figures = (script(name) for name in ("played_against_real", "played.motion", "played.figures"))
+PARTS = ("played_against_real", "played.motion", "played.figures", "played.wall")
+against, motion, figures, walls = (script(name) for name in PARTS)
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +51,50 @@ def test_a_played_tap_is_as_near_to_the_real_one_as_the_table_says(scene: Scene,
     assert entry.played.bump_g == pytest.approx(entry.table.bump_g, abs=0.01)
     assert entry.played.heat_A2_ms == pytest.approx(entry.table.heat_A2_ms, rel=0.01)
     assert entry.further < entry.recording < 0.02
+
+
+@pytest.fixture(scope="module")
+def walled() -> Scene:
+    return with_values(problems.load("walled"), {"grid.speeds_m_s": [0.2], "grid.grips_N": [5.0]})
+
+
+@pytest.fixture(scope="module")
+def over_a_wall(walled: Scene) -> Build:
+    return build_library(walled, recordings(walled))
+
+
+def test_over_a_wall_a_played_tap_is_what_the_table_says(walled: Scene, over_a_wall: Build) -> None:
+    (entry,) = against.played(walled, list(over_a_wall.all_entries()))
+    assert entry.apart < 1e-4
+    assert entry.further < entry.recording + against.ALLOWED
+    assert entry.played.heat_A2_ms == pytest.approx(entry.table.heat_A2_ms, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"feedback.latency_ticks": 20},
+        {"feedback.damping_N_s_m": 0.4, "feedback.derivative_filter_Hz": 50.0},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_another_wall_than_the_one_of_the_table_is_found(
+    walled: Scene, over_a_wall: Build, other: dict[str, float]
+) -> None:
+    (entry,) = against.played(with_values(walled, other), list(over_a_wall.all_entries()))
+    assert entry.apart > 1e-3
+
+
+def test_a_command_that_is_cut_leaves_the_feedback_what_it_made_of_it() -> None:
+    """The current goes half the way to the command in a tick; the feedback goes on from where a cut one left it."""
+    pole_rad_s, dt_s = float(np.log(2) / 1e-4), 1e-4
+    said = Feedback(stiffness_N_m=1.0, damping_N_s_m=0.0, latency_ticks=0)
+    wall = walls.Pushing(said, 1.0, pole_rad_s, 1.0, dt_s)
+    wall.start(np.zeros(1), np.zeros(1))
+    below = np.array([-1.0])  # asks for 1 A, and in one tick for a command of 2 A
+    assert wall.command(below, np.zeros(1)) == pytest.approx([1.0])
+    assert wall.command(below, np.zeros(1)) == pytest.approx([1.0])
+    assert wall.command(-below, np.zeros(1)) == pytest.approx([-0.75])
 
 
 def test_another_command_than_the_one_of_the_table_is_found(scene: Scene, build: Build) -> None:
