@@ -26,7 +26,7 @@ from controller.protocol.image import bank_of, image_of
 from controller.servo.guard import Guard
 from controller.servo.settings import Settings
 from controller.sim.simulator import Coil
-from controller.waveforms.bank import Bank, bank, currents
+from controller.waveforms.bank import Bank, bank
 from transopt.base.errors import InputError
 from transopt.base.plotting import LABEL_PT, SMALL_PT, save_figure
 from transopt.base.signals import FloatArray
@@ -36,6 +36,7 @@ from transopt.plant.coil import effective_square
 from transopt.problem.objective.bands import JUST_NOTICED_dB
 from transopt.problem.objective.figures import FELT_Hz, Figures
 from transopt.problem.objective.weighting import bandpass
+from transopt.problem.warm_coil import currents
 from transopt.scene.keys import with_values
 
 SCENE, SHARE, SPEED_M_S = "wood_on_foam", 0.36, 0.3

@@ -18,12 +18,13 @@ from controller.record.excitation import sweep_command
 from controller.servo.default_drive import AMPLIFIER, RE_25
 from controller.servo.guard import Guard
 from controller.servo.settings import Settings
-from controller.waveforms.bank import Bank, Method, bank, currents, norms
+from controller.waveforms.bank import Bank, Method, bank
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_down
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
+from transopt.problem.warm_coil import currents, norms
 from transopt.scene.scene import Scene
 
 EXCITATION_LIMIT_A = 1.25  # without a library: what the built-in motor bears continuously

@@ -26,11 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.protocol.capacity import Capacity
-from controller.waveforms.bank import Bank, Method, currents
+from controller.waveforms.bank import Bank, Method
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_down
 from transopt.plant.amplifier import Amplifier
+from transopt.problem.warm_coil import currents
 
 IMAGE_MAGIC = 0x4D494E54  # "TNIM"
 IMAGE_VERSION = 3

@@ -1,8 +1,9 @@
-"""The coil's temperature as the servo estimates it, and how much of a transient it allows (seed Eqs. 6-7)."""
+"""The coil's temperature as the servo estimates it, and how much of a transient it allows (seed Eqs. 6 and 7)."""
 
 import math
 
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
+from transopt.problem.warm_coil import WarmCoil
 
 CEILING_C = 1000.0  # nothing is hotter; an estimate that ran off to infinity could not be cooled down again
 DYING_TICKS = 4.0  # of the present current: until the answer to a reading is felt, and what is left then
@@ -20,7 +21,7 @@ class Guard:
     """
 
     def __init__(self, coil: CoilModel, dt_s: float, withhold_K: float, least_scale: float) -> None:
-        self._coil, self._least_scale = coil, least_scale
+        self._coil = coil
         self._ticks = max(round(UPDATE_S / dt_s), 1)
         half = self._ticks * dt_s / 2
         C_w = coil.tau_w_s / coil.R_wh_K_W
@@ -32,15 +33,8 @@ class Guard:
         self._a21, self._a22 = -by_h * g_w, 1 + by_h * (g_w + g_h)
         self._inflow_C = by_h * g_h * coil.ambient_C
         self._cold = 1 - COPPER_PER_K * RESISTANCE_REFERENCE_C
-        # What an A^2 tick can add to the winding: resistance at the limit, no heat leaves.
-        self._rise_K = (
-            coil.R_ohm
-            * (1 + COPPER_PER_K * (coil.limit_C - RESISTANCE_REFERENCE_C))
-            * (coil.R_wh_K_W / coil.tau_w_s)
-            * dt_s
-        )
-        self._from_housing = dt_s / coil.tau_w_s
-        self.limit_C, self.play_limit_C = coil.limit_C, coil.limit_C - withhold_K
+        self._warm = WarmCoil.of(coil, dt_s, withhold_K, least_scale)
+        self.limit_C, self.play_limit_C = coil.limit_C, self._warm.play_limit_C
         self.winding_C, self.housing_C = coil.start_winding_C, coil.start_housing_C
         self._sum, self._square, self._count = 0.0, 0.0, 0
 
@@ -73,55 +67,18 @@ class Guard:
 
         Heat since the last update counts: at 4 A that is 0.1 K.
         """
-        coming_K = self._rise_K * (self._sum + DYING_TICKS * self._square)
+        coming_K = self._warm.rise_K * (self._sum + DYING_TICKS * self._square)
         # Written so that a NaN is too hot.
         return not (self.winding_C + coming_K <= self.limit_C)
 
     def rise_K(self, transient_A: float, feedback_A: float, ticks: int, scale: float) -> float:
-        """Bound on the winding's rise over a transient played at `scale`.
-
-        Parameters
-        ----------
-        transient_A, feedback_A : norms sqrt(sum i^2) over the servo periods of the transient's current and of the
-            feedback's beside it, or bounds on them [A]. ticks : servo periods it takes.
-        """
-        norm = scale * transient_A + feedback_A + PWM_RIPPLE_A * math.sqrt(ticks)
-        warmer = self.housing_C - self.winding_C
-        return self._rise_K * norm * norm + (ticks * self._from_housing * warmer if warmer > 0.0 else 0.0)
+        """Bound on the winding's rise over a transient played now at `scale`, see `WarmCoil.rise`."""
+        return self._warm.rise(self.winding_C, self.housing_C, transient_A, feedback_A, ticks, scale)
 
     def scale(self, transient_A: float, feedback_A: float, ticks: int) -> float:
-        """Largest scale <= 1 that keeps the winding at or below `play_limit_C`; 0 if not even the least one does.
-
-        Norms as in `rise_K`.
-        """
+        """Largest scale <= 1 that keeps the winding at or below `play_limit_C`; 0 if not even the least one does."""
         return self.allowed(transient_A, math.inf, feedback_A, ticks)[0]
 
     def allowed(self, transient_A: float, cool_A: float, feedback_A: float, ticks: int) -> tuple[float, float]:
-        """Scale, and part of the second transient in what is scaled, that keep the winding within `play_limit_C`.
-
-        A coil that cannot take the first transient gets a blend of both whose norms add up to what it can take: the
-        blend's own norm is no larger, and a convex combination of admissible commands is admissible. What cannot
-        take even the second gets it scaled; a scale below the least one is 0. Without a second transient of less
-        heat the first is scaled. This is the adaptive limit that the seed leaves as future work.
-
-        Parameters
-        ----------
-        cool_A : norm of the second transient, infinite without one; the other norms as in `rise_K`.
-        """
-        left = self.play_limit_C - self.winding_C
-        if self.rise_K(transient_A, feedback_A, ticks, 1.0) <= left:
-            return 1.0, 0.0
-        without = self.rise_K(0.0, feedback_A, ticks, 0.0)
-        if not (without < left and transient_A > 0.0):
-            return 0.0, 0.0
-        # rise = a (n + m)^2 + h with a m^2 + h = `without`
-        steady = feedback_A + PWM_RIPPLE_A * math.sqrt(ticks)
-        norm_A = math.sqrt(steady * steady + (left - without) / self._rise_K) - steady
-        cooler = cool_A < transient_A
-        if cooler and norm_A >= cool_A:
-            cooled = (transient_A - norm_A) / (transient_A - cool_A)
-            return 1.0, cooled if cooled > 0.0 else 0.0
-        scale = norm_A / (cool_A if cooler else transient_A)
-        if not scale >= self._least_scale:
-            return 0.0, 0.0
-        return scale, 1.0 if cooler else 0.0
+        """Scale, and part of the second transient in what is scaled, see `WarmCoil.allowed`."""
+        return self._warm.allowed(self.winding_C, self.housing_C, transient_A, cool_A, feedback_A, ticks)

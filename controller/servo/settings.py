@@ -12,6 +12,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.wall import Wall
 from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.warm_coil import LEAST_SCALE, WITHHOLD_K
 
 SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # size of a calibration's scale: further off something else is wrong
 PULSE_NODES = 4
@@ -122,8 +123,8 @@ class Settings:
     grid_slack_N: float = 0.1
     gain_rate_1_s: float = 10.0
 
-    withhold_K: float = 5.0
-    least_scale: float = 0.25
+    withhold_K: float = WITHHOLD_K
+    least_scale: float = LEAST_SCALE
 
     encoder_limit_counts: int = 1_000_000
     fastest_m_s: float = 5.0

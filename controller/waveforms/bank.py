@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from scipy import signal
 
 from controller.waveforms import predecessors
 from controller.waveforms.inversions import inversion
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
-from transopt.plant.amplifier import Amplifier
-from transopt.problem.heat import heating
+from transopt.problem.warm_coil import currents, norms
 
 
 class Method(Enum):
@@ -149,24 +147,6 @@ class Bank:
             cool_samples_A=[] if cool is None else samples(cool),
             cool_transient_A=math.inf if cool is None else norm(self.cool_transient_A),
         )
-
-
-def currents(command_A: FloatArray, amplifier: Amplifier | None, dt_s: float) -> FloatArray:
-    """(..., N + 1) current at the switching instants from rest, and after the last servo period."""
-    if amplifier is None:
-        return np.concatenate([command_A, np.zeros((*command_A.shape[:-1], 1))], axis=-1)
-    decay = float(np.exp(-amplifier.rate_rad_s * dt_s))
-    after = signal.lfilter([1 - decay], [1.0, -decay], command_A, axis=-1)
-    return np.concatenate([np.zeros((*command_A.shape[:-1], 1)), after], axis=-1)
-
-
-def norms(current_A: FloatArray, amplifier: Amplifier | None, dt_s: float) -> FloatArray:
-    """(...) sqrt(sum of the mean i^2 of each servo period) for currents (..., N + 1) at the switching instants."""
-    if amplifier is None:
-        return np.asarray(np.linalg.norm(current_A, axis=-1))
-    first, cross, last = heating(amplifier, dt_s).square
-    a, b = current_A[..., :-1], current_A[..., 1:]
-    return np.asarray(np.sqrt(np.sum(first * a * a + cross * a * b + last * b * b, axis=-1)))
 
 
 def bank(

@@ -8,10 +8,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from controller.waveforms.bank import Bank, Play, currents, norms
+from controller.waveforms.bank import Bank, Play
 from controller.waveforms.prediction import scene_of
 from transopt.library.library import Library
 from transopt.library.online import Online
+from transopt.problem.warm_coil import currents, norms
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,8 @@ from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.plant_file import plant_bytes
 from controller.sim.simulator import Simulator
 from controller.sim.user import User
-from controller.waveforms.bank import Bank, Method, currents, norms
+from controller.waveforms.bank import Bank, Method
+from transopt.problem.warm_coil import currents, norms
 
 DT_S = 1e-4
 TAIL = 10  # zero commands at the end of every waveform

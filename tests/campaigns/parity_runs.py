@@ -15,7 +15,7 @@ from controller.sim.simulated_tap import approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import TapUser, Tremor
-from controller.waveforms.bank import Bank, Method, bank, currents, norms
+from controller.waveforms.bank import Bank, Method, bank
 from controller.waveforms.prediction import scene_of
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
@@ -23,6 +23,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.intention import YIELDINGS, Intention
 from transopt.plant.wall import Wall
+from transopt.problem.warm_coil import currents, norms
 
 DT_S, COUNT_M = 1e-4, 24.5e-6
 TAIL = 10  # zero commands at the end of every waveform

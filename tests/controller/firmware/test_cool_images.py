@@ -15,12 +15,12 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.image import HEADER, IMAGE_FIELDS, bank_of, image_bytes, image_of, image_samples, too_large
 from controller.servo.interface import Notice
 from controller.servo.settings import Settings
-from controller.waveforms.bank import currents
 from tests.benches.compiled import DT_S, TAIL, cooled, smooth_bank
 from tests.benches.device import Talker, started
 from tests.benches.servo import AMPLIFIER
 from tests.campaigns.test_device_conversations import Table as Conversation
 from tests.campaigns.test_device_conversations import hot_taps, vouched
+from transopt.problem.warm_coil import currents
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from controller.protocol.image import bank_of, image_of
 from controller.servo.guard import Guard
-from controller.waveforms.bank import Bank, Play, currents, norms
+from controller.waveforms.bank import Bank, Play
 from tests.benches.compiled import TAIL, cooled, smooth_bank
 from tests.benches.servo import AMPLIFIER
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import CoilModel, effective_square
+from transopt.problem.warm_coil import currents, norms
 
 DT_S, CURRENT_A, COMMAND_A, LEAST = 1e-4, 4.0, 6.0, 0.25
 COIL = CoilModel(R_ohm=2.18, R_wh_K_W=3.1, R_ha_K_W=14.0, tau_w_s=12.0, tau_h_s=612.0, limit_C=100.0)

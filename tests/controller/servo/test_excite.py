@@ -12,12 +12,13 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of, sha256
 from controller.servo.interface import Fault, Notice, Output, State
 from controller.servo.settings import Settings
-from controller.waveforms.bank import Bank, Method, currents, norms
+from controller.waveforms.bank import Bank, Method
 from tests.benches.device import Talker
 from tests.benches.servo import AMPLIFIER, DT_S, WALL
 from tests.benches.servo import Bench as ServoBench
 from transopt.base.errors import InputError
 from transopt.plant.coil import CoilModel
+from transopt.problem.warm_coil import currents, norms
 
 COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
 SETTINGS = Settings(DT_S, 0.0, 1.25, AMPLIFIER, coil=COIL, host_starts=True, stuck_A_s=100.0)

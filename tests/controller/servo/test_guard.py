@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from controller.servo.guard import CEILING_C, Guard
-from controller.waveforms.bank import Bank, bank, currents, norms
+from controller.waveforms.bank import Bank, bank
 from transopt.library.library import Library
 from transopt.plant.coil import CoilModel, effective_square
+from transopt.problem.warm_coil import currents, norms
 
 DT_S = 1e-4
 COIL = CoilModel(R_ohm=2.18, R_wh_K_W=3.1, R_ha_K_W=14.0, tau_w_s=12.0, tau_h_s=612.0, limit_C=100.0)

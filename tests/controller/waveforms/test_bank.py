@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.waveforms import predecessors
-from controller.waveforms.bank import Bank, Method, bank, currents
+from controller.waveforms.bank import Bank, Method, bank
 from controller.waveforms.inversions import unlimited_optimum
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.build import Build
 from transopt.library.library import Library
+from transopt.problem.warm_coil import currents
 from transopt.solvers import unlimited
 
 
