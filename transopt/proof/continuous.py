@@ -8,6 +8,7 @@ that are held a Runge-Kutta step is a linear map, the same in every period.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -141,9 +142,14 @@ class Loop:
     walls: Sequence[HandOver]
     count_m: float
 
+    @cached_property
+    def _nominal_m(self) -> FloatArray:
+        """(K, M) z_nom at the ticks that the walls know."""
+        return np.stack([wall.nominal_m for wall in self.walls], axis=1)
+
     def nominal(self, k: int) -> FloatArray:
         """(M,) z_nom at tick k, going on straight after the last."""
-        z = np.stack([wall.nominal_m for wall in self.walls], axis=1)
+        z = self._nominal_m
         last = z.shape[0] - 1
         return np.asarray(z[k] if k <= last else z[last] + (k - last) * (z[last] - z[last - 1]))
 
