@@ -12,28 +12,39 @@ MOST_TRIES = 12  # until the wall after the window pushes where it was assumed t
 
 
 def silence(problem: TransientProblem) -> tuple[TransientProblem, FloatArray]:
-    """The problem with its wall pressing where it does when no transient plays, and that command (N,); zero without.
+    """The problem with its wall pressing where it does without a transient, and the command (N,) of that."""
+    nothing = np.zeros(problem.grid.stages)
+    if problem.wall is None:
+        return problem, nothing
+    command, course = _rendered(problem, nothing)
+    return pressing(problem, course), command[: nothing.size]
 
-    Tick by tick, with the wall's law closed over the stage model.
-    """
-    stage, wall, N = problem.stage, problem.wall, problem.grid.stages
-    ticks = N + problem.grid.after_stages
-    command = np.zeros(ticks)
+
+def rendered(problem: TransientProblem, transient: FloatArray) -> FloatArray:
+    """(N + M,) command of a device that plays a transient (N,) on top of its wall, and goes on after the window."""
+    return _rendered(problem, transient)[0]
+
+
+def _rendered(problem: TransientProblem, transient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The command and the encoder's course (N + M,): the wall's law closed over the stage model, tick by tick."""
+    stage, wall, M = problem.stage, problem.wall, problem.grid.after_stages
+    command = np.append(transient, np.zeros(M))
+    course = np.zeros(command.size)
     if wall is None:
-        return problem, command[:N]
+        return command, course
     assert stage.Cp is not None
     assert stage.Dp is not None
     loop = FeedbackLoop(
         wall.wall, stage.amplifier, problem.grid.dt_s, wall.nominal_m[:1], np.array([wall.approach_m_s])
     )
-    course, late, x = np.zeros(ticks), stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
+    late, x = stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-        for k in range(ticks):
-            command[k] = loop.step(wall.nominal_m[k : k + 1] + course[k])[0]
-            if k + late < ticks:
+        for k in range(command.size):
+            command[k] += loop.step(wall.nominal_m[k : k + 1] + course[k])[0]
+            if k + late < command.size:
                 course[k + late] = (stage.Cp @ x + stage.Dp * command[k])[0, 0]
             x = stage.A @ x + stage.B * command[k]
-    return pressing(problem, course), command[:N]
+    return command, course
 
 
 def encoder_course(problem: TransientProblem, command: FloatArray) -> FloatArray:

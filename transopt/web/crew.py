@@ -133,7 +133,8 @@ class _Member:
         self._sent.move_to_end(name)
         if len(self._sent) > KEPT:
             self._sent.popitem(last=False)
-        return self.process.submit(_share, name, whole, service.scene, service.probe, list(share))
+        asked = service.scene, service.probe, service.winding_C
+        return self.process.submit(_share, name, whole, asked, list(share))
 
 
 _services: OrderedDict[str, Service] = OrderedDict()
@@ -144,16 +145,19 @@ def _ready() -> None:
 
 
 def _share(
-    name: str, whole: bytes | None, scene: Scene, probe: tuple[float, float] | None, share: list[int]
+    name: str,
+    whole: bytes | None,
+    asked: tuple[Scene, tuple[float, float] | None, float | None],
+    share: list[int],
 ) -> list[Shown]:
-    """What a process of the crew does."""
+    """What a process of the crew does: scene, tap between the nodes and temperature of the winding are asked for."""
     if whole is not None:
         _services[name] = pickle.loads(whole)
     _services.move_to_end(name)
     if len(_services) > KEPT:
         _services.popitem(last=False)
     service = _services[name]
-    service.scene, service.probe = scene, probe
+    service.scene, service.probe, service.winding_C = asked
     return bounded(MOST_S, lambda: [service.quick(index, words=False) for index in share])
 
 

@@ -15,7 +15,10 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.web.service import Shown, plain
 
-CURVES = ("recorded_m_s2", "optimum_m_s2", "clipped_m_s2", "input", "clipped_input", "temperature_C")
+CURVES = (
+    *("recorded_m_s2", "optimum_m_s2", "clipped_m_s2", "input", "clipped_input", "temperature_C"),
+    *("warm_m_s2", "warm_input"),
+)
 LENGTH = struct.Struct("<I")
 
 

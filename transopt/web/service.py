@@ -7,7 +7,7 @@ is what a library would hold.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from transopt.problem.baselines import clipped_optimum
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures
 from transopt.problem.problem import TransientProblem
+from transopt.problem.warm_coil import WarmCoil
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.recordings.references import References
@@ -42,6 +43,7 @@ from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.web.controls import DEVICE, TABLES, Control, controls, input_key
+from transopt.web.warm import Warm, on_warm_coil
 
 MOST_REMEDY_S = 1.5  # of a processor's time for what would do for one tap
 RECORDED = {
@@ -91,6 +93,8 @@ class Curves:
     input_limit : that they stay within.
     temperature_C : (N,) of the winding at the ends of the periods; (0,) without a coil.
     temperature_limit_C : NaN without a coil.
+    warm_m_s2, warm_input : (N + M,) as `optimum_m_s2` and `input`, of what is played on a coil as warm as is asked
+        for; (0,) where nothing is asked.
     """
 
     times_s: FloatArray
@@ -102,6 +106,8 @@ class Curves:
     input_limit: float
     temperature_C: FloatArray
     temperature_limit_C: float
+    warm_m_s2: FloatArray = field(default_factory=lambda: np.zeros(0))
+    warm_input: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -119,6 +125,7 @@ class Shown:
     heat_A2_ms : integral of the squared current.
     binds : what holds it back, in words.
     curves : as drawn; None in the answer of `settled`, which changes no curve.
+    warm : what is played on a coil as warm as is asked for; None where nothing is asked, or it is not certified.
     price : of the dearest limit, in a sentence; known when settled.
     verdict : known when settled.
     """
@@ -133,6 +140,7 @@ class Shown:
     heat_A2_ms: float
     binds: str
     curves: Curves | None = None
+    warm: Warm | None = None
     price: str = ""
     verdict: str = ""
 
@@ -165,6 +173,7 @@ class Service:
         self._stages: Kept[StageModel] = Kept(KEPT_STAGES)  # of all scenes that the sliders have come to
         self._context: Context | None = None
         self.probe: tuple[float, float] | None = None
+        self.winding_C: float | None = None
         self._known = {key.path for key in keys(scene) if key.path.split(".", 1)[0] in TABLES} - set(DEVICE)
         scene.posing()  # a nonlinear plant is refused here, by name
         if library is not None:
@@ -216,8 +225,26 @@ class Service:
             )
         return [each for each in found if each]
 
-    def change(self, changes: Mapping[str, Value], probe: tuple[float, float] | None = None) -> None:
-        """Take other values into the scene, and a speed [m/s] and a grip [N] between the nodes, or None for none.
+    @property
+    def windings_C(self) -> tuple[float, float] | None:
+        """Ambient, and what a transient may bring the winding to; None where the scene has no second commands."""
+        coil = self.scene.coil()
+        if coil is None or self.scene.grid.cool_share is None:
+            return None
+        return coil.ambient_C, WarmCoil.of(coil, self.grid.dt_s).play_limit_C
+
+    def change(
+        self,
+        changes: Mapping[str, Value],
+        probe: tuple[float, float] | None = None,
+        winding_C: float | None = None,
+    ) -> None:
+        """Take other values into the scene.
+
+        Parameters
+        ----------
+        probe : a speed [m/s] and a grip [N] between the nodes; None for none.
+        winding_C : of a coil on which every tap is played besides; None for none.
 
         Raises
         ------
@@ -231,8 +258,10 @@ class Service:
             wanted.pop(IN_PLACE_OF.get(key, ""), None)
         scene = with_values(self.opened, wanted)
         self._check_probe(scene, probe)
+        if winding_C is not None and (self.windings_C is None or not np.isfinite(winding_C)):
+            raise InputError(f"winding {winding_C:g} C: the scene has no second commands: state grid.cool_share")
         self.references(scene)
-        self.scene, self.changes, self.probe = scene, wanted, probe
+        self.scene, self.changes, self.probe, self.winding_C = scene, wanted, probe, winding_C
 
     def _check_probe(self, scene: Scene, probe: tuple[float, float] | None) -> None:
         if probe is None:
@@ -302,7 +331,23 @@ class Service:
         """
         with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
             (entry,) = design([self._posed(self.places[index])], options=self.trial)
-            return _shown(index, entry, words=words)
+            shown = _shown(index, entry, words=words)
+            warm = self._warm(index, entry) if shown.certified else None
+            if warm is None:
+                return shown
+            found, acceleration, current = warm
+            assert shown.curves is not None
+            free = entry.problem.target.lasting(entry.problem.target.free_m_s2)
+            return replace(
+                shown, warm=found, curves=replace(shown.curves, warm_m_s2=acceleration + free, warm_input=current)
+            )
+
+    def _warm(self, index: int, entry: Entry) -> tuple[Warm, FloatArray, FloatArray] | None:
+        """A tap on a coil as warm as is asked for; None where nothing is asked."""
+        coil, share = self.scene.coil(), self.scene.grid.cool_share
+        if self.winding_C is None or coil is None or share is None:
+            return None
+        return on_warm_coil(self._posed(self.places[index]), entry, coil, self.winding_C, share, self.trial)
 
     @one_blas_thread()
     def entry(self, index: int) -> Entry:
@@ -315,7 +360,7 @@ class Service:
         """One tap as a library would hold it; of a refused one the reason, and what would do."""
         place, entry = self.places[index], self.entry(index)
         admitted = entry.admitted
-        reason = ""
+        reason, warm = "", self._warm(index, entry) if admitted else None
         if not admitted:
             said = list(dict.fromkeys([entry.status.value, *entry.shortfalls]))
             posed = SceneEntry(self.context, place.grip_N, self.reference(place))
@@ -331,6 +376,7 @@ class Service:
             clipped=entry.baselines.clipped.tap_error,
             heat_A2_ms=1e3 * entry.heat_A2_s if admitted else np.nan,
             binds=entry.binding if admitted else "",
+            warm=None if warm is None else warm[0],
             price=entry.prices[0].sentence if entry.prices else "",
             verdict=entry.verdict,
         )
@@ -498,6 +544,7 @@ def described(service: Service) -> dict[str, Any]:
             "speed_m_s": [axes.speeds_m_s[0], axes.speeds_m_s[-1]],
             "grip_N": [axes.grips_N[0], axes.grips_N[-1]],
         },
+        "windings_C": service.windings_C,
         "remarks": service.remarks,
         "solver": service.options.solver,
     }
@@ -505,8 +552,14 @@ def described(service: Service) -> dict[str, Any]:
 
 def plain(shown: Shown) -> dict[str, Any]:
     """An answer without its curves, as JSON has it: null where there is no number."""
-    figures = None if shown.figures is None else _finite(vars(shown.figures))
-    return {**_finite({name: value for name, value in vars(shown).items() if name != "curves"}), "figures": figures}
+    own = {name: value for name, value in vars(shown).items() if name != "curves"}
+    return {**_finite(own), "figures": _said(shown.figures), "warm": _said(shown.warm)}
+
+
+def _said(of: Figures | Warm | None) -> dict[str, Any] | None:
+    if of is None:
+        return None
+    return {**_finite(vars(of)), **({"figures": _said(of.figures)} if isinstance(of, Warm) else {})}
 
 
 def _finite(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -151,9 +151,13 @@ class Session:
 
     def _change(self, message: Message) -> None:
         service, number = self._service(), message["id"]
-        probe = message.get("probe")
+        probe, winding = message.get("probe"), message.get("winding_C")
         before = service.places
-        service.change(message["changes"], None if probe is None else (float(probe[0]), float(probe[1])))
+        service.change(
+            message["changes"],
+            None if probe is None else (float(probe[0]), float(probe[1])),
+            None if winding is None else float(winding),
+        )
         if service.places != before:
             self._say({"type": "places", "places": [vars(place) for place in service.places]})
         order = service.order(int(message["selected"]))

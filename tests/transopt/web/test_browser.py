@@ -160,6 +160,35 @@ def test_a_tap_between_the_nodes(window: Window) -> None:
     playwright.expect(window.see("#cells .cell")).to_have_count(2)
 
 
+def test_a_warm_coil_is_played_beside_the_optimum(browser: Any, small: Scene) -> None:
+    with Page(with_values(small, {"grid.cool_share": 0.36})) as served:
+        window = Window(browser, served.address)
+        playwright.expect(window.see("#key .warm")).to_be_hidden()
+        window.see("#warm").check()
+        playwright.expect(window.see("#key .warm")).to_be_visible()
+        window.says("#selected", "of the second: tap error")
+        window.rests()
+        assert window.state("taps[1].warm_input.length") == window.state("taps[1].input.length")
+        part = window.state("taps[1].warm.cooled")
+        assert 0 < part < 1
+        cells = window.see("#table tbody tr").nth(1).locator("td").all_inner_texts()
+        assert f"{100 * part:.1f} % of the second: tap error" in cells[-2]
+        assert window.state("taps[1].warm.heat_A2_ms") < window.state("taps[1].heat_A2_ms")
+        window.see("#winding").fill("0")
+        window.says("#selected", "on the warm coil the first command: tap error")
+        window.says("#winding-value", "25 C")
+        window.see("#warm").uncheck()
+        playwright.expect(window.see("#key .warm")).to_be_hidden()
+        window.rests()
+        assert window.state("taps[1].warm") is None
+        assert window.errors == []
+        window.tab.close()
+
+
+def test_a_scene_without_second_commands_has_no_warm_coil(window: Window) -> None:
+    playwright.expect(window.see("#warmed")).to_be_hidden()
+
+
 def test_what_is_not_certified_is_grey_and_says_why(browser: Any) -> None:
     one = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
     scene = with_values(load_scene("low_supply"), {"limits.supply_V": 0.3, **one})
@@ -272,7 +301,7 @@ def test_words_stand_out_from_their_ground(browser: Any, address: str, scheme: s
         return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2];
       };
       const contrast = (a, b) => (Math.max(light(a), light(b)) + 0.05) / (Math.min(light(a), light(b)) + 0.05);
-      const inks = ["ink", "quiet", "accent", "recorded", "optimum", "clipped", "limit", "refused"];
+      const inks = ["ink", "quiet", "accent", "recorded", "optimum", "clipped", "warm", "limit", "refused"];
       return Math.min(...inks.flatMap((ink) => ["ground", "raised"].map((ground) => contrast(ink, ground))));
     }"""
     )

@@ -13,7 +13,7 @@ const STEPS = 400;
 const by = (id) => document.getElementById(id);
 
 const state = {
-  scene: null, places: [], taps: [], times: null, selected: 0, changes: {}, kept: {}, probe: null,
+  scene: null, places: [], taps: [], times: null, selected: 0, changes: {}, kept: {}, probe: null, winding_C: null,
   pending: null, inFlight: 0, number: 0, began: new Map(), sent: new Map(), takes: 0, rest: null, resting: false, wantSound: null, resume: false,
 };
 const sound = new Sound();
@@ -48,7 +48,7 @@ function flush(final = false) {
   state.inFlight += 1;
   state.began.set(state.number, pending.began);
   state.sent.set(state.number, performance.now());
-  link.say({ type: "change", id: state.number, changes: pending.changes, selected: state.selected, probe: state.probe, final });
+  link.say({ type: "change", id: state.number, changes: pending.changes, selected: state.selected, probe: state.probe, winding_C: state.winding_C, final });
   return true;
 }
 
@@ -91,7 +91,7 @@ function opened(scene) {
   const again = state.resume && state.scene && state.scene.name === scene.name;
   const kept = again ? state.kept : {};
   Object.assign(state, { scene, places: scene.places, taps: [], kept, resume: false, pending: null, inFlight: 0 });
-  if (!again) Object.assign(state, { probe: null, selected: scene.own.length ? 0 : start(scene) });
+  if (!again) Object.assign(state, { probe: null, winding_C: null, selected: scene.own.length ? 0 : start(scene) });
   sound.forget();
   document.title = `${scene.name} - transopt`;
   by("name").textContent = scene.name;
@@ -103,6 +103,7 @@ function opened(scene) {
   sliders.show(scene.controls);
   keysOfError(scene.controls);
   probes();
+  warmed();
   cells();
   rows();
   for (const [key, value] of Object.entries(kept)) sliders.set(key, value);
@@ -122,7 +123,8 @@ function drawn(message, arrays) {
   for (const tap of message.taps) {
     const own = (name) => arrays[`${tap.index}.${name}`];
     const before = state.taps[tap.index];
-    for (const name of ["recorded_m_s2", "optimum_m_s2", "clipped_m_s2", "input", "clipped_input", "temperature_C"]) {
+    for (const name of ["recorded_m_s2", "optimum_m_s2", "clipped_m_s2", "input", "clipped_input", "temperature_C",
+      "warm_m_s2", "warm_input"]) {
       tap[name] = own(name);
     }
     tap.ends = state.scene.window_end_s;
@@ -236,6 +238,15 @@ function came(tap) {
   return `${percent(error)} %${error > 1.05 * tap.floor ? ", limited" : ""}`;
 }
 
+// What is played on a coil as warm as is asked for, and how near that comes; empty where nothing is asked.
+function onWarmCoil(tap) {
+  const { warm } = tap;
+  if (!warm) return "";
+  if (!warm.figures || warm.scale === 0) return warm.words;
+  return `${warm.words}: tap error ${percent(warm.figures.tap_error)} %, felt error ${percent(warm.figures.felt_error)} %, `
+    + `${warm.figures.felt_dB.toFixed(2)} dB, ${warm.heat_A2_ms.toFixed(0)} A2ms`;
+}
+
 // ---- the small plots
 
 function cells() {
@@ -310,7 +321,7 @@ function large(anew) {
 function about(tap) {
   const place = state.places[tap.index];
   const found = tap.certified ? `tap error ${percent(tap.figures.tap_error)} %, felt error ${percent(tap.figures.felt_error)} %, floor ${percent(tap.floor)} %` : "";
-  by("selected").textContent = [place.title, found].filter(Boolean).join(": ");
+  by("selected").textContent = [[place.title, found].filter(Boolean).join(": "), onWarmCoil(tap)].filter(Boolean).join("; on the warm coil ");
   by("reason").hidden = tap.certified;
   by("reason").textContent = tap.certified ? "" : `Not shown: ${tap.reason}`;
   by("detail").classList.toggle("refused", !tap.certified);
@@ -357,7 +368,8 @@ by("handle").addEventListener("keydown", (event) => {
 
 function rows() {
   const table = by("table");
-  const columns = ["tap %", "floor %", "clipped %", "felt %", "felt dB", "speed", "bump g", "heat A2ms", "what binds", "price", "state"];
+  const columns = ["tap %", "floor %", "clipped %", "felt %", "felt dB", "speed", "bump g", "heat A2ms", "what binds", "price",
+    ...(state.scene.windings_C ? ["on the warm coil"] : []), "state"];
   const line = table.tHead.insertRow ? table.tHead : table.createTHead();
   line.replaceChildren();
   const head = line.insertRow();
@@ -397,6 +409,7 @@ function row(tap) {
     percent(figures.tap_error), percent(tap.floor), percent(tap.clipped), percent(figures.felt_error),
     fixed(figures.felt_dB, 2), fixed(figures.speed, 2), fixed(figures.bump_m_s2 && figures.bump_m_s2 / 9.80665, 2),
     fixed(tap.heat_A2_ms, 0), tap.binds || "-", tap.price || "-",
+    ...(state.scene.windings_C ? [onWarmCoil(tap) || "-"] : []),
     tap.certified ? (tap.replayed ? `certified, replayed; ${tap.verdict}` : "certified") : tap.reason,
   ];
   const from = state.scene.columns.length;
@@ -456,6 +469,39 @@ by("probe").onchange = () => {
   want({});
   return undefined;
 };
+
+// ---- a warm coil
+
+// Equal steps are equal ratios of what is left to the temperature that a transient may reach: the last tenth of a kelvin
+// decides, of some seventy.
+const LEAST_LEFT = 1e-4;
+
+function winding_C() {
+  const [cold, hot] = state.scene.windings_C;
+  return Number((hot - (hot - cold) * LEAST_LEFT ** (by("winding").value / STEPS)).toFixed(3));
+}
+
+function warmed() {
+  by("warmed").hidden = !state.scene.windings_C;
+  by("warm").checked = state.winding_C !== null;
+  document.querySelector("#key .warm").hidden = state.winding_C === null;
+  if (!state.scene.windings_C) return;
+  by("winding-value").textContent = `${winding_C()} C, ${said(state.scene.windings_C[1] - winding_C(), "K")} left`;
+  by("winding").setAttribute("aria-valuetext", by("winding-value").textContent);
+}
+
+function warm(began) {
+  state.winding_C = by("warm").checked ? winding_C() : null;
+  warmed();
+  want({}, began);
+}
+
+by("warm").onchange = () => warm();
+by("winding").oninput = (event) => {
+  by("warm").checked = true;
+  warm(event.timeStamp);
+};
+by("winding").onchange = () => rest(0);
 
 // ---- the inverse question
 

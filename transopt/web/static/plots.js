@@ -5,7 +5,7 @@ const SMALL_PX = 74;
 
 export function colours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["ground", "ink", "quiet", "grid", "recorded", "optimum", "clipped", "limit", "line"];
+  const names = ["ground", "ink", "quiet", "grid", "recorded", "optimum", "clipped", "warm", "limit", "line"];
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
@@ -73,6 +73,7 @@ export function drawSmall(canvas, times, tap, colour, windowEnd) {
   line(tap.clipped_m_s2, 29, high, colour.clipped, 1, [4, 3]);
   line(tap.recorded_m_s2, 29, high, colour.recorded, 1.2, []);
   line(tap.optimum_m_s2, 29, high, colour.optimum, 1.6, []);
+  line(tap.warm_m_s2, 29, high, colour.warm, 1.2, []);
   for (const side of [-1, 1]) {
     pen.beginPath();
     pen.strokeStyle = colour.limit;
@@ -83,6 +84,7 @@ export function drawSmall(canvas, times, tap, colour, windowEnd) {
     pen.stroke();
   }
   line(tap.input, 59, low, colour.optimum, 1.2, []);
+  line(tap.warm_input, 59, low, colour.warm, 1, []);
 }
 
 // The selected tap, in as many panels as it has something to show in.
@@ -120,15 +122,21 @@ export class Detail {
       flat("limit", tap.input_limit, "y2"),
       flat("limit", -tap.input_limit, "y2"),
     ];
+    const warm = inG(tap.warm_m_s2);
+    if (warm.length) {
+      found.push(curve("on the warm coil", t, warm, colour.warm, "y", { width: 1.8 }));
+      found.push(curve("on the warm coil", t, tap.warm_input, colour.warm, "y2", { width: 1.6 }));
+    }
     let axis = 3;
     if (tap.temperature_C.length) {
-      const warm = tap.temperature_C;
-      found.push(curve("winding", t.slice(0, warm.length), warm, colour.optimum, `y${axis}`, { width: 2 }));
+      const winding = tap.temperature_C;
+      found.push(curve("winding", t.slice(0, winding.length), winding, colour.optimum, `y${axis}`, { width: 2 }));
       axis += 1;
     }
     const error = (values) => values.slice(N).map((a, j) => a - recorded[N + j]);
     found.push(curve("clipped", t.slice(N), error(clipped), colour.clipped, `y${axis}`, { dash: "dash", width: 1.2 }));
     found.push(curve("optimum", t.slice(N), error(optimum), colour.optimum, `y${axis}`, { width: 2 }));
+    if (warm.length) found.push(curve("on the warm coil", t.slice(N), error(warm), colour.warm, `y${axis}`, { width: 1.6 }));
     return found;
   }
 
