@@ -38,7 +38,7 @@ from transopt.scene.sections import Feedback
 
 SCENES = (
     *("wood_on_foam", "firm_fast", "hard_metal", "soft_rubber", "second_order", "single_grip", "ideal_amplifier"),
-    *("stiff_drive", "low_supply", "hot_coil", "rapid_tapping", "small_coil", "walled"),
+    *("stiff_drive", "low_supply", "hot_coil", "rapid_tapping", "small_coil", "walled", "free_stylus"),
 )
 ALLOWED = 0.005  # of tap and felt error, between table and played tap, beside what the recording misses
 HEAD = ("tap %", "felt %", "felt dB", "speed", "bump g", "heat A2ms")
