@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from problems.stress.actuators import Actuator
+from problems.stress.hands import HandMotion
 from transopt.base.signals import FloatArray
 from transopt.design.context import Posed
 from transopt.design.intensity import most_price
@@ -22,7 +23,7 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid, discretise
 from transopt.plant.drive import drive
 from transopt.plant.hand import Hand, LinearInGrip
-from transopt.plant.intention import INTENTION_S
+from transopt.plant.intention import INTENTION_S, Intention, Yielding
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 from transopt.plant.wall import HandOver, Wall
@@ -153,7 +154,8 @@ class Demand:
     ----------
     kind : of the reference: "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
     speed_m_s : incoming; 0 asks for nothing.
-    weights : of the plain error: "one", "late", "sparse", "none" or "tiny"; of a hand, "intention": 0.09 over 30 ms.
+    weights : of the plain error: "one", "late", "sparse", "none" or "tiny"; of a hand, "intention": 0.09 over that.
+        Of a recording that is not trusted in its slow part, "untrusted": there is no plain term.
     rho : weight of the command's movement.
     rapid : "none", or the filter of the second term of the error, "highpass" or "pacinian".
     rapid_from_Hz : corner of the high-pass.
@@ -161,6 +163,7 @@ class Demand:
     seed : of the noise in the reference.
     price : of intensity, lam over the largest that the weights leave.
     asked_dB : intensity that is searched for; None for none.
+    yields : what the hand does when its intention is over. intention_s : how long that is after contact.
     """
 
     kind: str = "tap"
@@ -173,14 +176,18 @@ class Demand:
     seed: int = 0
     price: float = 0.0
     asked_dB: float | None = None
+    yields: Yielding = "straight"
+    intention_s: float = INTENTION_S
 
-    def target(self, grid: TimeGrid, *, lost: bool) -> Target:
-        """Within the window of a grid, after it and, if that counts, before it."""
+    def target(self, grid: TimeGrid, hand: HandMotion, *, lost: bool) -> Target:
+        """Within the window of a grid, after it and, if that counts, before it: less what the hand does by itself."""
         before = grid.before_times_s if lost else np.zeros(0)
-        window = self._reference(grid.switching_times_s, self.seed)
-        return Target(
-            window, self._reference(grid.after_times_s, self.seed + 1), self._reference(before, self.seed + 2)
-        )
+        times = (grid.switching_times_s, grid.after_times_s, before)
+        recorded = [self._reference(each, self.seed + j) for j, each in enumerate(times)]
+        if self.yields == "straight":
+            return Target(*recorded)
+        free = [hand.free_m_s2(each[: r.size]) for each, r in zip(times, recorded, strict=True)]
+        return Target(*(r - a for r, a in zip(recorded, free, strict=True)), *free)
 
     def _reference(self, times_s: FloatArray, seed: int) -> FloatArray:
         """(K,) [m/s^2] at some instants, with the kinds of wrong input that the constructors have to refuse."""
@@ -207,7 +214,7 @@ class Demand:
         k, filtered = np.arange(grid.stages), rapid_filter(self.rapid, self.rapid_from_Hz, grid.dt_s)
         made: dict[str, FloatArray] = {
             "one": np.ones(grid.stages),
-            "intention": np.where(grid.switching_times_s < INTENTION_S, 0.09, 0.0),
+            "intention": np.where(grid.switching_times_s < self.intention_s, 0.09, 0.0),
             "late": np.where(k < grid.stages // 2, 0.0, 1.0),
             "sparse": np.where(k % 7 == 3, 1.0, 0.0),
             "none": np.zeros(grid.stages),
@@ -215,6 +222,8 @@ class Demand:
         }
         if filtered is None:
             return (ErrorTerm("plain", made[self.weights]),)
+        if self.weights == "untrusted":
+            return (rapid(filtered, grid),)
         return ErrorTerm("plain", made[self.weights], after=0.0), rapid(filtered, grid)
 
 
@@ -426,9 +435,10 @@ class StressCase:
         if self.current.pole_Hz is not None:
             largest = numbers[f"amplifier.command_limit_{driven.unit}"]
             amplifier = Amplifier(self.current.pole_Hz, grid.delay_s, largest)
-        plant, N = self.device.plant() if of is None else of.plant(), grid.stages
+        plant = self.device.plant() if of is None else of.plant()
         asked = {key.removeprefix("limits."): number for key, number in numbers.items() if key.startswith("limits.")}
-        target = self.demand.target(grid, lost=self.horizon.lost)
+        hand = HandMotion(Intention(self.demand.intention_s, self.demand.yields), speed, grid)
+        target = self.demand.target(grid, hand, lost=self.horizon.lost)
         wall = None
         if self.surface is not None and numbers.get("feedback", True) is not None:
             law = Wall(
@@ -438,7 +448,7 @@ class StressCase:
                 int(numbers["feedback.latency_ticks"]),
                 self.surface.filter_Hz,
             )
-            nominal = -speed * grid.all_issue_times_s
+            nominal = hand.position_m(grid.all_issue_times_s)
             wall = HandOver(law, nominal, speed, nominal < 0)
         coil = None
         if self.coil is not None:
@@ -458,8 +468,8 @@ class StressCase:
             budget=Budget(tap_rate_Hz=numbers.get("thermal.tap_rate_Hz")),
             wall=wall,
             reference_m_s2=target.window_m_s2,
-            nominal_m=-speed * grid.switching_times_s,
-            nominal_m_s=np.full(N, -speed),
+            nominal_m=hand.position_m(grid.switching_times_s),
+            nominal_m_s=hand.velocity_m_s(grid.switching_times_s),
             spread=spread,
         )
         key = f"{driven.name}_{driven.unit}"

@@ -8,10 +8,12 @@ import numpy as np
 
 from problems.stress.actuators import Actuator
 from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, Spread, StressCase, Surface
+from transopt.plant.intention import Yielding
 
 STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))
 MOST_FOR_SEVERAL = 600  # stages of a case with several devices
 WHEN_LONG = 2000  # stages from which coil and wall stay out: they need a general solver, which would take minutes
+YIELDED: tuple[Yielding, ...] = ("brakes", "brakes", "stops", "decays", "pulls")
 
 T = TypeVar("T")
 
@@ -129,7 +131,17 @@ def drawn(seed: int, index: int) -> StressCase:
     else:
         case = StressCase("random", device, current, horizon, demand, coil, surface)
     case = _several(_Draw(seed, index, apart=3), case)
-    return replace(case, demand=_of_a_hand(_Draw(seed, index, apart=4), case.demand))
+    demand = _of_a_hand(_Draw(seed, index, apart=4), case.demand)
+    return replace(case, demand=_of_a_recording(_Draw(seed, index, apart=5), demand))
+
+
+def _of_a_recording(draw: _Draw, demand: Demand) -> Demand:
+    """Let the hand yield, and the recording miss its slow part, now and then, with random numbers of its own."""
+    if draw.perhaps(0.35):
+        demand = replace(demand, yields=draw.of(*YIELDED), intention_s=draw.log(1e-4, 0.03))
+    if demand.rapid != "none" and draw.perhaps(0.15):
+        demand = replace(demand, weights="untrusted")
+    return demand
 
 
 def _of_a_hand(draw: _Draw, demand: Demand) -> Demand:

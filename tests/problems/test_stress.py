@@ -301,3 +301,28 @@ def test_remedies_that_take_long_are_found_too(index: int) -> None:
 def test_thousands_of_cases_that_nobody_has_tried_are_certified_or_refused_by_name(terminal: Terminal) -> None:
     outcome = terminal("problems.stress", "--cases", 5000)
     assert outcome.code == 0, outcome.out
+
+
+def test_what_a_yielding_hand_does_by_itself_is_not_asked_of_the_motor() -> None:
+    plain = StressCase("hand", surface=Surface())
+    yielding = replace(plain, demand=Demand(yields="brakes", intention_s=2e-3))
+    straight, found = plain.problem(), yielding.problem()
+    np.testing.assert_allclose(found.target.recorded_m_s2, straight.target.recorded_m_s2, atol=1e-12)
+    late = found.grid.switching_times_s > 6e-3
+    speed_m_s, braking_s = plain.demand.speed_m_s, 60e-3
+    given = found.target.free_window_m_s2[late]
+    assert np.all((given > 0) & (given <= speed_m_s / braking_s * (1 + 1e-9)))
+    assert found.wall is not None
+    assert straight.wall is not None
+    way = found.wall.nominal_m - straight.wall.nominal_m
+    assert np.all(np.diff(way) >= 0)
+    assert way[-1] > 0
+
+
+def test_hands_and_recordings_of_every_kind_are_drawn() -> None:
+    demands = [drawn(1, index).demand for index in range(200)]
+    assert {demand.yields for demand in demands} == {"straight", "brakes", "stops", "decays", "pulls"}
+    untrusted = [index for index, demand in enumerate(demands) if demand.weights == "untrusted"]
+    assert untrusted
+    posed = drawn(1, untrusted[0])
+    assert [term.name for term in posed.demand.terms(posed.grid())] == ["rapid"]
