@@ -127,7 +127,8 @@ class Taps:
             if tap.command_A is not None:
                 commands[1:, column] = tap.command_A
         amplifier = self._device.amplifier
-        if amplifier is not None:
+        if amplifier is not None and wall is None:
+            # Over a wall it is transient and feedback together that may not pass the limit.
             commands = np.clip(commands, -amplifier.command_limit, amplifier.command_limit)
         x = self._start(first)
         found, plays = [], ~self._strikes

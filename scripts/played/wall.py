@@ -23,10 +23,9 @@ class Pushing:
 
     def __init__(self, said: Feedback, force_N_A: float, pole_rad_s: float, limit_A: float, dt_s: float) -> None:
         self._said, self._force_N_A, self._limit_A, self._dt_s = said, force_N_A, limit_A, dt_s
-        self._reached = -np.expm1(
-            -pole_rad_s * dt_s
-        )  # share of a step of the command that the current makes in a tick
-        self._fresh = -np.expm1(-2 * np.pi * said.derivative_filter_Hz * dt_s)  # share of a reading in the low-pass
+        # What the current makes of a command's step in a tick, and the low-passed position of a step of the encoder.
+        self._reached = -np.expm1(-pole_rad_s * dt_s)
+        self._fresh = -np.expm1(-2 * np.pi * said.derivative_filter_Hz * dt_s)
         self._readings: list[tuple[FloatArray, FloatArray]] = []
 
     def start(self, position_m: FloatArray, speed_m_s: FloatArray) -> None:
