@@ -270,9 +270,15 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     everything = [move for limit in problem.limits for move in limit.relieved_by().items() if move[0] not in gone]
     kept = movable(everything)
     falling = [move for move in kept if not move[1]]
-    yield [_way(entry, moves, gone) for moves in (falling, kept) if moves]
+    last = [_way(entry, moves, gone) for moves in (falling, kept) if moves]
+    yield last
     if problem.thermal is not None:
-        yield [_way(entry, movable([(key, False) for key in MOTOR]), gone)]
+        motor = _way(entry, movable([(key, False) for key in MOTOR]), gone)
+        last.append(motor)
+        yield [motor]
+    if (entry.value(RHO) or 0.0) < STEADIER[-1]:
+        # What is feasible then may still have no optimum that double precision finds.
+        yield [_steadied(way) for way in last]
 
 
 def _coldest_C(entry: Adjustable, key: str) -> float:
@@ -335,6 +341,11 @@ def _steadier(entry: Adjustable, gone: Sequence[str] = ()) -> _Way:
     """A larger weight of the command's movement, with these keys left out."""
     stated, without = entry.value(RHO) or 0.0, dict.fromkeys(gone)
     return _Way(lambda rho: without | {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
+
+
+def _steadied(way: _Way) -> _Way:
+    """Change the same numbers under the largest weight of the command's movement that is tried."""
+    return replace(way, at=lambda strength: {**way.at(strength), RHO: STEADIER[-1]})
 
 
 def _rounded(value: float, up: bool) -> float:

@@ -110,6 +110,16 @@ class TestSearch:
         assert all((values.get("limits.current_A") or 0.0) < BETWEEN.current.limit_A for values in asked)
         assert {key for answer in answers for key in answer.values} >= {"thermal.start_winding_C", "limits.current_A"}
 
+    def test_a_flat_problem_gets_a_weight_of_the_movement_beside_what_makes_it_feasible(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        flat = replace(WARM, demand=replace(WARM.demand, rho=0.0))
+        answers, _ = self.found(monkeypatch, flat, lambda v: "thermal.start_winding_C" in v and "weights.rho" in v)
+        assert answers
+        for answer in answers:
+            assert answer.solved
+            assert answer.values["weights.rho"] == remedy.STEADIER[-1]
+
     def test_what_helps_nothing_is_said_to_have_been_tried(self, monkeypatch: pytest.MonkeyPatch) -> None:
         answers, asked = self.found(monkeypatch, LEANT_ON, lambda _: False)
         assert answers
