@@ -26,6 +26,7 @@ from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
 from transopt.library.recorded import references_of_library
+from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
@@ -228,10 +229,16 @@ class Service:
     @property
     def windings_C(self) -> tuple[float, float] | None:
         """Ambient, and what a transient may bring the winding to; None where the scene has no second commands."""
-        coil = self.scene.coil()
+        coil = self._guarded
         if coil is None or self.scene.grid.cool_share is None:
             return None
         return coil.ambient_C, WarmCoil.of(coil, self.grid.dt_s).play_limit_C
+
+    @property
+    def _guarded(self) -> CoilModel | None:
+        """The coil as the servo that plays the commands estimates it."""
+        coil = self.scene.coil()
+        return None if coil is None else coil.on_a_device()
 
     def change(
         self,
@@ -344,7 +351,7 @@ class Service:
 
     def _warm(self, index: int, entry: Entry) -> tuple[Warm, FloatArray, FloatArray] | None:
         """A tap on a coil as warm as is asked for; None where nothing is asked."""
-        coil, share = self.scene.coil(), self.scene.grid.cool_share
+        coil, share = self._guarded, self.scene.grid.cool_share
         if self.winding_C is None or coil is None or share is None:
             return None
         return on_warm_coil(self._posed(self.places[index]), entry, coil, self.winding_C, share, self.trial)

@@ -45,7 +45,8 @@ def on_warm_coil(
 
     Parameters
     ----------
-    posed, first : the tap and its certified first command. share : of its heat that the second one may make.
+    posed, first : the tap and its certified first command. coil : as the servo estimates it.
+    share : of the first command's heat that the second one may make.
     """
     problem = first.problem
     amplifier, dt_s, ticks = problem.stage.amplifier, problem.grid.dt_s, problem.grid.stages + 1

@@ -13,20 +13,27 @@ from transopt.proof.replay import replay
 from transopt.web.service import Service, plain
 
 ONE = {"grid.speeds_m_s": [0.3], "grid.grips_N": [3.0], "grid.cool_share": 0.36}
+BRIDGE = {
+    "amplifier": {"switching_Hz": 20e3, "command_limit_A": 6.0},
+    "limits.supply_V": 14.0,
+    "motor.R_eddy_ohm": 20.0,
+}
 
 
-@pytest.fixture(scope="module", params=["wood_on_foam", "walled"])
+@pytest.fixture(scope="module", params=[("wood_on_foam", {}), ("walled", {}), ("wood_on_foam", BRIDGE)])
 def shown(request: pytest.FixtureRequest) -> tuple[Service, to.Library]:
-    scene = to.with_values(problems.load(request.param), ONE)
+    """Without and with a wall, and with a ripple that the device does not count."""
+    name, changes = request.param
+    scene = to.with_values(problems.load(name), {**ONE, **changes})
     return Service(scene), to.solve(scene)
 
 
 @pytest.mark.parametrize("left_K", [1.0, 0.3, 0.2, 0.1, 0.06, 1e-3, -1.0])
 def test_it_is_what_the_servo_decides_and_the_replay_plays(shown: tuple[Service, to.Library], left_K: float) -> None:
     service, library = shown
-    coil, settings, play = library.coil(), Settings.of(library), bank(library).at(0.3, 3.0)
-    assert coil is not None
-    guard = Guard(coil, library.dt_s, settings.withhold_K, settings.least_scale)
+    settings, play = Settings.of(library), bank(library).at(0.3, 3.0)
+    assert settings.coil is not None
+    guard = Guard(settings.coil, library.dt_s, settings.withhold_K, settings.least_scale)
     guard.winding_C = guard.housing_C = guard.play_limit_C - left_K
     ticks = len(play.samples_A) + 1
     scale, cooled = guard.allowed(play.transient_A, play.cool_transient_A, play.feedback_A, ticks)
