@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 import problems
 from problems.stress.cases import Horizon, StressCase
 from tests.benches.limits import drawn_ray, with_limit, with_numbers
-from tests.benches.scripts import script
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
 from transopt.design.build import Build
@@ -78,14 +77,6 @@ def hot(scene: Scene) -> Callable[..., TransientProblem]:
         return with_limit(problem, limit)
 
     return make
-
-
-def test_iterations_do_not_grow_with_the_length_of_a_row_of_taps(scene: Scene) -> None:
-    """From the third tap on nothing new happens: how long a horizon takes grows as its stages do."""
-    in_a_row, tap = script("benchmark").in_a_row, script("common.benchmark_cases").entry(scene, 0.4, 5.0)
-    few, many = (solve(in_a_row(tap, taps * tap.grid.stages), OWN) for taps in (3, 6))
-    assert few.status is many.status is Status.OPTIMAL
-    assert many.iterations <= few.iterations + 2
 
 
 class TestAnswers:
