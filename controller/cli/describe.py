@@ -66,10 +66,9 @@ def show(
     ] = None,
 ) -> None:
     """What a device file says, and what is the built-in device's because the file does not state it."""
-    from rich.table import Table
-
     from controller.device.device_file import TABLES
     from controller.device.reading import all_keys, examples, find, value_of
+    from transopt.base.tables import Table
     from transopt.base.units import unit_of
 
     found = find(file)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
 from controller.host.bringup import Result
 from controller.host.sweeps import Trial
@@ -13,6 +12,7 @@ from controller.protocol.codes import LinkNotice
 from controller.record.played import PlayedTap
 from controller.servo.interface import Fault, Notice
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.tables import Table
 from transopt.library.library import Library
 
 VERDICTS = {True: "passed", False: "FAILED", None: "-"}

@@ -4,11 +4,11 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
 from controller.refine.heard import Node, nodes_of
 from controller.refine.learner import ENDED, NO_GAIN, NOTHING_LEFT, Learner, NodeRound, Round
 from controller.refine.rounds import Refined
+from transopt.base.tables import Table
 from transopt.library.library import Library
 
 LEGEND = (
@@ -77,7 +77,7 @@ def refine_table(refined: Refined, title: str) -> Table:
     """Every node: the library as it was, and what the confirming round said of what is kept."""
     before, history = refined.before, refined.history
     confirmed = history.confirmed or {}
-    table = Table(title=title)
+    table = Table(title=title, keys=2)
     for name in ("speed m/s", "grip N", "model's optimum", "before", "confirmed", "L", "Q Hz", "factor"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("why it ended", overflow="fold")

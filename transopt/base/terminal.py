@@ -51,11 +51,22 @@ class _HarmlessConsole(Console):
     def render_str(self, text: str, **how: Any) -> Text:
         return super().render_str(harmless(text, keep="\n\t"), **how)
 
+    def print(self, *objects: Any, soft_wrap: bool | None = None, **how: Any) -> None:
+        """Print; whole lines (`soft_wrap`) break on a terminal too, but between words."""
+        if soft_wrap and self.is_terminal:
+            how = {"overflow": "ignore", "crop": False, **how}
+            soft_wrap = False
+        super().print(*objects, soft_wrap=soft_wrap, **how)
+
 
 def console() -> Console:
-    """The standard output, to print tables on: as wide as the terminal, or `WIDTH` columns without one."""
+    """The standard output, to print tables on.
+
+    It is as wide as COLUMNS says or, without it, as the terminal, or `WIDTH` columns where there is none.
+    """
     # No markup: names and descriptions are the user's and may hold brackets.
-    return _HarmlessConsole(markup=False, width=None if sys.stdout.isatty() else WIDTH)
+    known = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return _HarmlessConsole(markup=False, width=None if known else WIDTH)
 
 
 def make_folder(folder: Path) -> None:

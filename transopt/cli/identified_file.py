@@ -10,8 +10,7 @@ from transopt.base import terminal
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from transopt.base.tables import Table
     from transopt.scene.fitted import ModelPart
 
 

@@ -10,8 +10,7 @@ from transopt.base import terminal
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from transopt.base.tables import Table
     from transopt.scene.scene import Scene
 
 DEFAULT_SCENE = "wood_on_foam"
@@ -44,6 +43,7 @@ def scene_show(name: str) -> None:
 
 
 FORCE_HELP = "Write over a file of that name."
+ACCEPT_HELP = "Take numbers that no device and no tap has as they are: the scene's implausible = accept."
 
 
 @app.command("new", epilog="Example: transopt scene new mine.toml --from own_taps")
@@ -99,8 +99,7 @@ def scene_keys(
 
 def key_table(scene: "Scene", title: str) -> "Table":
     """Every key of `transopt.scene.keys`, one a row, in the order of the tables of a scene."""
-    from rich.table import Table
-
+    from transopt.base.tables import Table
     from transopt.scene.keys import keys
 
     table = Table(title=title)

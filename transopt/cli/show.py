@@ -13,24 +13,41 @@ from transopt.cli.library_file import Unproven, opened
 def show(
     library: Annotated[Path, typer.Argument(help="library.npz")],
     figure: Annotated[Path | None, typer.Option(help="Also draw the transients into this PNG.")] = None,
+    table: Annotated[bool, typer.Option("--table", help="Also print every entry with all its figures.")] = False,
+    report: Annotated[bool, typer.Option("--report", help="Also print the certificates.")] = False,
     unproven: Unproven = False,
 ) -> None:
-    """Print a library's table; optionally draw its transients."""
-    from transopt.report.tables import cool_summary, library_table
+    """Print a first look at a library, in detail with --table; optionally draw its transients."""
+    from transopt.report.first import Look, lines, next_commands
+    from transopt.report.tables import certificate_table, cool_summary, entry_table
 
     loaded = opened(library, unproven=unproven)
     if figure is not None and figure.suffix.lower() != ".png":
         raise InputError(f"--figure {figure}: figures are written as .png")
     console = terminal.console()
-    described = loaded.meta["scene"]["description"]
-    console.print(library_table(loaded, f"{library}: {described}" if described else str(library)))
-    if said := cool_summary(loaded):
-        console.print(said, highlight=False, soft_wrap=True)
-    if loaded.axes.targets:
-        from transopt.report.trade import TRADE_LEGEND, trade_table
 
-        console.print(trade_table(loaded, "pulse and ring"))
-        console.print(TRADE_LEGEND, highlight=False)
+    def line(text: str, style: str | None = None) -> None:
+        console.print(text, style=style, highlight=False, soft_wrap=True)
+
+    if table:
+        described = loaded.meta["scene"]["description"]
+        shown, meaning = entry_table(loaded, f"{library}: {described}" if described else str(library))
+        console.print(shown)
+        line(meaning, "dim")
+        if loaded.axes.targets:
+            from transopt.report.trade import TRADE_LEGEND, trade_table
+
+            console.print(trade_table(loaded, "pulse and ring"))
+            line(TRADE_LEGEND)
+    if report:
+        console.print(certificate_table(loaded, str(library)))
+    for said, colour in lines(loaded, Look.of_library(loaded, proven=not unproven), console.width):
+        line(said, colour)
+    if said := cool_summary(loaded):
+        line(said)
+    line("Next:")
+    for command in next_commands(library, loaded.axes):
+        line(f"  {command}")
     if figure is not None:
         from transopt.base.plotting import save_figure
 

@@ -10,7 +10,7 @@ import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.cli.scene import DEFAULT_SCENE
+from transopt.cli.scene import ACCEPT_HELP, DEFAULT_SCENE
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from transopt.design.build import Build
     from transopt.scene.scene import Scene
     from transopt.solvers.options import SolverOptions
+
+
+LIBRARY = "library.npz"  # in the folder of the results
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class Wanted:
     grid_cap : most entries of a refined grid.
     figures : whether any are drawn.
     full : whether the report has what takes further optima of every entry.
+    table, report : whether figures and certificates are printed too.
     """
 
     scene: "Scene"
@@ -40,6 +44,8 @@ class Wanted:
     grid_cap: int
     figures: bool
     full: bool
+    table: bool
+    report: bool
 
 
 def solve(
@@ -66,12 +72,15 @@ def solve(
     figures: Annotated[
         bool, typer.Option(help="Draw transients, methods and Bode plot into the folder, with the full report more.")
     ] = True,
-    report: Annotated[
-        str,
-        typer.Option(help="brief, or full: prices of all entries and what intensity costs, which take longer."),
-    ] = "brief",
+    full: Annotated[
+        bool,
+        typer.Option("--full", help="Report with prices of all entries and what intensity costs; takes longer."),
+    ] = False,
+    table: Annotated[bool, typer.Option("--table", help="Also print every entry with all its figures.")] = False,
+    report: Annotated[bool, typer.Option("--report", help="Also print the certificates.")] = False,
+    accept: Annotated[bool, typer.Option("--accept", help=ACCEPT_HELP)] = False,
 ) -> None:
-    """Solve a scene: certified library of current transients, report, figures; the last line sums up.
+    """Solve a scene: library of proven current transients, report, figures; prints a first look at it.
 
     Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met. Of a scene with
     [model.nonlinear] the library holds stationary points, replayed, and the report has the linear design beside them.
@@ -81,18 +90,19 @@ def solve(
     from transopt.solvers.choose import check_name
     from transopt.solvers.options import SolverOptions, default_solver
 
-    if report not in ("brief", "full"):
-        raise InputError(f"--report {report}: must be brief or full")
     name = default_solver() if solver is None else solver
     check_name(name)
     options = SolverOptions(name, solver_tolerance)
     loaded = _load(scene, recordings, model)
     unfit = _unfit(loaded, accept_unfit_model)
     folder = Path("out") / loaded.name if out is None else out
-    wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures, report == "full")
+    wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures, full, table, report)
     if loaded.nonlinear:
-        _solve_nonlinear(wanted)
-        return
+        loaded.nonlinear_plant()  # what no nonlinear plant can have is refused before there is a folder
+        if grid_tolerance is not None:
+            raise InputError(
+                "--grid-tolerance: refines a grid of speeds, and model.nonlinear has targets: leave it out"
+            )
     if grid_tolerance is not None:
         check_tolerance(loaded, grid_tolerance, grid_cap)
     terminal.make_folder(folder)
@@ -103,47 +113,8 @@ def solve(
             folder.rmdir()
         raise
     terminal.if_stopped(f"stopped; {folder} is written")
-    _print(terminal.console(), build, f"{folder}: {', '.join(names)}", unfit)
+    _print(terminal.console(), build, wanted, names, unfit)
     if build.refused or (build.refinement is not None and build.refinement.shortfall):
-        raise typer.Exit(1)
-
-
-def _solve_nonlinear(wanted: Wanted) -> None:
-    """Design for the plant of `[model.nonlinear]`, write and print.
-
-    Raises
-    ------
-    InputError : a grid to be refined, which named targets do not have; a folder that cannot be written.
-    """
-    if wanted.grid_tolerance is not None:
-        raise InputError("--grid-tolerance: refines a grid of speeds, and model.nonlinear has targets: leave it out")
-    # What only a nonlinear plant needs is loaded only for one.
-    from transopt.design.solve import design_nonlinear
-    from transopt.report.nonlinear import nonlinear_table, refusals, write_nonlinear
-    from transopt.report.tables import printed
-
-    folder = wanted.folder
-    terminal.make_folder(folder)
-    design = design_nonlinear(wanted.scene, options=wanted.options)
-    written = write_nonlinear(design, folder, figures=wanted.figures)
-    terminal.if_stopped(f"stopped; {folder} is written")
-    console = terminal.console()
-    console.print(printed(nonlinear_table(design), wanted.scene.name))
-    for entry in design.all_entries():
-        for said in refusals(entry):
-            console.print(f"refused: {entry.target}: {said}", style="red", highlight=False, soft_wrap=True)
-    names = ", ".join(path.name for path in written)
-    refused = len(design.refused)
-    kept = "; no library written, an earlier one is kept" if refused else ""
-    console.print(f"{folder}: {names}{kept}", highlight=False, soft_wrap=True)
-    console.print(
-        f"{len(design.proven)} of {design.scene.axes.entries} targets certified stationary and replayed on the "
-        f"nonlinear plant; {design.elapsed_s:.1f} s",
-        style="red" if refused else None,
-        highlight=False,
-        soft_wrap=True,
-    )
-    if refused:
         raise typer.Exit(1)
 
 
@@ -225,16 +196,16 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
     return build, [path.name for path in written]
 
 
-def _print(console: "Console", build: "Build", written: str, unfit: str) -> None:
-    """The table, what deserves a second look, what was refused and why; the last line sums up."""
+def _print(console: "Console", build: "Build", wanted: Wanted, names: "list[str]", unfit: str) -> None:
+    """A first look, what deserves a second one, what was refused and why, and how to go on."""
+    from transopt.report.first import Look, lines, next_commands
     from transopt.report.identified import model_warning, moving_target, uncovered_line
     from transopt.report.tables import (
-        build_table,
+        certificate_table,
         cool_summary,
-        fitting,
-        legend,
+        entry_table,
         refinement_summary,
-        refusal,
+        refused_lines,
         summary,
         warnings,
     )
@@ -243,27 +214,37 @@ def _print(console: "Console", build: "Build", written: str, unfit: str) -> None
     def line(text: str, style: str | None = None) -> None:
         console.print(text, style=style, highlight=False, soft_wrap=True)
 
-    shown = fitting(build, console.width)
-    console.print(build_table(build, shown))
-    console.print(legend(shown, build.scene), style="dim", highlight=False)
+    if wanted.table:
+        described = ": ".join(filter(None, (build.scene.name, build.scene.description)))
+        table, meaning = entry_table(build, described)
+        console.print(table)
+        line(meaning, "dim")
+    if wanted.report:
+        console.print(certificate_table(build, build.scene.name))
+        line(summary(build))
+    for said, colour in lines(build, Look.of_build(build), console.width):
+        line(said, colour)
+    if build.library is not None and (said := cool_summary(build.library)):
+        line(said)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
-        console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
+        line(f"recordings with notes, see the report: {len(doubtful)}", "yellow")
     for warning in (
         *build.recorded_remarks,
         *warnings(build),
         *filter(None, [model_warning(build), uncovered_line(build), moving_target(build.scene)]),
     ):
         line(warning, "yellow")
-    for entry in build.refused:
-        line(f"refused: {entry.place}: {refusal(entry)}", "red")
-    if build.library is not None and (said := cool_summary(build.library)):
-        line(said)
+    for refused in refused_lines(build):
+        line(refused, "red")
     if build.refinement is not None:
         line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
-    line(written)
     for said in implausible_lines([tap for reference in build.references for tap in reference.taps]):
         line(f'{said} (recordings.implausible = "accept")', "red")
     if unfit:
         line(f"{unfit} (--accept-unfit-model)", "red")
-    line(summary(build), "red" if build.refused else None)
+    report = next(name for name in names if name.endswith(".md"))
+    ready, others = build.library is not None, len(names) - 1
+    line(f"{wanted.folder}: {report} and {others} other file{'' if others == 1 else 's'}.{' Next:' if ready else ''}")
+    for command in next_commands(wanted.folder / LIBRARY, build.scene.axes) if ready else ():
+        line(f"  {command}")

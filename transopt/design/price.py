@@ -12,6 +12,7 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent, rounded_up
 from transopt.design.optimum import optimum
+from transopt.library.library import Library
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.limit import Limit
@@ -347,3 +348,12 @@ def prices(
     pricing = _Pricing(problem, Effect(problem, unlimited), error, trials)
     found = [pricing.price(limit) for limit in problem.limits if limit.name in binds]
     return sorted(found, key=lambda price: np.inf if np.isnan(price.then) else price.then)
+
+
+def library_prices(library: Library, iv: int, ig: int) -> list[Price]:
+    """Prices of an entry of a library file; empty on a nonlinear plant, whose answer is no proven optimum."""
+    if library.nonlinear:
+        return []
+    problem = library.problem(iv, ig)
+    free = solve_unlimited(problem.without_intensity()).command
+    return prices(problem, library.command[iv, ig], library.multipliers(iv, ig), free, SolverOptions())

@@ -180,8 +180,6 @@ COLUMNS = {
 FIGURES = ("tap", "felt", "felt_dB", "speed", "bump", "heat")  # what is told of an entry wherever it is shown
 FULL = ("tap", "floor", *FIGURES[1:], "after", "after_peak", "repeats", "peak", "ms", "binding", "verdict")
 RIVALS = ("seed", "clipped")  # what other methods reach, with the full report
-WIDE = ("tap", "floor", *FIGURES[1:], "peak", "verdict")  # for a terminal
-NARROW = ("tap", "felt", "felt_dB", "speed", "heat", "verdict")  # what decides, for a narrow one
 
 
 @dataclass(frozen=True)

@@ -212,6 +212,16 @@ class Certificate:
         return self.is_stationary and -self.GAP_TOLERANCE <= self.relative_bound <= self.BOUND_TOLERANCE
 
 
+def held_back(tap_error: float, floor: float, binding: str) -> list[str]:
+    """The limits that hold an entry back, as `binding` words them; none for one at its floor.
+
+    Parameters
+    ----------
+    floor : tap error of the optimum without limits; NaN where it is not known, and whatever binds holds back.
+    """
+    return [] if tap_error <= floor + AT_FLOOR or binding in ("", "none") else binding.split("; ")
+
+
 def verdict(
     figures: Figures,
     floor: float,
@@ -246,8 +256,8 @@ def verdict(
     elif figures.tap_error <= floor + AT_FLOOR:
         ends = not named and floor > ENDS
         said.append("at its floor" + (": the waveform ends while the hand pushes" if ends else ""))
-    elif binding not in ("", "none"):
-        limits = dict.fromkeys(NAMED.split(part)[0].strip() for part in binding.split("; "))
+    elif held := held_back(figures.tap_error, floor, binding):
+        limits = dict.fromkeys(NAMED.split(part)[0].strip() for part in held)
         said.append(f"held back by {' and '.join(limits)}")
     if figures.speed < PULLS:
         said.append("the surface pulls")

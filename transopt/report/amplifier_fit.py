@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
-from rich.table import Table
 
 from transopt.base.plotting import LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.base.signals import ComplexArray, FloatArray
+from transopt.base.tables import Table
 from transopt.identify.amplifier import AmplifierFit
 from transopt.identify.spectrum import TransferEstimate, Trial
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients

@@ -2,9 +2,9 @@
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.table import Table
 
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
+from transopt.base.tables import Table
 from transopt.identify.coil import NAMES, CoilFit
 
 _MOST_POINTS = 4000

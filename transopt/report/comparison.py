@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from transopt.base import writing
 from transopt.base.errors import InputError
+from transopt.base.tables import Table
 from transopt.library.columns import NAN, UNKNOWN, EntryTable, TableRow
 from transopt.library.library import Library
 
@@ -165,7 +165,7 @@ def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
 
 def entry_table(found: Comparison, title: str) -> Table:
     """One row per entry; yellow where the verdict changed or only one library has the entry."""
-    table = Table(title=title, caption=LEGEND)
+    table = Table(title=title, caption=LEGEND, keys=len(found.columns))
     for column in found.heads:
         table.add_column(column, justify="left" if column == "verdict" else "right", overflow="fold")
     for cells, striking in _rows(found):

@@ -14,10 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLocator
 from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Column
 
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, draw_minor_ticks_at_once, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.tables import Table
 from transopt.identify.device.advice import intervals
 from transopt.identify.device.chain import unit_of
 from transopt.identify.device.result import Candidate, DeviceResult, Kind
@@ -161,14 +162,16 @@ def show(console: Console, result: DeviceResult) -> None:
         names, values, covariance = result.chain.stated()
         span = intervals(names, values, covariance)
         # Names are told apart by their ends: fold them on a narrow terminal, never cut them.
-        table = Table(Column("parameter", overflow="fold"), "value", "95 % interval", "unit", title="drive chain")
+        numbers = [Column(head, justify="right") for head in ("value", "95 % interval")]
+        table = Table(Column("parameter", overflow="fold"), *numbers, "unit", title="drive chain")
         for name, value in zip(names, values, strict=True):
             low, high = span[name]
             table.add_row(name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit_of(name))
         console.print(table)
     elif result.black_box is not None:
         console.print(f"state space of order {result.black_box.order} at each grip")
-    table = Table("grip", "trials", "held-out error %", "unknown to the model %", "residual", "hand of its own")
+    heads = ("trials", "held-out error %", "unknown to the model %", "residual", "hand of its own")
+    table = Table("grip", *(Column(head, justify="right") for head in heads))
     recorded, between = result.chosen.recorded, result.chosen.between
     residual = dict(zip([grip.grip_N for grip in result.grips], result.residuals, strict=True))
     own = {one.grip_N: one.own_scatter for one in result.own_hands if result.chosen.kind is Kind.DRIVE}

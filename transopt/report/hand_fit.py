@@ -1,9 +1,9 @@
 """How an identified hand is shown: its tables, and a figure over grip in the layout of the seed's Fig. 5."""
 
 from matplotlib.figure import Figure
-from rich.table import Table
 
 from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
+from transopt.base.tables import Table
 from transopt.identify.device.chain import unit_of
 from transopt.identify.hand.chain import ChainFit
 from transopt.identify.hand.lines import GripLine, HandFit

@@ -3,17 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
-from rich.console import JustifyMethod
-from rich.table import Table
 from rich.text import Text
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.sizes import LONGEST_LEAD_S
+from transopt.base.tables import Table
 from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.library.columns import COLUMNS, FIGURES, NARROW, WIDE, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FIGURES, EntryTable, TableRow
 from transopt.library.library import Library
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
@@ -21,7 +20,7 @@ from transopt.scene.sections import covering_lead_s
 
 FELT_g = 1.0  # peak error after the waveform, from which on a user is warned of it
 LOST = 1e-3  # share of a tap's energy before the first command can act, from which on a user is warned of it
-WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
+MOST_REFUSED = 3  # told in a line each
 
 
 def legend(shown: EntryTable, scene: Scene) -> str:
@@ -37,24 +36,19 @@ def printed(
     striking: Sequence[str | None] = (),
     columns: int = 0,
 ) -> Table:
-    """A table of entries for the terminal: numbers and words stay whole, heads and sentences wrap between words.
+    """A table of entries for the terminal.
 
     Parameters
     ----------
     striking : a style for each row, or None.
     columns : after how many rows a line is drawn; 0 for nowhere.
     """
-    table = Table(title=title, caption=caption)
+    table = Table(title=title, caption=caption, keys=len(shown.places))
     numbers = [*(True for _ in shown.places), *(COLUMNS[name].is_number for name in shown.names)]
-    cells = shown.cells
-    for place, (head, is_number) in enumerate(zip(shown.heads, numbers, strict=True)):
-        justify: JustifyMethod = "right" if is_number else "left"
-        least = max(map(len, [*head.split(), *(row[place] for row in cells if is_number)]))
-        table.add_column(
-            head, justify=justify, overflow="fold", min_width=least, max_width=least if is_number else None
-        )
+    for head, is_number in zip(shown.heads, numbers, strict=True):
+        table.add_column(head, justify="right" if is_number else "left", overflow="fold")
     styles = striking or [None] * len(shown.rows)
-    for number, (row, style) in enumerate(zip(cells, styles, strict=True), start=1):
+    for number, (row, style) in enumerate(zip(shown.cells, styles, strict=True), start=1):
         # `Text` is printed as it is; a string would be searched for markup, which takes longer.
         table.add_row(*map(Text, row), style=style, end_section=columns > 0 and number % columns == 0)
     return table
@@ -65,16 +59,28 @@ def refusal(entry: Entry) -> str:
     return ": ".join(filter(None, dict.fromkeys([entry.status.value, "; ".join(entry.shortfalls)])))
 
 
-def fitting(build: Build, width: int) -> EntryTable:
-    """The entries in those columns that `transopt solve` prints into a terminal of `width` columns."""
-    return build.table(WIDE if width >= WIDE_TERMINAL else NARROW)
+def refused_lines(build: Build) -> list[str]:
+    """Why entries are refused: the first few in a line each, then how many more."""
+    found = [f"refused: {entry.place}: {refusal(entry)}" for entry in build.refused]
+    more = len(found) - MOST_REFUSED
+    return [*found[:MOST_REFUSED], *([f"and {more} more, see refused.md"] if more > 0 else [])]
 
 
-def build_table(build: Build, shown: EntryTable) -> Table:
-    """The table that `transopt solve` prints."""
-    title = ": ".join(filter(None, (build.scene.name, build.scene.description)))
+def entry_table(source: Build | Library, title: str) -> tuple[Table, str]:
+    """Every entry with its figures, and what the columns mean; on a nonlinear plant the linear design's too."""
+    is_build = isinstance(source, Build)
+    scene = source.scene if is_build else source.scene()
+    linear = ("linear",) if scene.nonlinear else ()
+    shown = source.table((*FIGURES[:1], "floor", *FIGURES[1:], *linear, "peak", "winding", "binding", "verdict"))
+    caption = None if is_build else source.claim or None
     striking = ["red" if row.refusal else None for row in shown.rows]
-    return printed(shown, title, striking=striking, columns=len(build.scene.grid.grips_N))
+    table = printed(shown, title, caption=caption, striking=striking, columns=len(scene.grid.grips_N))
+    return table, legend(shown, scene)
+
+
+def certificate_table(source: Build | Library, title: str) -> Table:
+    """What is proven of every entry: how far it leaves a limit, and how far it is from the optimum at the most."""
+    return printed(source.table(("violation", "gap", "ms", "binding")), title)
 
 
 def summary(build: Build) -> str:
@@ -192,16 +198,6 @@ def refinement_summary(refinement: Refinement) -> str:
         f"{100 * before.excess_before:.2f} %); {refinement.recorded_entries} -> {refinement.entries} entries in "
         f"{refinement.rounds} round{'' if refinement.rounds == 1 else 's'}, {refinement.elapsed_s:.1f} s"
     )
-
-
-def library_table(library: Library, name: str) -> Table:
-    """The table that `transopt show` prints, from the file alone.
-
-    A library of a nonlinear plant has the linear design's error beside its own, and says below what is proven.
-    """
-    linear = ("linear",) if library.nonlinear else ()
-    names = ("tap", "floor", *FIGURES[1:], *linear, "peak", "winding", "gap", "ms", "binding", "verdict")
-    return printed(library.table(names), name, caption=library.claim or None, columns=library.grips_N.size)
 
 
 def verify_table(checked: Sequence[Entry], name: str) -> Table:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.tables import Table
 from transopt.recordings.approach import UNSEPARATED
 from transopt.recordings.references import COST, grip_groups
 from transopt.recordings.settings import Recordings

@@ -3,8 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from rich.table import Table
-
+from transopt.base.tables import Table
 from transopt.base.writing import percent
 from transopt.library.drive import is_multiple
 from transopt.library.drive_replay import PlayedDrive

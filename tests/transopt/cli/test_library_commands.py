@@ -34,7 +34,7 @@ class TestVerifyShowExport:
             assert_refused(run(*command, "absent.npz", *more), "absent.npz: no such file")
 
     def test_show_with_figure(self, run: Run, solved: Path) -> None:
-        outcome = run("show", solved / "library.npz", "--figure", "look.png")
+        outcome = run("show", solved / "library.npz", "--table", "--figure", "look.png")
         assert outcome.code == 0
         assert {"tap", "felt", "heat"} <= set(outcome.out.split("┡")[0].split())
         assert Path("look.png").read_bytes()[:4] == b"\x89PNG"

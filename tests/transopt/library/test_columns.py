@@ -10,9 +10,9 @@ from rich.table import Table
 
 import transopt as to
 from transopt.base.writing import percent
-from transopt.library.columns import COLUMNS, FULL, WIDE, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FULL, EntryTable, TableRow
 from transopt.report.markdown import build_markdown
-from transopt.report.tables import build_table, fitting, library_table, verify_table
+from transopt.report.tables import certificate_table, entry_table, verify_table
 from transopt.scene.keys import with_values
 
 FIGURES = {"tap": 0.09996, "floor": 0.00999, "peak": 1.0, "binding": "none", "verdict": "fine"}
@@ -32,9 +32,10 @@ def test_no_cell_is_cut_in_a_narrow_terminal(build: to.Build, width: int) -> Non
     assert build.library is not None
     checks = to.verify(build.library)
     for table in (
-        library_table(build.library, "file"),
+        entry_table(build.library, "file")[0],
+        certificate_table(build.library, "file"),
         verify_table(checks, "file"),
-        build_table(build, fitting(build, width)),
+        entry_table(build, "scene")[0],
     ):
         console = Console(file=io.StringIO(), width=width)
         console.print(table)
@@ -56,15 +57,14 @@ def test_every_rendering_of_an_entry_prints_the_same_cells(build: to.Build) -> N
     shown = build.table(FULL)
     (cells,) = shown.cells
     by_name = dict(zip(shown.names, cells[2:], strict=True))
-    assert printed(build_table(build, fitting(build, 400))) == build.table(WIDE).cells[0]
-    assert set(WIDE) < set(FULL)
     assert "| " + " | ".join(cells) + " |" in build_markdown(build, full=False)
     names = ("tap", "felt", "felt_dB", "speed", "bump", "heat", "peak", "binding")
     for html in (build._repr_html_(), build.library._repr_html_()):
         for name in ("tap", "felt", "felt_dB", "heat", "binding"):
             assert f"<td>{by_name[name]}</td>" in html
-    of_file = printed(library_table(build.library, "file"))
+    of_file = printed(entry_table(build.library, "file")[0])
     assert {by_name[name] for name in names[:6]} <= set(of_file)
+    assert printed(entry_table(build, "scene")[0]) == of_file
     (from_library,) = build.library.table(names).cells
     assert from_library[2:] == [by_name[name] for name in names]
 

@@ -1,0 +1,87 @@
+"""Tables for a terminal of any width: no number in them is ever cut or split."""
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+from rich import table
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
+
+WORDS = 24  # columns that a cell of words has at least, if it has as many
+SHARE = 3  # a word takes at most the terminal's width over this; a longer one, as a file's name, is folded
+BETWEEN, EDGE = 3, 1  # columns of the terminal that each column's frame takes, and the frame of all
+
+
+class Table(table.Table):
+    """A table that is printed in blocks, one below the other, where its columns have no room side by side.
+
+    The cells of a column set to the right are numbers and stay whole. Elsewhere lines break between words, and only a
+    word without room is folded.
+
+    Parameters
+    ----------
+    keys : so many columns, the first ones, say what a row is, and stand in every block.
+    """
+
+    def __init__(self, *heads: Any, keys: int = 1, **how: Any) -> None:
+        super().__init__(*heads, **how)
+        self._keys = keys
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        blocks = list(self._blocks(options.max_width))
+        for number, block in enumerate(blocks):
+            if number > 0:
+                block.title = None
+            if number < len(blocks) - 1:
+                block.caption = None
+            yield from super(Table, block).__rich_console__(console, options)
+
+    def _blocks(self, width: int) -> Iterator["Table"]:
+        """This table, or parts of it that fit."""
+        least, most = zip(*(_widths(column, width) for column in self.columns), strict=True)
+        keys = [*range(min(self._keys, len(self.columns) - 1))]
+        block, has = list(keys), False
+        for index in range(len(keys), len(self.columns)):
+            if has and _framed([least[each] for each in (*block, index)]) > width:
+                yield self._part(block, least, most, width)
+                block = list(keys)
+            block.append(index)
+            has = True
+        yield self._part(block, least, most, width)
+
+    def _part(self, indices: list[int], least: tuple[int, ...], most: tuple[int, ...], width: int) -> "Table":
+        """Some of the columns, each as wide as its cells or, without that much room, by what it lacks."""
+        part = copy(self)
+        room = width - _framed([least[index] for index in indices])
+        lacking = {index: most[index] - least[index] for index in indices}
+        if sum(lacking.values()) > room:  # then numbers keep to what they need, and words take the rest
+            lacking = {index: by for index, by in lacking.items() if self.columns[index].justify != "right"}
+        share = min(1.0, max(room, 0) / max(sum(lacking.values()), 1))
+        part.columns = [
+            replace(self.columns[index], _index=place, width=least[index] + int(share * lacking.get(index, 0)))
+            for place, index in enumerate(indices)
+        ]
+        return part
+
+
+def _framed(widths: list[int]) -> int:
+    return sum(widths) + BETWEEN * len(widths) + EDGE
+
+
+def _widths(column: table.Column, width: int) -> tuple[int, int]:
+    """The least and the largest width that a column has use for, in a terminal of `width` columns."""
+    head, cells = str(column.header), [str(cell) for cell in column.cells]
+    heads, most = (
+        _longest(head.split()),
+        _longest([*head.split("\n"), *(line for c in cells for line in c.split("\n"))]),
+    )
+    if column.justify == "right":
+        return max(heads, _longest(cells)), most
+    whole = [word for cell in cells for word in cell.split() if any(map(str.isdigit, word))]
+    return max(heads, min(_longest(whole), width // SHARE), min(most, WORDS)), most
+
+
+def _longest(texts: Sequence[str]) -> int:
+    return max(map(cell_len, texts), default=1)

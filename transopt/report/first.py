@@ -1,0 +1,272 @@
+"""The first look at a build or a library: what was designed, one matrix of the tap error, the worst entry, what next.
+
+Detail stands in the tables (`transopt.report.tables`). Everything here is read from the declared columns of the
+entries, and from the prices that the report has anyway.
+"""
+
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transopt.base.axes import Axes
+from transopt.base.shown import cut
+from transopt.base.writing import percent
+from transopt.design.build import Build
+from transopt.design.price import Price, library_prices
+from transopt.library.columns import NAN, Row
+from transopt.library.library import Library
+from transopt.problem.answer import ENDS, NAMED, held_back
+
+POOR = 0.5  # tap error: half of the tap is missing
+MOST_ROWS = 8  # of the matrix; of more, those between are left to --table
+HELD, BAD, REFUSED = "*", "!", "x"  # marks behind a number, and in the place of one
+LONGEST_TARGET = 28
+MOST_LIMITS = 3  # named in one line
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the first look reads.
+
+    Attributes
+    ----------
+    name : of the scene.
+    axes : what the entries are for.
+    rows : [iv][ig] of the entries.
+    proof : what is proven of all admitted ones, as "proven optimal and replayed".
+    floored : whether the floors are of this plant, and not of a nonlinear one at rest.
+    """
+
+    name: str
+    axes: Axes
+    rows: Sequence[Sequence[Row]]
+    proof: str
+    floored: bool = True
+
+    @classmethod
+    def of_build(cls, build: Build) -> "Look":
+        """From a build, whose refused entries are marked."""
+        nonlinear = build.scene.nonlinear
+        proof = "certified stationary and replayed" if nonlinear else "proven optimal and replayed"
+        return cls(build.scene.name, build.scene.axes, build.entries, proof, not nonlinear)
+
+    @classmethod
+    def of_library(cls, library: Library, *, proven: bool) -> "Look":
+        """From a library. `proven`: whether its certificates were made again when it was read."""
+        nv, ng, _ = library.command.shape
+        rows = [[library.row(iv, ig) for ig in range(ng)] for iv in range(nv)]
+        what = "stationary" if library.nonlinear else "optimal"
+        proof = f"proven {what}" if proven else f"said to be {what}, which was not checked here"
+        return cls(library.scene().name, library.axes, rows, proof, not library.nonlinear)
+
+    @property
+    def what(self) -> str:
+        """What an entry is called."""
+        return "target" if self.axes.targets else "tap"
+
+    def counted(self, count: int) -> str:
+        """So many entries."""
+        return f"{count} {self.what}{'' if count == 1 else 's'}"
+
+    @property
+    def errors(self) -> NDArray[np.float64]:
+        """(nv, ng) tap error; NaN where refused."""
+        return np.array([[NAN if row.refusal else float(row.value("tap")) for row in rows] for rows in self.rows])
+
+    @property
+    def worst(self) -> tuple[int, int] | None:
+        """The admitted entry with the largest tap error."""
+        return _largest(self.errors)
+
+    @property
+    def costliest(self) -> tuple[int, int] | None:
+        """The admitted entry that limits cost most: the one farthest above its floor, whose prices a report has."""
+        floors = [[NAN if row.refusal else float(row.value("floor")) for row in rows] for rows in self.rows]
+        return _largest(self.errors - np.array(floors)) if self.floored else None
+
+    def held(self, iv: int, ig: int) -> list[str]:
+        """The limits that hold an entry back, each with its bound; none for a refused one."""
+        row = self.rows[iv][ig]
+        if row.refusal:
+            return []
+        floor = float(row.value("floor")) if self.floored else NAN
+        return list(dict.fromkeys(map(_stated, held_back(row.value("tap"), floor, row.value("binding")))))
+
+    def is_poor(self, iv: int, ig: int) -> bool:
+        """Whether half of the tap is missing, or a hand feels that it is too weak or too strong."""
+        row = self.rows[iv][ig]
+        return not row.refusal and (row.value("tap") >= POOR or row.value("verdict").startswith("too "))
+
+
+def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
+    if np.isnan(values).all():
+        return None
+    iv, ig = np.unravel_index(int(np.nanargmax(values)), values.shape)
+    return int(iv), int(ig)
+
+
+def _stated(binding: str) -> str:
+    """A limit and its bound: "the 4 A current limit" of "current +4 A at 1.2 to 3.1 ms"."""
+    name, *rest = NAMED.split(binding, maxsplit=1)
+    bound = rest[0].split(" at ")[0].split(" with ")[0].lstrip("+-") if rest else ""
+    return _limit(bound, name)
+
+
+def _limit(bound: str, name: str) -> str:
+    return f"the {bound} {name} limit".replace("  ", " ")
+
+
+def head(look: Look) -> str:
+    """What was designed, in a sentence: what is refused or poor before what is proven."""
+    places = [(iv, ig) for iv, rows in enumerate(look.rows) for ig in range(len(rows))]
+    total, refused = len(places), sum(bool(row.refusal) for rows in look.rows for row in rows)
+    poor = [place for place in places if look.is_poor(*place)]
+    if refused:
+        return (
+            f"{look.name}: {refused} of {look.counted(total)} refused, so no library is written and an earlier one "
+            "is kept."
+        )
+    every = "it is" if total == 1 else "all are"
+    if poor:
+        worst = max(poor, key=lambda place: look.errors[place])
+        said = str(look.rows[worst[0]][worst[1]].value("verdict")).split(";")[0]
+        why = said if said.startswith("too ") else f"{percent(look.errors[worst])} % of it is missing"
+        better = "The limits allow no better: " if look.floored else ""
+        return (
+            f"{look.name}: {len(poor)} of {look.counted(total)} poor, at {look.axes.place(*worst)} {why}. "
+            f"{better}{every if better else every.capitalize()} {look.proof}."
+        )
+    return f"{look.name}: {look.counted(total)}, {'' if total == 1 else 'all '}{look.proof}."
+
+
+def _chosen(count: int, most: int, must: int | None) -> list[int]:
+    """At most so many of `count` places, evenly spread, the first, the last and one that must be there among them."""
+    if count <= most:
+        return list(range(count))
+    chosen = np.unique(np.linspace(0, count - 1, max(most, 2)).round().astype(int))
+    if must is not None and must not in chosen:
+        inner = chosen[1:-1] if chosen.size > 2 else chosen[1:]
+        chosen[np.flatnonzero(chosen == inner[np.argmin(np.abs(inner - must))])[0]] = must
+    return sorted(map(int, chosen))
+
+
+def matrix(look: Look, width: int) -> list[str]:
+    """The tap error over speed and grip, or of each target, in lines of at most `width` columns."""
+    axes, errors = look.axes, look.errors
+    if axes.targets:
+        rows, columns = [cut(name, LONGEST_TARGET) for name in axes.targets], ["error %"]
+    else:
+        rows = [f"{speed:g} m/s" for speed in axes.speeds_m_s]
+        columns = ["free" if grip == 0 else f"{grip:g} N" for grip in axes.grips_N]
+    turned = len(columns) == 1 and not axes.targets  # one grip: the speeds stand side by side
+    if turned:
+        rows, columns = columns, rows
+    corner = "" if axes.targets else "tap error %"
+    found = [[_cell(look, *((j, i) if turned else (i, j))) for j in range(len(columns))] for i in range(len(rows))]
+    room = max(len(mark) for cells in found for _, mark in cells)
+    columns = [name + " " * room for name in columns]
+    cells = [[f"{number}{mark:<{room}}" for number, mark in each] for each in found]
+    label = max(map(len, [corner, *rows]))
+    size = max(len(text) for texts in [columns, *cells] for text in texts) + 2
+    worst = look.worst
+    must = (None, None) if worst is None else worst[::-1] if turned else worst
+    down = _chosen(len(rows), MOST_ROWS, must[0])
+    across = _chosen(len(columns), max((width - label) // size, 1), must[1])
+
+    def line(first: str, texts: Sequence[str]) -> str:
+        return (f"{first:<{label}}" + "".join(f"{text:>{size}}" for text in texts)).rstrip()
+
+    lines = [line(corner, [columns[j] for j in across])]
+    lines += [line(rows[i], [cells[i][j] for j in across]) for i in down]
+    if len(down) * len(across) < errors.size:
+        shown = f"{len(down) * len(across)} of {errors.size} {look.what}s are shown, the worst among them"
+        lines.append(f"({shown}; --table has all)")
+    return lines
+
+
+def _cell(look: Look, iv: int, ig: int) -> tuple[str, str]:
+    """A number and its marks, or the mark of a refused entry."""
+    if look.rows[iv][ig].refusal:
+        return "", REFUSED
+    mark = (HELD if look.held(iv, ig) else "") + (BAD if look.is_poor(iv, ig) else "")
+    return percent(look.errors[iv, ig]), mark
+
+
+def marks(look: Look) -> list[str]:
+    """What the marks in the matrix mean, for those that are there."""
+    places = [(iv, ig) for iv, rows in enumerate(look.rows) for ig in range(len(rows))]
+    lines = []
+    if any(look.is_poor(*place) for place in places):
+        lines.append(f"{BAD} poor: half of the {look.what} is missing, or a hand feels it too weak or too strong")
+    held = Counter(limit for place in places for limit in look.held(*place))
+    if held:
+        named = [limit for limit, _ in held.most_common()]
+        more = f"; and by {len(named) - MOST_LIMITS} more" if len(named) > MOST_LIMITS else ""
+        lines.append(f"{HELD} held back by {' and '.join(named[:MOST_LIMITS])}{more}")
+    if any(row.refusal for rows in look.rows for row in rows):
+        lines.append(f"{REFUSED} refused")
+    return lines
+
+
+def worst_line(look: Look, prices: Sequence[Price]) -> str:
+    """The worst entry, and what the limit that costs most would give away; empty where none is admitted.
+
+    Parameters
+    ----------
+    prices : of the costliest entry, the dearest first.
+    """
+    worst, costliest = look.worst, look.costliest
+    if worst is None:
+        return ""
+    row = look.rows[worst[0]][worst[1]]
+    felt = row.value("felt")
+    figures = f"{percent(look.errors[worst])} %" + ("" if np.isnan(felt) else f" (felt {percent(felt)} %)")
+    place = look.axes.place(*worst)
+    said = f"{'Worst' if look.errors.size > 1 else 'There'}: {place}: {figures}"
+    if look.held(*worst) and (not prices or costliest != worst):
+        said += f", held back by {' and '.join(look.held(*worst))}"
+    elif not look.held(*worst):
+        ends = look.floored and not look.axes.targets and row.value("floor") > ENDS
+        said += ", held back by no limit" + (": the waveform ends while the hand still pushes" if ends else "")
+    if not prices or costliest is None:
+        return f"{said}."
+    at = "" if costliest == worst else f" at {look.axes.place(*costliest)}, {percent(look.errors[costliest])} %"
+    return f"{said}. {_priced(prices[0], at)}."
+
+
+def _priced(price: Price, at: str) -> str:
+    """What the dearest limit costs, in a sentence without its full stop."""
+    raised = f"{price.bound + price.step:.8g} {price.unit}".rstrip()
+    then = f"no certified answer with {raised}" if np.isnan(price.then) else f"with {raised} {percent(price.then)} %"
+    costs = f"T{_limit(f'{price.bound:.8g} {price.unit}'.rstrip(), price.limit)[1:]} costs most{at}"
+    free = f"from {price.free_from} on it no longer matters" if np.isfinite(price.enough) else price.free_from
+    return f"{costs}: {then}; {free}"
+
+
+def priced(source: Build | Library, look: Look) -> Sequence[Price]:
+    """The prices of the costliest entry, where a limit holds it back."""
+    place = look.costliest
+    if place is None or not look.held(*place):
+        return ()
+    return source.entries[place[0]][place[1]].prices if isinstance(source, Build) else library_prices(source, *place)
+
+
+def lines(source: Build | Library, look: Look, width: int) -> list[tuple[str, str | None]]:
+    """Head, matrix, marks and the worst entry, each line with the colour that it is set in."""
+    found = [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))]
+    places = [(iv, ig) for iv, rows in enumerate(look.rows) for ig in range(len(rows))]
+    refused, poor = any(row.refusal for rows in look.rows for row in rows), any(look.is_poor(*p) for p in places)
+    colour = "red" if refused else "yellow" if poor else None
+    return [(head(look), colour), *((line, None) for line in found if line)]
+
+
+def next_commands(library: Path, axes: Axes) -> list[str]:
+    """Three commands that go on from a library file."""
+    file = shlex.quote(str(library))
+    heard = f"transopt export {file} listen.wav" if axes.targets else f"transopt-play tap {file} --simulate"
+    return [f"transopt show {file} --table", heard, f"transopt page {file}"]
