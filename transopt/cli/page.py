@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from transopt.base.errors import InputError
-from transopt.cli.scene import DEFAULT_SCENE
+from transopt.cli.scene import ACCEPT_HELP, DEFAULT_SCENE
 
 
 def page(
@@ -15,19 +15,22 @@ def page(
     ] = DEFAULT_SCENE,
     port: Annotated[int, typer.Option(help="Port to serve at; any that is free without it.", min=0, max=65535)] = 0,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
+    accept: Annotated[bool, typer.Option("--accept", help=ACCEPT_HELP)] = False,
     show: Annotated[bool, typer.Option("--open", help="Open the address in the browser.")] = False,
 ) -> None:
     """Design on a page in the browser: limits as sliders, certified optima while they are dragged.
 
     Serves this machine alone, at the address that it prints, until Ctrl-C.
     """
+    from transopt.scene.builtin import load_scene
     from transopt.web.serve import Page
     from transopt.web.server import check_extra
 
     check_extra()
     if recordings is not None and not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: no such folder")
-    served = Page(source, port=port, recordings=recordings)
+    is_library = source.lower().endswith(".npz")
+    served = Page(source if is_library else load_scene(source, accept=accept), port=port, recordings=recordings)
     typer.echo(f"{served.name}: {served.address}")
     typer.echo("open it in a browser on this machine; Ctrl-C ends it")
     if show:

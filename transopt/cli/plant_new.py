@@ -8,10 +8,12 @@ import typer
 
 from transopt.base import asking
 from transopt.base.errors import InputError
-from transopt.cli.scene import FORCE_HELP, write_new
+from transopt.cli.scene import ACCEPT_HELP, FORCE_HELP, write_new
 
 if TYPE_CHECKING:
     from transopt.scene.datasheet import Datasheet
+
+ACCEPTED = "correct it or, if it is right as it is, --accept takes it"
 
 
 def plant_new(
@@ -62,6 +64,7 @@ def plant_new(
     rate_Hz: Annotated[
         float | None, typer.Option("--rate-Hz", help="Rate of the driver's samples; default 48000, else 10000 Hz.")
     ] = None,
+    accept: Annotated[bool, typer.Option("--accept", help=ACCEPT_HELP)] = False,
     force: Annotated[bool, typer.Option("--force", help=FORCE_HELP)] = False,
 ) -> None:
     """Write a commented scene of an actuator from its datasheet; on a terminal what is missing is asked for.
@@ -102,7 +105,11 @@ def plant_new(
             f"{', '.join(map(option_of, missing))}: missing for --kind {kind} --input {driven_by}; state what the "
             "datasheet says, or call the command on a terminal, which asks for it"
         )
-    write_new(file, scene_text(_sheet(stated), file.stem), force=force)
+    odd = _odd(stated)
+    if odd and not accept:
+        raise InputError(f"{odd}; {ACCEPTED}")
+    text = scene_text(_sheet(stated), file.stem)
+    write_new(file, f'implausible = "accept"\n{text}' if odd else text, force=force)
     typer.echo(f"{file} written; edit its targets, then: transopt solve {shlex.quote(str(file))}")
 
 
@@ -136,6 +143,20 @@ def _from_the_sine(stated: dict[str, Any], sine: dict[str, float]) -> dict[str, 
 def option_of(key: str) -> str:
     """The option of a key of the datasheet."""
     return f"--{key.replace('_', '-')}"
+
+
+def _odd(stated: dict[str, Any]) -> str:
+    """What no device has in a datasheet, in the words of the options; empty without any."""
+    from transopt.scene.plausible import implausible
+
+    unit = "V" if stated["input"] == "voltage" else "A"
+    # The unit of these two is that of the input, and their names do not end in it.
+    content = {f"{key}_{unit}" if key in ("rated", "peak") else key: value for key, value in stated.items()}
+    found = implausible(content)
+    if not found:
+        return ""
+    key, said = found[0].split(" = ", 1)
+    return f"{option_of(key.removesuffix(f'_{unit}') if key.startswith(('rated', 'peak')) else key)} {said}"
 
 
 def _sheet(stated: dict[str, Any]) -> "Datasheet":

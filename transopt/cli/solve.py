@@ -93,7 +93,7 @@ def solve(
     name = default_solver() if solver is None else solver
     check_name(name)
     options = SolverOptions(name, solver_tolerance)
-    loaded = _load(scene, recordings, model)
+    loaded = _load(scene, recordings, model, accept)
     unfit = _unfit(loaded, accept_unfit_model)
     folder = Path("out") / loaded.name if out is None else out
     wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures, full, table, report)
@@ -118,11 +118,11 @@ def solve(
         raise typer.Exit(1)
 
 
-def _load(scene: str, recordings: Path | None, model: Path | None) -> "Scene":
+def _load(scene: str, recordings: Path | None, model: Path | None, accept: bool) -> "Scene":
     """A scene by built-in name or by path, with device and recordings folder replaced if one is given."""
     from transopt.scene import builtin
 
-    loaded = builtin.load_scene(scene, model=model)
+    loaded = builtin.load_scene(scene, model=model, accept=accept)
     if model is not None and not scene.lower().endswith(".toml"):
         own = builtin.load_scene(scene).grid.grips_N
         if loaded.grid.grips_N != own:

@@ -14,7 +14,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
-from transopt.cli.scene import DEFAULT_SCENE, key_table
+from transopt.cli.scene import ACCEPT_HELP, DEFAULT_SCENE, key_table
 
 if TYPE_CHECKING:
     from transopt.study.executors import Pool
@@ -45,6 +45,7 @@ class Request:
     figures: Path | None
     executor: str | None
     jobs: int | None
+    accept: bool
     out: Path
 
 
@@ -75,6 +76,7 @@ def study(
     list_keys: Annotated[bool, typer.Option("--list-keys", help="Print keys, units, defaults, bounds.")] = False,
     executor: Annotated[str | None, typer.Option(help="processes (default), serial or dask://HOST:PORT.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes; default: one per core.")] = None,
+    accept: Annotated[bool, typer.Option("--accept", help=ACCEPT_HELP)] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for everything that is written.")] = None,
 ) -> None:
     """What constraints cost: certified optima over any keys of a scene; stopped, the same command goes on.
@@ -87,7 +89,7 @@ def study(
     from transopt.scene import builtin
 
     if list_keys:
-        loaded = builtin.load_scene(scene)
+        loaded = builtin.load_scene(scene, accept=accept)
         terminal.console().print(key_table(loaded, f"{loaded.name}: keys for --vary, --set and --solve-for"))
         return
     if out is None:
@@ -107,6 +109,7 @@ def study(
         figures=figures,
         executor=executor,
         jobs=jobs,
+        accept=accept,
         out=out,
     )
     check_together(request)
@@ -163,7 +166,7 @@ def run(request: Request, scene: str) -> int:
     from transopt.study.plan import Plan
 
     files = [builtin.FOLDER]
-    loaded = apply_settings(builtin.load_scene(scene), request.settings, files)
+    loaded = apply_settings(builtin.load_scene(scene, accept=request.accept), request.settings, files)
     jobs = (os.cpu_count() or 1) if request.jobs is None else request.jobs
     with closing(executor_pool(request.executor or "processes", jobs)) as pool:
         terminal.make_folder(request.out)

@@ -9,6 +9,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, split_columns
+from transopt.cli.scene import ACCEPT_HELP
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -50,11 +51,13 @@ def taps(
         Path | None,
         typer.Option(metavar="FILE.toml", help="Write a scene of these recordings and the built-in device."),
     ] = None,
+    accept: Annotated[bool, typer.Option("--accept", help=ACCEPT_HELP)] = False,
     force: Annotated[bool, typer.Option("--force", help="Write over the file of --scene if it is there.")] = False,
 ) -> None:
     """Look at recordings before solving: rate, onset, offset, polarity, speed, grip, peak, clipping.
 
-    Exit 1: a recording cannot be a tap in the units that are stated; the line says which to check.
+    Exit 2: a recording cannot be a tap in the units that are stated; the line says which to check, and --accept
+    takes it as it is.
     """
     from pydantic import ValidationError
 
@@ -87,6 +90,7 @@ def taps(
             full_scale_m_s2=full_scale,
             time_scale=time_scale,
             amplitude_scale=amplitude_scale,
+            implausible="accept" if accept else "refuse",
         )
     except ValidationError as error:
         raise InputError(_refusal(error)) from None
@@ -113,15 +117,15 @@ def taps(
     if scene is not None:
         template = scene_path("own_taps").read_text(encoding="utf-8")
         write_new(scene, scene_of_taps(template, prepared, files, settings, scene.parent), force=force)
-        after = (
-            "solve refuses it until that is put right" if wrong else f"next: transopt solve {shlex.quote(str(scene))}"
-        )
+        after = f"next: transopt solve {shlex.quote(str(scene))}"
+        if wrong and not accept:
+            after = "solve refuses it until that is put right or accepted (--accept)"
         typer.echo(f"{scene} written; {after}")
     else:
         console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
         typer.echo(scene_lines(prepared, files, settings))
-    if wrong:
-        raise typer.Exit(1)
+    if wrong and not accept:
+        raise typer.Exit(2)
 
 
 def _refusal(error: "ValidationError") -> str:

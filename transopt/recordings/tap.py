@@ -383,5 +383,5 @@ def check_usable(tap: PreparedTap, settings: Recordings) -> None:
     """
     check_speed(tap)
     if tap.implausible and settings.implausible == "refuse":
-        accept = 'if it is right as it is, state recordings.implausible = "accept" in the scene'
+        accept = 'if it is right as it is, --accept takes it, or recordings.implausible = "accept" in the scene'
         raise InputError(f"{tap.recording.name}: {tap.implausible}; `transopt taps` shows more; {accept}")

@@ -138,7 +138,8 @@ def head(look: Look) -> str:
         why = said if said.startswith("too ") else f"{percent(look.errors[worst])} % of it is missing"
         better = "The limits allow no better: " if look.floored else ""
         return (
-            f"{look.name}: {len(poor)} of {look.counted(total)} poor, at {look.axes.place(*worst)} {why}. "
+            f"{look.name}: {len(poor)} of {look.counted(total)} {'is' if len(poor) == 1 else 'are'} poor: at "
+            f"{look.axes.place(*worst)} {why}. "
             f"{better}{every if better else every.capitalize()} {look.proof}."
         )
     return f"{look.name}: {look.counted(total)}, {'' if total == 1 else 'all '}{look.proof}."

@@ -15,6 +15,7 @@ from transopt.design.refine_grid import Refinement
 from transopt.library.columns import COLUMNS, FIGURES, EntryTable, TableRow
 from transopt.library.library import Library
 from transopt.problem.answer import Status
+from transopt.scene.plausible import implausible
 from transopt.scene.scene import Scene
 from transopt.scene.sections import covering_lead_s
 
@@ -156,7 +157,8 @@ def lost_start(build: Build) -> str:
 
 def warnings(build: Build) -> list[str]:
     """What deserves a second look in a build, one line each."""
-    return [said for said in (lost_start(build), aftermath(build)) if said]
+    accepted = [f'{said} (implausible = "accept")' for said in implausible(build.scene.model_dump(exclude_none=True))]
+    return [*accepted, *(said for said in (lost_start(build), aftermath(build)) if said)]
 
 
 def cool_summary(library: Library) -> str:

@@ -39,13 +39,14 @@ def scene_path(name: str) -> Path:
     return SCENES / f"{name}.toml"
 
 
-def load_scene(scene: str | Path, *, model: Path | None = None) -> "Scene":
+def load_scene(scene: str | Path, *, model: Path | None = None, accept: bool = False) -> "Scene":
     """A scene by its built-in name, or by the path of a .toml file, whose motor may be a built-in one.
 
     Parameters
     ----------
     model : a model file in the place of the scene's own device. Of a built-in scene the grips are an example too: if
         the model does not know them all, the grid takes those that it was identified at.
+    accept : numbers that no device and no tap has, as `implausible = "accept"` in the scene does.
 
     Raises
     ------
@@ -54,4 +55,4 @@ def load_scene(scene: str | Path, *, model: Path | None = None) -> "Scene":
     from transopt.scene.file import read_scene  # pydantic, which the names alone do not need
 
     path = Path(scene) if str(scene).lower().endswith(".toml") else scene_path(str(scene))
-    return read_scene(path, search=[FOLDER], model=model, model_grips=path.parent == SCENES)
+    return read_scene(path, search=[FOLDER], model=model, model_grips=path.parent == SCENES, accept=accept)

@@ -20,6 +20,7 @@ from transopt.plant.state_space import StateSpace
 from transopt.scene.model_place import identified_table, put_model, served_grips
 from transopt.scene.own_file import own_tables
 from transopt.scene.plant_file import with_plant_file
+from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
 
 # Keys that older scene files have -> what is written instead.
@@ -196,7 +197,12 @@ def _resolved(scene: Path, folder: str) -> str:
 
 
 def read_scene(
-    path: Path, *, search: Sequence[Path] = (), model: Path | None = None, model_grips: bool = False
+    path: Path,
+    *,
+    search: Sequence[Path] = (),
+    model: Path | None = None,
+    model_grips: bool = False,
+    accept: bool = False,
 ) -> Scene:
     """Read and check a scene file.
 
@@ -209,12 +215,16 @@ def read_scene(
     ----------
     model : a model file in place of any that the scene names; its path counts from the working folder.
     model_grips : whether the grid takes the grips that `model` was identified at, if it does not know the scene's.
+    accept : numbers that no device and no tap has (`transopt.scene.plausible`), as if the scene accepted them.
 
     Raises
     ------
     InputError : one line: file, key, value, what is wrong.
     """
     content = read_toml(path)
+    for table in (content, content.get("recordings")) if accept else ():
+        if isinstance(table, dict):
+            table["implausible"] = "accept"
     content.setdefault("name", "".join(c if c.isprintable() else "_" for c in path.stem))
     for table in ("motor", "transmission", "robust.population"):
         *inside, key = table.split(".")
@@ -228,6 +238,8 @@ def read_scene(
             folders = ", ".join(str(place.parent) for place in places)
             raise InputError(f"{path}: {table} = {named!r}: no such file in {folders}")
         tables[key] = read_toml(found)
+    if content.get("implausible") != "accept":
+        check_plausible(path, content)
     if model is not None:
         content.pop("model_file", None)
         identified = identified_table(model, model.as_posix())

@@ -66,6 +66,7 @@ class Scene(Section):
 
     name: Name
     description: Words = ""
+    implausible: Literal["refuse", "accept"] = "refuse"  # see `transopt.scene.plausible`
     grid: Grid = Grid()
     time: Time = Time()
     recordings: Recordings = Recordings()

@@ -15,6 +15,7 @@ from transopt.base.section import Section
 from transopt.plant.motor import Motor, Transmission
 from transopt.scene.file import explain, read_toml
 from transopt.scene.keys import check_value, find_key, parse_value, with_values
+from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
 
 # Tables that are swapped whole, as files.
@@ -149,6 +150,8 @@ def parse_axis(scene: Scene, option: str, text: str, search: Sequence[Path] = ()
     if len(set(axis.labels)) < len(axis.labels):
         raise InputError(f"{option} {text}: a value stands there twice")
     for value in axis.values:
+        if scene.implausible == "refuse":
+            check_plausible(option, {path: value})
         if not isinstance(value, dict):
             check_value(scene, path, value)
     return axis

@@ -77,7 +77,7 @@ def test_currents_over_speed_and_grip_leave_too(run: Run, solved: Path) -> None:
 
 
 def test_show_prints_the_figures_of_the_trade(run: Run, lra: Path) -> None:
-    outcome = run("show", lra)
+    outcome = run("show", lra, "--table")
     assert outcome.code == 0
     _, shown = outcome.out.split("pulse and ring", 1)
     found = trade_figures(clicks(), 0, 0)
