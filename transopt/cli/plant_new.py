@@ -13,7 +13,7 @@ from transopt.cli.scene import ACCEPT_HELP, FORCE_HELP, write_new
 if TYPE_CHECKING:
     from transopt.scene.datasheet import Datasheet
 
-ACCEPTED = "correct it or, if it is right as it is, --accept takes it"
+ACCEPTED = "correct it; if it is right, --accept takes it"
 
 
 def plant_new(
@@ -156,7 +156,7 @@ def _odd(stated: dict[str, Any]) -> str:
     if not found:
         return ""
     key, said = found[0].split(" = ", 1)
-    return f"{option_of(key.removesuffix(f'_{unit}') if key.startswith(('rated', 'peak')) else key)} {said}"
+    return f"{option_of(key.removesuffix(f'_{unit}') if key.startswith(('rated', 'peak')) else key)} = {said}"
 
 
 def _sheet(stated: dict[str, Any]) -> "Datasheet":

@@ -157,7 +157,8 @@ def lost_start(build: Build) -> str:
 
 def warnings(build: Build) -> list[str]:
     """What deserves a second look in a build, one line each."""
-    accepted = [f'{said} (implausible = "accept")' for said in implausible(build.scene.model_dump(exclude_none=True))]
+    odd = implausible(build.scene.model_dump(exclude_none=True))
+    accepted = [f"accepted as it is: {said}" for said in odd]
     return [*accepted, *(said for said in (lost_start(build), aftermath(build)) if said)]
 
 

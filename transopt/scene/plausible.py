@@ -39,13 +39,13 @@ MISTAKEN = {
     "1/m": {"1/mm": 1e3},
     "g/sqrt(Hz)": {"ug/sqrt(Hz)": 1e-6},
 }
-# Ending of a dotted key, or of one below the kind of its table -> least and largest number; 0 always passes.
+# Ending of a dotted key, or of one below the kind of its table -> least and largest number.
 PLAUSIBLE = {
     "grid.speeds_m_s": HAND_M_S,
     "grid.grips_N": (0.05, 60.0),
     "grip_min_N": (0.01, 20.0),
-    "dt_s": (2e-6, 0.02),
-    "lead_s": (1e-6, 0.02),
+    "dt_s": (1e-6, 0.02),
+    "lead_s": (1e-6, 0.25),
     "stylus_mass_kg": (2e-4, 1.0),
     "link_mass_kg": (1e-5, 1.0),
     "moving_mass_kg": (1e-5, 5.0),
@@ -82,9 +82,8 @@ PLAUSIBLE = {
     "start_winding_C": (-40.0, 260.0),
     "start_housing_C": (-40.0, 200.0),
     "headroom_K": (1e-4, 200.0),
-    "tap_rate_Hz": (0.02, 50.0),
     "pole_Hz": (20.0, 2e6),
-    "delay_s": (1e-8, 0.05),
+    "delay_s": (1e-8, 1.0),
     "command_limit_A": (0.01, 150.0),
     "command_limit_V": (0.1, 500.0),
     "limits.current_A": (5e-3, 150.0),
@@ -97,8 +96,8 @@ PLAUSIBLE = {
     "feedback.stiffness_N_m": (1.0, 1e6),
     "feedback.damping_N_s_m": (1e-3, 1e4),
     "derivative_filter_Hz": (5.0, 1e5),
-    "intention_s": (1e-3, 0.5),
-    "after_s": (1e-3, 0.5),
+    "intention_s": (1e-4, 10.0),
+    "after_s": (1e-4, 10.0),
     "object_mass_kg": (1e-3, 100.0),
     "object_stiffness_N_m": (10.0, 1e10),
     "contact_stiffness_N_m": (10.0, 1e13),
@@ -136,14 +135,12 @@ def _wrong(path: str, names: str, value: float) -> str:
     names : the path with kinds in the place of tables, by which the bounds are found.
     """
     bounds, unit = _bounds(names), unit_of(path)
-    if bounds is None or value == 0 or bounds[0] <= value <= bounds[1]:
-        return ""
+    if bounds is None or bounds[0] <= value <= bounds[1] or (value <= 0 and unit != "C"):
+        return ""  # a sign is no unit's making, and 0 leaves out
     low, high = bounds
     likely = _likely(value, unit, bounds)
-    meant = f": {value:g} {likely[0]} would be {likely[1]:.6g} {unit}" if likely else ""
-    return (
-        f"{path} = {value:g} {unit}: no device has that (limits {low:g} and {high:g} {unit}), check its unit{meant}"
-    )
+    meant = f"did you mean {value:g} {likely[0]}, which is {likely[1]:.6g} {unit}?" if likely else "check its unit"
+    return f"{path} = {value:g} {unit}: devices and hands have {low:g} to {high:g} {unit}; {meant}"
 
 
 def check_plausible(source: object, content: Mapping[str, Any], accept: str = ACCEPT) -> None:

@@ -66,7 +66,6 @@ class Scene(Section):
 
     name: Name
     description: Words = ""
-    implausible: Literal["refuse", "accept"] = "refuse"  # see `transopt.scene.plausible`
     grid: Grid = Grid()
     time: Time = Time()
     recordings: Recordings = Recordings()
@@ -84,6 +83,7 @@ class Scene(Section):
     robust: Robust | None = None
     hand_over_samples: Annotated[int, Field(ge=1)] = 10
     striker: Striker | None = None
+    implausible: Literal["refuse", "accept"] = "refuse"  # see `transopt.scene.plausible`
 
     def __repr__(self) -> str:
         time = self.time

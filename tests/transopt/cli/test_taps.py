@@ -78,9 +78,10 @@ class TestTaps:
             Path(f"tap_{number}.csv").write_text(text)
         files = sorted(Path().glob("tap_*.csv"))
         outcome = run("taps", *files, "--scene", "mine.toml")
-        assert outcome.code == 1
+        assert outcome.code == 2
         assert outcome.out.count("check the unit of the acceleration (g called m/s^2?)") == 3
-        assert outcome.out.endswith("mine.toml written; solve refuses it until that is put right\n")
+        refuses = "solve refuses it until that is put right or accepted (--accept)"
+        assert outcome.out.endswith(f"mine.toml written; {refuses}\n")
         assert_refused(run("solve", "mine.toml"), "tap_0.csv", "of the acceleration", 'implausible = "accept"')
         text = Path("mine.toml").read_text().replace("[recordings]", '[recordings]\nimplausible = "accept"')
         Path("mine.toml").write_text(text.replace("[1.0, 3.0, 5.0]", "[3.0]"))
@@ -88,6 +89,9 @@ class TestTaps:
         assert outcome.code == 0
         assert '(g called m/s^2?), or of the speed (recordings.implausible = "accept")' in outcome.out
         assert "**tap_0.csv: the pulse changes the speed" in Path("mine/report.md").read_text()
+        accepted = run("taps", *files, "--accept", "--scene", "mine.toml", "--force")
+        assert accepted.code == 0
+        assert 'implausible = "accept"' in Path("mine.toml").read_text()
         assert run("taps", *files, "--units", "acceleration=g", "--scene", "mine.toml", "--force").code == 0
         assert 'units = { "acceleration" = "g" }' in Path("mine.toml").read_text()
 
