@@ -208,7 +208,7 @@ def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:
     from transopt.base.plotting import save_figure
     from transopt.base.writing import write_text
     from transopt.study.figures import study_figure
-    from transopt.study.report import provenance, study_markdown, summary
+    from transopt.study.report import provenance, study_answer, study_markdown, study_table, summary
     from transopt.study.rows import exit_code
     from transopt.study.session import run_plan
 
@@ -217,8 +217,15 @@ def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:
     save_figure(study_figure(plan, rows), request.out / "tap_error.png")
     head = provenance(_command(), time.perf_counter() - started)
     write_text(study_markdown(plan, rows, "tap_error.png", head), request.out / "report.md")
-    typer.echo(summary(rows))
-    typer.echo(f"{request.out}: rows.csv, tap_error.png, report.md")
+    console = terminal.console()
+    if (shown := study_table(plan, rows)) is not None:
+        console.print(shown)
+    for said in (
+        *study_answer(plan, rows),
+        f"{summary(rows)}.",
+        f"{request.out}: rows.csv, tap_error.png, report.md",
+    ):
+        console.print(said, highlight=False, soft_wrap=True)
     return exit_code(rows)
 
 

@@ -1,15 +1,18 @@
 """report.md of a constraint study."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from transopt.base.machine import machine, versions
+from transopt.base.tables import Table
 from transopt.base.units import unit_of
 from transopt.base.writing import percent, table
 from transopt.design.sweep import REFUSED
 from transopt.library.columns import EntryTable, TableRow
+from transopt.problem.answer import AT_FLOOR
 from transopt.scene.scene import Scene
 from transopt.study.axes import label
 from transopt.study.columns import MULTIPLIERS, VIOLATIONS
@@ -20,6 +23,7 @@ from transopt.study.rows import entry_cells as place_cells
 from transopt.study.store import LIBRARIES
 
 MOST_ROWS = 120  # of the table; rows.csv has them all
+MOST_VALUES = 24  # of a key, in what the terminal shows
 
 
 def provenance(command: str, elapsed_s: float) -> list[str]:
@@ -94,6 +98,95 @@ def summary(rows: Sequence[Row]) -> str:
     return text
 
 
+@dataclass(frozen=True)
+class Point:
+    """What a point of a study comes to: its varied values, and its entry with the largest tap error.
+
+    Attributes
+    ----------
+    said : the values, in a sentence.
+    labels : the values, by their keys.
+    worst : the largest tap error of its entries; NaN where one has no certified optimum.
+    place : of that entry; of a point without a figure why there is none.
+    """
+
+    said: str
+    labels: Mapping[str, str]
+    worst: float
+    place: str
+
+
+def points_of(plan: Plan, rows: Sequence[Row]) -> list[Point]:
+    """The points of a study in their order."""
+    of: dict[int, list[Row]] = {}
+    for row in rows:
+        of.setdefault(int(row["point"]), []).append(row)
+    found = []
+    for number_of, own in sorted(of.items()):
+        labels = plan.labels(number_of)
+        said = ", ".join(f"{key} = {value} {unit_of(key)}".strip() for key, value in labels.items())
+        failed = next((row for row in own if row["status"] != OPTIMAL), None)
+        worst = max(own, key=lambda row: number(row, "tap_error")) if failed is None else failed
+        place = (
+            entry_name(worst) if failed is None else f"{entry_name(failed)}: {failed['reason'] or failed['status']}"
+        )
+        found.append(Point(said, labels, number(worst, "tap_error") if failed is None else np.nan, place))
+    return found
+
+
+def study_answer(plan: Plan, rows: Sequence[Row]) -> list[str]:
+    """What a study found, in a few sentences: where taps are worst and best, and from where on nothing is gained."""
+    points = points_of(plan, rows)
+    known = [point for point in points if not np.isnan(point.worst)]
+    lines = []
+    if known:
+        # What is no better by more than rounding is no better: the first of equals stands for them.
+        best = next(point for point in known if point.worst <= min(each.worst for each in known) + AT_FLOOR)
+        worst = max(known, key=lambda point: point.worst)
+        whose = f"The {'target' if plan.scene.targets else 'tap'} farthest off, {worst.place},"
+        if worst.worst - best.worst <= AT_FLOOR:
+            lines.append(f"{whose} has an error of {percent(worst.worst)} % whatever is varied.")
+        else:
+            after = known[known.index(best) + 1 :]
+            ordered = len(plan.axes) == 1 and plan.axes[0].numeric and plan.sample is None
+            beyond = ""
+            if ordered and after:
+                flat = all(point.worst <= best.worst + AT_FLOOR for point in after)
+                beyond = ", beyond which nothing is gained" if flat else ", beyond which it rises again"
+            lines.append(
+                f"{whose} has an error of {percent(worst.worst)} % with {worst.said}; at best no entry has more than "
+                f"{percent(best.worst)} %, with {best.said}{beyond}."
+            )
+    without = [point for point in points if np.isnan(point.worst)]
+    if without:
+        lines.append(
+            f"{len(without)} of {len(points)} points have an entry without a certified optimum: with "
+            f"{without[0].said}, {without[0].place}."
+        )
+    return lines
+
+
+def study_table(plan: Plan, rows: Sequence[Row]) -> Table | None:
+    """The largest tap error at each value of one key, or of two; None for samples, more keys and long ranges."""
+    if plan.sample is not None or not 1 <= len(plan.axes) <= 2 or max(plan.shape) > MOST_VALUES:
+        return None
+    heads = [f"{axis.key} {unit_of(axis.key)}".strip() for axis in plan.axes]
+    points, shown = points_of(plan, rows), Table(title="largest tap error of a point, %")
+    shown.add_column(heads[0], justify="right")
+    if len(plan.axes) == 1:
+        for head in ("tap %", "at"):
+            shown.add_column(head, justify="right" if head == "tap %" else "left")
+        for point in points:
+            shown.add_row(*point.labels.values(), percent(point.worst), point.place)
+        return shown
+    across = plan.axes[1].labels
+    for value in across:
+        shown.add_column(f"{heads[1]} = {value}", justify="right")
+    for first, value in enumerate(plan.axes[0].labels):
+        shown.add_row(value, *(percent(point.worst) for point in points[first * len(across) :][: len(across)]))
+    return shown
+
+
 def refusal_lines(rows: Sequence[Row]) -> list[str]:
     """Every reason once, with how often it stands there."""
     reasons = Counter(f"{row['status']}: {row['reason']}" for row in rows if row["status"] != OPTIMAL)
@@ -116,8 +209,10 @@ def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
                 lines.append([*place, "0", "-", "-", "-", "-"])
                 continue
             errors = [number(row, "tap_error") for row in own]
-            best = own[int(np.argmin(errors))]
+            best = next(row for row in own if number(row, "tap_error") <= min(errors) + AT_FLOOR)
             at = ", ".join(f"{axis.key} = {best[axis.key]}" for axis in plan.axes)
+            if max(errors) - min(errors) <= AT_FLOOR:
+                at = "any"
             cells = [percent(value) for value in (min(errors), float(np.median(errors)), max(errors))]
             lines.append([*place, str(len(own)), *cells, at])
     head = [*axes.columns, "certified", "least tap error %", "median %", "largest %", "least at"]
@@ -133,7 +228,16 @@ def study_markdown(plan: Plan, rows: Sequence[Row], figure: str, head: Sequence[
     for axis in plan.axes:
         ends = axis.labels if len(axis.labels) <= 12 else (*axis.labels[:3], "...", *axis.labels[-3:])
         lines.append(f"- `{axis.key}` {unit_of(axis.key)}: {', '.join(ends)}")
-    lines += ["", f"![tap error]({figure})", "", "## Entries over all points", "", *spread_lines(plan, rows)]
+    lines += [
+        "",
+        *study_answer(plan, rows),
+        "",
+        f"![tap error]({figure})",
+        "",
+        "## Entries over all points",
+        "",
+        *spread_lines(plan, rows),
+    ]
     lines += refusal_lines(rows)
     lines += ["## Rows", ""]
     if len(rows) > MOST_ROWS:
