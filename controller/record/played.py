@@ -200,7 +200,7 @@ def played_tap(
     bandwidth_Hz : of the accelerometer, one pole.
     """
     prediction = predict(library, contact.speed_m_s, contact.grip_N, gain, contact.scale, contact.cooled)
-    compared = _compare(contact, prediction, settings, gain, bandwidth_Hz)
+    compared = _compare(contact, prediction, library, settings, gain, bandwidth_Hz)
     return PlayedTap(
         contact=contact,
         times_s=(contact.ticks - contact.tick) * contact.dt_s - met_surface(contact, settings)[0],
@@ -212,14 +212,37 @@ def played_tap(
     )
 
 
+def outside(contact: Contact, library: Library, settings: Settings) -> str:
+    """Why a tap cannot be judged by a library whose grid it lies outside; empty within the grid.
+
+    The edge was played, but no tap was recorded there. A library of one grip serves every grip.
+    """
+    speeds, grips, slack_N = library.speeds_m_s, library.grips_N, settings.grid_slack_N
+    slack_m_s = settings.grid_slack * contact.speed_m_s
+    if not speeds[0] - slack_m_s <= contact.speed_m_s <= speeds[-1] + slack_m_s:
+        grid = f"{contact.speed_m_s:.3g} m/s lies outside the library's {speeds[0]:g} to {speeds[-1]:g} m/s"
+    elif grips.size > 1 and not grips[0] - slack_N <= contact.grip_N <= grips[-1] + slack_N:
+        grid = f"{contact.grip_N:.3g} N lies outside the library's {grips[0]:g} to {grips[-1]:g} N"
+    else:
+        return ""
+    return f"not judged: {grid}, so its edge was played, and no recorded tap says how near that comes"
+
+
 def _compare(
-    contact: Contact, prediction: Prediction, settings: Settings, gain: float, bandwidth_Hz: float
+    contact: Contact,
+    prediction: Prediction,
+    library: Library,
+    settings: Settings,
+    gain: float,
+    bandwidth_Hz: float,
 ) -> Compared | str:
     """Figures, or why there are none."""
     if gain == 0:
         return "nothing is played at gain 0"
     if prediction.silent or not np.any(prediction.acceleration_m_s2):
         return "the library is silent there"
+    if beyond := outside(contact, library, settings):
+        return beyond
     until = prediction.times_s <= INTENTION_S
     at = prediction.times_s[until]
     measured = since_contact(contact, settings, float(at[0]), float(at[-1]))

@@ -1,5 +1,6 @@
 """Tables for a terminal of any width: no number in them is ever cut or split."""
 
+import math
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
@@ -11,6 +12,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 
 WORDS = 24  # columns that a cell of words has at least, if it has as many
 SHARE = 3  # a word takes at most the terminal's width over this; a longer one, as a file's name, is folded
+LEAST = 0.25  # of that, where not even this has room
 BETWEEN, EDGE = 3, 1  # columns of the terminal that each column's frame takes, and the frame of all
 
 
@@ -42,8 +44,11 @@ class Table(table.Table):
         """This table, or parts of it that fit."""
         least, most = zip(*(_widths(column, width) for column in self.columns), strict=True)
         keys = [*range(min(self._keys, len(self.columns) - 1))]
+        others = [*range(len(keys), len(self.columns))]
+        if _framed([*least]) > width:  # what says nothing takes no block of its own
+            others = [index for index in others if any(map(str, self.columns[index].cells))]
         block, has = list(keys), False
-        for index in range(len(keys), len(self.columns)):
+        for index in others:
             if has and _framed([least[each] for each in (*block, index)]) > width:
                 yield self._part(block, least, most, width)
                 block = list(keys)
@@ -58,9 +63,19 @@ class Table(table.Table):
         lacking = {index: most[index] - least[index] for index in indices}
         if sum(lacking.values()) > room:  # then numbers keep to what they need, and words take the rest
             lacking = {index: by for index, by in lacking.items() if self.columns[index].justify != "right"}
-        share = min(1.0, max(room, 0) / max(sum(lacking.values()), 1))
+        # Without room for what a row is and one column beside it, words are folded more than they would be.
+        share = min(1.0, room / max(sum(lacking.values()), 1))
+        if room < 0:
+            lacking = {index: least[index] for index in lacking}
+            share = max(room / max(sum(lacking.values()), 1), LEAST - 1.0)
         part.columns = [
-            replace(self.columns[index], _index=place, width=least[index] + int(share * lacking.get(index, 0)))
+            replace(
+                self.columns[index],
+                _index=place,
+                width=least[index] + math.floor(share * lacking.get(index, 0)),
+                no_wrap=False,
+                overflow="fold",
+            )
             for place, index in enumerate(indices)
         ]
         return part

@@ -242,6 +242,14 @@ def test_where_there_is_nothing_to_compare(library: Library, stated: Settings) -
         assert (found.why, found.verdict) == (why, why)
         assert np.isnan(found.compared.playback_error)
         assert np.isnan(found.compared.latency_s)
+    fast, firm = (replace(good, **{name: 3 * getattr(good, name)}) for name in ("speed_m_s", "grip_N"))
+    for beyond, unit in ((fast, "m/s"), (firm, "N")):
+        found = played_tap(beyond, library, stated, 1.0, BANDWIDTH_HZ)
+        assert found.why.startswith("not judged: ")
+        assert f" {unit} lies outside the library's " in found.verdict
+        assert np.isnan(found.compared.tap_error)
+    edge = replace(good, speed_m_s=library.speeds_m_s[-1] * 1.01, grip_N=library.grips_N[-1] + 0.05)
+    assert "not judged" not in played_tap(edge, library, stated, 1.0, BANDWIDTH_HZ).why
     sparse = replace(good, **{name: getattr(good, name)[::3] for name in ("ticks", "counts", "acceleration_m_s2")})
     assert played_tap(sparse, library, stated, 1.0, BANDWIDTH_HZ).why == "telemetry of every tick is needed"
 

@@ -1,4 +1,4 @@
-"""Mistakes of unit that a person makes, in scenes, datasheets and taps: each is named, with the unit that was meant."""
+"""Mistakes of unit in scenes, datasheets and taps: each is named, with the unit that was meant."""
 
 from pathlib import Path
 
@@ -145,8 +145,9 @@ def test_every_built_in_scene_passes(name: str) -> None:
     assert not implausible(load_scene(name).model_dump())
 
 
-def test_python_is_told_as_well() -> None:
+def test_python_is_told_as_well(tmp_path: Path) -> None:
+    wrong = tmp_path / "mine.toml"
+    wrong.write_text(problems.scene_path(WOOD).read_text().replace("beta = 3.2", "current_A = 4000"))
     with pytest.raises(InputError, match="4000 mA, which is 4 A"):
-        Path("mine.toml").write_text(problems.scene_path(WOOD).read_text().replace("beta = 3.2", "current_A = 4000"))
-        load_scene("mine.toml")
+        load_scene(wrong)
     assert not implausible(with_values(load_scene(WOOD), {"limits.current_A": 5.0}).model_dump())
