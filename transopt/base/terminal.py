@@ -8,10 +8,12 @@ import re
 import signal
 import sys
 import tempfile
+import textwrap
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -52,11 +54,17 @@ class _HarmlessConsole(Console):
         return super().render_str(harmless(text, keep="\n\t"), **how)
 
     def print(self, *objects: Any, soft_wrap: bool | None = None, **how: Any) -> None:
-        """Print; whole lines (`soft_wrap`) break on a terminal too, but between words."""
+        """Print; sentences in whole lines (`soft_wrap`) break on a terminal too, but between words.
+
+        A command stays one line, so that it can be copied.
+        """
         if soft_wrap and self.is_terminal:
-            how = {"overflow": "ignore", "crop": False, **how}
-            soft_wrap = False
+            objects = tuple(self._broken(each) if isinstance(each, str) else each for each in objects)
         super().print(*objects, soft_wrap=soft_wrap, **how)
+
+    def _broken(self, text: str) -> str:
+        fill = partial(textwrap.fill, width=self.width, break_long_words=False, break_on_hyphens=False)
+        return "\n".join(line if "transopt" in line else fill(line) for line in text.split("\n"))
 
 
 def console() -> Console:

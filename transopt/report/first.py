@@ -111,14 +111,15 @@ def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
 
 
 def _stated(binding: str) -> str:
-    """A limit and its bound: "the 4 A current limit" of "current +4 A at 1.2 to 3.1 ms"."""
+    """A limit and its bound: "4 A current" of "current +4 A at 1.2 to 3.1 ms"."""
     name, *rest = NAMED.split(binding, maxsplit=1)
     bound = rest[0].split(" at ")[0].split(" with ")[0].lstrip("+-") if rest else ""
-    return _limit(bound, name)
+    return f"{bound} {name}".strip()
 
 
-def _limit(bound: str, name: str) -> str:
-    return f"the {bound} {name} limit".replace("  ", " ")
+def _named(limits: Sequence[str]) -> str:
+    """Limits in a sentence: "the 6 A command and the 4 A current limits"."""
+    return f"the {' and the '.join(limits)} limit{'s' if len(limits) > 1 else ''}"
 
 
 def head(look: Look) -> str:
@@ -208,7 +209,7 @@ def marks(look: Look) -> list[str]:
     if held:
         named = [limit for limit, _ in held.most_common()]
         more = f"; and by {len(named) - MOST_LIMITS} more" if len(named) > MOST_LIMITS else ""
-        lines.append(f"{HELD} held back by {' and '.join(named[:MOST_LIMITS])}{more}")
+        lines.append(f"{HELD} held back by {_named(named[:MOST_LIMITS])}{more}")
     if any(row.refusal for rows in look.rows for row in rows):
         lines.append(f"{REFUSED} refused")
     return lines
@@ -230,7 +231,7 @@ def worst_line(look: Look, prices: Sequence[Price]) -> str:
     place = look.axes.place(*worst)
     said = f"{'Worst' if look.errors.size > 1 else 'There'}: {place}: {figures}"
     if look.held(*worst) and (not prices or costliest != worst):
-        said += f", held back by {' and '.join(look.held(*worst))}"
+        said += f", held back by {_named(look.held(*worst))}"
     elif not look.held(*worst):
         ends = look.floored and not look.axes.targets and row.value("floor") > ENDS
         said += ", held back by no limit" + (": the waveform ends while the hand still pushes" if ends else "")
@@ -244,7 +245,8 @@ def _priced(price: Price, at: str) -> str:
     """What the dearest limit costs, in a sentence without its full stop."""
     raised = f"{price.bound + price.step:.8g} {price.unit}".rstrip()
     then = f"no certified answer with {raised}" if np.isnan(price.then) else f"with {raised} {percent(price.then)} %"
-    costs = f"T{_limit(f'{price.bound:.8g} {price.unit}'.rstrip(), price.limit)[1:]} costs most{at}"
+    bound = f"{price.bound:.8g} {price.unit}".rstrip()
+    costs = f"The {bound} {price.limit} limit costs most{at}"
     free = f"from {price.free_from} on it no longer matters" if np.isfinite(price.enough) else price.free_from
     return f"{costs}: {then}; {free}"
 
