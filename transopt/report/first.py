@@ -186,7 +186,7 @@ def matrix(look: Look, width: int) -> list[str]:
     lines = [line(corner, [columns[j] for j in across])]
     lines += [line(rows[i], [cells[i][j] for j in across]) for i in down]
     if len(down) * len(across) < errors.size:
-        shown = f"{len(down) * len(across)} of {errors.size} {look.what}s are shown, the worst among them"
+        shown = f"{len(down) * len(across)} of {errors.size} {look.what}s, the worst among them"
         lines.append(f"({shown}; --table has all)")
     return lines
 

@@ -69,11 +69,10 @@ def refused_lines(build: Build) -> list[str]:
 
 def entry_table(source: Build | Library, title: str) -> tuple[Table, str]:
     """Every entry with its figures, and what the columns mean; on a nonlinear plant the linear design's too."""
-    is_build = isinstance(source, Build)
-    scene = source.scene if is_build else source.scene()
+    scene = source.scene if isinstance(source, Build) else source.scene()
     linear = ("linear",) if scene.nonlinear else ()
     shown = source.table((*FIGURES[:1], "floor", *FIGURES[1:], *linear, "peak", "winding", "binding", "verdict"))
-    caption = None if is_build else source.claim or None
+    caption = source.claim or None if isinstance(source, Library) else None
     striking = ["red" if row.refusal else None for row in shown.rows]
     table = printed(shown, title, caption=caption, striking=striking, columns=len(scene.grid.grips_N))
     return table, legend(shown, scene)
