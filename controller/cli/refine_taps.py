@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from controller.cli.bench import Bench, simulated_bench
 from controller.cli.port import StoppedError, load, run
@@ -23,6 +22,7 @@ from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
+from transopt.base import terminal
 from transopt.library.library import Library
 
 
@@ -76,9 +76,7 @@ class SimulatedHand:
     def __init__(self, device: TrueDevice, imperfections: Imperfections, seed: int) -> None:
         self._device, self._imperfections, self._seed = device, replace(imperfections, mismatch=0.0), seed
         self.amplifier_tolerance = imperfections.mismatch
-        console = Console(stderr=True)
-        columns = (TextColumn("taps"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._progress = terminal.progress()
         self._bar, self._in_all = self._progress.add_task("taps", total=None), 0
         self.hand: TappingHand | None = None
 

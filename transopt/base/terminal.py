@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -25,6 +25,9 @@ from transopt.base import apart
 from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
 from transopt.base.threads import one_thread
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 AGAIN_S = 0.01  # between a signal that Python ignored and the next try
 SIGNALLED = 128  # an exit code beyond it is this and the signal's number
@@ -75,6 +78,26 @@ def console() -> Console:
     # No markup: names and descriptions are the user's and may hold brackets.
     known = sys.stdout.isatty() or "COLUMNS" in os.environ
     return _HarmlessConsole(markup=False, width=None if known else WIDTH)
+
+
+def progress() -> "Progress":
+    """A bar on the standard error: what is being done, how much of it is, the time passed and the time left.
+
+    It shows on a terminal alone, and goes when it is done.
+    """
+    # Only a command that takes its time needs this import.
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    bar = Console(stderr=True)
+    return Progress(*columns, TimeRemainingColumn(), console=bar, transient=True, disable=not bar.is_terminal)
 
 
 def make_folder(folder: Path) -> None:

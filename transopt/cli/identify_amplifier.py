@@ -28,7 +28,8 @@ def identify_amplifier(
     from transopt.scene.model_file import save_part
 
     check_place(out)
-    with terminal.console().status("fitting"):
+    with terminal.progress() as bar:
+        bar.add_task("fitting", total=None)
         runs = load_measurements(files, layout(columns, units, rate_Hz))
         trials, findings = trials_of(runs)
         fit = fit_amplifier(trials)

@@ -17,8 +17,6 @@ from transopt.cli.scene import DEFAULT_SCENE
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rich.console import Console
-
     from transopt.identify.device.chain import DriveChain
     from transopt.identify.device.identify import Settings
     from transopt.identify.device.verdict import Taps
@@ -64,7 +62,7 @@ def identify_device(
     console = terminal.console()
     check_place(out)
     settings = _settings(out, scene, force_per_current, order, kind)
-    with _progress(console) as step:
+    with _progress() as step:
         read = load_measurements(
             (*files, *(validate or [])), layout(columns, units, rate_Hz), read=lambda: step("reading")
         )
@@ -89,12 +87,11 @@ def identify_device(
 
 
 @contextmanager
-def _progress(console: "Console") -> "Iterator[Callable[[str], None]]":
+def _progress() -> "Iterator[Callable[[str], None]]":
     """A bar that names what was done last; `step(name)` counts one."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+    from rich.progress import TaskID
 
-    columns = (TextColumn("{task.description:14}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    with terminal.progress() as progress:
         tasks: dict[str, TaskID] = {}
 
         def step(name: str) -> None:

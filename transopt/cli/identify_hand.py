@@ -42,7 +42,8 @@ def identify_hand(
     if not 0.01 <= window <= 0.1:
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
     check_place(out)
-    with terminal.console().status("fitting"):
+    with terminal.progress() as bar:
+        bar.add_task("fitting", total=None)
         runs = split_taps(load_measurements(files, layout(columns, units, rate_Hz)), tap or ())
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)

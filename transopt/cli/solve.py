@@ -1,6 +1,5 @@
 """`transopt solve`: from a scene to a certified library, a report and figures."""
 
-import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -156,17 +155,12 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
     ------
     InputError : recordings that cannot serve, or a folder that cannot be written.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from transopt.design.build import build_library
     from transopt.design.refine_grid import refine_grid
     from transopt.report.write import write_report
     from transopt.scene.recordings import recordings_of
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    watched = sys.stderr.isatty()
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not watched) as bar:
+    with terminal.progress() as bar:
         task = bar.add_task("recordings", total=None)
 
         def tell(text: str, done: int, total: int) -> None:

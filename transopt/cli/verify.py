@@ -23,7 +23,10 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
 
     loaded = load_library(library)
     try:
-        checks = verify_library(loaded)
+        with terminal.progress() as bar:
+            entries = loaded.axes.entries * (1 if loaded.cool is None else 2)
+            task = bar.add_task("entries", total=entries)
+            checks = verify_library(loaded, lambda done: bar.advance(task, done))
         with np.errstate(all="ignore"):  # what overflows is found as not finite, and said
             misstated = list(misstatements(loaded))
     except BROKEN as error:

@@ -1,5 +1,6 @@
 """Every entry of a library made again from its file alone: certified, replayed, every stated figure recomputed."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -31,11 +32,15 @@ ROUNDING = 1e-9  # absolute, for figures that are zero
 
 @one_blas_thread()
 @np.errstate(all="ignore")  # what overflows is found as not finite, and said
-def verify_library(library: Library) -> list[Entry]:
+def verify_library(library: Library, progress: Callable[[int], None] = lambda done: None) -> list[Entry]:
     """Certify and replay every entry from the file alone.
 
     Only the floor takes a (linear) solve and, where the temperature binds, the lower bound a convex one; on a
     nonlinear plant the linear design is solved besides.
+
+    Parameters
+    ----------
+    progress : called with the number of entries that have just been checked.
 
     Returns
     -------
@@ -46,11 +51,11 @@ def verify_library(library: Library) -> list[Entry]:
     ------
     InputError : a file whose numbers make no problem.
     """
-    first = _verified(library)
-    return first if library.cool is None else first + _verified(library.cool)
+    first = _verified(library, progress)
+    return first if library.cool is None else first + _verified(library.cool, progress)
 
 
-def _verified(library: Library) -> list[Entry]:
+def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     nv, ng, _ = library.command.shape
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
     checked: dict[tuple[int, int], Entry] = {}
@@ -69,6 +74,7 @@ def _verified(library: Library) -> list[Entry]:
                 else _of_linear_plant(library, iv, ig, entry)
             )
             checked[iv, ig] = entry.stating(shortfalls=found)
+            progress(1)
     return [checked[iv, ig] for iv in range(nv) for ig in range(ng)]
 
 

@@ -8,9 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
+from transopt.base import terminal
 from transopt.design.sweep import Outcome
 from transopt.study.executors import Pool
 from transopt.study.inverse import Answer, Question, answer, plan_at
@@ -64,8 +62,7 @@ def progress(name: str, total: int, done: int) -> Iterator[Advance]:
 
         yield advance
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+    with terminal.progress() as bar:
         task = bar.add_task(name, total=total, completed=done)
         yield lambda count: bar.advance(task, count)
 
