@@ -211,7 +211,7 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
         "they are; none is extrapolated. would not bind from: the least limit, to the digits printed, at which it "
         "does not bind any more."
         + other
-        + ("" if full else " It is the entry farthest above its floor; `--report full` has all."),
+        + ("" if full else " It is the entry farthest above its floor; `solve --full` has all."),
     ]
 
 

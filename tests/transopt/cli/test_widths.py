@@ -99,6 +99,10 @@ def test_first_looks_are_short_and_no_table_cuts_or_splits_a_number(tmp_path: Pa
         check(name, by_width)
         for width in by_width.keys() - {WIDE} if name in ("solve", "show") else ():
             check_first(by_width[width][0])
+    # What README and the manual's first page quote is what is printed.
+    quoted = found[len(before)][WIDE][0].split("out/wood_on_foam: ")[0]
+    for page in ("README.md", "docs/start/first_library.md"):
+        assert quoted in (ROOT / page).read_text(encoding="utf-8"), page
 
 
 @pytest.mark.long
