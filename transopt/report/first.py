@@ -211,7 +211,7 @@ def marks(look: Look) -> list[str]:
         more = f"; and by {len(named) - MOST_LIMITS} more" if len(named) > MOST_LIMITS else ""
         lines.append(f"{HELD} held back by {_named(named[:MOST_LIMITS])}{more}")
     if any(row.refusal for rows in look.rows for row in rows):
-        lines.append(f"{REFUSED} refused")
+        lines.append(f"{REFUSED} refused, for what is said below")
     return lines
 
 
@@ -261,7 +261,7 @@ def priced(source: Build | Library, look: Look) -> Sequence[Price]:
 
 def lines(source: Build | Library, look: Look, width: int) -> list[tuple[str, str | None]]:
     """Head, matrix, marks and the worst entry, each line with the colour that it is set in."""
-    found = [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))]
+    found = [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))] if look.worst else []
     places = [(iv, ig) for iv, rows in enumerate(look.rows) for ig in range(len(rows))]
     refused, poor = any(row.refusal for rows in look.rows for row in rows), any(look.is_poor(*p) for p in places)
     colour = "red" if refused else "yellow" if poor else None
