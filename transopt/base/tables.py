@@ -88,10 +88,8 @@ def _framed(widths: list[int]) -> int:
 def _widths(column: table.Column, width: int) -> tuple[int, int]:
     """The least and the largest width that a column has use for, in a terminal of `width` columns."""
     head, cells = str(column.header), [str(cell) for cell in column.cells]
-    heads, most = (
-        _longest(head.split()),
-        _longest([*head.split("\n"), *(line for c in cells for line in c.split("\n"))]),
-    )
+    heads = _longest(head.split())
+    most = _longest([line for text in (head, *cells) for line in text.split("\n")])
     if column.justify == "right":
         return max(heads, _longest(cells)), most
     whole = [word for cell in cells for word in cell.split() if any(map(str.isdigit, word))]

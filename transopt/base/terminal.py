@@ -76,7 +76,7 @@ def console() -> Console:
     It is as wide as COLUMNS says or, without it, as the terminal, or `WIDTH` columns where there is none.
     """
     # No markup: names and descriptions are the user's and may hold brackets.
-    known = sys.stdout.isatty() or "COLUMNS" in os.environ
+    known = sys.stdout.isatty() or os.environ.get("COLUMNS")
     return _HarmlessConsole(markup=False, width=None if known else WIDTH)
 
 

@@ -8,6 +8,7 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -73,17 +74,36 @@ class Look:
         """So many entries."""
         return f"{count} {self.what}{'' if count == 1 else 's'}"
 
-    @property
+    @cached_property
+    def places(self) -> list[tuple[int, int]]:
+        """Where the entries stand."""
+        return [(iv, ig) for iv, rows in enumerate(self.rows) for ig in range(len(rows))]
+
+    @cached_property
+    def refused(self) -> int:
+        """How many entries are refused."""
+        return sum(bool(row.refusal) for rows in self.rows for row in rows)
+
+    @cached_property
+    def poor(self) -> list[tuple[int, int]]:
+        """The entries of which half is missing, or which a hand feels to be too weak or too strong."""
+        return [(iv, ig) for iv, ig in self.places if self._is_poor(self.rows[iv][ig])]
+
+    @staticmethod
+    def _is_poor(row: Row) -> bool:
+        return not row.refusal and bool(row.value("tap") >= POOR or row.value("verdict").startswith("too "))
+
+    @cached_property
     def errors(self) -> NDArray[np.float64]:
         """(nv, ng) tap error; NaN where refused."""
         return np.array([[NAN if row.refusal else float(row.value("tap")) for row in rows] for rows in self.rows])
 
-    @property
+    @cached_property
     def worst(self) -> tuple[int, int] | None:
         """The admitted entry with the largest tap error."""
         return _largest(self.errors)
 
-    @property
+    @cached_property
     def costliest(self) -> tuple[int, int] | None:
         """The admitted entry that limits cost most: the one farthest above its floor, whose prices a report has."""
         floors = [[NAN if row.refusal else float(row.value("floor")) for row in rows] for rows in self.rows]
@@ -96,11 +116,6 @@ class Look:
             return []
         floor = float(row.value("floor")) if self.floored else NAN
         return list(dict.fromkeys(map(_stated, held_back(row.value("tap"), floor, row.value("binding")))))
-
-    def is_poor(self, iv: int, ig: int) -> bool:
-        """Whether half of the tap is missing, or a hand feels that it is too weak or too strong."""
-        row = self.rows[iv][ig]
-        return not row.refusal and (row.value("tap") >= POOR or row.value("verdict").startswith("too "))
 
 
 def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
@@ -124,12 +139,10 @@ def _named(limits: Sequence[str]) -> str:
 
 def head(look: Look) -> str:
     """What was designed, in a sentence: what is refused or poor before what is proven."""
-    places = [(iv, ig) for iv, rows in enumerate(look.rows) for ig in range(len(rows))]
-    total, refused = len(places), sum(bool(row.refusal) for rows in look.rows for row in rows)
-    poor = [place for place in places if look.is_poor(*place)]
-    if refused:
+    total, poor = len(look.places), look.poor
+    if look.refused:
         return (
-            f"{look.name}: {refused} of {look.counted(total)} refused, so no library is written and an earlier one "
+            f"{look.name}: {look.refused} of {look.counted(total)} refused, so no library is written and an earlier one "
             "is kept."
         )
     every = "it is" if total == 1 else "all are"
@@ -195,22 +208,21 @@ def _cell(look: Look, iv: int, ig: int) -> tuple[str, str]:
     """A number and its marks, or the mark of a refused entry."""
     if look.rows[iv][ig].refusal:
         return "", REFUSED
-    mark = (HELD if look.held(iv, ig) else "") + (BAD if look.is_poor(iv, ig) else "")
+    mark = (HELD if look.held(iv, ig) else "") + (BAD if (iv, ig) in look.poor else "")
     return percent(look.errors[iv, ig]), mark
 
 
 def marks(look: Look) -> list[str]:
     """What the marks in the matrix mean, for those that are there."""
-    places = [(iv, ig) for iv, rows in enumerate(look.rows) for ig in range(len(rows))]
     lines = []
-    if any(look.is_poor(*place) for place in places):
+    if look.poor:
         lines.append(f"{BAD} poor: half of the {look.what} is missing, or a hand feels it too weak or too strong")
-    held = Counter(limit for place in places for limit in look.held(*place))
+    held = Counter(limit for place in look.places for limit in look.held(*place))
     if held:
         named = [limit for limit, _ in held.most_common()]
         more = f"; and by {len(named) - MOST_LIMITS} more" if len(named) > MOST_LIMITS else ""
         lines.append(f"{HELD} held back by {_named(named[:MOST_LIMITS])}{more}")
-    if any(row.refusal for rows in look.rows for row in rows):
+    if look.refused:
         lines.append(f"{REFUSED} refused, for what is said below")
     return lines
 
@@ -229,7 +241,7 @@ def worst_line(look: Look, prices: Sequence[Price]) -> str:
     felt = row.value("felt")
     figures = f"{percent(look.errors[worst])} %" + ("" if np.isnan(felt) else f" (felt {percent(felt)} %)")
     place = look.axes.place(*worst)
-    said = f"{'Worst' if look.errors.size > 1 else 'There'}: {place}: {figures}"
+    said = f"{'Worst: ' if look.errors.size > 1 else ''}{place}: {figures}"
     if look.held(*worst) and (not prices or costliest != worst):
         said += f", held back by {_named(look.held(*worst))}"
     elif not look.held(*worst):
@@ -261,10 +273,10 @@ def priced(source: Build | Library, look: Look) -> Sequence[Price]:
 
 def lines(source: Build | Library, look: Look, width: int) -> list[tuple[str, str | None]]:
     """Head, matrix, marks and the worst entry, each line with the colour that it is set in."""
-    found = [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))] if look.worst else []
-    places = [(iv, ig) for iv, rows in enumerate(look.rows) for ig in range(len(rows))]
-    refused, poor = any(row.refusal for rows in look.rows for row in rows), any(look.is_poor(*p) for p in places)
-    colour = "red" if refused else "yellow" if poor else None
+    found = (
+        [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))] if look.worst is not None else []
+    )
+    colour = "red" if look.refused else "yellow" if look.poor else None
     return [(head(look), colour), *((line, None) for line in found if line)]
 
 
