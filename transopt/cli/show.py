@@ -46,7 +46,7 @@ def show(
     if said := cool_summary(loaded):
         line(said)
     line("Next:")
-    for command in next_commands(library, loaded.axes):
+    for command in next_commands(library, loaded.scene()):
         line(f"  {command}")
     if figure is not None:
         from transopt.base.plotting import save_figure

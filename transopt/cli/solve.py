@@ -240,5 +240,5 @@ def _print(console: "Console", build: "Build", wanted: Wanted, names: "list[str]
     report = next(name for name in names if name.endswith(".md"))
     ready, others = build.library is not None, len(names) - 1
     line(f"{wanted.folder}: {report} and {others} other file{'' if others == 1 else 's'}.{' Next:' if ready else ''}")
-    for command in next_commands(wanted.folder / LIBRARY, build.scene.axes) if ready else ():
+    for command in next_commands(wanted.folder / LIBRARY, build.scene) if ready else ():
         line(f"  {command}")

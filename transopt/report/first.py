@@ -22,6 +22,7 @@ from transopt.design.price import Price, library_prices
 from transopt.library.columns import NAN, Row
 from transopt.library.library import Library
 from transopt.problem.answer import ENDS, NAMED, held_back
+from transopt.scene.scene import Scene
 
 POOR = 0.5  # tap error: half of the tap is missing
 MOST_ROWS = 8  # of the matrix; of more, those between are left to --table
@@ -142,8 +143,8 @@ def head(look: Look) -> str:
     total, poor = len(look.places), look.poor
     if look.refused:
         return (
-            f"{look.name}: {look.refused} of {look.counted(total)} refused, so no library is written and an earlier one "
-            "is kept."
+            f"{look.name}: {look.refused} of {look.counted(total)} refused, so no library is written and an earlier "
+            "one is kept."
         )
     every = "it is" if total == 1 else "all are"
     if poor:
@@ -273,15 +274,16 @@ def priced(source: Build | Library, look: Look) -> Sequence[Price]:
 
 def lines(source: Build | Library, look: Look, width: int) -> list[tuple[str, str | None]]:
     """Head, matrix, marks and the worst entry, each line with the colour that it is set in."""
-    found = (
-        [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))] if look.worst is not None else []
-    )
+    found = []
+    if look.worst is not None:
+        found = [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))]
     colour = "red" if look.refused else "yellow" if look.poor else None
     return [(head(look), colour), *((line, None) for line in found if line)]
 
 
-def next_commands(library: Path, axes: Axes) -> list[str]:
-    """Three commands that go on from a library file."""
+def next_commands(library: Path, scene: Scene) -> list[str]:
+    """Three commands that go on from a library file: detail, sound or a simulated tap, and the page."""
     file = shlex.quote(str(library))
-    heard = f"transopt export {file} listen.wav" if axes.targets else f"transopt-play tap {file} --simulate"
-    return [f"transopt show {file} --table", heard, f"transopt page {file}"]
+    heard = f"transopt export {file} listen.wav" if scene.targets else f"transopt-play tap {file} --simulate"
+    last = "verify" if scene.nonlinear else "page"  # which is for linear plants
+    return [f"transopt show {file} --table", heard, f"transopt {last} {file}"]
