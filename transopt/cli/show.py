@@ -41,7 +41,9 @@ def show(
             line(TRADE_LEGEND)
     if report:
         console.print(certificate_table(loaded, str(library)))
-    for said, colour in lines(loaded, Look.of_library(loaded, proven=not unproven), console.width):
+    for said, colour in lines(
+        None if unproven else loaded, Look.of_library(loaded, proven=not unproven), console.width
+    ):
         line(said, colour)
     if said := cool_summary(loaded):
         line(said)

@@ -264,16 +264,21 @@ def _priced(price: Price, at: str) -> str:
     return f"{costs}: {then}; {free}"
 
 
-def priced(source: Build | Library, look: Look) -> Sequence[Price]:
-    """The prices of the costliest entry, where a limit holds it back."""
+def priced(source: Build | Library | None, look: Look) -> Sequence[Price]:
+    """The prices of the costliest entry, where a limit holds it back; none of a library that is not proven."""
     place = look.costliest
-    if place is None or not look.held(*place):
+    if source is None or place is None or not look.held(*place):
         return ()
     return source.entries[place[0]][place[1]].prices if isinstance(source, Build) else library_prices(source, *place)
 
 
-def lines(source: Build | Library, look: Look, width: int) -> list[tuple[str, str | None]]:
-    """Head, matrix, marks and the worst entry, each line with the colour that it is set in."""
+def lines(source: Build | Library | None, look: Look, width: int) -> list[tuple[str, str | None]]:
+    """Head, matrix, marks and the worst entry, each line with the colour that it is set in.
+
+    Parameters
+    ----------
+    source : by which limits are priced; None for a library that is not proven, whose numbers may make no problem.
+    """
     found = []
     if look.worst is not None:
         found = [*matrix(look, width), *marks(look), worst_line(look, priced(source, look))]
