@@ -77,7 +77,7 @@ class Look:
 
     @cached_property
     def places(self) -> list[tuple[int, int]]:
-        """Where the entries stand."""
+        """Rows and columns of the entries."""
         return [(iv, ig) for iv, rows in enumerate(self.rows) for ig in range(len(rows))]
 
     @cached_property
