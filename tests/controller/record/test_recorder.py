@@ -9,7 +9,9 @@ import pytest
 from rich.console import Console
 from scipy import integrate
 
+from controller.cli.tables import check_table
 from controller.host import measured_pulse
+from controller.host.bringup import Result
 from controller.host.monitor import Monitor, event_line
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Changed, Happened, Logged, Samples
@@ -350,3 +352,17 @@ def test_the_file_stays_small_and_a_damaged_one_means_not_measured(home: Path) -
     home.mkdir()
     measured_pulse.remember(1, 2.0)
     assert measured_pulse.recall(1) is None
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_narrow_terminals_keep_whole_readings_and_checks(width: int) -> None:
+    text = io.StringIO()
+    console = Console(file=text, width=width)
+    shown = Monitor(console, "desk", DT_S, COUNT_M)
+    console.print(shown.table())
+    seen = "20.03 mm for 20 mm, 1.0015 times what was expected; at rest 0.0123456 m/s²"
+    console.print(check_table([Result("accelerometer", "0 ± 0.50 m/s² at rest, within 10 %", seen, True)], "desk"))
+    out = text.getvalue()
+    assert max(map(len, out.splitlines())) <= width
+    assert "…" not in out
+    assert {"20.03", "1.0015", "0.0123456"} <= set(out.replace("│", " ").split())
