@@ -141,7 +141,8 @@ def study_answer(plan: Plan, rows: Sequence[Row]) -> list[str]:
     lines = []
     if known:
         # What is no better by more than rounding is no better: the first of equals stands for them.
-        best = next(point for point in known if point.worst <= min(each.worst for each in known) + AT_FLOOR)
+        least = min(point.worst for point in known)
+        best = next(point for point in known if point.worst <= least + AT_FLOOR)
         worst = max(known, key=lambda point: point.worst)
         whose = f"The {'target' if plan.scene.targets else 'tap'} farthest off, {worst.place},"
         if worst.worst - best.worst <= AT_FLOOR:
