@@ -70,7 +70,7 @@ class Monitor:
         """Table of what is shown, as it stands now."""
         table = Table(title=self._title, show_header=False)
         table.add_column("what", no_wrap=True, min_width=len("emergency stop"))
-        # With its frame it fits 60 columns, and keeps its width while the readings change.
+        # This fits 60 columns with the frame, and keeps its width while the readings change.
         table.add_column("value", min_width=38, overflow="fold")
         table.add_row("state", self._state.value if self._fault is None else f"fault: {self._fault.value}")
         table.add_row("device time", f"{self._tick * self._dt_s:.2f} s")

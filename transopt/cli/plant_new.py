@@ -93,6 +93,7 @@ def plant_new(
         "rate_Hz": rate_Hz,
     }
     stated = {"kind": kind, "input": driven_by, **{key: each for key, each in options.items() if each is not None}}
+    _is_odd(stated, accept)  # before anything is made of it
     sine = {"rms_V": rms_V, "rms_A": rms_A, "rms_g": rms_g, "rise_s": rise_s}
     if said := {key: each for key, each in sine.items() if each is not None}:
         stated = _from_the_sine(stated, said)
@@ -105,9 +106,7 @@ def plant_new(
             f"{', '.join(map(option_of, missing))}: missing for --kind {kind} --input {driven_by}; state what the "
             "datasheet says, or call the command on a terminal, which asks for it"
         )
-    odd = _odd(stated)
-    if odd and not accept:
-        raise InputError(f"{odd}; {ACCEPTED}")
+    odd = _is_odd(stated, accept)
     text = scene_text(_sheet(stated), file.stem)
     write_new(file, f'implausible = "accept"\n{text}' if odd else text, force=force)
     typer.echo(f"{file} written; edit its targets, then: transopt solve {shlex.quote(str(file))}")
@@ -145,18 +144,24 @@ def option_of(key: str) -> str:
     return f"--{key.replace('_', '-')}"
 
 
-def _odd(stated: dict[str, Any]) -> str:
-    """What no device has in a datasheet, in the words of the options; empty without any."""
+def _is_odd(stated: dict[str, Any], accept: bool) -> bool:
+    """Whether a datasheet states what no device has.
+
+    Raises
+    ------
+    InputError : it does, and that is not accepted; in the words of the options.
+    """
     from transopt.scene.plausible import implausible
 
     unit = "V" if stated["input"] == "voltage" else "A"
     # The unit of these two is that of the input, and their names do not end in it.
     content = {f"{key}_{unit}" if key in ("rated", "peak") else key: value for key, value in stated.items()}
     found = implausible(content)
-    if not found:
-        return ""
-    key, said = found[0].split(" = ", 1)
-    return f"{option_of(key.removesuffix(f'_{unit}') if key.startswith(('rated', 'peak')) else key)} = {said}"
+    if found and not accept:
+        key, said = found[0].split(" = ", 1)
+        option = option_of(key.removesuffix(f"_{unit}") if key.startswith(("rated", "peak")) else key)
+        raise InputError(f"{option} = {said}; {ACCEPTED}")
+    return bool(found)
 
 
 def _sheet(stated: dict[str, Any]) -> "Datasheet":

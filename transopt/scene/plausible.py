@@ -139,8 +139,10 @@ def _wrong(path: str, names: str, value: float) -> str:
         return ""  # a sign is no unit's making, and 0 leaves out
     low, high = bounds
     likely = _likely(value, unit, bounds)
-    meant = f"did you mean {value:g} {likely[0]}, which is {likely[1]:.6g} {unit}?" if likely else "check its unit"
-    return f"{path} = {value:g} {unit}: devices and hands have {low:g} to {high:g} {unit}; {meant}"
+    meant = "; check its unit"
+    if likely:
+        meant = f" (did you mean {value:g} {likely[0]}, which is {likely[1]:.6g} {unit}?)"
+    return f"{path} = {value:g} {unit}: devices and hands have {low:g} to {high:g} {unit}{meant}"
 
 
 def check_plausible(source: object, content: Mapping[str, Any], accept: str = ACCEPT) -> None:
