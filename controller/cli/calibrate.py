@@ -29,13 +29,12 @@ from transopt.base import terminal
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from controller.cli.bench import Bench
     from controller.cli.refine_taps import Hand
     from controller.device.reading import Described
     from controller.refine.new_hand import Tried
     from controller.sim.simulator import Imperfections
+    from transopt.base.tables import Table
     from transopt.identify.calibration import Calibration
     from transopt.library.library import Library
     from transopt.scene.population import Population
@@ -182,8 +181,7 @@ def _calibrate(
 
 def hand_table(found: "Calibration", hands: "Population") -> "Table":
     """The hand's parameters with what is known of them, and who tells it."""
-    from rich.table import Table
-
+    from transopt.base.tables import Table
     from transopt.identify.device.chain import HAND, unit_of
 
     table = Table(title=f"the hand by {len(found.grips_N)} taps, and the population as prior")
@@ -202,9 +200,8 @@ def hand_table(found: "Calibration", hands: "Population") -> "Table":
 
 def tried_table(library: "Library", each: "list[Tried]") -> "Table":
     """Both libraries, node by node."""
-    from rich.table import Table
-
     from controller.refine.tables import place
+    from transopt.base.tables import Table
     from transopt.base.writing import percent
 
     table = Table(title="played: the library as it was -> the new one, beside the tap that the new one tracks")
