@@ -260,7 +260,8 @@ def _priced(price: Price, at: str) -> str:
     then = f"no certified answer with {raised}" if np.isnan(price.then) else f"with {raised} {percent(price.then)} %"
     bound = f"{price.bound:.8g} {price.unit}".rstrip()
     costs = f"The {bound} {price.limit} limit costs most{at}"
-    free = f"from {price.free_from} on it no longer matters" if np.isfinite(price.enough) else price.free_from
+    enough = f"{price.enough:.3g} {price.unit}".rstrip()
+    free = f"from about {enough} on it no longer matters" if np.isfinite(price.enough) else price.free_from
     return f"{costs}: {then}; {free}"
 
 

@@ -114,7 +114,7 @@ def test_the_sentence_says_what_more_of_the_dearest_limit_buys() -> None:
     assert said.startswith(
         "Worst: 0.1 m/s, 0.2 N: 30.0 % (felt 15.0 %). The 4 A current limit costs most: with 5 A 25.0 %;"
     )
-    assert said.endswith("from 6 A on it no longer matters.")
+    assert said.endswith("from about 6 A on it no longer matters.")
     assert "no certified answer with 5 A" in worst_line(found, [price(then=np.nan)])
     assert "still binds at 120 A" in worst_line(found, [price(enough=np.inf, tried=120.0)])
     # A floor that is higher than all that limits cost: both entries are named.
