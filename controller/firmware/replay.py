@@ -13,14 +13,14 @@ from controller.firmware.build import CORE, FIRMWARE, build, sources
 from controller.protocol.codes import EVENT_CODES, STATES
 from controller.protocol.configuration import configuration_of
 from controller.protocol.messages import NO_COUNTS
-from controller.servo.interface import Output, Readings
+from controller.servo.interface import Fault, Output, Readings
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank
 from transopt.base.signals import FloatArray
 
 REPLAY = FIRMWARE / "replay"
-MOST_EVENTS = 12
+MOST_EVENTS = len(Fault)
 RESET, DISARM, GAIN, ARM, EXCITE = 1, 2, 4, 8, 16  # wishes, carried out before a tick in this order
 NEGATIVE = 32  # the excitation with the other sign
 # Types as td_replay.h has them.
@@ -33,6 +33,7 @@ INPUT = np.dtype(
         ("gain", "<f8"),
         ("grip_N", "<f8"),
         ("current_A", "<f8"),
+        ("acceleration_m_s2", "<f8"),
     ]
 )
 OUTPUT = np.dtype(
@@ -47,7 +48,7 @@ OUTPUT = np.dtype(
         ("answers", "u1"),
         ("events", "u1"),
         ("what", "u1", (MOST_EVENTS,)),
-        ("zero", "u1"),
+        ("zero", "u1", (7,)),
     ]
 )
 Rows = NDArray[Any]
@@ -94,7 +95,7 @@ class Recorder:
             answers |= EXCITE
         output = servo.step(readings)
         counts = counts_of(r.encoder_counts)
-        self.inputs.append((wishes, r.emergency_stop, 0, counts, gain, r.grip_N, r.current_A))
+        self.inputs.append((wishes, r.emergency_stop, 0, counts, gain, r.grip_N, r.current_A, r.acceleration_m_s2))
         first = output.events[0] if output.events else None
         what = [EVENT_CODES[event.what] for event in output.events]
         self.outputs.append(
@@ -109,7 +110,7 @@ class Recorder:
                 answers,
                 len(what),
                 tuple(what + [0] * (MOST_EVENTS - len(what))),
-                0,
+                (0,) * 7,
             )
         )
         return output

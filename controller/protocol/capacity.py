@@ -14,7 +14,15 @@ EVENT_WINDOW, EVENT_QUEUE = 8, 64  # events in flight, events kept
 TELEMETRY_HOLD_MS = 10  # no record waits longer for its batch to fill
 LONGEST_S = 3600.0  # of any duration in a configuration: ticks are counted in 32 bits
 ENCODER_MOST_COUNTS = 1 << 29  # further out the sums of the approach's fit would overflow 64 bits
-REST_BETWEEN_PULSES_S = 0.1  # before each pulse of a pair: the second half of it says what the sensors read at rest
+REST_BETWEEN_PULSES_S = 0.1  # before each pulse: the second half of it says what the sensors read at rest
+PULSE_LEASE_MS = 500  # pulses end when no LEASE has come for so long
+PULSE_USUAL_A, PULSE_LEAST_PART = 0.1, 0.1  # pairs below this part of it, or of the hardware's pulse, prove nothing
+# A pulse of a pair after which no other one follows: its current and its push, on what was asked and predicted. Wider
+# than what is sound, since a hand trembles; the mean over all pulses is judged more narrowly.
+WRONG_PULSE_LEAST, WRONG_PULSE_MOST = 0.5, 1.5
+WRONG_PUSH_LEAST, WRONG_PUSH_MOST = 0.3, 2.0
+# A trial in which no more flowed than these parts of the hardware's current and of the library's peak proves nothing.
+TRIAL_HARDWARE_PART, TRIAL_LIBRARY_PART = 5e-4, 0.01
 PATH_LEAST_COUNTS = 5  # a shorter predicted path says nothing: the encoder rounds
 EVIDENCE_LEAST, EVIDENCE_MOST = 0.8, 1.2  # of every ratio of measured on predicted
 # How the encoder's motion is compared with the accelerometer's before a trial's contact: readings are taken together

@@ -67,12 +67,14 @@ class Reason(Enum):
     BAD_TIMING = "servo period or lead differ between library, configuration and device"
     OVER_LIMIT = "a waveform passes the current or the command limit of the configuration"
     NO_ZERO_TAIL = "a waveform does not end in zero commands"
-    BEYOND_HARDWARE = "the configuration asks for more than the device's hardware allows"
+    BEYOND_HARDWARE = (
+        "the configuration asks for more than the device's hardware allows, by the stated scales too: lower its limits"
+    )
     ONE_WAVEFORM = "this configuration plays one waveform at the host's word: upload one speed and one grip"
     NOT_ARMED = "the device is not armed: arm it, then start"
     BY_CONTACT = "this configuration plays at a contact, not at the host's word: configure it for an excitation"
     STILL_PLAYING = "something is playing: wait for its end"
-    NO_TRIAL = "no finished trial under this configuration since the device started: run `check`"
+    NO_TRIAL = "no finished trial of this library under this configuration since the device started: run `check`"
     OTHER_PULSE = "pairs of pulses are those that the configuration states and predicts: ask for them"
 
 
@@ -91,7 +93,7 @@ class LinkNotice(Enum):
 
     LEASE_LOST = "the host was silent for longer than its lease: disarmed, no command"
     PULSE_ENDED = "the test pulse has ended"
-    PULSE_CUT = "the test pulse was cut short by a fault or a stop"
+    PULSE_CUT = "the test pulse was cut short by a fault, a stop or a host that fell silent"
 
 
 What = Notice | Fault | LinkNotice

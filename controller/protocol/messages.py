@@ -45,7 +45,7 @@ from controller.protocol.packed import (
 )
 from transopt.base.signals import FloatArray
 
-PROTOCOL = 4
+PROTOCOL = 5
 MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
 HEADER = struct.Struct("<BBHI")
 GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO and HELLO_REPLY in every version

@@ -3,9 +3,23 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from controller.servo.crosscheck import (
+    QUIET_BLOCK_S,
+    QUIET_BLOCKS,
+    QUIET_M_S2,
+    QUIET_SWING_A,
+    STUCK_COUNTS,
+    STUCK_LEAST_M,
+    Crosscheck,
+)
 from controller.servo.guard import Guard
 from controller.servo.interface import Fault, Readings
 from controller.servo.settings import Settings
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+
+# By so much, and by this part of what is expected, a measured current may be off for so long while a transient plays.
+# Amplifier and monitor that are 10 % off each leave 22 %; their lag passes within a few ticks.
+WRONG_CURRENT_A, WRONG_CURRENT_PART, WRONG_CURRENT_S = 0.3, 0.3, 2e-3
 
 
 class Watch:
@@ -21,6 +35,8 @@ class Watch:
     expected_A : current that the amplifier model expects now; measured_A as read.
     missing_ticks : for so long far less current than expected was measured.
     still_ticks, still_A_s : since the last count: ticks with current, impulse of the transient.
+    wrong_ticks : for so long another current than expected was measured while a transient plays.
+    crosscheck : what encoder, accelerometer and current say of each other.
     """
 
     def __init__(self, settings: Settings, guard: Guard | None) -> None:
@@ -36,25 +52,28 @@ class Watch:
         self.counts = 0
         self.current_A = self.expected_A = self.raw_grip_N = self.step_m_s = 0.0
         self.emergency_stop = self.host_stop = self.late = False
-        self.bad_encoder = self.bad_current = self.playing = False
+        self.bad_encoder = self.bad_current = self.playing = self.held = False
+        self.wrong_limit = s.ticks(WRONG_CURRENT_S)
+        self.crosscheck = Crosscheck(s)
         self.forget()
 
     def forget(self) -> None:
         """Start every duration anew."""
-        self.missing_ticks = self.still_ticks = 0
+        self.missing_ticks = self.still_ticks = self.wrong_ticks = 0
         self.still_A_s = 0.0
+        self.crosscheck.forget()
 
-    def step(self, readings: Readings, expected_A: float, transient_A: float, playing: bool) -> None:
+    def step(self, readings: Readings, expected_A: float, transient_A: float, playing: bool, held: bool) -> None:
         """One tick.
 
         Parameters
         ----------
         expected_A : current that the model expects. transient_A : transient of the tick before.
-        playing : a waveform that ends if the grip is lost.
+        playing : a waveform. held : one that ends if the grip is lost.
         """
         s = self.settings
         self.emergency_stop, self.host_stop, self.late = readings.emergency_stop, readings.host_stop, readings.late
-        self.playing, self.expected_A = playing, expected_A
+        self.playing, self.held, self.expected_A = playing, held, expected_A
         counts, current, grip = readings.encoder_counts, readings.current_A, readings.grip_N
         # Comparisons with NaN are false: written so that NaN is bad.
         self.bad_encoder = not (-s.encoder_limit_counts <= counts <= s.encoder_limit_counts)
@@ -73,6 +92,9 @@ class Watch:
         size, expected = abs(self.current_A), abs(expected_A)
         missing = expected >= s.no_current_A and size < s.no_current_part * expected
         self.missing_ticks = self.missing_ticks + 1 if missing else 0
+        wrong = playing and abs(self.current_A - expected_A) > WRONG_CURRENT_A + WRONG_CURRENT_PART * expected
+        self.wrong_ticks = self.wrong_ticks + 1 if wrong else 0
+        self.crosscheck.step(moved, readings.acceleration_m_s2, self.current_A, playing)
         if moved != 0:
             self.still_ticks, self.still_A_s = 0, 0.0
         else:
@@ -118,12 +140,18 @@ FAULTS = (
     _rule(Fault.ENCODER_JUMP, lambda w: not -w.settings.fastest_m_s <= w.step_m_s <= w.settings.fastest_m_s),
     _rule(
         Fault.ENCODER_STUCK,
-        lambda w: w.still_ticks >= w.still_limit or abs(w.still_A_s) >= w.settings.stuck_A_s,
+        lambda w: (
+            w.still_ticks >= w.still_limit
+            or abs(w.still_A_s) >= w.settings.stuck_A_s
+            or (w.playing and abs(w.crosscheck.path_m) >= w.crosscheck.stuck_m)
+        ),
     ),
     _rule(Fault.NO_CURRENT, lambda w: w.missing_ticks >= w.missing_limit),
+    _rule(Fault.WRONG_CURRENT, lambda w: w.wrong_ticks >= w.wrong_limit),
     _rule(Fault.GRIP_OPEN, lambda w: w.has_grip and not w.raw_grip_N >= w.settings.grip_open_N),
     _rule(Fault.GRIP_SHORT, lambda w: w.has_grip and w.raw_grip_N > w.settings.grip_short_N),
-    _rule(Fault.GRIP_LOST, lambda w: w.playing and _loose(w), _loose),
+    _rule(Fault.GRIP_LOST, lambda w: w.held and _loose(w), _loose),
+    _rule(Fault.ACCELEROMETER_DEAD, lambda w: w.crosscheck.quiet),
 )
 
 
@@ -139,11 +167,22 @@ SEEN_WHEN = {
     Fault.OVER_TEMPERATURE: "the estimated winding is above its limit, or no number",
     Fault.ENCODER_JUMP: "the encoder moves faster than {fastest_m_s} m/s",
     Fault.ENCODER_STUCK: (
-        "{stuck_A_s} A s of a transient, or {stuck_s} s above {stuck_A} A, pass without a count of the encoder"
+        "{stuck_A_s} A s of a transient, or {stuck_s} s above {stuck_A} A, pass without a count of the encoder; "
+        f"or, while a transient plays, a motion of {STUCK_COUNTS:g} counts and {1e3 * STUCK_LEAST_M:g} mm by the "
+        "accelerometer"
     ),
     Fault.NO_CURRENT: (
         "for {no_current_s} s less than {no_current_part} of the expected current flows, where that is "
         "{no_current_A} A or more"
+    ),
+    Fault.WRONG_CURRENT: (
+        f"while a transient plays the measured current is for {1e3 * WRONG_CURRENT_S:g} ms further from the expected "
+        f"one than {WRONG_CURRENT_A:g} A and {100 * WRONG_CURRENT_PART:g} % of it"
+    ),
+    Fault.ACCELEROMETER_DEAD: (
+        f"while a transient plays the current swings by {QUIET_SWING_A:g} A or more within "
+        f"{1e3 * QUIET_BLOCKS * QUIET_BLOCK_S:g} ms and the accelerometer by less than "
+        f"{QUIET_M_S2 / STANDARD_GRAVITY_M_S2:g} g rms"
     ),
     Fault.GRIP_OPEN: "the grip reads below {grip_open_N} N, or no number",
     Fault.GRIP_SHORT: "the grip reads above {grip_short_N} N",

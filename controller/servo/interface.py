@@ -29,6 +29,10 @@ class Fault(Enum):
     EMERGENCY_STOP = "emergency stop: release it, then reset"
     HOST_STOP = "the host has stopped the device: reset when it may go on"
     LATE_TICK = "a servo period came late: report this, then reset"
+    WRONG_CURRENT = (
+        "another current flows than was commanded: check the amplifier, its supply and the current monitor, then reset"
+    )
+    ACCELEROMETER_DEAD = "current shakes the stylus but the accelerometer is silent: check its cable, then reset"
 
 
 class Notice(Enum):
@@ -54,7 +58,7 @@ class Readings:
     encoder_counts : motor encoder; counts grow with z, out of the object.
     grip_N : from the grip sensor, after its calibration; NaN if it gives nothing.
     current_A : measured by the amplifier.
-    acceleration_m_s2 : of the stylus; for telemetry, the servo does not act on it.
+    acceleration_m_s2 : of the stylus; held against encoder and current, the servo acts on nothing else of it.
     emergency_stop : pressed.
     late : the port says that this tick came late; a command has then been held for too long.
     host_stop : a stop has come over the link since the last tick.

@@ -136,7 +136,8 @@ class Servo:
     def step(self, readings: Readings) -> Output:
         """The command that answers one tick's readings, to be held until the next tick."""
         watch, guard, tick = self.watch, self.guard, readings.tick
-        watch.step(readings, self.expected_A, self._transient_A, self.state is State.PLAYING and self._held)
+        playing = self.state is State.PLAYING
+        watch.step(readings, self.expected_A, self._transient_A, playing, playing and self._held)
         if guard is not None:
             # The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing.
             measured = watch.over_current_A if watch.bad_current else abs(watch.current_A)

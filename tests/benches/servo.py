@@ -15,6 +15,7 @@ DT_S, COUNT_M = 1e-4, 24.5e-6
 AMPLIFIER = Amplifier(1050.0, 68e-6, 6.0)
 DECAY = math.exp(-AMPLIFIER.rate_rad_s * DT_S)
 WALL = Wall(200.0, 1.0, 1.25, 1, 500.0)
+RINGING_M_S2 = 2.0
 CONTACT = 400  # tick of the built-in tap's contact
 
 
@@ -33,12 +34,18 @@ class Bench:
     def __init__(self, settings: Settings, table: Bank, motion: Callable[[float], float] = tap_m) -> None:
         self.servo, self.motion = Servo(settings, table), motion
         self.tick, self.current_A, self.grip_N = 0, 0.0, 3.0
+        self.seen_m: tuple[float, float] | None = None  # at the last two ticks
         self.outputs: list[Output] = []
         self.change: dict[str, float] = {}  # readings to falsify
 
     def reading(self) -> Readings:
-        counts = round(self.motion(self.tick) / COUNT_M)
-        reading = Readings(self.tick, counts, self.grip_N, self.current_A, 0.0)
+        now_m = self.motion(self.tick)
+        last_m, earlier_m = self.seen_m or (now_m, now_m)
+        self.seen_m = now_m, last_m
+        counts = round(now_m / COUNT_M)
+        # A prescribed motion does not feel the current; the ringing of the drive under it tells of a live sensor.
+        felt = (now_m - 2 * last_m + earlier_m) / DT_S**2 + (RINGING_M_S2 if self.tick % 2 else -RINGING_M_S2)
+        reading = Readings(self.tick, counts, self.grip_N, self.current_A, felt)
         return replace(reading, **self.change) if self.change else reading  # type: ignore[arg-type]
 
     def step(self) -> Output:

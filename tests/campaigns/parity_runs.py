@@ -171,8 +171,18 @@ def random_run(seed: int, ticks: int) -> Recorder:
         recorder = recorder_of(replace(settings, surface_counts=settings.surface_counts + far), servo.bank, TAIL)
         servo = recorder.servo
     held, stuck = float(random.uniform(0.6, 8.0)), -1
+    # The accelerometer's scale and offset, at times it is dead; and the part of the expected current that is measured
+    # in three of twenty stretches of 50 ms.
+    sensed = np.random.default_rng([seed, 14])
+    felt, tilt = (0.0, 0.0) if sensed.uniform() < 0.15 else (sensed.uniform(0.7, 1.3), sensed.uniform(-2.0, 2.0))
+    wrong = dict.fromkeys((2, 5, 8), float(sensed.choice([1.0, 0.5, 1.2, 2.0])))
     for tick in range(ticks):
-        z = sum(size * math.sin(2 * math.pi * rate * tick * DT_S + at) for size, rate, at in swings)
+        angles = [2 * math.pi * rate * tick * DT_S + at for _, rate, at in swings]
+        z = sum(size * math.sin(angle) for (size, _, _), angle in zip(swings, angles, strict=True))
+        bend = sum(
+            -size * (2 * math.pi * rate) ** 2 * math.sin(angle)
+            for (size, rate, _), angle in zip(swings, angles, strict=True)
+        )
         counts = math.floor(z / COUNT_M + 0.5) + far
         if random.uniform() < 1e-4:
             stuck = tick + int(random.integers(100, 3000))
@@ -182,9 +192,12 @@ def random_run(seed: int, ticks: int) -> Recorder:
             tick,
             counts,
             max(held + 0.02 * random.standard_normal(), 0.0),
-            servo.expected_A * (1.0 if tick % 9000 < 8900 else 0.1) + 0.005 * random.standard_normal(),
-            0.0,
+            servo.expected_A * (wrong.get(tick // 500 % 20, 1.0) if tick % 9000 < 8900 else 0.1)
+            + 0.005 * random.standard_normal(),
+            felt * bend + tilt + (0.2 * sensed.standard_normal() if felt else 0.0),
         )
+        if sensed.uniform() < faulty / 5:
+            readings = replace(readings, acceleration_m_s2=float(sensed.choice([*ABSURD, 5000.0])))
         if random.uniform() < faulty:
             readings = falsified(random, readings)
         recorder.step(readings, *draw_wishes(random, servo.state))

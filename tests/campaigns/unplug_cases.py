@@ -63,6 +63,7 @@ class TappingHand:
     """Up and down through the surface, from where it may also rest; the current follows the command."""
 
     HEIGHT_M, SWING_M, RATE_HZ = 5e-3, 6e-3, 4.0
+    PUSH_M_S2_A = 30.0  # that is felt and moves nothing
 
     def __init__(self) -> None:
         self.moving, self.command_A = False, 0.0
@@ -79,8 +80,10 @@ class TappingHand:
             self._turn += self.RATE_HZ * DT_S
             if self._turn >= 1:
                 self._turn = self._turn - 1 if self.moving else 0.0
-        z = self.HEIGHT_M - self.SWING_M * (1 - math.cos(2 * math.pi * self._turn))
-        return Readings(tick, round(z / SETTINGS.count_m), 3.0, self._current_A, 0.0)
+        angle, turns_1_s = 2 * math.pi * self._turn, 0.0 if self.at_rest else 2 * math.pi * self.RATE_HZ
+        z = self.HEIGHT_M - self.SWING_M * (1 - math.cos(angle))
+        felt = -self.SWING_M * turns_1_s**2 * math.cos(angle) + self.PUSH_M_S2_A * self._current_A
+        return Readings(tick, round(z / SETTINGS.count_m), 3.0, self._current_A, felt)
 
 
 class Judged:

@@ -51,7 +51,7 @@ void td_replay_run(td_replay *replay, const uint8_t *input, size_t ticks, uint8_
         readings.encoder_counts = td_get_i32(input + 4);
         readings.grip_N = (td_real)td_get_f64(input + 16);
         readings.current_A = (td_real)td_get_f64(input + 24);
-        readings.acceleration_m_s2 = 0;
+        readings.acceleration_m_s2 = (td_real)td_get_f64(input + 32);
         readings.late = readings.host_stop = false;
         memset(output, 0, TD_REPLAY_OUT);
         output[49] = grant(&replay->servo, input[0], td_get_f64(input + 8));

@@ -3,19 +3,19 @@
  * For tests and ports: whatever runs the core, a processor's emulator too, must give these bytes. All numbers are
  * little-endian.
  *
- *     input, 32 bytes a tick     u8 wishes, u8 emergency_stop, u16 0, i32 encoder_counts,
- *                                f64 gain, f64 grip_N, f64 current_A
- *     output, 64 bytes a tick    f64 command_A, f64 transient_A, f64 feedback_A, f64 winding_C,
+ *     input, 40 bytes a tick     u8 wishes, u8 emergency_stop, u16 0, i32 encoder_counts,
+ *                                f64 gain, f64 grip_N, f64 current_A, f64 acceleration_m_s2
+ *     output, 72 bytes a tick    f64 command_A, f64 transient_A, f64 feedback_A, f64 winding_C,
  *                                f64 speed_m_s, f64 grip_N of the first event (NaN without),
- *                                u8 state, u8 answers, u8 events, u8 what[12], 1 byte 0
+ *                                u8 state, u8 answers, u8 events, u8 what[14], 7 bytes 0
  */
 #ifndef TD_REPLAY_H
 #define TD_REPLAY_H
 
 #include "td_servo.h"
 
-#define TD_REPLAY_IN 32
-#define TD_REPLAY_OUT 64
+#define TD_REPLAY_IN 40
+#define TD_REPLAY_OUT 72
 
 /* Wishes, carried out before the tick in this order; answers holds the bits of those that were granted. */
 enum {

@@ -183,6 +183,29 @@ static void unpack_faults(td_config *config, table *from)
     config->still_limit = whole(from, periods(n[TD_CFG_STUCK_S], n[TD_CFG_DT_S]), 1, MOST_TICKS);
 }
 
+/* What encoder, accelerometer and current say of each other (controller/servo/crosscheck.py); after the pulse. */
+static void unpack_crosscheck(td_config *config, table *from)
+{
+    const double *n = from->n, dt = n[TD_CFG_DT_S];
+    const td_pulse_plan *pulse = &config->pulse;
+    double push = pulse->nodes > 0 ? pulse->acceleration[0] : TD_QUIET_PUSH_M_S2 / TD_QUIET_SWING_A;
+    double stuck_m = TD_STUCK_COUNTS * n[TD_CFG_COUNT_M], swing_A;
+    int32_t j;
+
+    for (j = 1; j < pulse->nodes; j++)
+        push = pulse->acceleration[j] < push ? pulse->acceleration[j] : push;
+    swing_A = TD_QUIET_PUSH_M_S2 / push;
+    swing_A = swing_A > TD_QUIET_SWING_A ? swing_A : TD_QUIET_SWING_A;
+    stuck_m = stuck_m > TD_STUCK_LEAST_M ? stuck_m : TD_STUCK_LEAST_M;
+    if (!config->calibration.has_accelerometer)
+        stuck_m = swing_A = (double)INFINITY;
+    config->stuck_m = (td_real)stuck_m;
+    config->swing_A = (td_real)swing_A;
+    config->rest_limit = whole(from, periods(TD_FOLLOW_STILL_S, dt), 1, MOST_TICKS);
+    config->block_ticks = whole(from, periods(TD_QUIET_BLOCK_S, dt), 1, MOST_TICKS);
+    config->wrong_limit = whole(from, periods(TD_WRONG_CURRENT_S, dt), 1, MOST_TICKS);
+}
+
 static void unpack_amplifier(td_config *config, table *from)
 {
     const double *n = from->n, dt = n[TD_CFG_DT_S], off = n[TD_CFG_AMPLIFIER_TOLERANCE];
@@ -277,5 +300,6 @@ bool td_config_unpack(td_config *config, const uint8_t *bytes, size_t size)
     unpack_coil(&config->coil, &from);
     unpack_calibration(&config->calibration, &from);
     unpack_pulse(&config->pulse, &from);
+    unpack_crosscheck(config, &from);
     return from.sound;
 }

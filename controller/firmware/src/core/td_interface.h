@@ -9,11 +9,11 @@
 
 /* Why the servo went to FAULT, and what is counted and reported but stops nothing: codes TD_WHAT_... */
 #define TD_FIRST_FAULT TD_WHAT_OVER_TEMPERATURE
-#define TD_FAULTS (TD_WHAT_LATE_TICK - TD_FIRST_FAULT + 1)
+#define TD_FAULTS (TD_WHAT_ACCELEROMETER_DEAD - TD_FIRST_FAULT + 1)
 #define TD_NO_FAULT 0
 #define TD_FIRST_NOTICE TD_WHAT_CONTACT
 #define TD_NOTICES (TD_WHAT_NO_GRIP - TD_FIRST_NOTICE + 1)
-#define TD_MAX_EVENTS 12 /* in one tick: every fault, or a contact with what belongs to it */
+#define TD_MAX_EVENTS TD_FAULTS /* in one tick: every fault, or a contact with what belongs to it */
 
 /* What the sensors say at one tick. */
 typedef struct {
@@ -21,7 +21,7 @@ typedef struct {
     int32_t encoder_counts;    /* grow with z, out of the object; TD_NO_COUNTS if there is no number */
     td_real grip_N;            /* after its calibration; NaN if the sensor gives nothing */
     td_real current_A;         /* measured by the amplifier */
-    td_real acceleration_m_s2; /* of the stylus; the servo does not act on it */
+    td_real acceleration_m_s2; /* of the stylus; the servo holds it against encoder and current, and acts on nothing else */
     bool emergency_stop;       /* pressed */
     bool late;                 /* this tick came late: a command has been held for too long */
     bool host_stop;            /* a stop has come over the link; set by the device, not by a port */

@@ -111,7 +111,8 @@ static void latch(td_servo *servo, td_output *output, uint64_t tick, uint32_t fa
     static const uint8_t order[TD_FAULTS] = {
         TD_WHAT_EMERGENCY_STOP, TD_WHAT_HOST_STOP,        TD_WHAT_LATE_TICK,    TD_WHAT_BAD_SENSOR,
         TD_WHAT_OVER_CURRENT,   TD_WHAT_OVER_TEMPERATURE, TD_WHAT_ENCODER_JUMP, TD_WHAT_ENCODER_STUCK,
-        TD_WHAT_NO_CURRENT,     TD_WHAT_GRIP_OPEN,        TD_WHAT_GRIP_SHORT,   TD_WHAT_GRIP_LOST,
+        TD_WHAT_NO_CURRENT,     TD_WHAT_WRONG_CURRENT,    TD_WHAT_GRIP_OPEN,    TD_WHAT_GRIP_SHORT,
+        TD_WHAT_GRIP_LOST,      TD_WHAT_ACCELEROMETER_DEAD,
     };
     int j;
 
@@ -393,7 +394,7 @@ void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *ou
     output->command_A = output->transient_A = output->feedback_A = 0;
     output->event_count = 0;
     td_watch_step(watch, config, readings, servo->expected_A, servo->transient_A,
-                  servo->state == TD_STATE_PLAYING && servo->held);
+                  servo->state == TD_STATE_PLAYING, servo->state == TD_STATE_PLAYING && servo->held);
     if (config->coil.present) {
         /* The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing. */
         const td_real measured = watch->bad_current ? config->over_current_A : td_size(watch->current_A);

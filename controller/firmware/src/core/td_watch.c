@@ -1,34 +1,41 @@
 #include "td_watch.h"
 
+#include <string.h>
+
 void td_watch_forget(td_watch *watch)
 {
-    watch->missing_ticks = watch->still_ticks = 0;
+    watch->missing_ticks = watch->still_ticks = watch->wrong_ticks = 0;
     watch->still_A_s = 0;
+    td_crosscheck_forget(&watch->crosscheck);
 }
 
 void td_watch_start(td_watch *watch, const td_config *config)
 {
     watch->counts = 0;
     watch->grip_N = config->assumed_grip_N;
-    watch->raw_grip_N = watch->current_A = watch->step_m_s = 0;
+    watch->raw_grip_N = watch->current_A = watch->expected_A = watch->step_m_s = 0;
     watch->seen = watch->gripped = false;
-    watch->emergency_stop = watch->host_stop = watch->late = watch->bad_encoder = watch->bad_current = watch->playing = false;
+    watch->emergency_stop = watch->host_stop = watch->late = watch->bad_encoder = watch->bad_current = false;
+    watch->playing = watch->held = false;
     watch->hardware = 0;
+    memset(&watch->crosscheck, 0, sizeof watch->crosscheck);
     td_watch_forget(watch);
 }
 
 void td_watch_step(td_watch *watch, const td_config *config, const td_readings *readings, td_real expected_A,
-                   td_real transient_A, bool playing)
+                   td_real transient_A, bool playing, bool held)
 {
     const int32_t counts = readings->encoder_counts;
     const td_real current = readings->current_A, grip = readings->grip_N;
-    td_real size, expected;
+    td_real size, expected, gap;
     int32_t moved = 0;
 
     watch->emergency_stop = readings->emergency_stop;
     watch->host_stop = readings->host_stop;
     watch->late = readings->late;
     watch->playing = playing;
+    watch->held = held;
+    watch->expected_A = expected_A;
     /* Comparisons with NaN are false: written so that NaN is bad. TD_NO_COUNTS is below any limit. */
     watch->bad_encoder = !(-config->encoder_limit_counts <= counts && counts <= config->encoder_limit_counts);
     watch->bad_current = !(-config->current_range_A <= current && current <= config->current_range_A);
@@ -50,6 +57,12 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
         watch->missing_ticks = 0;
     else if (watch->missing_ticks < config->missing_limit)
         watch->missing_ticks++;
+    gap = td_size(watch->current_A - expected_A);
+    if (!(playing && gap > (td_real)TD_WRONG_CURRENT_A + (td_real)TD_WRONG_CURRENT_PART * expected))
+        watch->wrong_ticks = 0;
+    else if (watch->wrong_ticks < config->wrong_limit)
+        watch->wrong_ticks++;
+    td_crosscheck_step(&watch->crosscheck, config, moved, readings->acceleration_m_s2, watch->current_A, playing);
     if (moved != 0) {
         watch->still_ticks = 0;
         watch->still_A_s = 0;
@@ -77,8 +90,11 @@ static uint32_t alike(const td_watch *w, const td_config *c)
     return w->hardware | bit(TD_WHAT_EMERGENCY_STOP, w->emergency_stop) | bit(TD_WHAT_HOST_STOP, w->host_stop) |
            bit(TD_WHAT_LATE_TICK, w->late) | bit(TD_WHAT_BAD_SENSOR, w->bad_encoder || w->bad_current) |
            bit(TD_WHAT_OVER_CURRENT, !flows) | bit(TD_WHAT_ENCODER_JUMP, !moves) |
-           bit(TD_WHAT_ENCODER_STUCK, w->still_ticks >= c->still_limit || td_size(w->still_A_s) >= c->stuck_A_s) |
+           bit(TD_WHAT_ENCODER_STUCK, w->still_ticks >= c->still_limit || td_size(w->still_A_s) >= c->stuck_A_s ||
+                                          (w->playing && td_size(w->crosscheck.path_m) >= c->stuck_m)) |
            bit(TD_WHAT_NO_CURRENT, w->missing_ticks >= c->missing_limit) |
+           bit(TD_WHAT_WRONG_CURRENT, w->wrong_ticks >= c->wrong_limit) |
+           bit(TD_WHAT_ACCELEROMETER_DEAD, w->crosscheck.quiet) |
            bit(TD_WHAT_GRIP_OPEN, c->has_grip && !(w->raw_grip_N >= c->grip_open_N)) |
            bit(TD_WHAT_GRIP_SHORT, c->has_grip && w->raw_grip_N > c->grip_short_N);
 }
@@ -92,7 +108,7 @@ uint32_t td_watch_trips(const td_watch *watch, const td_config *config, const td
 {
     return alike(watch, config) |
            bit(TD_WHAT_OVER_TEMPERATURE, config->coil.present && td_guard_too_hot(guard, &config->coil)) |
-           bit(TD_WHAT_GRIP_LOST, watch->playing && loose(watch, config));
+           bit(TD_WHAT_GRIP_LOST, watch->held && loose(watch, config));
 }
 
 uint32_t td_watch_remains(const td_watch *watch, const td_config *config, const td_guard *guard)

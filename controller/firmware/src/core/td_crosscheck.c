@@ -1,0 +1,118 @@
+#include "td_crosscheck.h"
+
+#include <string.h>
+
+static td_real smaller(td_real one, td_real other)
+{
+    return other < one ? other : one;
+}
+
+static td_real larger(td_real one, td_real other)
+{
+    return other > one ? other : one;
+}
+
+void td_crosscheck_forget(td_crosscheck *check)
+{
+    check->quiet = false;
+    memset(check->blocks, 0, sizeof check->blocks);
+    check->at = check->ticks = check->whole = 0;
+    check->middle_m_s2 = 0;
+}
+
+static void rest(td_crosscheck *check)
+{
+    check->path_m = check->ahead_m = check->speed_m_s = 0;
+    check->still_ticks = 0;
+}
+
+static void follow(td_crosscheck *check, const td_config *config, int32_t moved, td_real acceleration_m_s2)
+{
+    const td_real dt_s = (td_real)config->dt_s;
+    td_real step_m, since_s, ahead_m, r;
+
+    check->speed_m_s += dt_s * (acceleration_m_s2 - check->offset_m_s2);
+    step_m = dt_s * check->speed_m_s;
+    check->ahead_m += step_m;
+    check->path_m += step_m;
+    check->still_ticks++;
+    if (moved == 0) {
+        if (check->still_ticks >= config->rest_limit)
+            rest(check);
+        return;
+    }
+    check->ahead_m -= (td_real)moved * (td_real)config->count_m;
+    ahead_m = check->ahead_m;
+    if (!(-(td_real)TD_FOLLOW_FAR_M <= ahead_m && ahead_m <= (td_real)TD_FOLLOW_FAR_M)) {
+        check->offset_m_s2 = 0;
+        rest(check);
+        return;
+    }
+    since_s = (td_real)check->still_ticks * dt_s;
+    r = smaller((td_real)TD_FOLLOW_RATE_1_S, (td_real)TD_FOLLOW_PART / since_s);
+    check->speed_m_s -= 3 * r * r * since_s * ahead_m;
+    check->offset_m_s2 += r * r * r * since_s * ahead_m;
+    check->ahead_m -= smaller(3 * r * since_s, 1) * ahead_m;
+    check->path_m = 0;
+    check->still_ticks = 0;
+}
+
+static void judge(td_crosscheck *check, const td_config *config)
+{
+    const td_real readings = (td_real)(TD_QUIET_BLOCKS * config->block_ticks);
+    td_real sum = 0, square = 0, mean, low_A = check->blocks[0].low_A, high_A = check->blocks[0].high_A;
+    int32_t j;
+
+    for (j = 0; j < TD_QUIET_BLOCKS; j++) {
+        const td_block *block = &check->blocks[j];
+
+        sum += block->sum;
+        square += block->square;
+        low_A = smaller(low_A, block->low_A);
+        high_A = larger(high_A, block->high_A);
+    }
+    mean = sum / readings;
+    check->quiet = square / readings - mean * mean < (td_real)TD_QUIET_M_S2 * (td_real)TD_QUIET_M_S2 &&
+                   high_A - low_A >= config->swing_A;
+}
+
+static void listen(td_crosscheck *check, const td_config *config, td_real acceleration_m_s2, td_real current_A)
+{
+    td_block *block = &check->blocks[check->at];
+    td_real a;
+
+    /* About the first reading, so that squares of a large offset do not hide a small motion. */
+    if (check->ticks == 0 && check->whole == 0 && check->at == 0)
+        check->middle_m_s2 = acceleration_m_s2;
+    a = acceleration_m_s2 - check->middle_m_s2;
+    if (check->ticks == 0) {
+        block->sum = block->square = 0;
+        block->low_A = block->high_A = current_A;
+    }
+    block->sum += a;
+    block->square += a * a;
+    block->low_A = smaller(block->low_A, current_A);
+    block->high_A = larger(block->high_A, current_A);
+    check->ticks++;
+    if (check->ticks < config->block_ticks)
+        return;
+    check->ticks = 0;
+    check->at = check->at + 1 < TD_QUIET_BLOCKS ? check->at + 1 : 0;
+    if (check->whole < TD_QUIET_BLOCKS)
+        check->whole++;
+    if (check->whole == TD_QUIET_BLOCKS)
+        judge(check, config);
+}
+
+void td_crosscheck_step(td_crosscheck *check, const td_config *config, int32_t moved, td_real acceleration_m_s2,
+                        td_real current_A, bool playing)
+{
+    /* Written so that NaN is absurd. */
+    if (!(-(td_real)TD_ABSURD_M_S2 <= acceleration_m_s2 && acceleration_m_s2 <= (td_real)TD_ABSURD_M_S2))
+        acceleration_m_s2 = 0;
+    follow(check, config, moved, acceleration_m_s2);
+    if (playing)
+        listen(check, config, acceleration_m_s2, current_A);
+    else if (check->whole > 0 || check->ticks > 0)
+        td_crosscheck_forget(check);
+}

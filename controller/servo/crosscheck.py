@@ -1,0 +1,119 @@
+"""Encoder, accelerometer and current held against each other, tick by tick.
+
+A stylus that moves, by its accelerometer, while its encoder stands still has a stuck encoder; one that current shakes
+while its accelerometer is silent has a dead accelerometer. Neither is seen by any of the sensors alone.
+"""
+
+from controller.servo.settings import Settings
+
+# How the accelerometer's motion is drawn to the encoder's at each count: a third-order observer with its three poles
+# at this rate [1/s], quick enough for a scale that is 20 % off, slow enough for the quantum of a count. Its third state
+# is the offset that gravity and a tilted hand leave in the reading.
+FOLLOW_RATE_1_S = 200.0
+FOLLOW_PART = 0.5  # of the time between two counts, at the least, that the rate spans: rare counts draw more softly
+FOLLOW_FAR_M = 5e-3  # further apart the two tell of nothing common: begin anew
+FOLLOW_STILL_S = 20e-3  # after so long without a count an integral of the acceleration says nothing: at rest
+ABSURD_M_S2 = 1e4  # a reading that is larger, or no number, counts as none
+STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # of motion that no encoder sleeps through; a fine one's counts are too few
+QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g: less is silence
+QUIET_BLOCK_S, QUIET_BLOCKS = 1e-3, 5  # of the window that slides over the readings
+# So far the current must swing within the window, and so hard that must push by the device's own prediction. A current
+# that stands still proves nothing: a hand that is held by 3.9 A feels 0.03 g.
+QUIET_SWING_A, QUIET_PUSH_M_S2 = 1.0, 9.80665
+
+
+class Crosscheck:
+    """What the sensors say of each other.
+
+    Attributes
+    ----------
+    path_m : by the accelerometer, since the encoder's last count.
+    stuck_m : of that path, from which on the encoder is stuck; infinite without an accelerometer.
+    quiet : the accelerometer was silent while current shook the stylus.
+    """
+
+    def __init__(self, s: Settings) -> None:
+        self._dt_s, self._count_m = s.dt_s, s.count_m
+        self.stuck_m, self._swing_A = float("inf"), float("inf")
+        if s.has_accelerometer:
+            self.stuck_m = max(STUCK_COUNTS * s.count_m, STUCK_LEAST_M)
+            push = min(s.pulse_acceleration, default=QUIET_PUSH_M_S2 / QUIET_SWING_A)
+            self._swing_A = max(QUIET_SWING_A, QUIET_PUSH_M_S2 / push)
+        self._still_limit, self._block_ticks = s.ticks(FOLLOW_STILL_S), s.ticks(QUIET_BLOCK_S)
+        self.path_m = self._ahead_m = self._speed_m_s = self._offset_m_s2 = 0.0
+        self._still_ticks = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin another window of the accelerometer's silence."""
+        self.quiet = False
+        # Of each block: sum and sum of squares of the acceleration, least and largest current.
+        self._blocks = [(0.0, 0.0, 0.0, 0.0)] * QUIET_BLOCKS
+        self._at = self._ticks = self._whole = 0
+        self._middle_m_s2 = 0.0
+
+    def step(self, moved: int, acceleration_m_s2: float, current_A: float, playing: bool) -> None:
+        """One tick: counts since the last one, acceleration, current, whether a transient plays."""
+        # Written so that NaN is absurd.
+        sound = -ABSURD_M_S2 <= acceleration_m_s2 <= ABSURD_M_S2
+        acceleration = acceleration_m_s2 if sound else 0.0
+        self._follow(moved, acceleration)
+        if playing:
+            self._listen(acceleration, current_A)
+        elif self._whole or self._ticks:
+            self.forget()
+
+    def _follow(self, moved: int, acceleration_m_s2: float) -> None:
+        self._speed_m_s += self._dt_s * (acceleration_m_s2 - self._offset_m_s2)
+        step_m = self._dt_s * self._speed_m_s
+        self._ahead_m += step_m
+        self.path_m += step_m
+        self._still_ticks += 1
+        if moved == 0:
+            if self._still_ticks >= self._still_limit:
+                self._rest()
+            return
+        self._ahead_m -= moved * self._count_m
+        if not -FOLLOW_FAR_M <= self._ahead_m <= FOLLOW_FAR_M:
+            self._offset_m_s2 = 0.0
+            self._rest()
+            return
+        since_s, ahead_m = self._still_ticks * self._dt_s, self._ahead_m
+        r = min(FOLLOW_RATE_1_S, FOLLOW_PART / since_s)
+        self._speed_m_s -= 3.0 * r * r * since_s * ahead_m
+        self._offset_m_s2 += r * r * r * since_s * ahead_m
+        self._ahead_m -= min(3.0 * r * since_s, 1.0) * ahead_m
+        self.path_m, self._still_ticks = 0.0, 0
+
+    def _rest(self) -> None:
+        self.path_m = self._ahead_m = self._speed_m_s = 0.0
+        self._still_ticks = 0
+
+    def _listen(self, acceleration_m_s2: float, current_A: float) -> None:
+        if self._ticks == 0 and self._whole == 0 and self._at == 0:
+            # About the first reading, so that squares of a large offset do not hide a small motion.
+            self._middle_m_s2 = acceleration_m_s2
+        a = acceleration_m_s2 - self._middle_m_s2
+        total, square, low_A, high_A = self._blocks[self._at]
+        if self._ticks == 0:
+            total, square, low_A, high_A = 0.0, 0.0, current_A, current_A
+        self._blocks[self._at] = (total + a, square + a * a, min(low_A, current_A), max(high_A, current_A))
+        self._ticks += 1
+        if self._ticks < self._block_ticks:
+            return
+        self._ticks = 0
+        self._at = self._at + 1 if self._at + 1 < QUIET_BLOCKS else 0
+        self._whole = min(self._whole + 1, QUIET_BLOCKS)
+        if self._whole == QUIET_BLOCKS:
+            self._judge()
+
+    def _judge(self) -> None:
+        total = square = 0.0
+        low_A, high_A = self._blocks[0][2:]
+        for one, of_squares, low, high in self._blocks:
+            total, square = total + one, square + of_squares
+            low_A, high_A = min(low_A, low), max(high_A, high)
+        readings = QUIET_BLOCKS * self._block_ticks
+        mean = total / readings
+        still = square / readings - mean * mean < QUIET_M_S2 * QUIET_M_S2
+        self.quiet = still and high_A - low_A >= self._swing_A
