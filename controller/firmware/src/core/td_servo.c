@@ -76,6 +76,10 @@ void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts)
     int32_t j;
 
     config->surface_counts = counts;
+    /* What the stylus did above the old surface says nothing of the new one: no wall pushes and no contact is due before
+     * the stylus itself has been out of this one. */
+    servo->engaged = false;
+    td_trigger_restart(&servo->trigger);
     if (!servo->read)
         return;
     servo->z_m += by_m;

@@ -35,7 +35,7 @@ typedef struct {
     td_real sample_A;      /* of the blend, the one before the next */
     td_real part;          /* by which sample j is played later than its tick */
     int32_t index, last;   /* next sample; the one past the end of the waveform */
-    bool engaged;          /* the stylus has been above the surface since arming: the wall may push */
+    bool engaged;          /* the stylus has been above the surface since arming, and since that was moved: the wall may push */
     bool was_saturated, read;
     bool held; /* what plays ends in a fault if the grip is lost */
     td_wide z_m, v_m_s;    /* encoder and its filtered difference, now */
@@ -69,7 +69,8 @@ bool td_servo_reset(td_servo *servo);
 void td_servo_set_gain(td_servo *servo, td_wide gain);
 
 /* Another place of the surface from here on, in the configuration that the servo runs by; the stylus stays where it is,
- * and a wall felt no motion by it. */
+ * and a wall felt no motion by it. As after arming, the wall pushes and a contact plays only after the stylus has been
+ * above it. */
 void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts);
 
 /* The current may already flow, somewhere in these bounds. */
