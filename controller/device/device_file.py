@@ -79,6 +79,11 @@ class Power(Section):
     scale: Scale = Field(1.0, description="current that flows over current that is asked for")
     monitor_scale: Scale = Field(1.0, description="current that flows over current that the monitor reads")
 
+    @property
+    def part(self) -> float:
+        """Part of the hardware's limits that a current may have, so that the command over `scale` keeps them too."""
+        return min(abs(self.scale), 1.0)
+
 
 class Period(Section):
     """The servo on the microcontroller."""

@@ -84,11 +84,12 @@ def library_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
             f"device file: servo.dt_s = {device.servo.dt_s:g}, the library is for {dt_s:g} s: solve it with "
             f"time.dt_s = {device.servo.dt_s:g}, or correct the device file"
         )
-    most_A = device.hardware.current_A
-    if most_A is not None and limits["current_A"] > most_A * (1 + 1e-9):
+    stated_A, part = device.hardware.current_A, device.amplifier.part
+    if stated_A is not None and limits["current_A"] > stated_A * part * (1 + 1e-9):
+        scaled = "" if part == 1 else f", amplifier.scale = {device.amplifier.scale:g}"
         raise InputError(
-            f"library: up to {limits['current_A']:g} A, device file: hardware.current_A = {most_A:g}: solve it with "
-            f"limits.current_A = {most_A:g}, or correct the device file"
+            f"library: up to {limits['current_A']:g} A, device file: hardware.current_A = {stated_A:g}{scaled}: solve it "
+            f"with limits.current_A = {stated_A * part:g}, or correct the device file"
         )
     numbers = servo_numbers(device, dt_s)
     assumed = assumed_grip_N(device, library.grips_N)

@@ -135,8 +135,10 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
     return Settings(
         dt_s=hello.dt_s,
         lead_s=0.0,
-        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_A),
-        amplifier=replace(AMPLIFIER, command_limit=min(AMPLIFIER.command_limit, hello.command_A)),
+        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_A * device.amplifier.part),
+        amplifier=replace(
+            AMPLIFIER, command_limit=min(AMPLIFIER.command_limit, hello.command_A * device.amplifier.part)
+        ),
         coil=RE_25,
         host_starts=True,
         assumed_grip_N=assumed_grip_N(device, ()),

@@ -101,14 +101,15 @@ def core_end(settings: Settings, samples: int = 0, longest: int = 0) -> CoreDevi
     """
     known, off = Hardware(), settings.amplifier_tolerance
     pole_Hz = known.pole_most_Hz if settings.amplifier is None else settings.amplifier.pole_Hz
+    amplifier, monitor = (min(abs(scale), 1.0) for scale in (settings.amplifier_scale, settings.monitor_scale))
     slowest_Hz, fastest_Hz = pole_Hz * (1.0 - off), pole_Hz * (1.0 + off)
     hardware = Hardware(
-        current_A=max(known.current_A, settings.current_limit_A),
-        command_A=max(known.command_A, settings.command_limit_A),
+        current_A=max(known.current_A, settings.current_limit_A / amplifier),
+        command_A=max(known.command_A, settings.command_limit_A / amplifier),
         dt_s=settings.dt_s,
         pole_least_Hz=min(known.pole_least_Hz, slowest_Hz),
         pole_most_Hz=max(known.pole_most_Hz, fastest_Hz),
-        over_current_A=max(known.over_current_A, settings.over_current * settings.current_limit_A),
+        over_current_A=max(known.over_current_A, settings.over_current * settings.current_limit_A / monitor),
     )
     usual = Capacity()
     sizes = {

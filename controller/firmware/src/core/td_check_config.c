@@ -119,9 +119,17 @@ static bool holds(const double *n)
     return true;
 }
 
+/* What a stated size is to the hardware, at the most: the scale is the host's word, so that neither what is stated nor
+ * what the hardware is asked for by it may be larger. */
+static double to_hardware(double size, double scale)
+{
+    return fabs(scale) < 1 ? size / fabs(scale) : size;
+}
+
 /* Whether it asks for more than this device has; the first such number, NaN if there is none. */
 static double beyond(const double *n, const td_hardware *hardware)
 {
+    const double amplifier = n[TD_CFG_AMPLIFIER_SCALE], monitor = n[TD_CFG_MONITOR_SCALE];
     const bool driven = n[TD_CFG_HAS_AMPLIFIER] > 0, walled = n[TD_CFG_HAS_WALL] > 0;
     const double asked[][2] = {
         {n[TD_CFG_WINDOW_TICKS], TD_MAX_WINDOW_TICKS},
@@ -130,12 +138,12 @@ static double beyond(const double *n, const td_hardware *hardware)
         {n[TD_CFG_REARM_S], TD_LONGEST_S},
         {n[TD_CFG_NO_CURRENT_S], TD_LONGEST_S},
         {n[TD_CFG_STUCK_S], TD_LONGEST_S},
-        {n[TD_CFG_CURRENT_LIMIT_A], hardware->current_A},
-        {driven ? n[TD_CFG_AMPLIFIER_COMMAND_LIMIT_A] : n[TD_CFG_CURRENT_LIMIT_A], hardware->command_A},
+        {to_hardware(n[TD_CFG_CURRENT_LIMIT_A], amplifier), hardware->current_A},
+        {to_hardware(driven ? n[TD_CFG_AMPLIFIER_COMMAND_LIMIT_A] : n[TD_CFG_CURRENT_LIMIT_A], amplifier), hardware->command_A},
         {driven ? n[TD_CFG_AMPLIFIER_POLE_HZ] * (1 + n[TD_CFG_AMPLIFIER_TOLERANCE]) : 0, hardware->pole_most_Hz},
         {driven ? -n[TD_CFG_AMPLIFIER_POLE_HZ] * (1 - n[TD_CFG_AMPLIFIER_TOLERANCE]) : -(double)INFINITY,
          -hardware->pole_least_Hz},
-        {n[TD_CFG_OVER_CURRENT] * n[TD_CFG_CURRENT_LIMIT_A], hardware->over_current_A},
+        {to_hardware(n[TD_CFG_OVER_CURRENT] * n[TD_CFG_CURRENT_LIMIT_A], monitor), hardware->over_current_A},
     };
     size_t j;
 
