@@ -10,7 +10,7 @@ import pytest
 
 from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
-from controller.protocol.capacity import Hardware
+from controller.protocol.capacity import REST_BETWEEN_PULSES_S, Hardware
 from controller.protocol.codes import EVENT_CODES, EVENTS, Kind, Reason, Stage
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import HEADER as IMAGE_HEADER
@@ -43,6 +43,8 @@ HARDWARE = Hardware(
     limit_C=100.0,
     ambient_C=30.0,
 )
+REST_PULSE_TICKS = round(REST_BETWEEN_PULSES_S / DT_S)
+LEASE_TICKS = 1000  # pulses end without a lease
 PATH_M = PUSH * (PULSE_TICKS * DT_S) ** 2 / 2
 WATCHED = replace(
     SETTINGS, pulse_ticks=PULSE_TICKS, pulse_grip_N=(3.0,), pulse_acceleration=(PUSH,), pulse_path_m=(PATH_M,)
@@ -65,6 +67,7 @@ class Plant:
     Attributes
     ----------
     true_A, most_A : current now, and at most so far.
+    leases : whether the host keeps its lease meanwhile.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class Plant:
         accelerometer: float = 1.0,
         pole_Hz: float = 1050.0,
     ) -> None:
+        self.leases = True
         self.talker, self.gains = talker, (amplifier, monitor, encoder, accelerometer)
         self.keep = math.exp(-2 * math.pi * pole_Hz * DT_S)
         self.true_A = self.most_A = self.speed = self.z = 0.0
@@ -84,7 +88,9 @@ class Plant:
 
     def step(self, ticks: int) -> "Plant":
         amplifier, monitor, encoder, accelerometer = self.gains
-        for _ in range(ticks):
+        for tick in range(ticks):
+            if self.leases and tick % LEASE_TICKS == 0:
+                self.talker.tell(m.Lease(0))
             counts = math.floor((5e-3 + encoder * self.z) / SETTINGS.count_m + 0.5)
             readings = Readings(0, counts, 3.0, monitor * self.true_A, accelerometer * PUSH * self.true_A)
             self.output = self.talker.step(1, readings)
@@ -180,13 +186,15 @@ def played(talker: Talker, plant: Plant, settings: Settings, image: bytes, times
 
 
 def test_a_configuration_without_a_coil_does_not_burn_the_motor(start: Start) -> None:
+    # A blocked stylus, of which no sensor tells.
+    settings = replace(EXCITED, stuck_A_s=1e3, stuck_s=1e3, has_accelerometer=False)
     talker = Talker(start(heat_C=(90.0, 80.0)))
-    talker.configured(configuration_of(replace(EXCITED, stuck_A_s=1e3, stuck_s=1e3)))
+    talker.configured(configuration_of(settings))
     command = np.zeros((1, 1, 5000))
     command[..., :-20] = 4.0
     image = image_of(replace(smooth_bank(1, 1, 5000), command_A=command), DT_S, EXCITED.lead_s, 20)
     talker.loaded(image)
-    plant, settings = Plant(talker), replace(EXCITED, stuck_A_s=1e3, stuck_s=1e3)
+    plant = Plant(talker)
     winding, housing = 90.0, 80.0
     for _ in range(12):
         if plant.output.state is State.IDLE:
@@ -252,6 +260,8 @@ def test_a_pulse_keeps_smaller_limits(start: Start) -> None:
 def test_no_stated_scale_of_the_amplifier_lets_a_pulse_pass_the_hardwares_limit(start: Start, seed: int) -> None:
     """The scale is the host's word: neither it nor the truth may let more flow than the port allows."""
     random = np.random.default_rng(seed)
+    # A scale of a fifth asks the hardware for five times the limits that are stated.
+    weak = replace(WATCHED, current_limit_A=0.8, amplifier=replace(AMPLIFIER, command_limit=1.0))
     granted = 0
     for _ in range(6):
         scale = float(np.exp(random.uniform(np.log(0.2), np.log(5.0))) * random.choice([-1, 1]))
@@ -259,13 +269,13 @@ def test_no_stated_scale_of_the_amplifier_lets_a_pulse_pass_the_hardwares_limit(
         allowed = max(asked, asked / abs(scale)) <= HARDWARE.pulse_A
         for truth in (1.0, scale):
             talker = Talker(start())
-            talker.configured(configuration_of(replace(WATCHED, amplifier_scale=scale)))
+            talker.configured(configuration_of(replace(weak, amplifier_scale=scale)))
             plant = Plant(talker, amplifier=truth).step(200)
             if not allowed:
                 assert talker.refused(m.Pulse(asked, PULSE_TICKS, 0)) is Reason.BAD_VALUE
                 continue
             talker.done(m.Pulse(asked, PULSE_TICKS, 0))
-            plant.step(PULSE_TICKS + 20)
+            plant.step(REST_PULSE_TICKS + PULSE_TICKS + 20)
             assert 0 < plant.most_A <= HARDWARE.pulse_A * (1 + 1e-6)
             granted += 1
     assert granted
@@ -308,10 +318,10 @@ def test_the_amplifier_has_power_only_while_armed_or_pulsing(start: Start) -> No
     assert not talker.device.enabled
     talker.done(m.Pulse(0.05, 20, 0))
     powered = []
-    for _ in range(30):
+    for _ in range(REST_PULSE_TICKS + 30):
         talker.step()
         powered.append(talker.device.enabled)
-    assert powered == [True] * 20 + [False] * 10
+    assert powered == [True] * (REST_PULSE_TICKS + 20) + [False] * 10
     talker.heard()
     talker.done(arm(SETTINGS, IMAGE))
     talker.step()

@@ -19,9 +19,11 @@ void td_pulse_start(td_pulse *pulse, const td_config *config, td_real current_A,
     pulse->left = pairs > 0 ? 2 * pairs : 1;
     pulse->size_A = td_size(current_A);
     pulse->sign = current_A < 0 ? -1 : 1;
-    pulse->ticks = pulse->cycle_ticks = ticks;
+    pulse->ticks = ticks;
+    /* Before a single one too: pulses that follow each other without a rest are a current for ever. */
+    pulse->rest_ticks = (int32_t)ceil(TD_REST_BETWEEN_PULSES_S / config->dt_s);
+    pulse->cycle_ticks = pulse->rest_ticks + ticks;
     if (pulse->judged) {
-        pulse->rest_ticks = (int32_t)ceil(TD_REST_BETWEEN_PULSES_S / config->dt_s);
         /* The reading after the last command, and all of those that the acceleration is taken of. */
         pulse->cycle_ticks = pulse->rest_ticks + (answered > ticks + 1 ? answered : ticks + 1);
     }
@@ -31,8 +33,10 @@ void td_pulse_start(td_pulse *pulse, const td_config *config, td_real current_A,
 static void end(td_pulse *pulse)
 {
     pulse->done++;
-    pulse->current_A += pulse->sign * (pulse->driven_A / pulse->drives - pulse->rest_A / pulse->rests);
-    pulse->acceleration_m_s2 += pulse->sign * (pulse->pushed_m_s2 / pulse->pushes - pulse->rest_m_s2 / pulse->rests);
+    pulse->last_A = pulse->sign * (pulse->driven_A / pulse->drives - pulse->rest_A / pulse->rests);
+    pulse->last_m_s2 = pulse->sign * (pulse->pushed_m_s2 / pulse->pushes - pulse->rest_m_s2 / pulse->rests);
+    pulse->current_A += pulse->last_A;
+    pulse->acceleration_m_s2 += pulse->last_m_s2;
 }
 
 void td_pulse_see(td_pulse *pulse, const td_config *config, const td_readings *seen)

@@ -1,4 +1,4 @@
-/* Test pulses: a single one, or pairs of alternating sign, each after a rest, of which the sensors' answers are summed. */
+/* Test pulses, each after a rest: a single one, or pairs of alternating sign, of which the sensors' answers are summed. */
 #ifndef TD_PULSE_H
 #define TD_PULSE_H
 
@@ -15,7 +15,8 @@ typedef struct {
     int32_t begin_counts;
     td_wide rest_A, rest_m_s2, driven_A, pushed_m_s2; /* sums over this pulse */
     int32_t rests, drives, pushes;                    /* readings in them */
-    int32_t done;                                     /* pulses in the sums below, which have its sign */
+    td_wide last_A, last_m_s2;                        /* answers of the pulse before this one, which have its sign */
+    int32_t done;                                     /* pulses in the sums below, likewise */
     td_wide current_A, acceleration_m_s2, path_counts;
 } td_pulse;
 

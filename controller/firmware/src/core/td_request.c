@@ -225,6 +225,7 @@ static td_refusal move_surface(td_device *device, double counts)
         return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
     if (state == TD_STATE_PLAYING)
         return td_refuse(TD_REASON_STILL_PLAYING, (double)NAN);
+    device->lease_ticks = device->lease_left = td_device_ticks(device, TD_PULSE_LEASE_MS);
     if (!(fabs(counts) <= TD_ENCODER_MOST_COUNTS))
         return td_refuse(TD_REASON_BAD_VALUE, counts);
     td_servo_set_surface(&device->servo, &device->store.config, counts);

@@ -120,7 +120,7 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
     device->tripped = td_ring_watch(&device->ring, seen.current_A);
     if (device->broken)
         device->tripped |= td_fault_bit(TD_WHAT_BAD_SENSOR);
-    if (td_device_is_active(device)) {
+    if (td_device_is_active(device) || device->pulse.left > 0) {
         if (device->lease_left == 0)
             td_device_give_up(device);
         else
