@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from controller.host.monitor import Monitor
     from controller.host.payload import Load
     from controller.host.surface import Drift
+    from controller.protocol.events import News
     from controller.protocol.messages import HelloReply
     from controller.record.recorder import Recorder
 
@@ -281,10 +282,13 @@ def run(
         False,
         Monitor(bench.console, title, device.hello.dt_s, recorder.count_m, recorder.surface_counts),
     )
+    listeners = [recorder.take, shown.take, drift.take]
     with recorder, shown, no_long_pauses():
-        device.listeners += [recorder.take, shown.take, drift.take]
         try:
             with disarmed_by_ctrl_c(device):
+                if gain is not None and device.lacks_trial():
+                    _try_out(device, bench.console, seconds)
+                device.listeners += listeners
                 device.set_telemetry(1)
                 if gain is not None:
                     device.arm(gain)
@@ -302,10 +306,32 @@ def run(
         except LinkLostError as lost:
             raise LinkLostError(f"{lost}{recorder.in_words()}") from None
         finally:
-            device.listeners.remove(recorder.take)
-            device.listeners.remove(shown.take)
-            device.listeners.remove(drift.take)
+            for listener in filter(device.listeners.__contains__, listeners):
+                device.listeners.remove(listener)
     return shown, stopped
+
+
+def _try_out(device: "Device", console: "Console", seconds: float | None) -> None:
+    """One tap at a tenth, which a device wants of each library that is new to it."""
+    from controller.protocol.capacity import TRIAL_GAIN
+    from controller.protocol.events import Happened
+    from controller.servo.interface import Notice, State
+
+    console.print("this library is new to the device: tap the surface once, it is played at a tenth", highlight=False)
+    ended: list[bool] = []
+
+    def take(news: "News") -> None:
+        if isinstance(news, Happened) and news.what is Notice.FINISHED:
+            ended.append(True)
+
+    device.listeners.append(take)
+    try:
+        device.arm(TRIAL_GAIN, trial=True)
+        _listen(device, seconds, lambda: bool(ended), armed=True)
+        if device.state is not State.FAULT:
+            device.disarm()
+    finally:
+        device.listeners.remove(take)
 
 
 def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Console", file: Path | None) -> None:

@@ -17,7 +17,7 @@ from controller.host.monitor import Monitor
 from controller.host.payload import excitation
 from controller.host.sweeps import AbortedError, Sweeps, Trial
 from controller.protocol.image import sha256
-from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED, HelloReply
+from controller.protocol.messages import PULSE_SOUND, HelloReply
 from controller.record.sweep_plan import PlannedSweep, Shape
 from controller.record.trial_file import refuse_old
 from controller.servo.settings import Settings
@@ -83,7 +83,8 @@ def record_sweeps(bench: Bench, series: Series) -> None:
         # All of them are tried before any of them is played.
         loads = {alike: excitation(settings, command, hello) for alike, command in commands.items()}
         configuration = sha256(next(iter(loads.values())).configuration)
-        checked = hello.configuration_sha256 == configuration and hello.evidence == PULSE_SOUND | TRIAL_FINISHED
+        # The trial is of the excitation that the device held last; each one has its own below.
+        checked = hello.configuration_sha256 == configuration and hello.evidence & PULSE_SOUND
         if not (device.harmless or hello.simulated or checked):
             raise InputError(
                 f"{bench.name}: sweeps under these limits have not passed the bring-up check since the device "
@@ -112,6 +113,7 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                     )
                     with sweeps, disarmed_by_ctrl_c(device):
                         device.set_telemetry(1)
+                        sweeps.try_out(say)
                         for trial in trials:
                             say(f"trial {len(written) + 1} of {len(planned)}")
                             taken = sweeps.trial(negative=trial.polarity < 0, tell=say)

@@ -45,7 +45,8 @@ def pulses(check: Check) -> Verdict:
         "path": found.path_ratio,
     }
     seen = ", ".join(f"{name} {ratio:+.2f}" for name, ratio in ratios.items() if not np.isnan(ratio))
-    return f"{found.pulses} pulses: {seen} of what was asked and predicted", bool(found.bits & PULSE_SOUND)
+    stopped = "" if found.pulses == 2 * pairs else f" of {2 * pairs}, the last one wrong"
+    return f"{found.pulses} pulses{stopped}: {seen} of what was asked and predicted", bool(found.bits & PULSE_SOUND)
 
 
 def _measure(check: Check) -> None:
@@ -58,24 +59,38 @@ def _measure(check: Check) -> None:
     s = check.settings
     if check.take_measured is None or not s.has_accelerometer:
         raise FailedError("nothing predicts the pulse: give a library of this device, or one guessed from datasheets")
-    found = [one for _ in range(MEASURED_PAIRS) for sign in (1, -1) if (one := _single(check, sign * s.pulse_A))]
-    if len(found) < 2 * MEASURED_PAIRS:
-        raise FailedError("telemetry was lost while pulses were measured")
+    found: list[tuple[float, float]] = []
+    for sign in (1, -1) * MEASURED_PAIRS:
+        one = _single(check, sign * s.pulse_A)
+        if one is None:
+            raise FailedError("telemetry was lost while pulses were measured")
+        found.append(one)
+        # After a wrong one no other follows.
+        _need_sound(check, *one)
     current, acceleration = (float(np.mean(values)) for values in zip(*found, strict=True))
     check.note(current=current)
-    if not sound(current) or acceleration <= 0:
-        if sound(current):
-            check.remarks.append("the stylus goes inwards by a current outwards: exchange the motor's leads")
-        raise FailedError(f"current {current:+.2f} of what was asked, acceleration {acceleration:+.1f} m/s² per A")
     check.settings = check.take_measured(acceleration)
+
+
+def _need_sound(check: Check, current: float, acceleration: float) -> None:
+    """
+    Raises
+    ------
+    FailedError : a current over what was asked, or an acceleration [m/s^2 per A], that no sound device has.
+    """
+    if sound(current) and acceleration > 0:
+        return
+    check.note(current=current)
+    if sound(current):
+        check.remarks.append("the stylus goes inwards by a current outwards: exchange the motor's leads")
+    raise FailedError(f"current {current:+.2f} of what was asked, acceleration {acceleration:+.1f} m/s² per A")
 
 
 def _single(check: Check, size_A: float) -> tuple[float, float] | None:
     """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
     s, wanted = check.settings, check.settings.pulse_ticks
-    check.device.listen(REST_BETWEEN_PULSES_S)
     check.device.pulse(size_A, wanted)
-    check.device.listen(wanted * check.dt_s + REST_BETWEEN_PULSES_S / 2)
+    check.device.listen(REST_BETWEEN_PULSES_S + wanted * check.dt_s + REST_BETWEEN_PULSES_S / 2)
     records, before = [record for _, record in check.records], check.ticks(REST_BETWEEN_PULSES_S / 2)
     latest = np.flatnonzero([record.command_A != 0 for record in records])[-wanted:]
     if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:

@@ -24,7 +24,7 @@ from controller.host.session_states import OPEN, SessionState
 from controller.protocol.capacity import LEASE_DEFAULT_MS
 from controller.protocol.codes import Kind, Reason
 from controller.protocol.events import Completed, Connected, Ended, News, Progress, Refused, Witnessed
-from controller.protocol.messages import EvidenceReply, HelloReply
+from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED, EvidenceReply, HelloReply
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
 
@@ -195,6 +195,11 @@ class Device:
         found = self._wait(lambda news: isinstance(news, Witnessed), ANSWER_S, "evidence")
         assert isinstance(found, Witnessed)
         return found.evidence
+
+    def lacks_trial(self) -> bool:
+        """Whether its pulses were sound but the library in force is new to it: `arm` needs a trial of it first."""
+        both = PULSE_SOUND | TRIAL_FINISHED
+        return not self.hello.simulated and self.evidence().bits & both == PULSE_SOUND
 
     def surface(self, counts: float) -> None:
         """Tell the device where the surface is, in counts after the encoder's direction."""

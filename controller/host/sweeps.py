@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.protocol.capacity import TRIAL_GAIN
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened, News, Samples
 from controller.protocol.messages import Record, column
@@ -159,6 +160,23 @@ class Sweeps:
                 tell(f"not whole, once more: {why}")
         raise AbortedError(f"{ATTEMPTS} attempts at a trial, none whole: {why}")
 
+    def try_out(self, tell: Callable[[str], None]) -> None:
+        """The excitation once at a tenth, which a device wants of each one that is new to it.
+
+        Raises
+        ------
+        AbortedError : a fault, a lost lease, the device does not start, or it does not end.
+        DeviceError : it does not arm. LinkLostError : the device is gone.
+        """
+        if not self._device.lacks_trial():
+            return
+        tell("at a tenth first: this excitation is new to the device")
+        self._wait_for_hand()
+        self._device.arm(TRIAL_GAIN, trial=True)
+        self._ears.forget()
+        self._play(negative=False)
+        self._device.disarm()
+
     # What comes before.
 
     def _wait_for_hand(self) -> None:
@@ -226,13 +244,9 @@ class Sweeps:
         if wrong:
             raise AbortedError(wrong[0])
 
-    def _one(self, negative: bool) -> Trial:
-        duration_s, dt_s = self._samples * self._dt_s, self._dt_s
-        before, after = round(BEFORE_S / dt_s), round(AFTER_S / dt_s)
-        self._device.arm(self._gain)
-        self._ears.forget()
-        # The rest before it, and whatever still was under way.
-        self._until(lambda: len(self._ears.records) > before, LATE_S)
+    def _play(self, *, negative: bool) -> int:
+        """Start it on the armed device; the tick at which it ended."""
+        duration_s = self._samples * self._dt_s
         try:
             self._device.start(negative=negative)
         except LinkLostError:
@@ -245,6 +259,16 @@ class Sweeps:
         end = self._ears.at(Notice.FINISHED)
         if end is None:
             raise AbortedError(f"the excitation of {duration_s:g} s has not ended")
+        return end
+
+    def _one(self, negative: bool) -> Trial:
+        dt_s = self._dt_s
+        before, after = round(BEFORE_S / dt_s), round(AFTER_S / dt_s)
+        self._device.arm(self._gain)
+        self._ears.forget()
+        # The rest before it, and whatever still was under way.
+        self._until(lambda: len(self._ears.records) > before, LATE_S)
+        end = self._play(negative=negative)
         self._until(lambda: bool(self._ears.records) and self._ears.records[-1][0] >= end + after, LATE_S)
         # What follows takes longer than a lease may.
         self._device.disarm()

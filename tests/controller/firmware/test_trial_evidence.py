@@ -9,11 +9,12 @@ import pytest
 
 from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
-from controller.protocol.codes import Stage
+from controller.protocol.codes import Reason, Stage
 from controller.protocol.configuration import configuration_of
+from controller.protocol.image import image_of
 from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
-from tests.benches.compiled import DT_S
+from tests.benches.compiled import DT_S, smooth_bank
 from tests.benches.device import IMAGE, SETTINGS, Talker
 from tests.controller.firmware.test_attacks import HARDWARE, PULSE_TICKS, WATCHED, Plant, arm, evidence, pulsed
 
@@ -38,8 +39,10 @@ class Hand:
     where the hand began times `encoder`.
     """
 
-    def __init__(self, talker: Talker, *, encoder: float = 1.0, accelerometer: float = 1.0) -> None:
-        self.talker, self.encoder, self.accelerometer = talker, encoder, accelerometer
+    def __init__(
+        self, talker: Talker, *, encoder: float = 1.0, accelerometer: float = 1.0, monitor: float = 1.0
+    ) -> None:
+        self.talker, self.encoder, self.accelerometer, self.monitor = talker, encoder, accelerometer, monitor
         self.keep = math.exp(-2 * math.pi * 1050.0 * DT_S)
         self.true_A, self.tick = 0.0, 0
         self.output = Output(0.0, State.IDLE, 0.0, 0.0, math.nan)
@@ -55,20 +58,33 @@ class Hand:
             z, before, after = (self.height_m(time_s + d) for d in (0.0, -DT_S, DT_S))
             bend = (before - 2 * z + after) / DT_S**2 if self.tick else 0.0
             counts = math.floor((5e-3 + self.encoder * (z - 5e-3)) / SETTINGS.count_m + 0.5)
-            readings = Readings(0, counts, 3.0, self.true_A, self.accelerometer * bend)
+            readings = Readings(0, counts, 3.0, self.monitor * self.true_A, self.accelerometer * bend)
             self.output = self.talker.step(1, readings)
             self.states.add(self.output.state)
             self.true_A = self.keep * self.true_A + (1 - self.keep) * self.output.command_A
             self.tick += 1
 
 
-def tried(talker: Talker, hand: Hand, settings: Settings = WATCHED, **others: float) -> m.EvidenceReply:
+    def step_down(self) -> None:
+        """Straight down through the surface and on until the tap is over."""
+        while State.PLAYING not in self.states or self.output.state is State.PLAYING:
+            counts = 204 - self.tick // 2
+            self.output = self.talker.step(1, Readings(0, counts, 3.0, self.true_A, 0.0))
+            self.states.add(self.output.state)
+            self.true_A = self.keep * self.true_A + (1 - self.keep) * self.output.command_A
+            self.tick += 1
+            assert self.tick < 1000
+
+
+def tried(
+    talker: Talker, hand: Hand, settings: Settings = WATCHED, image: bytes = IMAGE, **others: float
+) -> m.EvidenceReply:
     """A trial, and the hand's motion until a tap has been played and is over."""
-    talker.loaded(IMAGE)
+    talker.loaded(image)
     resting = Readings(0, math.floor(5e-3 / SETTINGS.count_m + 0.5), 3.0, 0.0, 0.0)
     talker.step(5000, resting)
     talker.heard()
-    talker.done(arm(settings, IMAGE, **{"trial": 1, "gain": 0.1, **others}))
+    talker.done(arm(settings, image, **{"trial": 1, "gain": 0.1, **others}))
     assert evidence(talker).stage == Stage.TRIAL
     while State.PLAYING not in hand.states and hand.tick < 15_000:
         hand.step(1)
@@ -166,3 +182,50 @@ def test_a_second_trial_forgets_the_first_at_its_beginning(start: Start) -> None
     found = evidence(talker)
     assert (found.bits, found.stage) == (m.PULSE_SOUND, Stage.TRIAL)
     assert math.isnan(found.speed_ratio)
+
+
+def quiet_image(peak_A: float) -> bytes:
+    return image_of(smooth_bank(peak_A=peak_A), DT_S, SETTINGS.lead_s, 10)
+
+
+@pytest.mark.parametrize("peak_A", [1e-12, 1e-6, 1e-2])
+def test_a_trial_of_silence_proves_nothing(start: Start, peak_A: float) -> None:
+    """At a tenth of the gain 10 mA are 1 mA, of a hardware of 4.5 A."""
+    talker, image = ready(start), quiet_image(peak_A)
+    found = tried(talker, Hand(talker), image=image)
+    assert (found.bits, found.stage) == (m.PULSE_SOUND, Stage.TRIED)
+    talker.tell(m.Disarm())
+    talker.step(500, Readings(0, 200, 3.0, 0.0, 0.0))
+    talker.tell(m.Reset())
+    talker.step(500, Readings(0, 200, 3.0, 0.0, 0.0))
+    talker.heard()
+    assert talker.refused(arm(WATCHED, image)) is Reason.NO_TRIAL
+
+
+@pytest.mark.parametrize("monitor", [0.0, 0.5, 2.0, -1.0])
+def test_a_trial_whose_current_is_not_measured_proves_nothing(start: Start, monitor: float) -> None:
+    talker = ready(start)
+    assert tried(talker, Hand(talker, monitor=monitor)).bits == m.PULSE_SOUND
+
+
+def test_a_trial_is_of_one_library(start: Start) -> None:
+    """What a quiet library has proved does not arm a loud one; the way that the two sensors agree by is kept."""
+    talker, loud = ready(start), quiet_image(2.0)
+    hand = Hand(talker)
+    assert tried(talker, hand).bits == m.PULSE_SOUND | m.TRIAL_FINISHED
+    talker.tell(m.Disarm())
+    still = Readings(0, 204, 3.0, 0.0, 0.0)
+    talker.step(500, still)
+    talker.tell(m.Reset())
+    # The one in force, once more, is not another.
+    assert evidence(talker.loaded(IMAGE)).bits == m.PULSE_SOUND | m.TRIAL_FINISHED
+    assert evidence(talker.loaded(loud)).bits == m.PULSE_SOUND
+    talker.step(500, still)
+    talker.heard()
+    assert talker.refused(arm(WATCHED, loud)) is Reason.NO_TRIAL
+    # Too soon after the reset for another comparison: it need not be made again.
+    talker.done(arm(WATCHED, loud, trial=1, gain=0.1))
+    down = Hand(talker)
+    down.step_down()
+    found = evidence(talker)
+    assert found.bits == m.PULSE_SOUND | m.TRIAL_FINISHED

@@ -24,6 +24,7 @@ typedef struct {
     td_wide cool_A[TD_MAX_SPEEDS * TD_MAX_GRIPS];           /* their norms; what follows is set where cool_bits is */
     const uint8_t *cool_scale_A;                            /* (speeds, grips) float64 */
     const uint8_t *cool_counts;                             /* (speeds, grips, samples) int8 or int16 */
+    td_wide peak_A; /* the largest command of any, set by td_check_image */
 } td_bank;
 
 /* What is played at one contact: four corners and their weights, of the first waveforms and of the second. */

@@ -127,7 +127,7 @@ static td_refusal check_peaks(const reach *found, const td_config *config, doubl
 
 /* Every waveform, first and second: that it ends in zeros and keeps the limits from rest. The room for rounding is one
  * count, the finer one for the second: those are rounded towards zero. */
-static td_refusal check_waveforms(const td_bank *bank, const td_config *config, double scale_A, uint32_t tail)
+static td_refusal check_waveforms(td_bank *bank, const td_config *config, double scale_A, uint32_t tail)
 {
     const size_t samples = (size_t)bank->samples;
     reach first = {{0, 0}, 0, true}, cool = {{0, 0}, 0, true};
@@ -146,6 +146,7 @@ static td_refusal check_waveforms(const td_bank *bank, const td_config *config, 
     }
     if (!first.ends || !cool.ends)
         return td_refuse(TD_REASON_NO_ZERO_TAIL, tail);
+    bank->peak_A = first.peak_A[0] > cool.peak_A[0] ? first.peak_A[0] : cool.peak_A[0];
     refusal = check_peaks(&first, config, scale_A);
     return refusal.reason != 0 ? refusal : check_peaks(&cool, config, scale_A < cool.count_A ? scale_A : cool.count_A);
 }

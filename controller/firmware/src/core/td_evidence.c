@@ -8,9 +8,14 @@ static bool is_number(double value)
     return !isnan(value);
 }
 
+static bool is_within(double ratio, double least, double most)
+{
+    return ratio >= least && ratio <= most;
+}
+
 static bool agrees(double ratio)
 {
-    return ratio >= TD_EVIDENCE_LEAST && ratio <= TD_EVIDENCE_MOST;
+    return is_within(ratio, TD_EVIDENCE_LEAST, TD_EVIDENCE_MOST);
 }
 
 void td_evidence_start(td_evidence *evidence)
@@ -114,6 +119,16 @@ static td_wide predicted(const td_pulse_plan *plan, const td_wide *column, td_wi
     return column[plan->nodes - 1];
 }
 
+bool td_evidence_is_wrong(const td_config *config, const td_pulse *pulse, td_wide grip_N)
+{
+    const double asked_A = (double)pulse->size_A;
+    const double push_m_s2 = predicted(&config->pulse, config->pulse.acceleration, grip_N) * asked_A;
+
+    return !is_within(pulse->last_A / asked_A, TD_WRONG_PULSE_LEAST, TD_WRONG_PULSE_MOST) ||
+           (config->calibration.has_accelerometer &&
+            !is_within(pulse->last_m_s2 / push_m_s2, TD_WRONG_PUSH_LEAST, TD_WRONG_PUSH_MOST));
+}
+
 void td_evidence_pulsed(td_evidence *evidence, const td_config *config, const td_pulse *pulse, td_wide grip_N)
 {
     const td_pulse_plan *plan = &config->pulse;
@@ -141,20 +156,54 @@ void td_evidence_trying(td_evidence *evidence)
     evidence->bits &= (uint8_t)~TD_TRIAL_FINISHED;
     evidence->stage = TD_STAGE_TRIAL;
     evidence->speed_ratio = (double)NAN;
+    memset(&evidence->flowed, 0, sizeof evidence->flowed);
 }
 
 void td_evidence_contact(td_evidence *evidence, const td_config *config)
 {
-    if (config->calibration.has_accelerometer)
-        evidence->speed_ratio = motion_ratio(&evidence->motion, config->dt_s);
+    memset(&evidence->flowed, 0, sizeof evidence->flowed);
+    if (!config->calibration.has_accelerometer)
+        return;
+    evidence->speed_ratio = motion_ratio(&evidence->motion, config->dt_s);
+    if (is_number(evidence->speed_ratio))
+        evidence->agreed = agrees(evidence->speed_ratio);
 }
 
-void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain)
+/* The smaller of a size by a stated scale and of what the hardware itself had for it. */
+static td_wide by_either(td_wide size, td_real scale)
 {
+    const td_wide part = (td_wide)td_size(scale);
+
+    return part > 1 ? size / part : size;
+}
+
+void td_evidence_flows(td_evidence *evidence, const td_config *config, td_wide expected_A, td_wide measured_A)
+{
+    td_flowed *flowed = &evidence->flowed;
+    const td_wide played = by_either(fabs(expected_A), config->calibration.amplifier_scale);
+    const td_wide read = by_either(fabs(measured_A), config->calibration.monitor_scale);
+    const td_wide both = played < read ? played : read;
+
+    flowed->expected += expected_A * expected_A;
+    flowed->both += expected_A * measured_A;
+    flowed->least_A = both > flowed->least_A ? both : flowed->least_A;
+}
+
+void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain, td_wide least_A)
+{
+    const td_flowed *flowed = &evidence->flowed;
+
     evidence->stage = TD_STAGE_TRIED;
-    /* So small that nothing of it was felt proves nothing. */
-    if (!(gain >= TD_TRIAL_GAIN / 2))
+    /* So small that nothing of it was felt proves nothing, nor does a current that did not flow. */
+    if (!(gain >= TD_TRIAL_GAIN / 2 && flowed->least_A >= least_A && agrees(flowed->both / flowed->expected)))
         return;
-    if (config->host_starts || !config->calibration.has_accelerometer || agrees(evidence->speed_ratio))
+    if (config->host_starts || !config->calibration.has_accelerometer || evidence->agreed)
         evidence->bits |= TD_TRIAL_FINISHED;
+}
+
+void td_evidence_other_library(td_evidence *evidence)
+{
+    evidence->bits &= (uint8_t)~TD_TRIAL_FINISHED;
+    if (evidence->stage > TD_STAGE_PULSED)
+        evidence->stage = TD_STAGE_PULSED;
 }

@@ -23,9 +23,17 @@ typedef struct {
     td_wide by_both, by_encoder, by_accelerometer; /* products of the two, fading */
 } td_motion;
 
+/* What flowed in a trial: products of the current that was expected and of the one that was measured, and the largest
+ * size that both of them had at once, by the scales that the host states and by the hardware's own units. */
+typedef struct {
+    td_wide expected, both, least_A;
+} td_flowed;
+
 typedef struct {
     uint8_t bits, stage; /* TD_PULSE_SOUND, TD_TRIAL_FINISHED; TD_STAGE_... */
     uint16_t pulses;
+    bool agreed; /* encoder and accelerometer have told of one motion, in a trial of whatever library */
+    td_flowed flowed;
     double current_ratio, acceleration_ratio, path_ratio, speed_ratio; /* measured on predicted, NaN where not measured */
     td_motion motion;
 } td_evidence;
@@ -39,6 +47,9 @@ void td_evidence_see(td_evidence *evidence, const td_config *config, const td_re
 /* Pulses begin, or were cut: what was known of them is forgotten. */
 void td_evidence_pulsing(td_evidence *evidence);
 
+/* Whether the pulse that has just ended was so wrong that no other one may follow. */
+bool td_evidence_is_wrong(const td_config *config, const td_pulse *pulse, td_wide grip_N);
+
 /* Pairs of pulses have ended, at this grip. */
 void td_evidence_pulsed(td_evidence *evidence, const td_config *config, const td_pulse *pulse, td_wide grip_N);
 
@@ -48,7 +59,13 @@ void td_evidence_trying(td_evidence *evidence);
 /* In a trial a contact came. */
 void td_evidence_contact(td_evidence *evidence, const td_config *config);
 
-/* A trial was played to its end, at this gain. */
-void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain);
+/* One tick of a trial that plays: the current that the model expects, and the corrected reading. */
+void td_evidence_flows(td_evidence *evidence, const td_config *config, td_wide expected_A, td_wide measured_A);
+
+/* A trial was played to its end, at this gain; `least_A`: a smaller current proves nothing. */
+void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain, td_wide least_A);
+
+/* Another library: its own trial is still to come. */
+void td_evidence_other_library(td_evidence *evidence);
 
 #endif

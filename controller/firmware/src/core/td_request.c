@@ -108,6 +108,8 @@ static td_refusal commit(td_device *device)
     hold(device, true);
     if (found.reason != 0)
         return found;
+    if (!same_hash(device->store.sha256, device->store.library_sha256))
+        td_evidence_other_library(&device->evidence);
     td_store_committed(&device->store);
     device->servo.bank = td_store_bank(&device->store);
     return td_granted;
@@ -185,10 +187,21 @@ static td_refusal change_gain(td_device *device, double gain)
     return found;
 }
 
+/* Whether a pulse is large enough to prove something, by the scales that the host states and by the hardware. */
+static bool shows(const td_hardware *hardware, const td_calibration *calibration, double size_A)
+{
+    const double usual_A = hardware->pulse_A < TD_PULSE_USUAL_A ? hardware->pulse_A : TD_PULSE_USUAL_A;
+    const double least_A = TD_PULSE_LEAST_PART * usual_A;
+
+    return size_A >= least_A && size_A >= least_A * (double)td_size(calibration->amplifier_scale) &&
+           size_A >= least_A * (double)td_size(calibration->monitor_scale);
+}
+
 static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uint8_t pairs)
 {
     const td_hardware *hardware = &device->port.hardware;
     const td_config *config = &device->store.config;
+    const td_calibration *calibration = &config->calibration;
     td_refusal found = need_idle(device);
     double commanded_A;
 
@@ -197,7 +210,7 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uin
     if (!device->store.configured)
         return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
     /* A host states the scale of the amplifier: whatever it says, neither the current nor what goes out is larger. */
-    commanded_A = current_A / (double)config->calibration.amplifier_scale;
+    commanded_A = current_A / (double)calibration->amplifier_scale;
     if (!(fabs(current_A) <= hardware->pulse_A && fabs(commanded_A) <= hardware->pulse_A &&
           fabs(current_A) <= (double)config->current_limit_A))
         return td_refuse(TD_REASON_BAD_VALUE, current_A);
@@ -206,10 +219,13 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uin
     if (pairs > 0 && (config->pulse.nodes == 0 || ticks != config->pulse.ticks ||
                       !(fabs(current_A) >= config->pulse.current_A && fabs(current_A) <= config->pulse.current_A)))
         return td_refuse(TD_REASON_OTHER_PULSE, current_A);
+    if (pairs > 0 && !shows(hardware, calibration, fabs(current_A)))
+        return td_refuse(TD_REASON_BAD_VALUE, current_A);
     found = need_rest(device);
     if (found.reason != 0)
         return found;
     td_pulse_start(&device->pulse, config, (td_real)current_A, ticks, pairs);
+    device->lease_ticks = device->lease_left = td_device_ticks(device, TD_PULSE_LEASE_MS);
     if (pairs > 0)
         td_evidence_pulsing(&device->evidence);
     return td_granted;
@@ -225,7 +241,6 @@ static td_refusal move_surface(td_device *device, double counts)
         return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
     if (state == TD_STATE_PLAYING)
         return td_refuse(TD_REASON_STILL_PLAYING, (double)NAN);
-    device->lease_ticks = device->lease_left = td_device_ticks(device, TD_PULSE_LEASE_MS);
     if (!(fabs(counts) <= TD_ENCODER_MOST_COUNTS))
         return td_refuse(TD_REASON_BAD_VALUE, counts);
     td_servo_set_surface(&device->servo, &device->store.config, counts);

@@ -83,25 +83,47 @@ static void pulse(td_device *device, const td_readings *seen, td_output *output)
 
 static void end_pulse(td_device *device)
 {
-    if (device->pulse.left == 0 || !td_pulse_next(&device->pulse))
+    const td_config *config = &device->store.config;
+    const td_wide grip_N = (td_wide)device->servo.watch.grip_N;
+    td_pulse *pulse = &device->pulse;
+
+    if (pulse->left == 0)
         return;
-    if (device->pulse.judged)
-        td_evidence_pulsed(&device->evidence, &device->store.config, &device->pulse, (td_wide)device->servo.watch.grip_N);
+    /* After one that was wrong the others do not come: what is known by it is told. */
+    if (!td_pulse_next(pulse) && !(pulse->judged && pulse->at == 0 && td_evidence_is_wrong(config, pulse, grip_N)))
+        return;
+    pulse->left = 0;
+    if (pulse->judged)
+        td_evidence_pulsed(&device->evidence, config, pulse, grip_N);
     tell(device, TD_WHAT_PULSE_ENDED);
+}
+
+/* A trial in which less flowed than this proves nothing: of what the hardware can, and of what the library plays. */
+static td_wide least_of_trial_A(const td_device *device)
+{
+    const td_wide of_hardware = TD_TRIAL_HARDWARE_PART * device->port.hardware.current_A;
+    const td_wide of_library = TD_TRIAL_LIBRARY_PART * device->servo.bank->peak_A;
+
+    return of_library > of_hardware ? of_library : of_hardware;
 }
 
 /* What a trial shows. */
 static void witness(td_device *device, const td_readings *seen, const td_output *output)
 {
     const td_config *config = &device->store.config;
+    const td_watch *watch = &device->servo.watch;
     int32_t j;
 
     td_evidence_see(&device->evidence, config, seen);
-    for (j = 0; j < output->event_count && device->trial; j++) {
+    if (!device->trial)
+        return;
+    if (watch->playing)
+        td_evidence_flows(&device->evidence, config, (td_wide)watch->expected_A, (td_wide)watch->current_A);
+    for (j = 0; j < output->event_count; j++) {
         if (output->events[j].what == TD_WHAT_CONTACT)
             td_evidence_contact(&device->evidence, config);
         else if (output->events[j].what == TD_WHAT_FINISHED)
-            td_evidence_tried(&device->evidence, config, device->servo.gain);
+            td_evidence_tried(&device->evidence, config, device->servo.gain, least_of_trial_A(device));
     }
 }
 
