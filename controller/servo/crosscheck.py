@@ -15,7 +15,8 @@ FOLLOW_FAR_M = 5e-3  # further apart the two tell of nothing common: begin anew
 FOLLOW_STILL_S = 20e-3  # after so long without a count an integral of the acceleration says nothing: at rest
 ABSURD_M_S2 = 1e4  # a reading that is larger, or no number, counts as none
 STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # of motion that no encoder sleeps through; a fine one's counts are too few
-QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g: less is silence
+QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g: less is silence where current shakes
+DEAD_M_S2 = 0.1  # less is a wire that nothing hangs on: it has no noise of its own, and tells of no motion
 QUIET_BLOCK_S, QUIET_BLOCKS = 1e-3, 5  # of the window that slides over the readings
 # So far the current must swing within the window, and so hard that must push by the device's own prediction. A current
 # that stands still proves nothing: a hand that is held by 3.9 A feels 0.03 g.
@@ -28,15 +29,15 @@ class Crosscheck:
     Attributes
     ----------
     path_m : by the accelerometer, since the encoder's last count.
-    stuck_m : of that path, from which on the encoder is stuck; infinite without an accelerometer.
+    stuck : while a transient plays that path is longer than an encoder can sleep through.
     quiet : the accelerometer was silent while current shook the stylus.
     """
 
     def __init__(self, s: Settings) -> None:
         self._dt_s, self._count_m = s.dt_s, s.count_m
-        self.stuck_m, self._swing_A = float("inf"), float("inf")
+        self._stuck_m, self._swing_A = float("inf"), float("inf")
         if s.has_accelerometer:
-            self.stuck_m = max(STUCK_COUNTS * s.count_m, STUCK_LEAST_M)
+            self._stuck_m = max(STUCK_COUNTS * s.count_m, STUCK_LEAST_M)
             push = min(s.pulse_acceleration, default=QUIET_PUSH_M_S2 / QUIET_SWING_A)
             self._swing_A = max(QUIET_SWING_A, QUIET_PUSH_M_S2 / push)
         self._still_limit, self._block_ticks = s.ticks(FOLLOW_STILL_S), s.ticks(QUIET_BLOCK_S)
@@ -46,7 +47,7 @@ class Crosscheck:
 
     def forget(self) -> None:
         """Begin another window of the accelerometer's silence."""
-        self.quiet = False
+        self.quiet = self.stuck = False
         # Of each block: sum and sum of squares of the acceleration, least and largest current.
         self._blocks = [(0.0, 0.0, 0.0, 0.0)] * QUIET_BLOCKS
         self._at = self._ticks = self._whole = 0
@@ -60,6 +61,8 @@ class Crosscheck:
         self._follow(moved, acceleration)
         if playing:
             self._listen(acceleration, current_A)
+            # A dead accelerometer takes the end of a motion for its going on.
+            self.stuck = abs(self.path_m) >= self._stuck_m and self._heard()[0] >= DEAD_M_S2 * DEAD_M_S2
         elif self._whole or self._ticks:
             self.forget()
 
@@ -108,12 +111,19 @@ class Crosscheck:
             self._judge()
 
     def _judge(self) -> None:
+        variance, swing_A = self._heard()
+        self.quiet = variance < QUIET_M_S2 * QUIET_M_S2 and swing_A >= self._swing_A
+
+    def _heard(self) -> tuple[float, float]:
+        """Variance of the acceleration and swing of the current within the window, as far as it has come."""
         total = square = 0.0
         low_A, high_A = self._blocks[0][2:]
-        for one, of_squares, low, high in self._blocks:
+        for one, of_squares, low, high in self._blocks[: max(self._whole, self._at + 1)]:
             total, square = total + one, square + of_squares
             low_A, high_A = min(low_A, low), max(high_A, high)
-        readings = QUIET_BLOCKS * self._block_ticks
+        readings = min(self._whole, QUIET_BLOCKS) * self._block_ticks
+        if self._ticks:
+            # The block under way has taken the place of the oldest.
+            readings += self._ticks - (self._block_ticks if self._whole == QUIET_BLOCKS else 0)
         mean = total / readings
-        still = square / readings - mean * mean < QUIET_M_S2 * QUIET_M_S2
-        self.quiet = still and high_A - low_A >= self._swing_A
+        return square / readings - mean * mean, high_A - low_A

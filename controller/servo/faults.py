@@ -143,7 +143,7 @@ FAULTS = (
         lambda w: (
             w.still_ticks >= w.still_limit
             or abs(w.still_A_s) >= w.settings.stuck_A_s
-            or (w.playing and abs(w.crosscheck.path_m) >= w.crosscheck.stuck_m)
+            or w.crosscheck.stuck
         ),
     ),
     _rule(Fault.NO_CURRENT, lambda w: w.missing_ticks >= w.missing_limit),

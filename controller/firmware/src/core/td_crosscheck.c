@@ -14,7 +14,7 @@ static td_real larger(td_real one, td_real other)
 
 void td_crosscheck_forget(td_crosscheck *check)
 {
-    check->quiet = false;
+    check->quiet = check->stuck = false;
     memset(check->blocks, 0, sizeof check->blocks);
     check->at = check->ticks = check->whole = 0;
     check->middle_m_s2 = 0;
@@ -57,13 +57,14 @@ static void follow(td_crosscheck *check, const td_config *config, int32_t moved,
     check->still_ticks = 0;
 }
 
-static void judge(td_crosscheck *check, const td_config *config)
+/* Variance of the acceleration and swing of the current within the window, as far as it has come. */
+static td_real heard(const td_crosscheck *check, const td_config *config, td_real *swing_A)
 {
-    const td_real readings = (td_real)(TD_QUIET_BLOCKS * config->block_ticks);
+    const int32_t blocks = check->whole > check->at + 1 ? check->whole : check->at + 1;
+    int32_t readings = check->whole * config->block_ticks, j;
     td_real sum = 0, square = 0, mean, low_A = check->blocks[0].low_A, high_A = check->blocks[0].high_A;
-    int32_t j;
 
-    for (j = 0; j < TD_QUIET_BLOCKS; j++) {
+    for (j = 0; j < blocks; j++) {
         const td_block *block = &check->blocks[j];
 
         sum += block->sum;
@@ -71,9 +72,20 @@ static void judge(td_crosscheck *check, const td_config *config)
         low_A = smaller(low_A, block->low_A);
         high_A = larger(high_A, block->high_A);
     }
-    mean = sum / readings;
-    check->quiet = square / readings - mean * mean < (td_real)TD_QUIET_M_S2 * (td_real)TD_QUIET_M_S2 &&
-                   high_A - low_A >= config->swing_A;
+    /* The block under way has taken the place of the oldest. */
+    if (check->ticks > 0)
+        readings += check->ticks - (check->whole == TD_QUIET_BLOCKS ? config->block_ticks : 0);
+    mean = sum / (td_real)readings;
+    *swing_A = high_A - low_A;
+    return square / (td_real)readings - mean * mean;
+}
+
+static void judge(td_crosscheck *check, const td_config *config)
+{
+    td_real swing_A;
+    const td_real variance = heard(check, config, &swing_A);
+
+    check->quiet = variance < (td_real)TD_QUIET_M_S2 * (td_real)TD_QUIET_M_S2 && swing_A >= config->swing_A;
 }
 
 static void listen(td_crosscheck *check, const td_config *config, td_real acceleration_m_s2, td_real current_A)
@@ -111,8 +123,14 @@ void td_crosscheck_step(td_crosscheck *check, const td_config *config, int32_t m
     if (!(-(td_real)TD_ABSURD_M_S2 <= acceleration_m_s2 && acceleration_m_s2 <= (td_real)TD_ABSURD_M_S2))
         acceleration_m_s2 = 0;
     follow(check, config, moved, acceleration_m_s2);
-    if (playing)
+    if (playing) {
+        td_real swing_A;
+
         listen(check, config, acceleration_m_s2, current_A);
-    else if (check->whole > 0 || check->ticks > 0)
+        /* A dead accelerometer takes the end of a motion for its going on. */
+        check->stuck = td_size(check->path_m) >= config->stuck_m &&
+                       heard(check, config, &swing_A) >= (td_real)TD_DEAD_M_S2 * (td_real)TD_DEAD_M_S2;
+    } else if (check->whole > 0 || check->ticks > 0) {
         td_crosscheck_forget(check);
+    }
 }

@@ -18,7 +18,8 @@ typedef struct {
     td_real ahead_m; /* of the encoder, by which the accelerometer's motion is */
     td_real speed_m_s, offset_m_s2;
     int32_t still_ticks; /* since the encoder's last count */
-    bool quiet;          /* the accelerometer was silent while current shook the stylus */
+    bool stuck; /* while a transient plays that path is longer than an encoder can sleep through */
+    bool quiet; /* the accelerometer was silent while current shook the stylus */
     td_block blocks[TD_QUIET_BLOCKS];
     int32_t at, ticks, whole; /* block under way, readings in it, whole blocks before it */
     td_real middle_m_s2;

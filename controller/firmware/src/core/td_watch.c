@@ -91,7 +91,7 @@ static uint32_t alike(const td_watch *w, const td_config *c)
            bit(TD_WHAT_LATE_TICK, w->late) | bit(TD_WHAT_BAD_SENSOR, w->bad_encoder || w->bad_current) |
            bit(TD_WHAT_OVER_CURRENT, !flows) | bit(TD_WHAT_ENCODER_JUMP, !moves) |
            bit(TD_WHAT_ENCODER_STUCK, w->still_ticks >= c->still_limit || td_size(w->still_A_s) >= c->stuck_A_s ||
-                                          (w->playing && td_size(w->crosscheck.path_m) >= c->stuck_m)) |
+                                          w->crosscheck.stuck) |
            bit(TD_WHAT_NO_CURRENT, w->missing_ticks >= c->missing_limit) |
            bit(TD_WHAT_WRONG_CURRENT, w->wrong_ticks >= c->wrong_limit) |
            bit(TD_WHAT_ACCELEROMETER_DEAD, w->crosscheck.quiet) |
