@@ -38,7 +38,8 @@ their sequence is not looked at.
 
 To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the last
 ACK), COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence
-of its own: PULSE with pairs, ARM with trial 1 and a tap.
+of its own: PULSE with pairs, ARM with trial 1 and a tap. The trial is of the library in force: after
+another COMMIT it is asked for again.
 
 A part of CONFIGURE or DATA has at most {messages.DATA_LIMIT} bytes. Each hash is the SHA-256 of all bytes of the
 configuration or of the image, header included. The device returns the nonce of HELLO, so that an old answer is not
@@ -68,8 +69,10 @@ It is run as `python second_host.py PORT CONFIGURATION IMAGE`, with configuratio
 - A telemetry record waits {capacity.TELEMETRY_HOLD_MS} ms for its frame at most.
 - ARM and PULSE want rest: a whole window of readings since CONFIGURE_COMMIT or RESET, and at most
   {capacity.REST_SPEED_M_S} m/s.
-- Before each pulse of a pair lie {1e3 * capacity.REST_BETWEEN_PULSES_S:g} ms; evidence is sound from
-  {capacity.EVIDENCE_LEAST:g} to {capacity.EVIDENCE_MOST:g}.
+- Before each pulse lie {1e3 * capacity.REST_BETWEEN_PULSES_S:g} ms; pulses end without a LEASE for
+  {capacity.PULSE_LEASE_MS} ms. Evidence is sound from {capacity.EVIDENCE_LEAST:g} to {capacity.EVIDENCE_MOST:g}.
+- Limits are asked in two units: as the configuration states them, and over `amplifier_scale` or `monitor_scale`, as
+  the hardware gets them. Neither may pass the hardware's limit.
 
 """
 IMAGE = f"""## Image of a library, version {image.IMAGE_VERSION}

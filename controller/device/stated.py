@@ -88,8 +88,8 @@ def library_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
     if stated_A is not None and limits["current_A"] > stated_A * part * (1 + 1e-9):
         scaled = "" if part == 1 else f", amplifier.scale = {device.amplifier.scale:g}"
         raise InputError(
-            f"library: up to {limits['current_A']:g} A, device file: hardware.current_A = {stated_A:g}{scaled}: solve it "
-            f"with limits.current_A = {stated_A * part:g}, or correct the device file"
+            f"library: up to {limits['current_A']:g} A, device file: hardware.current_A = {stated_A:g}{scaled}: "
+            f"solve it with limits.current_A = {stated_A * part:g}, or correct the device file"
         )
     numbers = servo_numbers(device, dt_s)
     assumed = assumed_grip_N(device, library.grips_N)

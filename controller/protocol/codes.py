@@ -67,9 +67,7 @@ class Reason(Enum):
     BAD_TIMING = "servo period or lead differ between library, configuration and device"
     OVER_LIMIT = "a waveform passes the current or the command limit of the configuration"
     NO_ZERO_TAIL = "a waveform does not end in zero commands"
-    BEYOND_HARDWARE = (
-        "the configuration asks for more than the device's hardware allows, by the stated scales too: lower its limits"
-    )
+    BEYOND_HARDWARE = "the configuration, by its scales too, asks for more than the hardware allows: lower its limits"
     ONE_WAVEFORM = "this configuration plays one waveform at the host's word: upload one speed and one grip"
     NOT_ARMED = "the device is not armed: arm it, then start"
     BY_CONTACT = "this configuration plays at a contact, not at the host's word: configure it for an excitation"

@@ -128,12 +128,19 @@ class Data(Packed):
 
 @message(Kind.COMMIT)
 class Commit(Packed):
-    """Check the image whole, then play from it; until then the one before stays in force."""
+    """Check the image whole, then play from it; until then the one before stays in force.
+
+    Another library than the one before has its own trial still to come.
+    """
 
 
 @message(Kind.ARM)
 class Arm(Packed):
-    """trial 1: the bring-up check's own tap, gain at most `capacity.TRIAL_GAIN`; it needs PULSE_SOUND alone."""
+    """trial 1: the bring-up check's own tap, gain at most `capacity.TRIAL_GAIN`; it needs PULSE_SOUND alone.
+
+    The trial counts where a least current was played and measured: `capacity.TRIAL_LIBRARY_PART` of the library's
+    peak.
+    """
 
     trial: U8
     lease_ms: U16
@@ -144,7 +151,10 @@ class Arm(Packed):
 
 @message(Kind.LEASE)
 class Lease(Packed):
-    """The host is there; while ARMED or PLAYING the device disarms by itself `lease_ms` after the last one."""
+    """The host is there; while ARMED or PLAYING the device disarms by itself `lease_ms` after the last one.
+
+    Test pulses end `capacity.PULSE_LEASE_MS` after the last one.
+    """
 
     host_us: U64
 
@@ -175,9 +185,9 @@ class Telemetry(Packed):
 class Pulse(Packed):
     """Test pulses, IDLE and at rest only; PULSE_ENDED tells the end.
 
-    pairs 0 : a single pulse, of which nothing is judged. Otherwise so many pairs of the pulse that the configuration
-    states, with alternating sign, each after a rest of `capacity.REST_BETWEEN_PULSES_S`; at the end the device judges
-    them (EVIDENCE).
+    Before each lies a rest of `capacity.REST_BETWEEN_PULSES_S`. pairs 0 : a single pulse, of which nothing is
+    judged. Otherwise so many pairs of the pulse that the configuration states, with alternating sign; after the first
+    that is wrong no other follows. At the end the device judges them (EVIDENCE).
     """
 
     current_A: F64
@@ -216,7 +226,8 @@ class Start(Packed):
 class Surface(Packed):
     """Tell where the surface is, in counts of the encoder after its direction; not while PLAYING or in FAULT.
 
-    In place of the configuration's `surface_counts` until the next CONFIGURE_COMMIT; the evidence stays.
+    In place of the configuration's `surface_counts` until the next CONFIGURE_COMMIT; the evidence stays. As after
+    ARM, no wall pushes and no contact plays before the stylus has been above it.
     """
 
     counts: F64
@@ -369,7 +380,7 @@ class Log(Packed):
 
 @message(Kind.EVIDENCE_REPLY)
 class EvidenceReply(Packed):
-    """The device's own evidence, for this start and this configuration.
+    """The device's own evidence, for this start and this configuration; TRIAL_FINISHED for the library in force.
 
     bits : PULSE_SOUND, TRIAL_FINISHED. stage : `codes.Stage`. pulses : judged since the last PULSE.
     Ratios, measured on predicted, 1 for a sound device and NaN where not measured: of the pulses' current, of the

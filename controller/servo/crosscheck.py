@@ -6,9 +6,9 @@ while its accelerometer is silent has a dead accelerometer. Neither is seen by a
 
 from controller.servo.settings import Settings
 
-# How the accelerometer's motion is drawn to the encoder's at each count: a third-order observer with its three poles
-# at this rate [1/s], quick enough for a scale that is 20 % off, slow enough for the quantum of a count. Its third state
-# is the offset that gravity and a tilted hand leave in the reading.
+# How the accelerometer's motion is drawn to the encoder's at each count: an observer of third order, its poles all
+# at this rate, quick enough for a scale that is 20 % off, slow enough for the quantum of a count. Its third state is
+# the offset that gravity and a tilted hand leave in the reading.
 FOLLOW_RATE_1_S = 200.0
 FOLLOW_PART = 0.5  # of the time between two counts, at the least, that the rate spans: rare counts draw more softly
 FOLLOW_FAR_M = 5e-3  # further apart the two tell of nothing common: begin anew
@@ -18,8 +18,8 @@ STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # of motion that no encoder sleeps thr
 QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g: less is silence where current shakes
 DEAD_M_S2 = 0.1  # less is a wire that nothing hangs on: it has no noise of its own, and tells of no motion
 QUIET_BLOCK_S, QUIET_BLOCKS = 1e-3, 5  # of the window that slides over the readings
-# So far the current must swing within the window, and so hard that must push by the device's own prediction. A current
-# that stands still proves nothing: a hand that is held by 3.9 A feels 0.03 g.
+# So far the current must swing within the window, and so hard must that push by the device's own prediction. A
+# current that stands still proves nothing: a sound stylus that is held by 3.9 A feels 0.03 g.
 QUIET_SWING_A, QUIET_PUSH_M_S2 = 1.0, 9.80665
 
 
@@ -36,7 +36,8 @@ class Crosscheck:
     def __init__(self, s: Settings) -> None:
         self._dt_s, self._count_m = s.dt_s, s.count_m
         self._stuck_m, self._swing_A = float("inf"), float("inf")
-        if s.has_accelerometer:
+        # An excitation may be played on a rotor that is blocked on purpose.
+        if s.has_accelerometer and not s.host_starts:
             self._stuck_m = max(STUCK_COUNTS * s.count_m, STUCK_LEAST_M)
             push = min(s.pulse_acceleration, default=QUIET_PUSH_M_S2 / QUIET_SWING_A)
             self._swing_A = max(QUIET_SWING_A, QUIET_PUSH_M_S2 / push)

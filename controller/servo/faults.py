@@ -140,11 +140,7 @@ FAULTS = (
     _rule(Fault.ENCODER_JUMP, lambda w: not -w.settings.fastest_m_s <= w.step_m_s <= w.settings.fastest_m_s),
     _rule(
         Fault.ENCODER_STUCK,
-        lambda w: (
-            w.still_ticks >= w.still_limit
-            or abs(w.still_A_s) >= w.settings.stuck_A_s
-            or w.crosscheck.stuck
-        ),
+        lambda w: w.still_ticks >= w.still_limit or abs(w.still_A_s) >= w.settings.stuck_A_s or w.crosscheck.stuck,
     ),
     _rule(Fault.NO_CURRENT, lambda w: w.missing_ticks >= w.missing_limit),
     _rule(Fault.WRONG_CURRENT, lambda w: w.wrong_ticks >= w.wrong_limit),

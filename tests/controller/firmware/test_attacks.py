@@ -186,8 +186,7 @@ def played(talker: Talker, plant: Plant, settings: Settings, image: bytes, times
 
 
 def test_a_configuration_without_a_coil_does_not_burn_the_motor(start: Start) -> None:
-    # A blocked stylus, of which no sensor tells.
-    settings = replace(EXCITED, stuck_A_s=1e3, stuck_s=1e3, has_accelerometer=False)
+    settings = replace(EXCITED, stuck_A_s=1e3, stuck_s=1e3)
     talker = Talker(start(heat_C=(90.0, 80.0)))
     talker.configured(configuration_of(settings))
     command = np.zeros((1, 1, 5000))

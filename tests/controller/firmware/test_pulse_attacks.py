@@ -1,4 +1,4 @@
-"""Test pulses as a host would misuse them: too large for the hardware, without a rest, without a lease, of nothing."""
+"""Test pulses as a host would misuse them: too large for the hardware, without rest or lease, of nothing."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -88,7 +88,7 @@ def test_a_single_pulse_of_a_host_that_has_gone_ends_with_its_lease(start: Start
     talker.configured(configuration_of(WATCHED))
     talker.done(m.Pulse(0.05, long_ticks, 0))
     commands = [talker.step(1).command_A for _ in range(long_ticks)]
-    assert 0 < np.count_nonzero(commands)
+    assert np.count_nonzero(commands) > 0
     assert np.flatnonzero(commands)[-1] < round(1e-3 * PULSE_LEASE_MS / DT_S)
 
 
@@ -136,7 +136,11 @@ def test_a_scale_makes_no_large_pulse_of_a_small_one(start: Start, scale: str) -
 
 LIMITS = {
     "current": ({"current_limit_A": 4.0}, "amplifier_scale", 4.0 / 4.5),
-    "command": ({"amplifier": replace(AMPLIFIER, command_limit=4.0), "current_limit_A": 1.0}, "amplifier_scale", 4 / 6),
+    "command": (
+        {"amplifier": replace(AMPLIFIER, command_limit=4.0), "current_limit_A": 1.0},
+        "amplifier_scale",
+        4 / 6,
+    ),
     "over-current": ({"current_limit_A": 2.0, "over_current": 1.5}, "monitor_scale", 3.0 / 6.0),
 }
 

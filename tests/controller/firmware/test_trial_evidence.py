@@ -64,7 +64,6 @@ class Hand:
             self.true_A = self.keep * self.true_A + (1 - self.keep) * self.output.command_A
             self.tick += 1
 
-
     def step_down(self) -> None:
         """Straight down through the surface and on until the tap is over."""
         while State.PLAYING not in self.states or self.output.state is State.PLAYING:

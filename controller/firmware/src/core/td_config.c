@@ -197,7 +197,8 @@ static void unpack_crosscheck(td_config *config, table *from)
     swing_A = TD_QUIET_PUSH_M_S2 / push;
     swing_A = swing_A > TD_QUIET_SWING_A ? swing_A : TD_QUIET_SWING_A;
     stuck_m = stuck_m > TD_STUCK_LEAST_M ? stuck_m : TD_STUCK_LEAST_M;
-    if (!config->calibration.has_accelerometer)
+    /* An excitation may be played on a rotor that is blocked on purpose. */
+    if (!config->calibration.has_accelerometer || config->host_starts)
         stuck_m = swing_A = (double)INFINITY;
     config->stuck_m = (td_real)stuck_m;
     config->swing_A = (td_real)swing_A;

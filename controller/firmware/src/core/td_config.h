@@ -84,7 +84,7 @@ typedef struct {
     td_real fastest_m_s, current_range_A, over_current_A, no_current_A, no_current_part, stuck_A, stuck_A_s;
     int32_t missing_limit, still_limit, wrong_limit; /* ticks */
     /* sensors against each other: path without a count, swing of the current that must shake; infinite without an
-     * accelerometer. Ticks of a rest, and of a block of the window that is listened to. */
+     * accelerometer and for an excitation. Ticks of a rest, and of a block of the window that is listened to. */
     td_real stuck_m, swing_A;
     int32_t rest_limit, block_ticks;
     td_coil coil;
