@@ -147,7 +147,7 @@ def test_a_refusal_is_one_line_in_words() -> None:
             device.set_gain(0.2)
         device.disarm()
         device.pulse(0.05, 50)
-        assert device.listen(0.1, until=lambda x: isinstance(x, Happened) and x.what is LinkNotice.PULSE_ENDED)
+        assert device.listen(0.3, until=lambda x: isinstance(x, Happened) and x.what is LinkNotice.PULSE_ENDED)
 
 
 def test_a_fault_meanwhile_is_told_and_no_misuse() -> None:
