@@ -8,6 +8,9 @@
  *     the command is a number, inside the hardware's range, and zero where the amplifier is not enabled
  *     it is enabled only while the device says that it is armed or plays, or while a pulse was granted
  *     the true current keeps the hardware's limit, and the coil its temperature
+ *     a pulse keeps the hardware's size and length, comes after a rest, and only while a lease runs
+ *     evidence of a pulse or of a trial came of a current that flowed and was read; a trial's is of the library in force
+ *     a current that is read as another than the model expects ends a transient within 2 ms
  */
 #include <math.h>
 #include <stdio.h>
@@ -18,6 +21,7 @@
 #include "td_bytes.h"
 
 #define MOST_TICKS 30000 /* of one input */
+#define PUSH_M_S2_A 30 /* as the configuration predicts it */
 #define PI 3.141592653589793
 #define KELVIN 0.02 /* by which the coil here and the guard's implicit rule may differ */
 
@@ -32,6 +36,12 @@ static uint64_t tick;
 static uint32_t boots;
 static double height_counts, speed_counts, grip_N;
 static int32_t spent;
+static int32_t pulsed_ticks, rested_ticks; /* of the pulse that goes out, and since the last one */
+static double pulse_A, played_A, read_A;   /* the largest of the last pulses, and of the transients of the last arming */
+static double model_A;                     /* what the configuration's model expects */
+static int32_t wrong_ticks;
+static bool was_playing;
+static uint8_t had, tried_sha256[TD_HASH_BYTES]; /* bits of evidence at the last tick; library of the trial */
 
 static void require(bool holds, const char *what)
 {
@@ -51,6 +61,76 @@ static void warm(double i_A)
     housing_C += hardware.dt_s * (down - out) / (hardware.tau_h_s / hardware.R_ha_K_W);
 }
 
+static double larger(double one, double other)
+{
+    return other > one ? other : one;
+}
+
+/* Pulses: what goes out while the device says that it is idle. */
+static void judge_pulse(const td_output *output)
+{
+    const double size = fabs((double)output->command_A);
+
+    leased_ticks++;
+    if (output->state != TD_STATE_IDLE || !(size > 0)) {
+        pulsed_ticks = 0;
+        if (rested_ticks < INT32_MAX)
+            rested_ticks++;
+        return;
+    }
+    require(size <= hardware.pulse_A * (1 + 1e-6), "a pulse beyond the hardware's");
+    require(pulsed_ticks > 0 || rested_ticks >= floor(TD_REST_BETWEEN_PULSES_S / hardware.dt_s), "a pulse without a rest");
+    require(++pulsed_ticks * hardware.dt_s <= hardware.pulse_s * (1 + 1e-6), "a pulse too long");
+    require(leased_ticks * hardware.dt_s <= 1e-3 * TD_PULSE_LEASE_MS + 2 * hardware.dt_s, "a pulse without a lease");
+    rested_ticks = 0;
+    pulse_A = larger(size, pulse_A);
+}
+
+/* Evidence: only of what flowed and was read. */
+static void judge_evidence(const td_readings *readings, const td_output *output)
+{
+    const uint8_t bits = device.evidence.bits;
+    const double usual_A = hardware.pulse_A < TD_PULSE_USUAL_A ? hardware.pulse_A : TD_PULSE_USUAL_A;
+    const double least_A = TD_TRIAL_HARDWARE_PART * hardware.current_A;
+
+    if (was_playing) {
+        played_A = larger(fabs(true_A), played_A);
+        read_A = larger(fabs((double)readings->current_A), read_A);
+    }
+    if (bits & ~had & TD_PULSE_SOUND)
+        require(pulse_A >= TD_PULSE_LEAST_PART * usual_A, "evidence of a pulse that was none");
+    if (bits & ~had & TD_TRIAL_FINISHED) {
+        /* The amplifier here has another pole than the model: it may give less. */
+        require(played_A >= 0.5 * least_A && read_A >= 0.99 * least_A, "evidence of a trial of nothing");
+        memcpy(tried_sha256, device.store.library_sha256, TD_HASH_BYTES);
+    }
+    if (bits & TD_TRIAL_FINISHED)
+        require(memcmp(tried_sha256, device.store.library_sha256, TD_HASH_BYTES) == 0, "evidence of another library");
+    had = bits;
+    if (output->state == TD_STATE_IDLE)
+        played_A = read_A = 0;
+}
+
+/* The current that is read beside the one that the configuration's own model expects; a little wider than the rule. */
+static void judge_current(const td_readings *readings, const td_output *output)
+{
+    const td_calibration *calibration = &device.store.config.calibration;
+    const double read = (double)calibration->monitor_scale * (double)readings->current_A;
+    const double decay = (double)device.store.config.decay;
+
+    if (!device.store.configured) {
+        model_A = 0;
+        return;
+    }
+    if (was_playing && output->state != TD_STATE_FAULT && fabs(read - model_A) > 0.32 + 0.31 * fabs(model_A))
+        wrong_ticks++;
+    else
+        wrong_ticks = 0;
+    require(wrong_ticks * hardware.dt_s <= TD_WRONG_CURRENT_S + 2 * hardware.dt_s, "another current than was commanded");
+    model_A = decay * model_A + (1 - decay) * (double)output->command_A * (double)calibration->amplifier_scale;
+    was_playing = output->state == TD_STATE_PLAYING;
+}
+
 static void step(uint8_t mode)
 {
     td_readings readings;
@@ -64,7 +144,7 @@ static void step(uint8_t mode)
     readings.encoder_counts = (int32_t)floor(height_counts);
     readings.grip_N = (td_real)grip_N;
     readings.current_A = (td_real)true_A;
-    readings.acceleration_m_s2 = 0;
+    readings.acceleration_m_s2 = (td_real)(PUSH_M_S2_A * true_A);
     readings.emergency_stop = readings.late = readings.host_stop = false;
     if (mode == 1) {
         readings.current_A = (td_real)odd();
@@ -85,6 +165,9 @@ static void step(uint8_t mode)
     require(!output.enabled || output.state == TD_STATE_ARMED || output.state == TD_STATE_PLAYING ||
                 (pulsing && output.state == TD_STATE_IDLE),
             "power though neither armed nor pulsing");
+    judge_pulse(&output);
+    judge_evidence(&readings, &output);
+    judge_current(&readings, &output);
     true_A = pole_decay * true_A + (1 - pole_decay) * command;
     require(fabs(true_A) <= hardware.current_A * (1 + 1e-6), "beyond the true current");
     if (hardware.has_coil) {
@@ -151,6 +234,44 @@ static void play(void)
     }
 }
 
+/* All that leads to evidence in one breath, as the check does it: pulses, a trial, at times another library after it. */
+static void prove(void)
+{
+    const uint8_t how = byte(), sign = 0;
+    uint8_t body[TD_PULSE_BYTES];
+    int32_t j;
+
+    hello();
+    say(TD_KIND_DISARM, &how, 0);
+    say(TD_KIND_RESET, &how, 0);
+    configure((uint8_t)(16 | (how & 128)), 0);
+    upload(how & 16, 0);
+    speed_counts = 0;
+    for (j = 0; j < 30; j++, spent++)
+        step(0);
+    td_put_f64(body + TD_PULSE_CURRENT_A, 0.05);
+    td_put_u16(body + TD_PULSE_TICKS, 20);
+    body[TD_PULSE_PAIRS] = 1;
+    pulse_A = 0;
+    say(TD_KIND_PULSE, body, sizeof body);
+    for (j = 0; j < 2 * (int32_t)(TD_REST_BETWEEN_PULSES_S / hardware.dt_s) + 200 && spent < MOST_TICKS; j++, spent++) {
+        if (j % 512 == 0 && !(how & 8))
+            lease();
+        step(0);
+    }
+    if (how & 1)
+        return;
+    arm();
+    say(TD_KIND_START, &sign, 1);
+    for (j = 0; j < 8 * byte() && spent < MOST_TICKS; j++, spent++)
+        step(how & 2 ? 2 : 0);
+    if (how & 4) {
+        say(TD_KIND_DISARM, &how, 0);
+        upload(how & 16, 0);
+        step(0);
+    }
+}
+
 static void restart(bool kept)
 {
     td_port port;
@@ -166,6 +287,10 @@ static void restart(bool kept)
     td_device_start(&device, &port);
     line_restart();
     true_A = 0; /* an amplifier without power for the time of a restart */
+    model_A = pulse_A = played_A = read_A = 0;
+    pulsed_ticks = wrong_ticks = 0;
+    was_playing = false;
+    had = 0;
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
@@ -196,7 +321,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     simulated = (how & 128) != 0;
     pole_decay = exp(-2 * PI * hardware.pole_least_Hz * pow(hardware.pole_most_Hz / hardware.pole_least_Hz, part) * hardware.dt_s);
     tick = 0;
-    spent = 0;
+    spent = leased_ticks = rested_ticks = 0;
     boots = 0;
     height_counts = 200;
     speed_counts = 0;
@@ -224,6 +349,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         case 15: restart((byte() & 1) != 0 || hardware.has_coil); break;
         case 16: move(); break;
         case 17: case 18: case 19: case 20: case 21: case 22: play(); break;
+        case 23: case 24: prove(); break;
         default: steps(); break;
         }
     }

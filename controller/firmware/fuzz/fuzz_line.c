@@ -8,6 +8,8 @@
 
 #define IMAGE_ROOM 20000
 
+int32_t leased_ticks;
+
 static const uint8_t *program;
 static size_t left;
 static uint16_t sequence;
@@ -83,6 +85,8 @@ void say(uint8_t kind, const uint8_t *body, size_t size)
 {
     uint8_t payload[TD_PAYLOAD_LIMIT], frame[TD_FRAME_LIMIT];
 
+    if (kind == TD_KIND_LEASE || kind == TD_KIND_PULSE)
+        leased_ticks = 0;
     payload[TD_HEADER_KIND] = kind;
     payload[TD_HEADER_FLAGS] = 0;
     td_put_u16(payload + TD_HEADER_SEQUENCE, ++sequence);

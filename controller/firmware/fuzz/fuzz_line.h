@@ -13,6 +13,9 @@ extern td_hardware hardware; /* its own, for the coming start */
 /* From this program on; nothing is configured or uploaded. */
 void line_begin(const uint8_t *data, size_t size);
 
+/* Ticks since the host last sent a LEASE, or a PULSE, which begins a lease of its own; counted by the harness. */
+extern int32_t leased_ticks;
+
 /* The device has started anew. */
 void line_restart(void);
 
