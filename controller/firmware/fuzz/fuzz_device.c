@@ -234,6 +234,30 @@ static void play(void)
     }
 }
 
+/* Configured and at rest, and some pulses: without a pause, or without a lease. */
+static void pulses(void)
+{
+    const uint8_t how = byte();
+    int32_t j, count;
+
+    hello();
+    say(TD_KIND_DISARM, &how, 0);
+    say(TD_KIND_RESET, &how, 0);
+    configure((uint8_t)(16 | (how & 132)), 0);
+    speed_counts = 0;
+    for (j = 0; j < 30; j++, spent++)
+        step(0);
+    for (count = byte() & 7; count > 0 && spent < MOST_TICKS; count--) {
+        pulse_A = 0;
+        pulse();
+        for (j = 16 * byte(); j > 0 && spent < MOST_TICKS; j--, spent++) {
+            if (j % 512 == 0 && !(how & 8))
+                lease();
+            step(0);
+        }
+    }
+}
+
 /* All that leads to evidence in one breath, as the check does it: pulses, a trial, at times another library after it. */
 static void prove(void)
 {
@@ -350,6 +374,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         case 16: move(); break;
         case 17: case 18: case 19: case 20: case 21: case 22: play(); break;
         case 23: case 24: prove(); break;
+        case 25: case 26: pulses(); break;
         default: steps(); break;
         }
     }

@@ -7,6 +7,7 @@
 #include "td_sha256.h"
 
 #define IMAGE_ROOM 20000
+#define NEXT_TO_NOTHING_A 1e-6
 
 int32_t leased_ticks;
 
@@ -157,6 +158,8 @@ void configure(uint8_t how, int changes)
         number(TD_CFG_WALL_FORCE_PER_CURRENT_N_A, 1.25);
         number(TD_CFG_WALL_DERIVATIVE_FILTER_HZ, 500);
     }
+    if (how & 4)
+        number(TD_CFG_PULSE_A, NEXT_TO_NOTHING_A);
     if (how & 16)
         number(TD_CFG_HOST_STARTS, 1);
     if (how & 32)
@@ -269,9 +272,10 @@ void arm(void)
 void pulse(void)
 {
     const uint8_t how = byte();
+    const double size_A = how & 8 ? NEXT_TO_NOTHING_A : 0.05;
     uint8_t body[TD_PULSE_BYTES];
 
-    td_put_f64(body + TD_PULSE_CURRENT_A, how & 1 ? odd() : (how & 2 ? -0.05 : 0.05));
+    td_put_f64(body + TD_PULSE_CURRENT_A, how & 1 ? odd() : (how & 2 ? -size_A : size_A));
     td_put_u16(body + TD_PULSE_TICKS, how & 4 ? (uint16_t)word() : 20);
     body[TD_PULSE_PAIRS] = how >> 4 & 3;
     say(TD_KIND_PULSE, body, sizeof body);
