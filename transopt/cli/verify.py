@@ -29,8 +29,8 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
             checks = verify_library(loaded, lambda done: bar.advance(task, done))
         with np.errstate(all="ignore"):  # what overflows is found as not finite, and said
             misstated = list(misstatements(loaded))
-    except BROKEN as error:
-        raise InputError(f"{library}: does not describe a problem ({error}); solve the scene again") from None
+    except BROKEN:
+        raise InputError(f"{library}: does not describe a problem; solve the scene again") from None
     console = terminal.console()
     first = checks if loaded.cool is None else checks[: len(checks) // 2]
     console.print(verify_table(first, str(library)))

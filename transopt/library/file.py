@@ -37,6 +37,11 @@ TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of m
 BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError, ArithmeticError, RecursionError, MemoryError)
 
 
+def _in_words(error: Exception) -> str:
+    """What an error of this project says, in parentheses; of Python's own, nothing."""
+    return f" ({error})" if isinstance(error, InputError) else ""
+
+
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     data = read_file(path, MOST_FILE_BYTES, ADVICE)
     try:
@@ -44,16 +49,16 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         return {name: archive[name] for name in archive}
     except ValueError as error:
         raise InputError(f"{path}: {error}; {ADVICE}") from None
-    except Exception as error:  # zipfile, zlib, struct, the parser of heads: any broken archive ends here
-        raise InputError(f"{path}: damaged or not an .npz file ({error}); {ADVICE}") from None
+    except Exception:  # zipfile, zlib, struct, the parser of heads: any broken archive ends here
+        raise InputError(f"{path}: damaged or not an .npz file; {ADVICE}") from None
 
 
 def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
     try:
         meta = json.loads(str(text))
         check_depth(meta)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: meta is not JSON ({error}); solve the scene again") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: meta is not JSON: damaged; solve the scene again") from None
     schema = meta.get("schema") if isinstance(meta, dict) else None
     if not isinstance(meta, dict) or isinstance(schema, bool) or schema != SCHEMA:
         raise InputError(
@@ -150,10 +155,8 @@ def load_library(path: str | Path) -> Library:
             return _checked(path, arrays, meta)
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(f"{path}: ") else f"{path}: {error}") from None
-    except BROKEN as error:
-        raise InputError(
-            f"{path}: meta does not describe a problem ({type(error).__name__}: {error}); solve the scene again"
-        ) from None
+    except BROKEN:
+        raise InputError(f"{path}: meta does not describe a problem; solve the scene again") from None
 
 
 def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Library:
@@ -259,4 +262,4 @@ def _check_problem(path: Path, library: Library) -> None:
 
             nonlinear_problem(library, 0, 0)
     except (InputError, *BROKEN) as error:
-        raise InputError(f"{path}: it does not describe a problem ({error}); solve the scene again") from None
+        raise InputError(f"{path}: it does not describe a problem{_in_words(error)}; solve the scene again") from None

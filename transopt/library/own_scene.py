@@ -5,6 +5,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from transopt.base.errors import InputError
+from transopt.scene.file import explain
 from transopt.scene.scene import Scene
 
 
@@ -18,8 +19,4 @@ def scene_in(meta: dict[str, Any]) -> Scene:
     try:
         return Scene.model_validate(meta["scene"])
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        where = f"meta.scene: {key}" if key else "meta.scene"
-        raise InputError(f"{where}: {message}; solve the scene again") from None
+        raise InputError(f"{explain('meta.scene', error, meta['scene'])}; solve the scene again") from None

@@ -85,7 +85,11 @@ def doubts(library: Library) -> Iterator[str]:
                 if library.cool is not None:
                     yield from (f"second command of {said}" for said in _of_grip(library.cool, ig))
     except (InputError, *BROKEN) as error:
-        yield f"it does not describe a problem ({error or type(error).__name__})"
+        yield (
+            f"it does not describe a problem ({error})"
+            if isinstance(error, InputError)
+            else "it describes no problem"
+        )
 
 
 def misstatements(library: Library) -> Iterator[str]:

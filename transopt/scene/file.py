@@ -36,6 +36,8 @@ REPLACED = {
     ),
     "weights.tracking": "write weights.plain, the weight of the error as it is over hand.intention_s",
 }
+# How pydantic asks for a table: by the names of classes.
+_A_TABLE = re.compile(r"Input should be a valid dictionary or (instance of \w+|object to extract fields from)")
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
 _MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
 
@@ -124,7 +126,8 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any],
     elif first["type"] == "missing":
         text = f"{where}: missing; add it to the {'scene' if kind is Scene else 'file'}"
     else:
-        message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        message = _A_TABLE.sub("must be a table", first["msg"]).removeprefix("Value error, ")
+        message = message.replace("Input should be", "must be")
         shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {cut(repr(first['input']))}"
         text = f"{where}{shown}: {message}" if where else message
     others = {_keys_only(complaint, content) for complaint in error.errors()}

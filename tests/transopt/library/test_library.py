@@ -19,6 +19,11 @@ from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.library.multipliers import ARRAYS
 
+# Words of the interpreter and its libraries, which say nothing to whoever gave a file.
+PYTHON = re.compile(
+    r"[A-Z]\w+Error|NoneType|'(str|float|int|list|dict)'|instance of|object|CRC|zip file|decompress|delimiter|char \d"
+)
+
 
 @pytest.fixture
 def saved(library: Library, tmp_path: Path) -> Path:
@@ -158,8 +163,18 @@ class TestRefusals:
     def test_not_an_archive(self, tmp_path: Path, content: bytes) -> None:
         path = tmp_path / "x.npz"
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"x\.npz: "):
+        with pytest.raises(InputError, match=r"x\.npz: ") as caught:
             load_library(path)
+        assert not PYTHON.search(str(caught.value))
+
+    def test_a_damaged_archive_is_told_without_a_word_of_python(self, saved: Path) -> None:
+        data = bytearray(saved.read_bytes())
+        third = len(data) // 3
+        for damaged in (data[:third], data[:-30], data[:third] + bytes(2000) + data[third + 2000 :]):
+            saved.write_bytes(damaged)
+            with pytest.raises(InputError, match=r"damaged|not match|missing") as caught:
+                load_library(saved)
+            assert not PYTHON.search(str(caught.value))
 
     def test_single_array(self, tmp_path: Path) -> None:
         np.save(tmp_path / "x.npy", np.zeros(3))
@@ -223,6 +238,8 @@ class TestRefusals:
             ({"feedback": {"damping_N_s_m": 200.0}}, "meta.scene: feedback"),
             ({"motor": {"R_ohm": 1.0}}, "meta.scene: "),
             ({"unheard_of": 1}, "meta.scene: unheard_of"),
+            ({"thermal": 3}, "meta.scene: thermal = 3: must be a table"),
+            ({"model": "x"}, "meta.scene: model = 'x': must be a table"),
         ],
     )
     def test_a_scene_that_describes_no_problem_or_another_one(
@@ -256,6 +273,7 @@ class TestRefusals:
         with pytest.raises(InputError, match=re.escape(f"{saved}: ")) as caught:
             load_library(saved)
         assert str(caught.value).isprintable()
+        assert not PYTHON.search(str(caught.value))
 
     @pytest.mark.parametrize("key", ["scene", "derived", "left_out", "repeatability", "sources", "versions"])
     def test_meta_that_lacks_a_part(self, saved: Path, library: Library, key: str) -> None:
