@@ -171,8 +171,13 @@ void configure(uint8_t how, int changes)
         number(TD_CFG_OVER_CURRENT, hardware.over_current_A / hardware.current_A * 0.999);
     }
     if (how & 128) {
-        number(TD_CFG_AMPLIFIER_SCALE, (byte() & 1 ? -1 : 1) * (0.2 + 4.8 * byte() / 255));
-        number(TD_CFG_MONITOR_SCALE, (byte() & 1 ? -1 : 1) * (0.2 + 4.8 * byte() / 255));
+        number(TD_CFG_AMPLIFIER_SCALE, (byte() & 1 ? -1 : 1) * 0.2 * pow(25, byte() / 255.0));
+        number(TD_CFG_MONITOR_SCALE, (byte() & 1 ? -1 : 1) * 0.2 * pow(25, byte() / 255.0));
+        /* A fifth of the limits goes with every scale. */
+        if (byte() & 1) {
+            number(TD_CFG_CURRENT_LIMIT_A, 0.19 * hardware.current_A);
+            number(TD_CFG_AMPLIFIER_COMMAND_LIMIT_A, 0.19 * hardware.command_A);
+        }
     }
     for (; changes > 0; changes--)
         number(byte() % TD_CFG_COUNT, odd());
@@ -190,7 +195,7 @@ void upload(uint8_t how, int changes)
     const uint32_t cool_bits = how & 32 ? 8 : (how & 64 ? 16 : 0), full = cool_bits == 8 ? 127 : 32767;
     /* What stands for long keeps the current limit, a single sample may be as large as the command's. */
     const double most_A = shape & 64 || hardware.current_A > hardware.command_A ? hardware.command_A : hardware.current_A;
-    const double scale_A = most_A / 32767 * (size & 1 ? 1 : (1 + size) / 256.0);
+    const double scale_A = most_A / 32767 * (size & 1 ? 1 : pow(10, -size / 32.0));
     uint8_t body[TD_DATA_BYTES + TD_DATA_LIMIT], *at = image + TD_IMAGE_BYTES;
     uint32_t j, k, offset;
 
@@ -256,17 +261,28 @@ void upload(uint8_t how, int changes)
     say(TD_KIND_COMMIT, body, 0);
 }
 
-void arm(void)
+static void ask_arm(uint8_t trial, double gain)
 {
-    const uint8_t how = byte();
     uint8_t body[TD_ARM_BYTES];
 
-    body[TD_ARM_TRIAL] = how & 1;
+    body[TD_ARM_TRIAL] = trial;
     td_put_u16(body + TD_ARM_LEASE_MS, 1000);
-    td_put_f64(body + TD_ARM_GAIN, how & 2 ? odd() : (how & 1 ? 0.1 : 1));
+    td_put_f64(body + TD_ARM_GAIN, gain);
     memcpy(body + TD_ARM_CONFIGURATION_SHA256, configuration_sha256, TD_HASH_BYTES);
     memcpy(body + TD_ARM_LIBRARY_SHA256, image_sha256, TD_HASH_BYTES);
     say(TD_KIND_ARM, body, sizeof body);
+}
+
+void arm(void)
+{
+    const uint8_t how = byte();
+
+    ask_arm(how & 1, how & 2 ? odd() : (how & 1 ? 0.1 : 1));
+}
+
+void arm_trial(void)
+{
+    ask_arm(1, 0.1);
 }
 
 void pulse(void)

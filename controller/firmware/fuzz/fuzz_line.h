@@ -33,6 +33,7 @@ void hello(void);
 void configure(uint8_t how, int changes);
 void upload(uint8_t how, int changes);
 void arm(void);
+void arm_trial(void); /* as the check does it */
 void pulse(void);
 void one_number(uint8_t kind);
 void lease(void);
