@@ -49,7 +49,7 @@ class Crosscheck:
     def forget(self) -> None:
         """Begin another window of the accelerometer's silence."""
         self.quiet = self.stuck = False
-        # Of each block: sum and sum of squares of the acceleration, least and largest current.
+        # Each block: sum and sum of squares of the acceleration, least and largest current.
         self._blocks = [(0.0, 0.0, 0.0, 0.0)] * QUIET_BLOCKS
         self._at = self._ticks = self._whole = 0
         self._middle_m_s2 = 0.0

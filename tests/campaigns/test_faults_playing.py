@@ -214,7 +214,7 @@ def faulty(given: Payload, kind: str, run: int, seed: int, single: bool) -> tupl
         world = sound_world(random, kind, at, float(random.choice([1.0, 2.0, 3.0, 5.0])), run)
         seen = tapped(given, world, SPEED_M_S, single)
         tick = told(seen, given.settings.count_m)
-        # Where nothing can be told, nothing is missed: another instant then.
+        # Nothing is missed that cannot be told: another instant then.
         if seen.fault is not None or tick is not None:
             break
     late_s = math.nan if tick is None else (seen.ticks - tick) * DT_S
