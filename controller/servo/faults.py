@@ -17,7 +17,7 @@ from controller.servo.interface import Fault, Readings
 from controller.servo.settings import Settings
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
-# While a transient plays, a measured current may be off by so much, and by this part of what is expected, for so long.
+# While a transient plays a measured current may be off by so much and by this part of what is expected, for so long.
 # Amplifier and monitor that are 10 % off each leave 22 %; their lag passes within a few ticks.
 WRONG_CURRENT_A, WRONG_CURRENT_PART, WRONG_CURRENT_S = 0.3, 0.3, 2e-3
 

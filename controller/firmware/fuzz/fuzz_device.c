@@ -251,7 +251,7 @@ static void pulses(void)
     for (count = byte() & 7; count > 0 && spent < MOST_TICKS; count--) {
         pulse_A = 0;
         pulse();
-        for (j = 32 * byte(); j > 0 && spent < MOST_TICKS; j--, spent++) {
+        for (j = 64 * byte(); j > 0 && spent < MOST_TICKS; j--, spent++) {
             if (j % 512 == 0 && !(how & 8))
                 lease();
             step(0);

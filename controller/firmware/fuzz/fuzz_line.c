@@ -289,11 +289,12 @@ void pulse(void)
 {
     const uint8_t how = byte();
     const double size_A = how & 8 ? NEXT_TO_NOTHING_A : 0.05;
+    static const uint8_t some[] = {0, 1, 3, 15};
     uint8_t body[TD_PULSE_BYTES];
 
     td_put_f64(body + TD_PULSE_CURRENT_A, how & 1 ? odd() : (how & 2 ? -size_A : size_A));
     td_put_u16(body + TD_PULSE_TICKS, how & 4 ? (uint16_t)word() : 20);
-    body[TD_PULSE_PAIRS] = how >> 4 & 3;
+    body[TD_PULSE_PAIRS] = some[how >> 4 & 3];
     say(TD_KIND_PULSE, body, sizeof body);
 }
 
