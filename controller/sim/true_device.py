@@ -26,7 +26,7 @@ from transopt.plant.second_order import (
 )
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.identified import IdentifiedModel
-from transopt.scene.model_parts import ChainHand, DriveDevice, HandPart, StateSpaceDevice
+from transopt.scene.model_parts import ChainHand, DriveDevice, FourthOrderHand, SecondOrderHand, StateSpaceDevice
 from transopt.scene.scene import Scene
 
 LETTING_GO_N = 0.2  # below this grip the skin's spring and damper fade; at 0 N nobody holds the stylus
@@ -148,7 +148,7 @@ def device_of(scene: Scene) -> TrueDevice:
             f"{scene.name}: its device is an identified state space, which has no masses to move: simulate "
             "another device (--true-device SCENE.toml or library.npz)"
         )
-    if not isinstance(model, SecondOrder | HandPart | FourthOrder | Drive | DriveDevice):
+    if not isinstance(model, SecondOrder | SecondOrderHand | FourthOrder | FourthOrderHand | Drive | DriveDevice):
         raise InputError(
             f"{scene.name}: no hand holds its actuator, so that nobody taps with it: simulate another device "
             "(--true-device SCENE.toml or library.npz)"
@@ -166,12 +166,14 @@ def device_of(scene: Scene) -> TrueDevice:
         case SecondOrder():
             masses, stylus, skin = (SEED_HAND_MASS_KG,), 0, None
             joints = (Joint(SEED_HAND_STIFFNESS_N_M, SEED_HAND_DAMPING_N_S_M),)
-        case HandPart(mass_kg=whole, stiffness_N_m=stiffness, damping_N_s_m=damping):
+        case SecondOrderHand(mass_kg=whole, stiffness_N_m=stiffness, damping_N_s_m=damping):
             masses, stylus, skin = (whole.linear(),), 0, None
             joints = (Joint(stiffness.linear(), damping.linear()),)
-        case FourthOrder(stylus_mass_kg=mass, hand=section):
+        case FourthOrder(stylus_mass_kg=mass, hand=section) | FourthOrderHand(stylus_mass_kg=mass, hand=section):
+            # Taps of a hand show the mass of all that moves with its stylus, the motor's too.
+            moving_kg = tip.moving_mass_kg if isinstance(model, FourthOrder) else 0.0
             hand_mass, joints = held(section)
-            masses, stylus, skin = (LinearInGrip(tip.moving_mass_kg + mass, 0.0), hand_mass), 0, 0
+            masses, stylus, skin = (LinearInGrip(moving_kg + mass, 0.0), hand_mass), 0, 0
         case Drive(stylus_mass_kg=mass, hand=section) | DriveDevice(stylus_mass_kg=mass, hand=section):
             assert tip.stiffness_N_m is not None
             assert tip.damping_N_s_m is not None

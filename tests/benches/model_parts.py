@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 import problems
+from problems.generators.tapping_trials import FOURTH_ORDER_HAND, FOURTH_ORDER_STYLUS_KG
 from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
@@ -20,8 +21,9 @@ from transopt.scene.model_parts import (
     AnyModelPart,
     CoilPart,
     DriveDevice,
-    HandPart,
+    FourthOrderHand,
     ModelPartName,
+    SecondOrderHand,
     StateSpaceDevice,
 )
 from transopt.scene.scene import Scene
@@ -104,7 +106,7 @@ def amplifier_part(pole_Hz: float = 1050.0, delay_s: float = 68e-6) -> Amplifier
     return AmplifierPart(pole_Hz=pole_Hz, delay_s=delay_s, delay_with_hold_s=delay_s + 5e-5, gain=1.0, **fitted)
 
 
-def hand_part(deviation: float = 0.02) -> HandPart:
+def hand_part(deviation: float = 0.02) -> SecondOrderHand:
     """The seed's whole hand."""
     tables = {
         "mass_kg": _table(SEED_HAND_MASS_KG),
@@ -112,7 +114,17 @@ def hand_part(deviation: float = 0.02) -> HandPart:
         "stiffness_N_m": _table(SEED_HAND_STIFFNESS_N_M),
     }
     values = {f"{name}.{key}": value for name, table in tables.items() for key, value in table.items()}
-    return HandPart.model_validate({**tables, "grips_N": [1.0, 7.0], **fit(values, deviation)})
+    kind = {"kind": "second_order", "grips_N": [1.0, 7.0]}
+    return SecondOrderHand.model_validate({**kind, **tables, **fit(values, deviation)})
+
+
+def fourth_order_hand(deviation: float = 0.02) -> FourthOrderHand:
+    """The hand of the simulated trials, by the seed's Fig. 4b."""
+    tables = {name: _table(line) for name, line in vars(FOURTH_ORDER_HAND).items()}
+    values = {f"hand.{name}.{key}": value for name, table in tables.items() for key, value in table.items()}
+    values |= {"stylus_mass_kg": FOURTH_ORDER_STYLUS_KG}
+    kind = {"kind": "fourth_order", "grips_N": [1.0, 7.0], "stylus_mass_kg": FOURTH_ORDER_STYLUS_KG}
+    return FourthOrderHand.model_validate({**kind, "hand": tables, **fit(values, deviation)})
 
 
 def coil_part(**values: float) -> CoilPart:

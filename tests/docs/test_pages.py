@@ -23,7 +23,7 @@ from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import keys
-from transopt.scene.model_parts import CoilPart, DriveDevice, HandPart
+from transopt.scene.model_parts import CoilPart, DriveDevice, FourthOrderHand, SecondOrderHand
 
 STAMP = re.compile(r"^\*`.*\*$", re.MULTILINE)  # names a commit, at which its command was another one perhaps
 OUTPUT = {"text", "bibtex"}
@@ -41,7 +41,9 @@ COMMANDS = {
 STATED: dict[str, Callable[[], Iterable[str]]] = {
     "scene_keys": lambda: [key.path for key in keys(load_scene("wood_on_foam"))],
     "library_file": lambda: [*ARRAYS, *META],
-    "model_file": lambda: [name for part in (DriveDevice, HandPart, CoilPart) for name in part.model_fields],
+    "model_file": lambda: [
+        name for part in (DriveDevice, SecondOrderHand, FourthOrderHand, CoilPart) for name in part.model_fields
+    ],
     "faults": lambda: [*(fault.name for fault in Fault), *(notice.name for notice in Notice)],
     "messages": lambda: [*(kind.name for kind in Kind), *(reason.name for reason in Reason)],
     "exit_codes": lambda: [status.name for status in Status],

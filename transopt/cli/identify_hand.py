@@ -59,7 +59,8 @@ def identify_hand(
         part = hand_part(fit, chain, [run for run in runs if run.name in used])
     except ValidationError as error:
         tell(figure.name)
-        tell(f"hand: {out} is not written: {complaint(error)}; {'; '.join(fit.shortfalls())}", style="red")
+        short = [complaint(error), *fit.shortfalls(), *(chain.shortfalls() if chain.is_better else ())]
+        tell(f"hand: {out} is not written: {'; '.join(short)}", style="red")
         raise typer.Exit(1) from None
     save_part(out, "hand", part)
     finish(out, figure, "hand", part)

@@ -11,7 +11,7 @@ from transopt.design.entry import Entry
 from transopt.problem.answer import Status
 from transopt.scene.fitted import FittedPart
 from transopt.scene.identified import IdentifiedModel
-from transopt.scene.model_parts import MODEL_PARTS, DriveDevice
+from transopt.scene.model_parts import MODEL_PARTS, DriveDevice, FourthOrderHand
 from transopt.scene.scene import Scene
 
 GAIN_TOLERANCE = 0.02  # of the amplifier; the design takes a commanded ampere for an ampere
@@ -31,7 +31,9 @@ def _use(scene: Scene, model: IdentifiedModel, name: str) -> str:
         case "device":
             return "the response from current to acceleration; blended between recorded grips"
         case "hand":
-            return "not used: the device has its own" if model.device is not None else "mass, spring and damper"
+            chain = "stylus, skin, hand mass and arm (seed Fig. 4b)"
+            alone = chain if isinstance(model.hand, FourthOrderHand) else "mass, spring and damper"
+            return "not used: the device has its own" if model.device is not None else alone
         case _:
             return (
                 "thermal resistances and time constants, in place of the motor's"
@@ -71,11 +73,13 @@ def model_errors(build: Build) -> list[tuple[Entry, float]]:
     model = build.scene.model
     if not isinstance(model, IdentifiedModel):
         return []
-    found = []
+    found, force = [], None if model.device is not None else build.scene.drive_at_tip().force_per_current_N_A
     for entry in build.all_entries():
         if entry.status is Status.OPTIMAL:
             energy = float(np.sum(entry.predicted_m_s2**2))
-            error = model.error_of(entry.grip_N, entry.plant_input, entry.problem.grid.dt_s, energy)
+            error = model.error_of(
+                entry.grip_N, entry.plant_input, entry.problem.grid.dt_s, energy, force_per_current_N_A=force
+            )
             if np.isfinite(error):
                 found.append((entry, error))
     return found

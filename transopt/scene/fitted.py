@@ -15,6 +15,7 @@ from transopt.base.section import Finite, Section, Words
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_STATES
 
+KINDS = ("drive", "state_space", "second_order", "fourth_order")
 SYMMETRY = 1e-6  # relative to the standard deviations, beyond the rounding of a covariance that was inverted
 
 Interval = tuple[Finite, Finite]
@@ -130,10 +131,10 @@ class FittedPart(ModelPart):
 
 
 def numbers(content: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """The numbers of a part by dotted name, without those that describe the fit (intervals, errors, other fits)."""
+    """The numbers of a part by dotted name, without those that describe the fit (intervals, errors)."""
     found: dict[str, float] = {}
     for name, value in content.items():
-        if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "fourth_order", "error", "predicted"):
+        if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "error", "predicted"):
             found |= numbers(value, f"{prefix}{name}.")
         elif isinstance(value, float):
             found[f"{prefix}{name}"] = value
@@ -144,8 +145,8 @@ def complaint(error: ValidationError) -> str:
     """The first of pydantic's complaints about a part in one line: field, value, what is wrong, how many more."""
     errors = error.errors()
     first = min(errors, key=lambda found: found["type"] != "extra_forbidden")
-    # Pydantic lists the kind of a device as a step on the way.
-    where = ".".join(str(part) for part in first["loc"] if part not in ("drive", "state_space"))
+    # Pydantic lists the kind of a device or a hand as a step on the way.
+    where = ".".join(str(part) for part in first["loc"] if part not in KINDS)
     message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     if first["type"] == "extra_forbidden":
         message = "unknown field"

@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
@@ -13,14 +12,24 @@ from transopt.base.signals import FloatArray
 from transopt.plant.motor import Tip
 from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 from transopt.scene.fitted import FittedPart, ModelPart
-from transopt.scene.model_parts import DriveDevice, HandPart, ModelParts, StateSpaceDevice, check_grip
+from transopt.scene.model_error import ModelError
+from transopt.scene.model_parts import (
+    DriveDevice,
+    FourthOrderHand,
+    ModelParts,
+    SecondOrderHand,
+    StateSpaceDevice,
+    check_grip,
+)
 
 SEED = 7  # of the draws, always the same, so that a library can be made again
 TRIES = 200  # for one draw or pair of draws
 TAP_HZ = 5.0, 600.0  # where a tap has its energy
+BANDS = 24  # of that range, of an error that only the covariance of a fit tells
 SMALL = 1e-4  # relative change of a parameter by which responses are differentiated
 
-ComplexArray = NDArray[np.complex128]
+Chain = DriveDevice | SecondOrderHand | FourthOrderHand
+"""What has masses, springs and dampers that were fitted, with their covariance."""
 
 
 class IdentifiedModel(ModelParts):
@@ -40,7 +49,7 @@ class IdentifiedModel(ModelParts):
         return self
 
     @property
-    def moving(self) -> DriveDevice | StateSpaceDevice | HandPart:
+    def moving(self) -> DriveDevice | StateSpaceDevice | SecondOrderHand | FourthOrderHand:
         """What a current moves: the device, or where only a hand was identified, that as a whole."""
         part = self.hand if self.device is None else self.device
         assert part is not None
@@ -83,18 +92,29 @@ class IdentifiedModel(ModelParts):
         """
         check_grip(self.moving.grips_N, grip_N)
 
-    def error_of(self, grip_N: float, current_A: FloatArray, dt_s: float, energy: float) -> float:
+    def error_of(
+        self,
+        grip_N: float,
+        current_A: FloatArray,
+        dt_s: float,
+        energy: float,
+        *,
+        force_per_current_N_A: float | None = None,
+    ) -> float:
         """Relative error between a tap as the model predicts it and as the device does it; NaN where it is unknown.
 
-        A file that states no spectrum of its error has the held-out error of the grip, noise included.
+        A file that states no spectrum of its error has the held-out error of the grip, noise included. A hand on its
+        own has what the covariance of its fit makes of the tap.
 
         Parameters
         ----------
         current_A : (N,) of the tap, sampled every `dt_s`.
         energy : sum of the squares of its N samples of acceleration [(m/s^2)^2].
+        force_per_current_N_A : of the scene, for a file with a hand only.
         """
         if self.device is None:
-            return float("nan")
+            assert force_per_current_N_A is not None
+            return self._hand_error.nrmse(grip_N, force_per_current_N_A * current_A, dt_s, energy)
         if self.device.error is None:
             return self.device.error_at(grip_N)
         return self.device.error.nrmse(grip_N, current_A, dt_s, energy)
@@ -122,7 +142,7 @@ class IdentifiedModel(ModelParts):
                         f"{self.file}: a state space from the motor's current has no stylus to strike with"
                     )
                 return device.plant(grip_N)
-            case HandPart() as hand:
+            case SecondOrderHand() | FourthOrderHand() as hand:
                 assert force_per_current_N_A is not None
                 return hand.plant(grip_N, force_per_current_N_A=1.0 if struck else force_per_current_N_A)
 
@@ -171,40 +191,65 @@ class IdentifiedModel(ModelParts):
             return 1.0
         known = np.array(part.error.frequencies_Hz)
         inside = (known >= TAP_HZ[0]) & (known <= TAP_HZ[1])
-        s, shown, explained = 2j * np.pi * known[inside], 0.0, 0.0
+        shown = explained = 0.0
         for grip_N, power in zip(part.error.grips_N, part.error.power, strict=True):
             if grip_N not in part.grips_N or not inside.any():
                 continue
             # Relative to the response, so that a resonance counts no more than what lies beside it.
-            scale = np.abs(_response(part, grip_N, s)) ** 2
+            scale = np.abs(part.plant(grip_N).response(known[inside])) ** 2
             beyond = max((tap.excess for tap in part.error.at_use if tap.grip_N == grip_N), default=0.0)
             shown += float(np.mean(np.array(power)[inside] / scale)) + beyond**2
-            explained += float(np.mean(_variance(part, grip_N, s) / scale))
+            explained += float(np.mean(_variance(part, grip_N, known[inside]) / scale))
         return float(np.sqrt(max(shown / explained, 1.0))) if explained > 0 else 1.0
 
-    def _with(self, part: DriveDevice | HandPart, grips_N: Sequence[float]) -> Self:
+    @cached_property
+    def _hand_error(self) -> ModelError:
+        """Error of the hand's response, by the covariance of its fit."""
+        assert self.hand is not None
+        return error_by_covariance(self.hand)
+
+    def _with(self, part: Chain, grips_N: Sequence[float]) -> Self:
         """The model with another device or hand, refused by an InputError where that is not passive at a grip."""
         for grip_N in grips_N:
-            if isinstance(part, DriveDevice):
-                part.plant(grip_N)
-            else:
-                part.plant(grip_N, force_per_current_N_A=1.0)
+            part.plant(grip_N)
         return self.model_copy(update={"device" if isinstance(part, DriveDevice) else "hand": part})
 
 
-def _response(part: DriveDevice, grip_N: float, s: ComplexArray) -> ComplexArray:
-    """(m,) acceleration over current at complex frequencies s [rad/s]."""
-    plant = part.plant(grip_N)
-    states = np.linalg.solve(s[:, None, None] * np.eye(plant.order) - plant.A, plant.B.astype(complex))
-    return np.asarray((plant.C @ states)[:, 0, 0] + plant.D[0, 0])
+def error_by_covariance(part: Chain) -> ModelError:
+    """Expected square of the error of a response where nothing but the covariance of its fit is known of it.
+
+    Per ampere of a device, per newton of a hand.
+    """
+    frequencies_Hz = np.geomspace(*TAP_HZ, BANDS)
+    power = [_variance(part, grip_N, frequencies_Hz).tolist() for grip_N in part.grips_N]
+    return ModelError(grips_N=part.grips_N, frequencies_Hz=frequencies_Hz.tolist(), power=power)
 
 
-def _variance(part: DriveDevice, grip_N: float, s: ComplexArray) -> FloatArray:
+def known_to(part: Chain) -> dict[float, float]:
+    """Recorded grip -> rms over the band of a tap of the relative standard deviation of the response there."""
+    error, found = error_by_covariance(part), {}
+    for grip_N, power in zip(error.grips_N, error.power, strict=True):
+        size = np.abs(part.plant(grip_N).response(np.array(error.frequencies_Hz))) ** 2
+        found[grip_N] = float(np.sqrt(np.mean(np.array(power) / size)))
+    return found
+
+
+def _variance(part: Chain, grip_N: float, frequencies_Hz: FloatArray) -> FloatArray:
     """(m,) E|.|^2 of the response by the covariance of the parameters, to first order."""
-    values, found = part.values(), np.zeros(s.size)
+
+    def moved(by: FloatArray) -> FloatArray:
+        return part.with_values(values + by).plant(grip_N).response(frequencies_Hz)
+
+    values, found = part.values(), np.zeros(frequencies_Hz.size)
     for column in part.factor().T:
-        # So small that every device is passive; the response is linear in it.
-        step = SMALL / max(float(np.max(np.abs(column) / np.maximum(np.abs(values), np.finfo(float).tiny))), SMALL)
-        moved = [_response(part.with_values(values + sign * step * column), grip_N, s) for sign in (1.0, -1.0)]
-        found += np.abs((moved[0] - moved[1]) / (2 * step)) ** 2
+        # The response is linear in a step so small; smaller still where a parameter all but vanishes at a grip.
+        part_of = np.divide(column, values, out=np.zeros_like(values), where=values != 0)
+        step = SMALL / max(float(np.abs(part_of).max()), SMALL)
+        while True:
+            try:
+                apart = moved(step * column) - moved(-step * column)
+                break
+            except InputError:
+                step /= 4
+        found += np.abs(apart / (2 * step)) ** 2
     return found

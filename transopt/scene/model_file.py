@@ -23,9 +23,10 @@ from transopt.scene.model_parts import (
     AnyModelPart,
     CoilPart,
     DriveDevice,
-    HandPart,
+    FourthOrderHand,
     ModelPartName,
     ModelParts,
+    SecondOrderHand,
     StateSpaceDevice,
 )
 
@@ -106,7 +107,7 @@ def save_part(path: Path, name: ModelPartName, part: AnyModelPart) -> None:
     expected = {
         "amplifier": AmplifierPart,
         "device": DriveDevice | StateSpaceDevice,
-        "hand": HandPart,
+        "hand": SecondOrderHand | FourthOrderHand,
         "coil": CoilPart,
     }[name]
     if not isinstance(part, expected):

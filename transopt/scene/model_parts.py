@@ -5,16 +5,18 @@ Each part states its values in SI, what the fit knows about them, a verdict in p
 fitted to.
 """
 
+from abc import abstractmethod
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, JsonValue, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Finite, NonNegative, Positive, Section, Words
 from transopt.base.sizes import MOST_NODES, MOST_STATES
 from transopt.plant.chain import Link
 from transopt.plant.drive import drive
+from transopt.plant.fourth_order import fourth_order
 from transopt.plant.hand import Hand, LinearParameter
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import StateSpace, blended
@@ -272,23 +274,15 @@ class StateSpaceDevice(ModelPart):
         return _error_at(self.nrmse, grip_N)
 
 
-class HandPart(FittedPart):
-    """The whole hand as one mass, spring and damper, linear in grip (seed Eqs. 3-5).
+class _HeldHand(FittedPart):
+    """What a hand on its own states whatever its order is.
 
     Attributes
     ----------
-    mass_kg : of stylus and hand.
-    damping_N_s_m : to the hand's intention.
-    stiffness_N_m : to the hand's intention.
     grips_N : recorded.
-    fourth_order : the other fit, with the hand's unmeasured state (seed Fig. 4b), as far as the taps determine it.
     """
 
-    mass_kg: LinearParameter
-    damping_N_s_m: LinearParameter
-    stiffness_N_m: LinearParameter
     grips_N: Grips
-    fourth_order: dict[str, JsonValue] | None = None
 
     _grips_ordered = field_validator("grips_N")(_increasing)
 
@@ -298,18 +292,39 @@ class HandPart(FittedPart):
             raise ValueError("grips_N: a hand that does not hold the stylus cannot be identified at 0 N")
         for grip_N in self.grips_N:
             try:
-                self.plant(grip_N, force_per_current_N_A=1.0)
+                self.plant(grip_N)
             except InputError as error:
                 raise ValueError(f"at {grip_N:g} N: {error}") from None
         return self
 
-    def plant(self, grip_N: float, *, force_per_current_N_A: float) -> StateSpace:
-        """Motor current to stylus acceleration.
+    @abstractmethod
+    def plant(self, grip_N: float, *, force_per_current_N_A: float = 1.0) -> StateSpace:
+        """Motor current, or as it stands a force [N], to stylus acceleration.
 
         Raises
         ------
         InputError : a grip that was not recorded, parameters that are not passive there.
         """
+
+
+class SecondOrderHand(_HeldHand):
+    """The whole hand as one mass, spring and damper, linear in grip (seed Fig. 4a, Eqs. 3-5).
+
+    Attributes
+    ----------
+    kind : that it is this one.
+    mass_kg : of stylus and hand.
+    damping_N_s_m : to the hand's intention.
+    stiffness_N_m : to the hand's intention.
+    grips_N : recorded.
+    """
+
+    kind: Literal["second_order"]
+    mass_kg: LinearParameter
+    damping_N_s_m: LinearParameter
+    stiffness_N_m: LinearParameter
+
+    def plant(self, grip_N: float, *, force_per_current_N_A: float = 1.0) -> StateSpace:
         check_grip(self.grips_N, grip_N)
         return second_order(
             grip_N,
@@ -317,6 +332,32 @@ class HandPart(FittedPart):
             mass_kg=self.mass_kg.linear(),
             damping_N_s_m=self.damping_N_s_m.linear(),
             stiffness_N_m=self.stiffness_N_m.linear(),
+        )
+
+
+class FourthOrderHand(_HeldHand):
+    """Stylus - skin - hand mass - arm, the hand linear in grip (seed Fig. 4b).
+
+    Attributes
+    ----------
+    kind : that it is this one.
+    stylus_mass_kg : of the stylus and of whatever moves rigidly with it, a motor too.
+    hand : skin, hand mass and arm.
+    grips_N : recorded.
+    """
+
+    kind: Literal["fourth_order"]
+    stylus_mass_kg: Positive
+    hand: ChainHand
+
+    def plant(self, grip_N: float, *, force_per_current_N_A: float = 1.0) -> StateSpace:
+        check_grip(self.grips_N, grip_N)
+        return fourth_order(
+            grip_N,
+            hand=self.hand.hand(),
+            stylus_mass_kg=self.stylus_mass_kg,
+            moving_mass_kg=0.0,
+            force_per_current_N_A=force_per_current_N_A,
         )
 
 
@@ -338,7 +379,8 @@ class CoilPart(FittedPart):
 
 
 DevicePart = Annotated[DriveDevice | StateSpaceDevice, Field(discriminator="kind")]
-AnyModelPart = AmplifierPart | DriveDevice | StateSpaceDevice | HandPart | CoilPart
+HandPart = Annotated[SecondOrderHand | FourthOrderHand, Field(discriminator="kind")]
+AnyModelPart = AmplifierPart | DriveDevice | StateSpaceDevice | SecondOrderHand | FourthOrderHand | CoilPart
 
 
 class ModelParts(Section):

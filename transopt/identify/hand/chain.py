@@ -10,33 +10,41 @@ that scatter by 5 to 10 % from tap to tap. These intervals do not cover that.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from pydantic import ValidationError
 from scipy import signal, stats
 
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import HAND, Coordinates
 from transopt.identify.device.response import flow
-from transopt.identify.hand.lines import COEFFICIENTS, LEVEL, HandFit, grip_groups
-from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
+from transopt.identify.hand.lines import LEVEL, LOUDER, MOST_UNEXPLAINED, HandFit
+from transopt.identify.hand.tap import LOWPASS_HZ, REACTION_S, HandTap
 from transopt.identify.measurement import Measurement, sources
 from transopt.identify.squares import Squares, by_differences, inverse
 from transopt.plant.hand import LinearInGrip
-from transopt.scene.model_parts import HandPart
+from transopt.scene.fitted import Source
+from transopt.scene.identified import known_to
+from transopt.scene.model_parts import ChainHand, FourthOrderHand, SecondOrderHand
 
 SHARED = ("stylus_mass_kg",)
 NAMES = (*SHARED, *(f"hand.{name}.{part}" for name in HAND for part in ("constant", "per_newton")))
 STARTS = 6
 DETERMINED = 0.25  # half width of the interval at the middle grip, relative
-MISSED = 0.05  # relative error of the acceleration above which more than noise and scatter of hands is to be feared
+MOST_UNKNOWN = 0.15  # half width of the interval of the response, relative, rms over the band of a tap
+MOST_MISSED = 0.15  # relative error of the acceleration: hands of one person do not differ more
+LEAST_RATE_HZ, GOOD_RATE_HZ = 2000.0, 5000.0  # a slower record loses the course of the force between its samples
+LEAST_TAPS, MARGIN = 54, 1.5  # of how many taps are asked for
+LOUD_HZ = 200.0  # where the force is heard beyond it, louder taps tell no more
+NORMAL = float(stats.norm.ppf((1 + LEVEL) / 2))
 ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
 _OVERSAMPLED = 5
 _TOLERANCE, _TRIES = 1e-6, 30
 _RELEASES = 20  # of parameters that reached zero on the way
-_LEAST_KG = 1e-3
+_LEAST_KG, _LEAST_SHARE = 1e-3, 1e-6  # of a mass; of the guess of a spring or a damper
 _LEAST_GUESS = (0.01, 1.0, 10.0)  # kg, N s/m, N/m of the whole hand, where the second order shows none
 _SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # where the starts are drawn around
 
@@ -49,22 +57,32 @@ class ChainFit:
     ----------
     stylus_mass_kg : of whatever moves rigidly with the accelerometer.
     lines : name of `HAND` -> its line over grip.
-    grips_N : lowest and highest recorded.
+    grips_N : recorded, increasing.
+    taps, rate_Hz, window_s, heard_Hz : how many there are, how they were sampled, how long they are from contact on,
+        and up to where their force stands out of its noise.
     intervals : (11, 2) 95 %, covariance : (11, 11), both of `NAMES`.
     uncertain : name of the stylus mass and of each line -> half width of its interval at the middle grip, relative.
     entangled : pairs whose values at the middle grip are correlated by more than `ENTANGLED`.
     unexplained : median over the taps of |a - model| / |a|.
+    expected, second : sum of squares of the relative errors that other taps of this session would show, and those of
+        the second-order hand.
     starts : sums of squares reached from each start, the best first.
     """
 
     stylus_mass_kg: float
     lines: dict[str, LinearInGrip]
-    grips_N: tuple[float, float]
+    grips_N: tuple[float, ...]
+    taps: int
+    rate_Hz: float
+    window_s: float
+    heard_Hz: float
     intervals: FloatArray
     covariance: FloatArray
     uncertain: dict[str, float]
     entangled: tuple[tuple[str, str], ...]
     unexplained: float
+    expected: float
+    second: float
     starts: tuple[float, ...]
 
     @property
@@ -78,32 +96,81 @@ class ChainFit:
         text = f"determined: {', '.join(known) or 'nothing'}"
         if self.undetermined:
             text += (
-                f"; not determined by these taps: {', '.join(self.undetermined)} (more than {100 * DETERMINED:.0f} "
-                "%; faster taps on a harder surface tell stylus, skin and hand mass apart, softer ones show the arm)"
+                f"; not determined by these taps: {', '.join(self.undetermined)} (more than {100 * DETERMINED:.0f} %)"
             )
         if self.entangled:
             # The names once each: of six, up to fifteen pairs are entangled.
             text += f"; only together: {', '.join(dict.fromkeys(name for pair in self.entangled for name in pair))}"
-        if self.unexplained > MISSED:
-            text += (
-                f"; the acceleration is missed by {100 * self.unexplained:.0f} %: these intervals hold for a hand "
-                "that is such a chain, and say nothing of what a wrong structure does to its parameters"
-            )
         agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
-        return f"{text}; {agreeing} of {len(self.starts)} starts end in the same optimum"
+        text += f"; {agreeing} of {len(self.starts)} starts end in the same optimum"
+        if not self.is_better:
+            return f"{text}; other taps are explained no better than by one mass on a spring and a damper"
+        return "; ".join(
+            [f"{text}; other taps are explained better", *(f"but {short}" for short in self.shortfalls())]
+        )
 
-    def content(self) -> dict[str, object]:
+    @property
+    def is_better(self) -> bool:
+        """Whether other taps of this session are expected to show a smaller error than with the second-order hand."""
+        return self.expected < self.second
+
+    def shortfalls(self) -> list[str]:
+        """Why these taps do not carry this hand, each with what to record; none if they do."""
+        found = []
+        if self.rate_Hz < LEAST_RATE_HZ:
+            found.append(
+                f"sampled at {self.rate_Hz:g} Hz (at least {LEAST_RATE_HZ:g} Hz), the course of the force is lost: "
+                f"record at {GOOD_RATE_HZ:g} Hz or faster"
+            )
+        if self.unexplained > MOST_MISSED:
+            # What else shows follows from it.
+            return [
+                f"the fourth-order hand misses {100 * self.unexplained:.0f} % of the acceleration (at most "
+                f"{100 * MOST_MISSED:.0f} %): hold the stylus alike in all taps, and record {LEAST_TAPS} or more"
+            ]
+        grip_N, deviation = max(known_to(self.part()).items(), key=lambda one: one[1])
+        unknown = NORMAL * deviation
+        if not unknown <= MOST_UNKNOWN:
+            found.append(
+                f"how this hand answers a tap at {grip_N:.2g} N is known to {100 * unknown:.0f} % (at most "
+                f"{100 * MOST_UNKNOWN:.0f} %): record {self._to_record(unknown)}"
+            )
+        return found
+
+    def _to_record(self, unknown: float) -> str:
+        """Taps that carry the hand where a response is known to a share: longer ones, louder ones, or more."""
+        if self.window_s < 0.9 * REACTION_S:
+            return f"{1e3 * REACTION_S:.0f} ms from contact on (--window {REACTION_S:g})"
+        if self.heard_Hz < LOUD_HZ:
+            loud = f"whose force stands out of its noise beyond {self.heard_Hz:.0f} Hz ({LOUDER})"
+            return f"{LEAST_TAPS} taps or more {loud}"
+        # Variance falls with the taps beyond as many as there are unknowns.
+        beyond = (self.taps - len(NAMES)) * (unknown / MOST_UNKNOWN) ** 2
+        return f"{max(np.ceil(MARGIN * (len(NAMES) + beyond)), LEAST_TAPS):.0f} taps or more at grips like these"
+
+    def verdict(self) -> str:
+        """In plain words: what the model may be used for, or why not."""
+        if short := self.shortfalls():
+            return f"not to be relied upon: {'; '.join(short)}"
+        return (
+            f"supports designs with a fourth_order hand from {self.grips_N[0]:.2g} to {self.grips_N[-1]:.2g} N: "
+            f"stylus, skin, hand mass and arm miss {100 * self.unexplained:.1f} % of the acceleration ({self.taps} "
+            f"taps), one mass on a spring and a damper {100 * np.sqrt(self.second / self.taps):.0f} %"
+        )
+
+    def part(self, verdict: str = "not judged", sources: Sequence[Source] = ()) -> FourthOrderHand:
         """The fourth-order hand as the model file keeps it."""
-        return {
-            "stylus_mass_kg": self.stylus_mass_kg,
-            "hand": {name: asdict(line) for name, line in self.lines.items()},
-            "intervals": dict(zip(NAMES, self.intervals.tolist(), strict=True)),
-            "parameters": list(NAMES),
-            "covariance": self.covariance.tolist(),
-            "undetermined": self.undetermined,
-            "nrmse": self.unexplained,
-            "verdict": self.word(),
-        }
+        return FourthOrderHand(
+            kind="fourth_order",
+            stylus_mass_kg=self.stylus_mass_kg,
+            hand=ChainHand.model_validate({name: asdict(line) for name, line in self.lines.items()}),
+            grips_N=list(self.grips_N),
+            intervals=dict(zip(NAMES, self.intervals.tolist(), strict=True)),
+            parameters=list(NAMES),
+            covariance=self.covariance.tolist(),
+            verdict=verdict,
+            sources=list(sources),
+        )
 
 
 @dataclass(frozen=True)
@@ -115,6 +182,7 @@ class _Session:
     force, acceleration : (T, n) of the taps, SI.
     weight : (T, n) such that each tap counts by its relative error.
     dt_s : (T,) sampling periods.
+    window_s : (T,) lengths.
     grips_N : (T,).
     coordinates : the unknowns, at the lowest and the highest grip.
     """
@@ -123,6 +191,7 @@ class _Session:
     acceleration: FloatArray
     weight: FloatArray
     dt_s: FloatArray
+    window_s: FloatArray
     grips_N: FloatArray
     coordinates: Coordinates
 
@@ -136,7 +205,8 @@ class _Session:
             force[j, :size], acceleration[j, :size] = tap.force_N, tap.acceleration_m_s2
             weight[j, :size] = 1 / np.linalg.norm(tap.acceleration_m_s2)
         dt, grips = (np.array([getattr(tap, name) for tap in taps]) for name in ("dt_s", "grip_N"))
-        return cls(force, acceleration, weight, dt, grips, coordinates)
+        window = dt * [tap.force_N.size for tap in taps]
+        return cls(force, acceleration, weight, dt, window, grips, coordinates)
 
     @cached_property
     def at_taps(self) -> FloatArray:
@@ -159,6 +229,20 @@ class _Session:
             np.tile(self.force, (P, 1)),
         )
         return ((simulated.reshape(P, T, -1) - self.acceleration) * self.weight)[..., :: self.every]
+
+    def second_order(self, hand: HandFit) -> FloatArray:
+        """(T, n / every) weighted residuals of the second-order hand; infinite where that is not passive."""
+        try:
+            part = SecondOrderHand.model_validate({**hand.content(), "verdict": "not judged", "sources": []})
+        except ValidationError:
+            return np.full((1, 1), np.inf)
+        times = np.arange(self.force.shape[1])
+        plants = [part.plant(grip) for grip in self.grips_N.tolist()]
+        simulated = [
+            signal.lsim((plant.A, plant.B, plant.C, plant.D), force, dt * times)[1]
+            for plant, force, dt in zip(plants, self.force, self.dt_s, strict=True)
+        ]
+        return ((np.array(simulated) - self.acceleration) * self.weight)[..., :: self.every]
 
     def squares(self, scale: FloatArray) -> Squares:
         """The sum of squares of parameters in units of `scale` (11,)."""
@@ -212,6 +296,7 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, s
     starts : tried on a few taps; the best goes on with all of them.
     seed : of their draw.
     """
+    taps = [_below(tap, hand.heard_Hz) for tap in taps]
     ends = (float(hand.grips_N.min()), float(hand.grips_N.max()))
     coordinates = Coordinates(ends, SHARED)
     session = _Session.of(taps, coordinates)
@@ -221,14 +306,25 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, s
     guess = _guess(hand, ends)
     random = np.random.default_rng(seed)
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
-    # No parameter is negative at either end.
-    least = np.zeros(guess.size)
+    # No parameter is negative at either end, nor by rounding between them.
+    least = _LEAST_SHARE * guess
     least[[0, 1, 1 + len(HAND)]] = _LEAST_KG  # the stylus, and the hand's mass at both ends
     bounds = least / guess, np.full(guess.size, np.inf)
     tried = part.squares(guess).searches(factors, *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
     squares = session.squares(guess)
     best, _ = squares.search(tried[0][0], *bounds, most=_TRIES, tolerance=_TOLERANCE, releases=_RELEASES)
-    return _with_uncertainty(session, squares.evaluate(best), best * guess, guess, tuple(cost for _, cost in tried))
+    return _with_uncertainty(
+        session, squares.evaluate(best), best * guess, guess, hand, tuple(cost for _, cost in tried)
+    )
+
+
+def _below(tap: HandTap, cutoff_Hz: float) -> HandTap:
+    """The tap without what lies above a frequency, in which its force is noise."""
+    if cutoff_Hz >= min(LOWPASS_HZ, 0.45 / tap.dt_s):
+        return tap
+    sos = signal.butter(4, cutoff_Hz, fs=1 / tap.dt_s, output="sos")
+    force, acceleration = signal.sosfilt(sos, np.stack([tap.force_N, tap.acceleration_m_s2]), axis=1)
+    return replace(tap, force_N=force, acceleration_m_s2=acceleration)
 
 
 def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
@@ -249,6 +345,7 @@ def _with_uncertainty(
     at: tuple[FloatArray, FloatArray],
     theta: FloatArray,
     scale: FloatArray,
+    hand: HandFit,
     costs: tuple[float, ...],
 ) -> ChainFit:
     """The fit of an optimum theta (11,), with covariance, intervals, and what the taps leave open.
@@ -261,8 +358,8 @@ def _with_uncertainty(
     residuals, J = at[0].reshape(T, -1), at[1]
     # One score per tap: what is left of a tap whose hand was another is alike all over it.
     scores = np.einsum("tnp,tn->tp", J.reshape(T, -1, p), residuals)
-    bread = inverse(J)
-    covariance = np.outer(scale, scale) * (bread @ (scores.T @ scores) @ bread) * T / (T - p)
+    bread, meat = inverse(J), scores.T @ scores
+    covariance = np.outer(scale, scale) * (bread @ meat @ bread) * T / (T - p)
     ends_N = session.coordinates.held_N
     (_, to_lines), to_middle = session.coordinates.lines(), session.coordinates.at(float(np.mean(ends_N)))
     found = to_lines @ theta
@@ -281,37 +378,35 @@ def _with_uncertainty(
     return ChainFit(
         stylus_mass_kg=float(found[0]),
         lines={name: LinearInGrip(*found[1 + 2 * j : 3 + 2 * j].tolist()) for j, name in enumerate(HAND)},
-        grips_N=(ends_N[0], ends_N[-1]),
+        grips_N=tuple(hand.recorded_N),
+        taps=T,
+        rate_Hz=float(1 / session.dt_s.max()),
+        window_s=float(session.window_s.min()),
+        heard_Hz=hand.heard_Hz,
         intervals=np.stack([found - half, found + half], axis=1),
         covariance=(of_lines + of_lines.T) / 2,
         uncertain=dict(zip(names, uncertain.tolist(), strict=True)),
         entangled=tuple(entangled),
         unexplained=float(np.median(np.linalg.norm(residuals, axis=1) * np.sqrt(session.every))),
+        # Takeuchi's criterion: what other taps show beyond those that were fitted.
+        expected=session.every * float(np.sum(residuals**2) + 2 * np.sum(bread * meat)),
+        second=session.every * float(np.sum(session.second_order(hand) ** 2)),
         starts=costs,
     )
 
 
-def hand_part(fit: HandFit, chain: ChainFit, runs: Sequence[Measurement]) -> HandPart:
-    """What the model file states.
+def hand_part(fit: HandFit, chain: ChainFit, runs: Sequence[Measurement]) -> SecondOrderHand | FourthOrderHand:
+    """What the model file states: the hand of fourth order where it is the better one and the taps carry it.
 
     Raises
     ------
     pydantic.ValidationError : no passive hand.
     """
-    grips = [float(fit.grips_N[group].mean()) for group in grip_groups(fit.grips_N)]
-    grips[0], grips[-1] = float(fit.grips_N.min()), float(fit.grips_N.max())
-    bounds = [pair for line in fit.lines for pair in line.intervals.tolist()]
-    lines = {line.quantity: asdict(line.line) for line in fit.lines}
-    return HandPart.model_validate(
-        {
-            **lines,
-            "intervals": dict(zip(COEFFICIENTS, bounds, strict=True)),
-            "parameters": list(COEFFICIENTS),
-            "covariance": fit.covariance.tolist(),
-            "grips_N": grips,
-            "verdict": fit.verdict(),
-            "shortfalls": fit.shortfalls(),
-            "sources": sources(runs),
-            "fourth_order": chain.content(),
-        }
-    )
+    read = [Source.model_validate(source) for source in sources(runs)]
+    if chain.is_better and not chain.shortfalls():
+        return chain.part(chain.verdict(), read)
+    content = {**fit.content(), "verdict": fit.verdict(), "shortfalls": fit.shortfalls(), "sources": read}
+    if fit.unexplained > MOST_UNEXPLAINED and chain.is_better:
+        # No other tap would make one mass of this hand.
+        content |= {"verdict": chain.verdict(), "shortfalls": chain.shortfalls()}
+    return SecondOrderHand.model_validate(content)

@@ -1,14 +1,14 @@
 """The hand over grip: lines through the taps' mass, damping and stiffness, with intervals (seed Eqs. 3-5, Fig. 5)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.identify.hand.tap import HandTap, TapFit, fit_tap
+from transopt.identify.hand.tap import HandTap, TapFit, fit_tap, heard_Hz
 from transopt.plant.hand import LinearInGrip
 
 QUANTITIES = ("mass_kg", "damping_N_s_m", "stiffness_N_m")
@@ -18,10 +18,12 @@ LEVEL = 0.95
 RESAMPLES = 2000
 _SAME_GRIP, _SAME_GRIP_N = 0.15, 0.1  # grips no farther apart than this count as one
 _PLAUSIBLE_KG = (0.03, 1.0)  # of a hand with a stylus
+LEAST_HEARD_HZ = 100.0  # below it nothing of a fast tap is known
 # Beyond these the model is not to be relied upon.
 MOST_UNEXPLAINED = 0.10
 MOST_UNCERTAIN = 0.25  # half width of the interval at the middle grip, relative
 LACK_OF_FIT_P = 0.01
+LOUDER = "tap faster, on a harder object, or with a force sensor of less noise"
 MOST_SHIFTED = 1.25  # times more unexplained than with force and acceleration shifted by a sample
 
 
@@ -58,6 +60,7 @@ class HandFit:
     lines : of `QUANTITIES`.
     covariance : (6, 6) of `COEFFICIENTS`, of the bootstrap, SI.
     shifted : median unexplained part with the force a sample earlier, and a sample later, than it was recorded.
+    heard_Hz : up to where the force stands out of its noise.
     """
 
     grips_N: FloatArray
@@ -65,6 +68,13 @@ class HandFit:
     lines: tuple[GripLine, GripLine, GripLine]
     covariance: FloatArray
     shifted: tuple[float, float]
+    heard_Hz: float
+
+    @property
+    def recorded_N(self) -> list[float]:
+        """Grips of the session, those that count as one by their mean, from the lightest tap to the firmest."""
+        grips = [float(self.grips_N[group].mean()) for group in grip_groups(self.grips_N)]
+        return [float(self.grips_N.min()), *grips[1:-1], float(self.grips_N.max())]
 
     @property
     def unexplained(self) -> float:
@@ -77,10 +87,15 @@ class HandFit:
             # Whatever else shows follows from it.
             return [
                 f"one mass on a spring and a damper leaves {100 * self.unexplained:.0f} % of the surface force "
-                f"unexplained (at most {100 * MOST_UNEXPLAINED:.0f} %): the stylus moves within the grip, see the "
-                "fourth order, or force and acceleration are not sampled at the same time (accelerometer_Hz)"
+                f"unexplained (at most {100 * MOST_UNEXPLAINED:.0f} %): the stylus moves within the grip, or force "
+                "and acceleration are not sampled at the same time (accelerometer_Hz)"
             ]
         found = []
+        if self.heard_Hz < LEAST_HEARD_HZ:
+            found.append(
+                f"the force stands out of its noise up to {self.heard_Hz:.0f} Hz only (at least "
+                f"{LEAST_HEARD_HZ:.0f} Hz), so that fast taps are not known: {LOUDER}"
+            )
         if min(self.shifted) * MOST_SHIFTED < self.unexplained:
             late = "later" if self.shifted[0] < self.shifted[1] else "earlier"
             found.append(
@@ -126,6 +141,18 @@ class HandFit:
             f"follow grip as lines, {100 * self.unexplained:.1f} % of the surface force is left unexplained "
             f"({len(self.fits)} taps)"
         )
+
+    def content(self) -> dict[str, object]:
+        """The second-order hand as a model file keeps it, without verdict and sources."""
+        bounds = [pair for line in self.lines for pair in line.intervals.tolist()]
+        return {
+            "kind": "second_order",
+            **{line.quantity: asdict(line.line) for line in self.lines},
+            "grips_N": self.recorded_N,
+            "intervals": dict(zip(COEFFICIENTS, bounds, strict=True)),
+            "parameters": list(COEFFICIENTS),
+            "covariance": self.covariance.tolist(),
+        }
 
     def _farthest(self, line: GripLine) -> float:
         """Mean grip of the group whose mean lies farthest from the line."""
@@ -190,7 +217,14 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
         )
     drawn = np.concatenate([again.coefficients[j] for j in range(3)], axis=1)
     shifted = tuple(float(np.median([fit_tap(_shifted(tap, by)).unexplained for tap in taps])) for by in (1, -1))
-    return HandFit(grips, fits, (lines[0], lines[1], lines[2]), np.cov(drawn, rowvar=False), (shifted[0], shifted[1]))
+    return HandFit(
+        grips,
+        fits,
+        (lines[0], lines[1], lines[2]),
+        np.cov(drawn, rowvar=False),
+        (shifted[0], shifted[1]),
+        heard_Hz(taps),
+    )
 
 
 def _shifted(tap: HandTap, by: int) -> HandTap:

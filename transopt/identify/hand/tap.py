@@ -31,6 +31,8 @@ _GUARD_S = 0.5e-3  # before the force is seen to rise
 _RISE = 0.02  # of its peak, at which a force is no noise
 _NOISE = 6.0  # standard deviations
 _STANDS_OUT = 10.0  # times the noise of a sample: no noise is as high
+_LEAST_HEARD_HZ, _HEARD_BANDS = 50.0, 20  # a third of an octave apart and closer
+_HEARD = 100.0  # times the noise's power
 _FEWEST = 4  # samples that an offset is taken from
 _IN_PULSE = 0.1  # of the peak: a record that begins higher begins in the pulse
 _STUCK = 4  # samples at one extreme value: an end stop
@@ -51,6 +53,7 @@ class HandTap:
     speed_m_s : incoming speed as stated; None if the file has none.
     dt_s : sampling period.
     force_N, acceleration_m_s2 : (n,) without offsets, alike delayed and low-passed.
+    noise_N : rms of the force before contact, as it was recorded; NaN without a rest.
     note : what a user should know about how it was cut; empty if nothing.
     """
 
@@ -60,6 +63,7 @@ class HandTap:
     dt_s: float
     force_N: FloatArray
     acceleration_m_s2: FloatArray
+    noise_N: float = np.nan
     note: str = ""
 
     @property
@@ -118,7 +122,7 @@ def cut_tap(
     InputError : no contact, or a record that ends too early; without the trial's name.
     """
     contact = onset(force_N, dt_s)
-    begin = max(contact - int(np.ceil(_GUARD_S / dt_s)), 0)
+    begin = max(contact - int(np.ceil(_GUARD_S / dt_s)) - _unseen(force_N, contact), 0)
     count = round(window_s / dt_s) + contact - begin
     rest, note = slice(0, begin), ""
     if begin < _BASELINE_S / dt_s:
@@ -129,6 +133,7 @@ def cut_tap(
     if begin + count > force_N.size:
         after = f"the record ends {1e3 * (force_N.size - contact) * dt_s:.3g} ms after contact"
         raise InputError(f"{after}: {1e3 * window_s:g} ms are needed; record longer")
+    noise_N = float(force_N[rest].std()) if rest.stop else np.nan
     force, acceleration = (x - (x[rest].mean() if x[rest].size else 0.0) for x in (force_N, acceleration_m_s2))
     if accelerometer_Hz is not None:
         force = _one_pole(force, 2 * np.pi * accelerometer_Hz * dt_s)
@@ -136,7 +141,30 @@ def cut_tap(
         sos = signal.butter(2, LOWPASS_HZ, fs=1 / dt_s, output="sos")
         force, acceleration = signal.sosfilt(sos, np.stack([force, acceleration]), axis=1)
     kept = slice(begin, begin + count)
-    return HandTap(name, grip_N, speed_m_s, dt_s, np.asarray(force[kept]), np.asarray(acceleration[kept]), note)
+    return HandTap(
+        name, grip_N, speed_m_s, dt_s, np.asarray(force[kept]), np.asarray(acceleration[kept]), noise_N, note
+    )
+
+
+def heard_Hz(taps: Sequence[HandTap]) -> float:
+    """Frequency up to which the force of all taps together stands out of its noise, at most `LOWPASS_HZ`.
+
+    Above it a model of the response to the force fits noise, and takes the stylus for heavier than it is. Each tap
+    fades out over its second half, so that what a soft object's force ends with does not look like a fast one.
+    """
+    known = [tap for tap in taps if tap.noise_N > 0]
+    if not known:
+        return LOWPASS_HZ
+    bands = np.geomspace(_LEAST_HEARD_HZ, LOWPASS_HZ, _HEARD_BANDS)
+    power, noise = np.zeros(bands.size), 0.0
+    for tap in known:
+        faded = tap.force_N * signal.windows.tukey(2 * tap.force_N.size, 0.5)[tap.force_N.size :]
+        lines = np.exp(-2j * np.pi * np.outer(bands, tap.dt_s * np.arange(faded.size)))
+        power += np.abs(lines @ faded) ** 2
+        noise += tap.noise_N**2 * faded.size
+    # A pulse has zeros in its spectrum, in which a wider band still has force.
+    heard = np.convolve(np.pad(power, 1, mode="edge"), np.full(3, 1 / 3), mode="valid") > _HEARD * noise
+    return float(bands[max(int(np.argmin([*heard, False])) - 1, 0)])
 
 
 def _one_pole(x: FloatArray, rate: float) -> FloatArray:
@@ -173,6 +201,13 @@ def onset(force_N: FloatArray, dt_s: float) -> int:
         noise = max(noise, float(quiet.std()))
     away = np.abs(force_N - rest)
     return int(np.argmax(away > max(_NOISE * noise, _RISE * float(away.max()))))
+
+
+def _unseen(force_N: FloatArray, contact: int) -> int:
+    """Samples from contact to the onset: a soft object's force rises so slowly that noise hides its beginning."""
+    away = np.abs(force_N - np.median(force_N[: max(contact, 1)]))
+    peak = contact + int(np.argmax(away[contact:]))
+    return int(np.ceil(float(away[contact] / away[peak]) * (peak - contact)))
 
 
 def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
