@@ -94,7 +94,9 @@ class Rig:
         fresh = random.standard_normal(command_A.size + 100)
         noise = signal.lfilter([np.sqrt(1 - kept**2)], [1.0, -kept], fresh)[100:]
         times = (0.0, DT_S)
-        counted = None if self.count_m is None else self.count_m * np.round(position / self.count_m)
+        # Nobody holds the stylus twice at the same part of a count.
+        part = np.random.default_rng([seed, int(1000 * grip_N), 2]).uniform(-0.5, 0.5)
+        counted = None if self.count_m is None else self.count_m * np.round(position / self.count_m + part)
         return Measurement(
             name=name,
             source=name,

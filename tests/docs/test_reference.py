@@ -11,7 +11,14 @@ import pytest
 
 from controller.servo.faults import FAULTS, SEEN_WHEN
 from controller.servo.interface import Fault
-from tests.benches.model_parts import amplifier_part, coil_part, drive_device, hand_part, state_space_device
+from tests.benches.model_parts import (
+    amplifier_part,
+    coil_part,
+    drive_device,
+    fourth_order_hand,
+    hand_part,
+    state_space_device,
+)
 from tests.benches.places import ROOT
 from tests.docs.pages import DOCS
 from transopt.base.section import Section
@@ -88,7 +95,9 @@ class TestMeta:
 
 class TestModelFile:
     @pytest.mark.parametrize(
-        "part", [amplifier_part(), drive_device(), state_space_device(), hand_part(), coil_part()], ids=type
+        "part",
+        [amplifier_part(), drive_device(), state_space_device(), hand_part(), fourth_order_hand(), coil_part()],
+        ids=type,
     )
     def test_every_field_has_a_meaning(self, reference: Any, part: Section) -> None:
         assert set(type(part).model_fields) <= set(reference.meanings(type(part)))

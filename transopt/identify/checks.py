@@ -24,6 +24,7 @@ JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid, rms
 FLAT_RUN, FLAT_COUNT = 3, 6  # samples in a row, and in all, at the very extreme of a sensor
 CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
 END_SAMPLES, END_PART = 3, 0.1  # the last samples, and how large they may be against the peak
+REST_SAMPLES, END_NOISES = 20, 5.0  # the first samples, and how many times their scatter the last ones may be
 GRAVITY_TOLERANCE = 0.25  # a nominal model may be that wrong; nothing else changes a gain tenfold
 AGAINST = 0.5  # a passive device explains the reversed record with less than this part of the misfit
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
@@ -115,8 +116,8 @@ class Check(Enum):
     FEW_BINS = Fault.TOO_FEW_CYCLES, FATAL, None, (
         "resolves {bins} bands of frequency, at least {least} are needed; sweep longer and wider")
     INCOHERENT = Fault.INCOHERENT, TOLD, COHERENT, (
-        "{coherence:.2f} at {first_Hz:.3g} to {last_Hz:.3g} Hz, must be {limit:g}; record again there, longer or "
-        "with more current")
+        "{coherence:.2f} at {first_Hz:.3g} to {last_Hz:.3g} Hz, must be {limit:g}; record again there with "
+        "more current")
     CURRENT_ALONE = Fault.INCOHERENT, FATAL, None, (
         "the current does not follow the command: {share}; check the current monitor and record again")
     CURRENT_UNLIKE = Fault.INCOHERENT, FATAL, None, (
@@ -226,7 +227,9 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
             found.append(check.at(name, quantity=quantity, **extreme))
     centred = values - np.median(values[:END_SAMPLES])
     last, peak = float(np.abs(centred[-END_SAMPLES:]).max()), float(np.abs(centred).max())
-    if quantity != "command" and last > END_PART * peak:
+    # Noise alone is as large at the end as it was at the beginning, however long the record is.
+    least = max(END_PART * peak, END_NOISES * float(values[:REST_SAMPLES].std()))
+    if quantity != "command" and last > least:
         found.append(Check.CUT_SHORT.at(name, quantity=quantity, last=last, unit=unit, part=last / peak))
     return found
 

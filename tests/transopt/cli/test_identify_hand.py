@@ -1,6 +1,7 @@
 """`transopt identify hand`: the part and the figure it writes, its verdict and what it refuses."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def test_the_command_writes_part_and_figure(
     assert part.grips_N[-1] == trials.grip_N[::2].max()
     assert len(part.sources) == 41
     assert part.verdict.startswith("supports designs with a second_order hand")
-    assert part.fourth_order["parameters"] == list(NAMES)
+    assert part.kind == "second_order"
     # What a scene builds from it is the hand of the lines.
     plant = part.plant(5.0, force_per_current_N_A=1.0)
     assert 1 / plant.D[0, 0] == pytest.approx(part.mass_kg.constant + 5 * part.mass_kg.per_newton, rel=1e-12)
@@ -47,16 +48,26 @@ def test_the_command_writes_part_and_figure(
     assert "hand: supports designs" in printed
 
 
-def test_a_hand_that_falls_short_is_written_with_its_verdict(
+def test_a_hand_of_fourth_order_is_the_hands_model(files: Callable[[Trials], list[Path]], tmp_path: Path) -> None:
+    out = tmp_path / "MODEL.json"
+    identify_hand(files(tapping_trials(3, hand="fourth_order"))[::2], out)
+    part = load_model(out).hand
+    assert part.kind == "fourth_order"
+    assert part.parameters == list(NAMES)
+    assert part.verdict.startswith("supports designs with a fourth_order hand from 0.95 to 10 N")
+    assert part.stylus_mass_kg == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.03)
+
+
+def test_taps_that_carry_neither_hand_end_with_those_that_would(
     files: Callable[[Trials], list[Path]], tmp_path: Path
 ) -> None:
     out = tmp_path / "MODEL.json"
     with pytest.raises(typer.Exit) as stop:
-        identify_hand(files(tapping_trials(3, hand="fourth_order"))[::2], out)
+        identify_hand(files(tapping_trials(3, hand="fourth_order"))[::6], out)
     assert stop.value.exit_code == 1
     content = json.loads(out.read_text(encoding="utf-8"))["hand"]
-    assert content["verdict"].startswith("not to be relied upon: one mass on a spring and a damper leaves")
-    assert content["fourth_order"]["stylus_mass_kg"] == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.03)
+    assert content["kind"] == "second_order"
+    assert re.search(r"^not to be relied upon: how this hand answers a tap at .* record \d+ taps", content["verdict"])
 
 
 def test_the_command_refuses_its_options(

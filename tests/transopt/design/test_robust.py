@@ -28,6 +28,7 @@ from tests.benches.model_parts import (
     assert_clean,
     built,
     drive_device,
+    fourth_order_hand,
     hand_part,
     solved,
     state_space_device,
@@ -101,8 +102,9 @@ class TestRobust:
         assert_clean(load_library(tmp_path / "library.npz"))
 
     def test_a_hand_has_its_uncertainty_too(self, make: Make) -> None:
-        scene = make(ON_FILE, {"hand": hand_part(0.05)}, more=ROBUST)
-        assert len({scene_of_draw.plant(3.0).A[1, 0] for scene_of_draw, _ in scene.spread(3.0)}) == 4
+        for hand in (hand_part(0.05), fourth_order_hand(0.05)):
+            scene = make(ON_FILE, {"hand": hand}, more=ROBUST)
+            assert len({scene_of_draw.plant(3.0).A[-1, -1] for scene_of_draw, _ in scene.spread(3.0)}) == 4
 
 
 class TestPlayed:

@@ -247,7 +247,7 @@ def test_low_coherence_names_the_stretch(columns: dict) -> None:
     found = checks.low_coherence("grip 5 N", replace(estimate, coherence=np.where(band, 0.4, 0.99)))
     message = only(found, Fault.INCOHERENT, fatal=False)
     assert message.startswith("grip 5 N: coherence low: 0.40 at 8")
-    assert "Hz, must be 0.8; record again there, longer or with more current" in message
+    assert "Hz, must be 0.8; record again there with more current" in message
 
 
 def test_refusal_shows_the_first_fatal_finding_and_keeps_the_others() -> None:

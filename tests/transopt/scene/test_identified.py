@@ -9,6 +9,7 @@ import pytest
 
 import problems
 from controller.sim.true_device import device_of
+from problems.generators.tapping_trials import FOURTH_ORDER_HAND, FOURTH_ORDER_STYLUS_KG
 from tests.benches.model_parts import (
     BOX,
     DRIVE,
@@ -25,16 +26,19 @@ from tests.benches.model_parts import (
     built,
     coil_part,
     drive_device,
+    fourth_order_hand,
     hand_part,
     solved,
     state_space_device,
 )
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.base.writing import percent
 from transopt.design.build import Build, build_library
 from transopt.design.solve import solve
 from transopt.library.file import load_library
 from transopt.library.library import Library
+from transopt.plant.fourth_order import fourth_order
 from transopt.plant.second_order import second_order
 from transopt.recordings.recording import Recording
 from transopt.report.identified import below_the_model, model_warning
@@ -127,6 +131,33 @@ class TestTheSameDevice:
         masses, stiffness, damping = device.at(3.0)
         assert -stiffness[0] / masses[0] == pytest.approx(expected.A[1, 0])
         assert -damping[0] / masses[0] == pytest.approx(expected.A[1, 1])
+
+    def test_a_hand_of_fourth_order_is_the_chain_of_its_own_masses(self, make: Make, taps: list[Recording]) -> None:
+        """In solve, in the simulator and in studies; the stylus' mass is all that moves with it."""
+        scene = make(ON_FILE, {"hand": fourth_order_hand()}, SMALL, ("[1.0, 3.0, 5.0]", "[2.0]"))
+        expected = fourth_order(
+            2.0,
+            hand=FOURTH_ORDER_HAND,
+            stylus_mass_kg=FOURTH_ORDER_STYLUS_KG,
+            moving_mass_kg=0.0,
+            force_per_current_N_A=scene.drive_at_tip().force_per_current_N_A,
+        )
+        halved = with_values(scene, {"limits.current_A": 2.0})
+        for one in (scene, halved):
+            assert np.allclose(one.plant(2.0).A, expected.A, rtol=1e-12)
+        masses, _, _ = device_of(scene).at(2.0)
+        assert masses.tolist() == [FOURTH_ORDER_STYLUS_KG, FOURTH_ORDER_HAND.mass_kg.at(2.0)]
+        own = built(scene, taps)
+        assert own.library is not None
+        assert_clean(own.library)
+        assert "- hand: stylus, skin, hand mass and arm (seed Fig. 4b)" in build_markdown(own)
+        # Deviations of 2 % of its parameters are errors of a few percent of a tap.
+        [entry] = own.all_entries()
+        energy = float(np.sum(entry.predicted_m_s2**2))
+        force = scene.drive_at_tip().force_per_current_N_A
+        error = scene.model.error_of(2.0, entry.plant_input, 1e-4, energy, force_per_current_N_A=force)
+        assert 0.005 < error < 0.1
+        assert f"model error {percent(error)} % of a tap" in model_warning(own)
 
     def test_the_simulator_knows_the_identified_chain(self, make: Make, scene: Scene) -> None:
         identified = make(ON_FILE, {"device": drive_device()})

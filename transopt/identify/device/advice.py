@@ -41,7 +41,8 @@ def advice(grips: Sequence[Grip], model: Model, instrument: Instrument, played_N
     for grip in grips:
         for band in low_coherence(grip.response):
             said.append(
-                f"coherence low at {_band(*band)} at {called(grip.grip_N)}: sweep longer there, or add trials"
+                f"coherence low at {_band(*band)} at {called(grip.grip_N)}: sweep there, with more current (record "
+                "sweep --low, --high, --amplitude)"
             )
         for band in lack_of_fit(grip.response, model, instrument):
             said.append(

@@ -1,0 +1,45 @@
+"""Do the intervals of `transopt identify device` hold the truth as often as they say, the transmission's too?
+
+The recordings are those of a device on a desk: an amplifier with a dead band, whose pole and delay are up to 10 % off
+what the scene states, an encoder, an accelerometer with a pole.
+"""
+
+import numpy as np
+import pytest
+
+from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched
+from transopt.base.signals import FloatArray
+from transopt.identify.device.identify import Settings, identify
+from transopt.identify.device.result import Kind, device_part
+from transopt.plant.amplifier import Amplifier
+from transopt.scene.model_parts import DriveDevice
+
+SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
+FRESH = 7000
+
+
+def z_of(seed: int) -> FloatArray:
+    """(14,) errors of the parameters of one recording, in units of their standard deviations."""
+    off = 1 + np.random.default_rng([seed, 6]).uniform(-0.1, 0.1, 2)
+    amplifier = Amplifier(AMPLIFIER.pole_Hz * off[0], AMPLIFIER.delay_s * off[1], 6.0)
+    rig = Rig(mismatched(0.1, seed), amplifier, crossover_A=0.01, count_m=24.5e-6)
+    result = identify(rig.sweeps((1.0, 3.0, 5.0), seed=seed), [], SETTINGS)
+    part = device_part(result)
+    assert isinstance(part, DriveDevice)
+    truth = np.concatenate([rig.device.shared, rig.device.hand.ravel()])
+    return np.asarray((part.values() - truth) / np.sqrt(np.diag(part.covariance)))
+
+
+@pytest.mark.parametrize(
+    ("recordings", "pooled", "each"),
+    [
+        # At 95 % one in 10^4 such tests would see fewer than 45 of 56 hold the truth.
+        (4, (0.8, 1.0), (0.0, 1.0)),
+        pytest.param(300, (0.93, 0.97), (0.91, 0.99), marks=(pytest.mark.long, pytest.mark.timeout(7200))),
+    ],
+)
+def test_intervals_hold_the_truth(recordings: int, pooled: tuple[float, float], each: tuple[float, float]) -> None:
+    inside = np.abs([z_of(FRESH + j) for j in range(recordings)]) < 1.96
+    assert pooled[0] <= inside.mean() <= pooled[1]
+    share = inside.mean(axis=0)
+    assert np.all((each[0] <= share) & (share <= each[1])), share
