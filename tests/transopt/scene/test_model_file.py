@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benches.model_parts import (
-    amplifier_part,
-    coil_part,
-    drive_device,
-    fourth_order_hand,
-    hand_part,
-    state_space_device,
-)
+from tests.benches.model_parts import amplifier_part, coil_part, drive_device, hand_part, state_space_device
 from transopt.base.errors import InputError
 from transopt.scene.model_file import load_model, save_part
 from transopt.scene.model_parts import AnyModelPart, ModelPartName
@@ -25,7 +18,6 @@ ALL: list[tuple[ModelPartName, AnyModelPart]] = [
     ("amplifier", amplifier_part()),
     ("device", drive_device()),
     ("hand", hand_part()),
-    ("hand", fourth_order_hand()),
     ("coil", coil_part()),
 ]
 
