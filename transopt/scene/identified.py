@@ -236,20 +236,19 @@ def known_to(part: Chain) -> dict[float, float]:
 
 def _variance(part: Chain, grip_N: float, frequencies_Hz: FloatArray) -> FloatArray:
     """(m,) E|.|^2 of the response by the covariance of the parameters, to first order."""
+    values = part.values()
 
     def moved(by: FloatArray) -> FloatArray:
         return part.with_values(values + by).plant(grip_N).response(frequencies_Hz)
 
-    values, found = part.values(), np.zeros(frequencies_Hz.size)
-    for column in part.factor().T:
+    def slope(column: FloatArray) -> FloatArray:
         # The response is linear in a step so small; smaller still where a parameter all but vanishes at a grip.
-        part_of = np.divide(column, values, out=np.zeros_like(values), where=values != 0)
-        step = SMALL / max(float(np.abs(part_of).max()), SMALL)
-        while True:
+        share = np.divide(column, values, out=np.zeros_like(values), where=values != 0)
+        for step in SMALL / max(float(np.abs(share).max()), SMALL) * 4.0 ** -np.arange(20):
             try:
-                apart = moved(step * column) - moved(-step * column)
-                break
+                return np.asarray((moved(step * column) - moved(-step * column)) / (2 * step))
             except InputError:
-                step /= 4
-        found += np.abs(apart / (2 * step)) ** 2
-    return found
+                continue
+        return np.zeros(frequencies_Hz.size)  # at the end of what is passive nothing moves both ways
+
+    return np.asarray(sum(np.abs(slope(column)) ** 2 for column in part.factor().T))

