@@ -182,7 +182,7 @@ def sampled(
     ahead, below = late ** (whole + 1), 1 - keep * late
     value = ahead * (now + before * late) / below
     q, w = 1 - now, 2 * np.pi * pole_Hz
-    # By the logarithm of the pole, to which the exponents are in proportion; 0 where a pole is fast beyond any tick.
+    # Slopes by the logarithm of the pole, to which the exponents are in proportion; 0 of a pole beyond any tick.
     d_q, d_keep = special.xlogy(q, q), special.xlogy(keep, keep)
     by_pole = (ahead * (d_q * (late - 1) - d_keep * late) + value * d_keep * late) / below
     by_delay = ahead * w * q * (late - 1) / below
