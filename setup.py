@@ -19,7 +19,7 @@ PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear"]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
-    *("tr_outputs", "tr_bilinear", "tr_cubic", "tr_strike"),
+    *("tr_outputs", "tr_bilinear", "tr_cubic", "tr_struck"),
 ]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),
@@ -31,11 +31,12 @@ CORE_CALLS = [
 def flags(compiler: str, name: str) -> list[str]:
     """Of a kind of compiler, as setuptools calls it, for one of the parts.
 
-    A contraction of a * b + c into one rounding would give other bits on other processors.
+    A contraction of a * b + c into one rounding would give other bits on other processors. That no floating-point
+    exception traps lets the compiler choose between two results that it has computed side by side.
     """
     if compiler == "msvc":
         return ["/O2", "/fp:precise", "/std:c11"]
-    fast = ["-O2"] if name.endswith("_core") else ["-O3", "-fno-math-errno"]
+    fast = ["-O2"] if name.endswith("_core") else ["-O3", "-fno-math-errno", "-fno-trapping-math"]
     return ["-std=c99", "-ffp-contract=off", *fast]
 
 

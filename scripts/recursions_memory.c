@@ -51,28 +51,32 @@ int main(void)
                 cases++;
             }
     for (int m = 1; m <= 15; m += 7)
-        for (size_t steps = 0; steps < 40; steps += 13) {
-            const size_t n = (size_t)m;
-            double *A = doubles(n * n), *B = doubles(n * 4), *seen = doubles(8 * n), *earlier = doubles(8 * 4);
-            double *two = doubles((steps + 1) * n * 2), *one = doubles((steps + 1) * n);
-            double *free_of = doubles((steps + 1) * n), *sums = doubles((steps + 1) * n), *forces = doubles((steps + 1) * 2);
-            const double contact[3] = {0.3, 1.5, 0.1}, none[3] = {0.0, 1.5, 0.1};
-            for (size_t i = 0; i < n; i++) {
-                one[i] = two[2 * i];
-                free_of[i] = sums[i] = one[i];
+        for (size_t steps = 0; steps < 40; steps += 13)
+            for (size_t columns = 1; columns < 40; columns += 12) {
+                /* The only output is the first state. */
+                const size_t n = (size_t)m, width = n + 4, height = 9 + n;
+                double *rows = doubles(height * width), *state = doubles(n * columns), *alone = doubles(n);
+                double *found = doubles((steps + 1) * columns), *course = doubles(steps + 1);
+                double *A = doubles(n * n), *sums = doubles((steps + 1) * n);
+                const double contact[3] = {0.3, 1.5, 0.1}, none[3] = {0.0, 1.5, 0.1};
+                for (size_t j = 0; j < width; j++) rows[8 * width + j] = j == 0;
+                for (size_t i = 0; i < n; i++) alone[i] = sums[i] = state[i * columns + columns - 1];
+                memset(sums + n, 0, steps * n * sizeof(double));
+                for (size_t i = 0; i < n * n; i++) A[i] = rows[(9 + i / n) * width + i % n];
+                tr_struck(steps, m, 1, columns, rows, contact, state, found);
+                tr_struck(steps, m, 1, 1, rows, contact, alone, course);
+                for (size_t k = 0; k <= steps; k++) {
+                    const double other = found[k * columns + columns - 1];
+                    if (course[k] != other && !(isnan(course[k]) && isnan(other))) return 1;
+                }
+                memcpy(alone, sums, n * sizeof(double));
+                tr_struck(steps, m, 1, 1, rows, none, alone, course);
+                tr_run(steps + 1, m, A, sums);
+                for (size_t k = 0; k <= steps; k++)
+                    if (!(fabs(course[k] - sums[k * n]) <= 1e-9 * (1.0 + fabs(sums[k * n])))) return 1;
+                free(rows), free(state), free(alone), free(found), free(course), free(A), free(sums);
+                cases++;
             }
-            memset(sums + n, 0, steps * n * sizeof(double));
-            tr_strike(steps, m, 2, A, B, seen, earlier, contact, two, forces);
-            tr_strike(steps, m, 1, A, B, seen, earlier, contact, one, forces);
-            tr_strike(steps, m, 1, A, B, seen, earlier, none, free_of, forces);
-            tr_run(steps + 1, m, A, sums);
-            for (size_t i = 0; i < (steps + 1) * n; i++) {
-                if (one[i] != two[2 * i] && !(isnan(one[i]) && isnan(two[2 * i]))) return 1;
-                if (!(fabs(free_of[i] - sums[i]) <= 1e-9 * (1.0 + fabs(sums[i])))) return 1;
-            }
-            free(A), free(B), free(seen), free(earlier), free(two), free(one), free(free_of), free(sums), free(forces);
-            cases++;
-        }
     for (int m = 1; m <= 12; m += 3)
         for (int p = 1; p <= 3; p++)
             for (int q = 1; q <= 7; q += 2)

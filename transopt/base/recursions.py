@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 CHUNK = 128  # stages that one constant band spans
 EXTENSION = "_recursions.pyd" if os.name == "nt" else "_recursions.so"
-MOST_STATES, MOST_WIDTH = 64, 96  # of recursions.c
+MOST_STATES, MOST_WIDTH, MOST_OUTPUTS = 64, 96, 4  # of recursions.c
 
 
 def _library() -> ct.CDLL | None:
@@ -30,7 +30,7 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_cubic"):
+    if not hasattr(library, "tr_struck"):
         return None  # left behind by another version: as good as none
     if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
         return None
@@ -42,7 +42,7 @@ def _library() -> ct.CDLL | None:
         "tr_outputs": (size, *(count,) * 4, *(array,) * 3, count),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
         "tr_cubic": (size, size, array, array, size, array, array),
-        "tr_strike": (size, count, size, *(array,) * 7),
+        "tr_struck": (size, count, count, size, *(array,) * 4),
     }
     for name, given in takes.items():
         call = getattr(library, name)
@@ -257,30 +257,25 @@ def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def strike(
-    by_state: FloatArray,
-    by_force: FloatArray,
-    seen: FloatArray,
-    earlier: FloatArray,
-    contact: tuple[float, float, float],
-    start: FloatArray,
-    steps: int,
+    rows: FloatArray, contact: tuple[float, float, float], start: FloatArray, steps: int
 ) -> tuple[FloatArray, FloatArray] | None:
-    """States (steps + 1, n, V) and forces (steps + 1, V) of V courses that strike something; None if not compiled.
+    """Outputs (steps + 1, q, V) of V courses that strike something, and the states at last; None if not compiled.
 
-    A step of Runge-Kutta's method is x_(k+1) = by_state x_k + by_force F with the forces F of its four stages j, each
-    k delta^e (1 + c d delta/dt) >= 0 at (delta, d delta/dt) = seen_j x_k + sum_(i < j) earlier_ji F_i.
+    Each of the rows of a step of Runge-Kutta's method is a sum over the states and the forces of its four stages:
+    depth and closing speed at every stage, of which its force k delta^e (1 + c d delta/dt) >= 0 follows; the outputs;
+    the states after the step.
 
     Parameters
     ----------
-    by_state : (n, n). by_force : (n, 4). seen : (4, 2, n). earlier : (4, 2, 4).
+    rows : (8 + q + n, n + 4). A stage's rows ask for earlier forces only.
     contact : k, e and c.
     start : (n, V) states at first.
     """
     n, courses = start.shape
-    if COMPILED is None or n > MOST_STATES:
+    outputs = rows.shape[0] - n - 8
+    if COMPILED is None or n > MOST_STATES or outputs > MOST_OUTPUTS:
         return None
-    states, forces = np.empty((steps + 1, n, courses)), np.empty((steps + 1, courses))
-    states[0] = start
-    given = [np.ascontiguousarray(each, dtype=float) for each in (by_state, by_force, seen, earlier, contact)]
-    COMPILED.tr_strike(steps, n, courses, *(address(each) for each in (*given, states, forces)))
-    return states, forces
+    found, state = np.empty((steps + 1, outputs, courses)), np.array(start, dtype=float, order="C")
+    rows, numbers = np.ascontiguousarray(rows, dtype=float), np.array(contact)
+    COMPILED.tr_struck(steps, n, outputs, courses, *map(address, (rows, numbers, state, found)))
+    return found, state

@@ -43,17 +43,19 @@ def contact_force(target: SimulatedTaps, depth_m: FloatArray, closing_m_s: Float
 def _driven(
     flow: FloatArray,
     push: FloatArray,
+    contact: FloatArray,
     outputs: FloatArray,
     target: SimulatedTaps,
     start: FloatArray,
     steps: int,
     step_s: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """RK4 of dx/dt = flow x + push F(outputs x) for V courses at once: states (K, n, V) and contact forces F (K, V).
+    """RK4 of dx/dt = flow x + push F for V courses at once: outputs (K, q, V) of x and F, and x (n, V) at last.
 
-    The steps of `rk4_step` written out: state, slopes and outputs of all four stages are linear in the state at the
-    start of the step and in the forces of the stages before, so that only the forces are computed one by one:
-    compiled, or all courses at once in numpy.
+    The contact's rows give depth and closing speed, of which the force F follows. The steps of `rk4_step` written
+    out: state, slopes and outputs of all four stages are linear in the state at the start of the step and in the
+    forces of the stages before, so that only the forces are computed one by one: compiled, or all courses at once in
+    numpy.
     """
     size = push.size
     # Each a map from the state (size) and the four forces.
@@ -66,38 +68,22 @@ def _driven(
         slopes.append(slope)
     k1, k2, k3, k4 = slopes[1:]
     after = now + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    seen = np.concatenate([outputs @ stage for stage in stages])  # (4 x 2, size + 4), stage after stage
-    by_state = np.concatenate([after[:, :size], seen[:, :size]])
-    by_force = np.ascontiguousarray(after[:, size:])
-    contact = (target.contact_stiffness_N_m, target.contact_exponent, target.contact_damping_s_m)
-    stagewise = seen.reshape(4, 2, size + 4)
-    compiled = recursions.strike(
-        by_state[:size], by_force, stagewise[..., :size], stagewise[..., size:], contact, start, steps
-    )
+    by_output = np.pad(outputs, ((0, 0), (0, 3)))  # of the first stage's force alone
+    rows = np.concatenate([*(contact @ stage for stage in stages), by_output, after])
+    law = (target.contact_stiffness_N_m, target.contact_exponent, target.contact_damping_s_m)
+    compiled = recursions.strike(rows, law, start, steps)
     if compiled is not None:
         return compiled
-    states, forces = np.empty((steps + 1, *start.shape)), np.empty((steps + 1, start.shape[1]))
-    states[0] = start
-    # Written into the same few arrays at every step: to make new ones takes as long as what is computed here.
-    free, pushed = np.empty((size + 8, start.shape[1])), np.empty_like(start)
-    stage_forces = np.empty((4, start.shape[1]))
-    by_itself, first = free[:size], free[size : size + 2]
-    later = []
-    for j in range(1, 4):
-        earlier = seen[2 * j : 2 * j + 2, size : size + j].copy()
-        later.append((j, earlier, stage_forces[:j], np.empty_like(first), free[size + 2 * j : size + 2 * j + 2]))
+    found, both = np.empty((steps + 1, outputs.shape[0], start.shape[1])), np.zeros((size + 4, start.shape[1]))
+    both[:size] = start
     for k in range(steps + 1):
-        np.dot(by_state, states[k], free)
-        stage_forces[0] = contact_force(target, *first)
-        for j, earlier, before, further, reached in later:
-            np.dot(earlier, before, further)
-            np.add(reached, further, reached)
-            stage_forces[j] = contact_force(target, *reached)
-        forces[k] = stage_forces[0]
+        for j in range(4):
+            both[size + j] = contact_force(target, *(rows[2 * j : 2 * j + 2, : size + j] @ both[: size + j]))
+        reached = rows[8:] @ both
+        found[k] = reached[:-size]
         if k < steps:
-            np.dot(by_force, stage_forces, pushed)
-            np.add(by_itself, pushed, states[k + 1])
-    return states, forces
+            both[:size] = reached[-size:]
+    return found, both[:size]
 
 
 def strike(
@@ -143,7 +129,10 @@ def strike(
     state[n + 3] = speeds_m_s
     steps = int(np.ceil(duration_s / step_s))
     starts = [round(phase.start_s / step_s) for phase in intention.phases]
-    found, pushes = [], []
+    outputs = np.zeros((2, n + 7))  # of the states and the force
+    outputs[0, :n], outputs[0, -1] = plant.C[0], plant.D[0, 0]
+    outputs[1, :n], outputs[1, n + 2], outputs[1, n + 4] = plant.Ce[0], -1.0, 1.0
+    found = []
     for phase, first, last in zip(intention.phases, starts, [*starts[1:], steps], strict=True):
         if first >= steps:
             break
@@ -159,15 +148,10 @@ def strike(
         flow[masses:n] -= flow[n + 5]
         state[n + 5] += phase.jump * speeds_m_s
         state[masses:n] -= phase.jump * speeds_m_s
-        states, forces = _driven(flow, push, contact, target, state, min(last, steps) - first, step_s)
-        found.append(states[:-1])
-        pushes.append(forces[:-1])
-        state = states[-1].copy()
-    courses, forces = np.concatenate([*found, states[-1:]]), np.concatenate([*pushes, forces[-1:]])
-    times = step_s * np.arange(steps + 1)
-    acceleration = np.einsum("n,knv->kv", plant.C[0], courses[:, :n]) + plant.D[0, 0] * forces
-    encoder = np.einsum("n,knv->kv", plant.Ce[0], courses[:, :n]) + courses[:, n + 4] - courses[:, n + 2]
-    return np.asarray(times), acceleration.T, encoder.T
+        seen, state = _driven(flow, push, contact, outputs, target, state, min(last, steps) - first, step_s)
+        found.append(seen[:-1])
+    acceleration, encoder = np.concatenate([*found, seen[-1:]]).transpose(1, 2, 0)
+    return np.asarray(step_s * np.arange(steps + 1)), acceleration, encoder
 
 
 def grips_of(scene: Scene) -> list[float]:

@@ -5,6 +5,7 @@
  */
 #include <math.h>
 #include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
 enum { MOST_STATES = 64, MOST_WIDTH = 96, WIDE = 8 };
@@ -148,45 +149,156 @@ void tr_cubic(size_t knots, size_t courses, const double *y, const double *d, si
     }
 }
 
-/* The force of a contact, stiffness depth^exponent (1 + damping closing), which never pulls. */
-static double contact_force(const double contact[3], double depth, double closing)
+/* Courses that a strike works on side by side, two registers of the widest kind; elsewhere one by one. */
+#if defined(__GNUC__)
+typedef double wide __attribute__((vector_size(64)));
+#else
+typedef double wide;
+#endif
+typedef struct {
+    wide half[2];
+} lanes;
+enum { LANES = sizeof(lanes) / sizeof(double) };
+enum { MOST_OUTPUTS = 4, STAGES = 4 };
+
+/* An entry of a sparse matrix. */
+struct entry {
+    int column;
+    double value;
+};
+
+ALWAYS_INLINE uint64_t bits_of(double x)
 {
-    /* What is no number stays none. */
-    const double elastic = depth > 0 ? contact[0] * pow(depth, contact[1]) : depth <= 0 ? 0 : depth;
-    const double force = elastic * (1 + contact[2] * closing);
-    return force < 0 ? 0 : force;
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return bits;
 }
 
-/* A linear system of n states and a contact's force on it by the Runge-Kutta method of fourth order, whose steps are
- *     x_(k+1) = by_state x_k + by_force F,  F_j = force(seen_j x_k + sum over i < j of earlier_ji F_i),  j = 0..3
- * with by_state (n, n), by_force (n, 4), seen (4, 2, n) and earlier (4, 2, 4): depth and closing speed at the four stages.
- * For `columns` courses: states (steps + 1, n, columns) from states_0 on, forces (steps + 1, columns) of stage 0. */
-void tr_strike(size_t steps, int n, size_t columns, const double *by_state, const double *by_force, const double *seen,
-               const double *earlier, const double *contact, double *states, double *forces)
+ALWAYS_INLINE double of_bits(uint64_t bits)
 {
-    const size_t m = (size_t)n;
-    for (size_t c = 0; c < columns; c++) {
-        double now[MOST_STATES], next[MOST_STATES];
-        for (size_t i = 0; i < m; i++) now[i] = states[i * columns + c];
-        for (size_t k = 0; k <= steps; k++) {
-            double F[4];
-            for (size_t j = 0; j < 4; j++) {
-                double at[2] = {0, 0};
-                for (size_t o = 0; o < 2; o++) {
-                    for (size_t i = 0; i < m; i++) at[o] += seen[(2 * j + o) * m + i] * now[i];
-                    for (size_t i = 0; i < j; i++) at[o] += earlier[(2 * j + o) * 4 + i] * F[i];
-                }
-                F[j] = contact_force(contact, at[0], at[1]);
+    double x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+/* x^exponent for x > 0 to a few units of the last place: without branches, which a library's pow has, so that lanes go
+ * side by side. x = 2^k m with m within a factor sqrt(2) of 1; ln m = 2 artanh s; the exponential by its series. */
+ALWAYS_INLINE double power(double x, double exponent)
+{
+    const double whole = 4503599627370496.0, nearest = 6755399441055744.0; /* 2^52 and 1.5 2^52 */
+    const double ln2 = 0.69314718055994531, ln2_high = 0.693147180369123816490, ln2_low = 1.90821492927058770002e-10;
+    const uint64_t shifted = bits_of(x) + 0x95F619980C433ULL; /* sqrt(2) to 2: k is one more from sqrt(2) on */
+    const double k = of_bits((shifted >> 52) | 0x4330000000000000ULL) - (whole + 1023.0);
+    const double m = of_bits((shifted & 0xFFFFFFFFFFFFFULL) + 0x3FE6A09E667F3BCDULL);
+    const double s = (m - 1) / (m + 1), q = s * s;
+    /* Even and odd terms of both series apart: half as many operations wait for each other. */
+    const double p = q * q, even = 1 + p * (1. / 5 + p * (1. / 9 + p * (1. / 13 + p * (1. / 17 + p * (1. / 21)))));
+    const double odd = 1. / 3 + p * (1. / 7 + p * (1. / 11 + p * (1. / 15 + p * (1. / 19))));
+    const double y = exponent * (k * ln2 + 2 * s * (even + q * odd));
+    const double up = y * (1 / ln2) + nearest, n = up - nearest, r = (y - n * ln2_high) - n * ln2_low, t = r * r;
+    const double cosh = 1 + t * (1. / 2 + t * (1. / 24 + t * (1. / 720 + t * (1. / 40320 + t * (1. / 3628800 + t * (1. / 479001600))))));
+    const double sinh = 1 + t * (1. / 6 + t * (1. / 120 + t * (1. / 5040 + t * (1. / 362880 + t * (1. / 39916800 + t * (1. / 6227020800))))));
+    const double e = of_bits(bits_of(cosh + r * sinh) + (bits_of(up) << 52));
+    return y > 700 ? INFINITY : y < -700 ? 0 : e;
+}
+
+/* The sum of a sparse row over the states and forces of all lanes. */
+ALWAYS_INLINE void sum_of(const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
+{
+    wide first = at->value * z[at->column].half[0], second = at->value * z[at->column].half[1];
+    while (++at < end) {
+        first += at->value * z[at->column].half[0];
+        second += at->value * z[at->column].half[1];
+    }
+    to->half[0] = first;
+    to->half[1] = second;
+}
+
+/* One block of up to LANES courses, see `tr_struck`; `starts` of the rows among their entries. */
+ALWAYS_INLINE void strike(const size_t steps, const int n, const int outputs, const size_t columns,
+                          const struct entry *entries, const int *starts, const double *contact, lanes *restrict z,
+                          double *found, const size_t used)
+{
+    lanes seen[2], next[MOST_OUTPUTS + MOST_STATES];
+    double depth[LANES], closing[LANES], force[LANES];
+    for (size_t k = 0; k <= steps; k++) {
+        const int *row = starts;
+        for (int j = 0; j < STAGES; j++) {
+            for (int o = 0; o < 2; o++, row++) sum_of(entries + row[0], entries + row[1], z, seen + o);
+            memcpy(depth, seen, sizeof depth);
+            memcpy(closing, seen + 1, sizeof closing);
+            for (int c = 0; c < LANES; c++) {
+                const double risen = contact[0] * power(depth[c], contact[1]);
+                /* What is no number stays none. */
+                const double elastic = depth[c] > 0 ? risen : depth[c] <= 0 ? 0 : depth[c];
+                const double whole = elastic * (1 + contact[2] * closing[c]);
+                force[c] = whole < 0 ? 0 : whole;
             }
-            forces[k * columns + c] = F[0];
-            if (k == steps) break;
-            for (size_t i = 0; i < m; i++) {
-                double sum = 0;
-                for (size_t j = 0; j < m; j++) sum += by_state[i * m + j] * now[j];
-                for (size_t j = 0; j < 4; j++) sum += by_force[i * 4 + j] * F[j];
-                next[i] = sum;
-            }
-            for (size_t i = 0; i < m; i++) states[((k + 1) * m + i) * columns + c] = now[i] = next[i];
+            memcpy(z + n + j, force, sizeof force);
         }
+        for (int i = 0; i < outputs + n; i++, row++) sum_of(entries + row[0], entries + row[1], z, next + i);
+        for (int i = 0; i < outputs; i++)
+            memcpy(found + (k * (size_t)outputs + (size_t)i) * columns, next + i, used * sizeof(double));
+        if (k < steps) memcpy(z, next + outputs, (size_t)n * sizeof *z);
+    }
+}
+
+#define STRIKE_ARGUMENTS                                                                                             \
+    size_t steps, int n, int outputs, size_t columns, const struct entry *entries, const int *starts,                   \
+        const double *contact, lanes *z, double *found, size_t used
+typedef void strike_of(STRIKE_ARGUMENTS);
+
+static void strike_anywhere(STRIKE_ARGUMENTS)
+{
+    strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
+}
+
+#if defined(__GNUC__) && defined(__x86_64__)
+/* The same operations in the same order, more lanes at once: the same bits. */
+__attribute__((target("avx2"))) static void strike_avx2(STRIKE_ARGUMENTS)
+{
+    strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
+}
+
+__attribute__((target("avx512f,avx512dq,prefer-vector-width=512"))) static void strike_avx512(STRIKE_ARGUMENTS)
+{
+    strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
+}
+#endif
+
+static strike_of *strike_here(void)
+{
+#if defined(__GNUC__) && defined(__x86_64__)
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")) return strike_avx512;
+    if (__builtin_cpu_supports("avx2")) return strike_avx2;
+#endif
+    return strike_anywhere;
+}
+
+/* A linear system of n states x and a contact's force on it by the Runge-Kutta method of fourth order. Its rows,
+ * (8 + outputs + n, n + 4), are sums over x and the forces F_0 to F_3 of the four stages: depth and closing speed at
+ * each stage, of which F_j = stiffness depth^exponent (1 + damping closing), never below 0, follows; outputs; x after the step.
+ * For `columns` courses: state (n, columns), in the end that after all steps; found (steps + 1, outputs, columns). */
+void tr_struck(size_t steps, int n, int outputs, size_t columns, const double *rows, const double *contact,
+               double *state, double *found)
+{
+    struct entry entries[(2 * STAGES + MOST_OUTPUTS + MOST_STATES) * (MOST_STATES + STAGES)];
+    int starts[2 * STAGES + MOST_OUTPUTS + MOST_STATES + 1], count = 0;
+    const int width = n + STAGES;
+    for (int row = 0; row < 2 * STAGES + outputs + n; row++) {
+        starts[row] = count;
+        for (int j = 0; j < width; j++)
+            if (j == 0 || rows[row * width + j] != 0) /* an empty row's sum is 0 */
+                entries[count++] = (struct entry){j, rows[row * width + j]};
+    }
+    starts[2 * STAGES + outputs + n] = count;
+    strike_of *const go = strike_here();
+    for (size_t first = 0; first < columns; first += LANES) {
+        const size_t used = columns - first < LANES ? columns - first : LANES;
+        lanes z[MOST_STATES + STAGES];
+        memset(z, 0, sizeof z);
+        for (int i = 0; i < n; i++) memcpy(z + i, state + (size_t)i * columns + first, used * sizeof(double));
+        go(steps, n, outputs, columns, entries, starts, contact, z, found + first, used);
+        for (int i = 0; i < n; i++) memcpy(state + (size_t)i * columns + first, z + i, used * sizeof(double));
     }
 }
