@@ -1,6 +1,6 @@
 /* Runs the compiled recursions on arrays of their exact sizes, against sums written out: for sanitizers and valgrind.
  * A strike without a force is a recursion too, and one with a force is run twice, alone and beside another; a spline
- * through a straight line is that line.
+ * through a parabola is that parabola.
  *
  * Prints the number of cases; exit code 1 where a state differs.
  */
@@ -115,17 +115,20 @@ int main(void)
             free(M), free(b), free(gain), free(h), free(x);
             cases++;
         }
-    for (size_t knots = 2; knots < 6; knots++) {
-        /* A straight line is its own spline; the last place is no number. */
+    for (size_t knots = 4; knots < 8; knots++) {
+        /* A parabola is its own spline; the last place is no number. */
         double places[] = {-0.5, 0.0, 0.25, 1.0, (double)knots - 1.0, (double)knots + 3.0, NAN};
         const size_t count = sizeof places / sizeof *places;
-        double *y = doubles(2 * knots), *slopes = doubles(2 * knots), *found = doubles(2 * count);
-        for (size_t i = 0; i < 2 * knots; i++) y[i] = 3.0 * (double)(i % knots), slopes[i] = 3.0;
-        tr_cubic(knots, 2, y, slopes, count, places, found);
-        for (size_t i = 0; i < 2 * count; i++)
-            if (i % count + 1 < count && !(fabs(found[i] - 3.0 * places[i % count]) <= 1e-9)) return 1;
-        free(y), free(slopes), free(found);
-        cases++;
+        for (size_t courses = 1; courses < 4; courses++) {
+            double *y = doubles(courses * knots), *work = doubles((courses + 1) * knots);
+            double *found = doubles(courses * count);
+            for (size_t i = 0; i < courses * knots; i++) y[i] = (double)((i / courses) * (i / courses));
+            tr_spline(knots, courses, y, count, places, work, found);
+            for (size_t i = 0; i < courses * (count - 1); i++)
+                if (!(fabs(found[i] - places[i / courses] * places[i / courses]) <= 1e-9)) return 1;
+            free(y), free(work), free(found);
+            cases++;
+        }
     }
     printf("%d\n", cases);
     return 0;

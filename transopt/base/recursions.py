@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import blas
 
 if TYPE_CHECKING:
     from transopt.base.signals import FloatArray  # which takes its spline from here
@@ -30,7 +29,7 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_struck"):
+    if not hasattr(library, "tr_spline"):
         return None  # left behind by another version: as good as none
     if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
         return None
@@ -41,7 +40,7 @@ def _library() -> ct.CDLL | None:
         "tr_backwards": (size, count, array, array),
         "tr_outputs": (size, *(count,) * 4, *(array,) * 3, count),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
-        "tr_cubic": (size, size, array, array, size, array, array),
+        "tr_spline": (size, size, array, size, *(array,) * 3),
         "tr_struck": (size, count, count, size, *(array,) * 4),
     }
     for name, given in takes.items():
@@ -174,27 +173,35 @@ def bilinear(
     return found
 
 
-def cubic(y: FloatArray, slopes: FloatArray, places: FloatArray) -> FloatArray:
-    """(..., n) cubic pieces between evenly spaced knots, the outermost going on beyond them.
+def spline(y: FloatArray, places: FloatArray) -> FloatArray:
+    """(n, c) of the cubic not-a-knot spline through c courses, its outermost pieces going on beyond the knots.
+
+    Its slopes d at the knots, per spacing, obey d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)).
 
     Parameters
     ----------
-    y, slopes : (..., K) values at the knots and slopes per spacing, K >= 2.
+    y : (K, c) values at evenly spaced knots, K >= 4.
     places : (n,) in spacings from the first knot.
     """
-    K, n = y.shape[-1], places.size
+    K, courses = y.shape
     if COMPILED is not None:
-        y, slopes, places = (np.ascontiguousarray(each, dtype=float) for each in (y, slopes, places))
-        found = np.empty((*y.shape[:-1], n))
-        COMPILED.tr_cubic(K, y.size // K, address(y), address(slopes), n, address(places), address(found))
+        y, places = (np.ascontiguousarray(each, dtype=float) for each in (y, places))
+        found, work = np.empty((places.size, courses)), np.empty(K * (courses + 1))
+        COMPILED.tr_spline(K, courses, address(y), places.size, *map(address, (places, work, found)))
         return found
+    from scipy.linalg import lapack
+
+    below, diagonal, above = np.ones(K - 1), np.full(K, 4.0), np.ones(K - 1)
+    diagonal[[0, -1]], above[0], below[-1] = 1.0, 2.0, 2.0
+    right = np.empty(y.shape)
+    right[1:-1] = 3 * (y[2:] - y[:-2])
+    right[0] = 0.5 * (4 * y[1] + y[2] - 5 * y[0])
+    right[-1] = 0.5 * (5 * y[-1] - 4 * y[-2] - y[-3])
+    slopes = lapack.dgtsv(below, diagonal, above, right)[3]
     left = np.clip(places.astype(int), 0, K - 2)
-    t, start = places - left, np.take(y, left, axis=-1)
-    rise, before, after = (
-        np.take(each, left, axis=-1) for each in (np.diff(y, axis=-1), slopes[..., :-1], slopes[..., 1:])
-    )
+    t, rise, before, after = (places - left)[:, None], y[left + 1] - y[left], slopes[left], slopes[left + 1]
     curved = 3 * rise - 2 * before - after + t * (before + after - 2 * rise)
-    return np.asarray(start + t * (before + t * curved))
+    return np.asarray(y[left] + t * (before + t * curved))
 
 
 def forwards(P: FloatArray, forcing: FloatArray) -> FloatArray:
@@ -237,6 +244,8 @@ def _band(P: FloatArray) -> FloatArray:
 
 def _substituted(lower: FloatArray, forcing: FloatArray, *, transposed: bool) -> FloatArray:
     """(K, m) solution of the system whose band (2 m, at least K m) is given."""
+    from scipy.linalg import blas
+
     K, m = forcing.shape
     solved = blas.dtbsv(2 * m - 1, lower[:, : K * m], forcing.ravel(), lower=1, trans=int(transposed), diag=1)
     return np.asarray(solved).reshape(K, m)
@@ -248,6 +257,8 @@ def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
     `lfilter` itself is not used because a tap may have to be solved between approach and contact, and loading
     scipy.signal takes longer than solving a hundred taps.
     """
+    from scipy.linalg import blas
+
     K = values.shape[-1]
     lower = np.repeat(a[:, None], K, axis=1)
     found = np.empty(values.shape)

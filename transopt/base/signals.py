@@ -3,12 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import cubic
+from transopt.base.recursions import spline
 from transopt.base.shown import brief
 
 FloatArray = NDArray[np.float64]
@@ -70,24 +68,18 @@ class Signal:
 def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyond: bool = False) -> FloatArray:
     """(..., m) of the cubic not-a-knot spline through courses (..., K) at evenly spaced times (K,), at instants (m,).
 
-    Before the first and after the last of the times it is zero, or the outermost pieces go on `beyond` them. Its
-    slopes d at the knots, in units of the spacing, obey d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)). It is
+    Before the first and after the last of the times it is zero, or the outermost pieces go on `beyond` them. It is
     `scipy.interpolate.CubicSpline` without the coefficients of all the intervals that nobody asks for, and without
     loading scipy.interpolate, which loads scipy.optimize.
     """
-    K, y = times_s.size, courses
+    K = times_s.size
     if K < 4:  # through two points a line, through three a parabola
-        found = np.asarray(scipy.interpolate.CubicSpline(times_s, y, axis=-1)(at_s))
+        import scipy.interpolate
+
+        found = np.asarray(scipy.interpolate.CubicSpline(times_s, courses, axis=-1)(at_s))
     else:
-        below, diagonal, above = np.ones(K - 1), np.full(K, 4.0), np.ones(K - 1)
-        diagonal[[0, -1]], above[0], below[-1] = 1.0, 2.0, 2.0
-        right = np.empty(y.shape)
-        right[..., 1:-1] = 3 * (y[..., 2:] - y[..., :-2])
-        right[..., 0] = 0.5 * (4 * y[..., 1] + y[..., 2] - 5 * y[..., 0])
-        right[..., -1] = 0.5 * (5 * y[..., -1] - 4 * y[..., -2] - y[..., -3])
-        slopes = lapack.dgtsv(below, diagonal, above, right.reshape(-1, K).T)[3].T.reshape(y.shape)
-        place = (at_s - times_s[0]) / (times_s[-1] - times_s[0]) * (K - 1)
-        found = cubic(y, slopes, place)
+        places = (at_s - times_s[0]) / (times_s[-1] - times_s[0]) * (K - 1)
+        found = spline(courses.reshape(-1, K).T, places).T.reshape(*courses.shape[:-1], at_s.size)
     return found if beyond else np.where((at_s >= times_s[0]) & (at_s <= times_s[-1]), found, 0.0)
 
 

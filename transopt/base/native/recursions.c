@@ -130,21 +130,52 @@ void tr_bilinear(size_t count, int m, const double *M, const double *b, const do
     }
 }
 
-/* Cubic pieces between `knots` >= 2 evenly spaced ones, through y with the slopes d, (courses, knots) each and d per
- * spacing, at `count` places counted in spacings from the first knot: found (courses, count). The outermost pieces go
- * on beyond the outermost knots. */
-void tr_cubic(size_t knots, size_t courses, const double *y, const double *d, size_t count, const double *places,
-              double *found)
+/* Slopes per spacing of the not-a-knot spline through y at `knots` >= 4 evenly spaced ones, courses side by side: both
+ * (knots, courses). Row k of d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)), its neighbours before it eliminated, is
+ * d_k + above_k d_(k+1) = slopes_k. */
+ALWAYS_INLINE void slopes_of(const size_t knots, const size_t courses, const double *restrict y,
+                             double *restrict above, double *restrict slopes)
 {
+    const size_t last = knots - 1;
+    above[0] = 2;
+    for (size_t c = 0; c < courses; c++)
+        slopes[c] = 0.5 * (4 * y[courses + c] + y[2 * courses + c] - 5 * y[c]);
+    for (size_t k = 1; k < last; k++) {
+        const double pivot = 1 / (4 - above[k - 1]);
+        const double *next = y + (k + 1) * courses, *before = y + (k - 1) * courses;
+        double *at = slopes + k * courses;
+        above[k] = pivot;
+        for (size_t c = 0; c < courses; c++) at[c] = (3 * (next[c] - before[c]) - slopes[(k - 1) * courses + c]) * pivot;
+    }
+    const double pivot = 1 / (1 - 2 * above[last - 1]);
+    for (size_t c = 0; c < courses; c++) {
+        const double *at = y + last * courses + c;
+        const double right = 0.5 * (5 * at[0] - 4 * at[-(ptrdiff_t)courses] - at[-2 * (ptrdiff_t)courses]);
+        slopes[last * courses + c] = (right - 2 * slopes[(last - 1) * courses + c]) * pivot;
+    }
+    for (size_t k = last; k-- > 0;)
+        for (size_t c = 0; c < courses; c++)
+            slopes[k * courses + c] -= above[k] * slopes[(k + 1) * courses + c];
+}
+
+/* The not-a-knot spline through y at `knots` >= 4 evenly spaced ones, (knots, courses), at `count` places counted in
+ * spacings from the first knot: found (count, courses). The outermost pieces go on beyond the outermost knots.
+ * work (knots, courses + 1). */
+void tr_spline(size_t knots, size_t courses, const double *y, size_t count, const double *places, double *work,
+               double *found)
+{
+    double *slopes = work + knots;
+    if (courses == 1) slopes_of(knots, 1, y, work, slopes);
+    else slopes_of(knots, courses, y, work, slopes);
     for (size_t i = 0; i < count; i++) {
         const double place = places[i], last = (double)(knots - 2);
         const size_t left = place >= last ? knots - 2 : place >= 0 ? (size_t)place : 0; /* no number: the first */
         const double t = place - (double)left;
+        const double *at = y + left * courses, *slope = slopes + left * courses;
         for (size_t c = 0; c < courses; c++) {
-            const double *at = y + c * knots + left, *slope = d + c * knots + left;
-            const double rise = at[1] - at[0];
-            const double curved = 3 * rise - 2 * slope[0] - slope[1] + t * (slope[0] + slope[1] - 2 * rise);
-            found[c * count + i] = at[0] + t * (slope[0] + t * curved);
+            const double rise = at[courses + c] - at[c], after = slope[courses + c];
+            const double curved = 3 * rise - 2 * slope[c] - after + t * (slope[c] + after - 2 * rise);
+            found[i * courses + c] = at[c] + t * (slope[c] + t * curved);
         }
     }
 }
