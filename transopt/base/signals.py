@@ -83,6 +83,26 @@ def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyon
     return found if beyond else np.where((at_s >= times_s[0]) & (at_s <= times_s[-1]), found, 0.0)
 
 
+def fast_length(least: int) -> int:
+    """Smallest length from `least` on whose Fourier transform is fast: it has no other factors than 2, 3 and 5."""
+    length = least
+    while True:
+        left = length
+        for factor in (2, 3, 5):
+            while left % factor == 0:
+                left //= factor
+        if left == 1:
+            return length
+        length += 1
+
+
+def integral(rate: FloatArray, dt_s: float) -> FloatArray:
+    """(n,) integral by the trapezoidal rule, from the first sample on."""
+    course = np.zeros(rate.size)
+    np.cumsum(0.5 * dt_s * (rate[1:] + rate[:-1]), out=course[1:])
+    return course
+
+
 def nrmse(value: FloatArray, reference: FloatArray) -> float:
     """|value - reference| / |reference| over all samples; 0 if both are zero, inf if only the reference is."""
     size = float(np.linalg.norm(reference))

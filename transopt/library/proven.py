@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, integral
 from transopt.library.derived import derived
 from transopt.library.file import BROKEN, load_library
 from transopt.library.library import PLANT, Library
@@ -386,8 +385,8 @@ def _heat_prices(library: Library) -> Iterator[str]:
 
 def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:
     """(M,) position at the ticks after the window, from that at tau_(N-1) on and its second derivative (M + 1,)."""
-    velocity = velocity_m_s + scipy.integrate.cumulative_trapezoid(rate_m_s2, dx=grid.dt_s, initial=0)
-    course = position_m + scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    velocity = velocity_m_s + integral(rate_m_s2, grid.dt_s)
+    course = position_m + integral(velocity, grid.dt_s)
     return np.asarray((course - grid.delay_s * velocity)[1:])
 
 

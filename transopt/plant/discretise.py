@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from transopt.base.errors import InputError
+from transopt.base.matrices import balanced, expm
 from transopt.base.recursions import LinearSystem, Recursion
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
@@ -403,11 +403,8 @@ def exponential(matrix: FloatArray) -> FloatArray:
     Elongations and velocities in SI differ by many orders of magnitude, and the rounding of the large entries would
     drown the small ones.
     """
-    with np.errstate(
-        invalid="ignore"
-    ):  # scipy casts the scales of a matrix of extreme sizes to integers, for nothing
-        balanced, (scale, _) = linalg.matrix_balance(matrix, permute=False, separate=True)
-    return np.asarray(linalg.expm(balanced) * scale[:, None] / scale)
+    even, scale = balanced(matrix)
+    return np.asarray(expm(even) * scale[:, None] / scale)
 
 
 def discretise(

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-import scipy
 
+from transopt.base.matrices import expm
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
 from transopt.plant.state_space import StateSpace
@@ -181,7 +181,7 @@ class FreeMotion:
         n, step = A.shape[0], times_s[1] - times_s[0]
         flow = np.zeros((n + 1, n + 1))
         flow[:n, :n], flow[:n, n] = A, b
-        exponential = scipy.linalg.expm(flow * step)
+        exponential = expm(flow * step)
         # Held at its mean over each step; a jump of u' moves the velocities at once, as an impulse over one step.
         _, rate, _ = self.intention.motion(np.append(times_s, times_s[-1] + step))
         mean = np.diff(rate) / step
@@ -203,8 +203,8 @@ class FreeMotion:
         if np.linalg.matrix_rank(A) < A.shape[0]:
             found[first:] = np.exp(-left[first:] / FOLLOWS_S)
             return found
-        start = scipy.linalg.expm(A * left[first]) @ np.linalg.solve(A, -b)
-        alone = LinearSystem(scipy.linalg.expm(A * step), start[:, None], row[None], np.zeros((1, 1)))
+        start = expm(A * left[first]) @ np.linalg.solve(A, -b)
+        alone = LinearSystem(expm(A * step), start[:, None], row[None], np.zeros((1, 1)))
         begins = np.zeros((1, times_s.size - first + 1))
         begins[0, 0] = 1.0
         found[first:] = alone.outputs(begins)[0, 1:]

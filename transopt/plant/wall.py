@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, integral
 from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
 from transopt.plant.discretise import TimeGrid
 
@@ -160,8 +160,7 @@ def feedback_command_transpose(by_command: FloatArray, amplifier: Amplifier | No
 
 def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
     """(K,) deviation of the stylus from its nominal motion at the first K <= N + M ticks, if it followed r (K,)."""
-    velocity = scipy.integrate.cumulative_trapezoid(reference_m_s2, dx=grid.dt_s, initial=0)
-    course = scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    course = integral(integral(reference_m_s2, grid.dt_s), grid.dt_s)
     ticks = grid.all_issue_times_s[: reference_m_s2.size]
     return np.asarray(np.interp(ticks, ticks + grid.delay_s, course))
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import prefilter_coefficients
@@ -79,7 +79,7 @@ class Feedback:
     def _solved(self, asked: FloatArray, *, transposed: bool) -> FloatArray:
         side: Literal[0, 1] = 1 if transposed else 0
         asked = np.asarray(asked, dtype=float)
-        found = linalg.solve_triangular(
+        found = scipy.linalg.solve_triangular(
             self._one_less_T, asked, trans=side, lower=True, unit_diagonal=True, check_finite=False
         )
         return np.asarray(found)
@@ -92,7 +92,7 @@ class Feedback:
         pulse = np.zeros(M)
         pulse[0] = 1.0
         answer = self.wall.wall.linear(self.course(self.stage.motion(pulse)), dt)
-        current = linalg.toeplitz(answer, np.zeros(M)) * self.wall.pressing[N : N + M, None]
+        current = scipy.linalg.toeplitz(answer, np.zeros(M)) * self.wall.pressing[N : N + M, None]
         now, before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, dt)
         T = now * current
         T[1:] += before * current[:-1]

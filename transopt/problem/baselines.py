@@ -1,9 +1,8 @@
 """The two methods that the optimum is compared with in every table."""
 
 import numpy as np
-import scipy
 
-from transopt.base.signals import FloatArray, splined
+from transopt.base.signals import FloatArray, fast_length, splined
 from transopt.plant.amplifier import prefilter
 from transopt.plant.discretise import StageModel, TimeGrid
 
@@ -34,12 +33,12 @@ def seed_inversion(
     """
     N = grid.stages
     at_ticks = splined(grid.switching_times_s, reference_m_s2, grid.issue_times_s)
-    length = scipy.fft.next_fast_len(PADDING * N, real=True)
-    frequencies = scipy.fft.rfftfreq(length, grid.dt_s)
-    spectrum = scipy.fft.rfft(at_ticks, length)
+    length = fast_length(PADDING * N)
+    frequencies = np.fft.rfftfreq(length, grid.dt_s).astype(float)
+    spectrum = np.fft.rfft(at_ticks, length)
     current = np.zeros_like(spectrum)
     current[..., 1:] = spectrum[..., 1:] / stage.plant.response(frequencies[1:])
-    periodic = scipy.fft.irfft(current, length)
+    periodic = np.fft.irfft(current, length)
     wanted = periodic[..., :N] - periodic[..., -max(round(REST_S / grid.dt_s), 1) :].mean(axis=-1, keepdims=True)
     wanted[..., -taper_samples:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, taper_samples + 1) / taper_samples))
     wanted = np.clip(wanted, -current_limit_A, current_limit_A)

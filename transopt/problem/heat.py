@@ -5,9 +5,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from transopt.base.errors import InputError
+from transopt.base.matrices import expm
 from transopt.base.recursions import Recursion, backwards, bilinear, filtered
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
@@ -256,14 +256,14 @@ def _nodes(coil: CoilModel, grid: TimeGrid) -> _Nodes:
     m, N = inflow.size, grid.stages
     held = np.zeros((m + 1, m + 1))
     held[:m, :m], held[:m, m] = flow, inflow
-    hold = linalg.expm(held * grid.dt_s)
+    hold = expm(held * grid.dt_s)
     M, b = hold[:m, :m], hold[:m, m]
     courses, unpowered = [], Recursion(M)
     for unit in np.eye(m):
         start = np.zeros((N + 1, m))
         start[0] = unit
         courses.append(unpowered.run(start)[:, 0])
-    waiting = linalg.expm(_under_power(coil, held, coil.ripple_A) * grid.delay_s)
+    waiting = expm(_under_power(coil, held, coil.ripple_A) * grid.delay_s)
     return _Nodes(M, b, held, np.stack(courses, axis=1), waiting)
 
 
@@ -289,7 +289,7 @@ def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, bud
                 "amplifier's delay: lower it"
             )
         with np.errstate(over="ignore", invalid="ignore"):  # a current in the pause under which the coil runs away
-            paused = linalg.expm(pause * pause_s)
+            paused = expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
         margin_K = steady_margin_K(coil, budget)
     return HeatModel(

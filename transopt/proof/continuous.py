@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from transopt.base.matrices import balanced
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, TimeGrid, split_delay
 from transopt.plant.wall import FeedbackLoop, HandOver
@@ -40,7 +40,11 @@ def _radau(stages: int) -> tuple[FloatArray, FloatArray]:
 
     Nodes as in Hairer & Wanner, Solving Ordinary Differential Equations II, Sec. IV.5.
     """
-    nodes = np.append((scipy.special.roots_jacobi(stages - 1, 1.0, 0.0)[0] + 1) / 2, 1.0)
+    # All but the last are the roots of a Jacobi polynomial, eigenvalues of its recursion (Golub and Welsch).
+    k, j = np.arange(stages - 1), np.arange(1, stages - 1)
+    beside = np.diag(np.sqrt(j * (j + 1)) / (2 * j + 1), 1)
+    roots = np.linalg.eigvalsh(np.diag(-1 / ((2 * k + 1) * (2 * k + 3))) + beside + beside.T)
+    nodes = np.append((roots + 1) / 2, 1.0)
     powers = np.arange(stages)
     integrals = nodes[:, None] ** (powers + 1) / (powers + 1)
     butcher = integrals @ np.linalg.inv(nodes[:, None] ** powers)
@@ -202,7 +206,7 @@ class Flow:
             A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
             B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, [0.0, 0.0, 0.0]
         # In balanced units (powers of two, exact) no state drowns in the rounding of another.
-        balanced, (units, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+        even, units = balanced(A)
         further = {name: plant.output(name).row for name in stage.outputs}
         rows = np.zeros((3 + len(further), n + more))
         for j, row in enumerate(further.values()):
@@ -212,7 +216,7 @@ class Flow:
             rows[0, n], rows[1, n] = plant.D[0, 0], 1.0
         encoder = np.append(plant.Ce[0], np.zeros(more))
         return cls(
-            np.asarray(balanced, dtype=float),
+            even,
             B / units[:, None],
             rows * units,
             np.array(direct + [0.0] * len(further)),

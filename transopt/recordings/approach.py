@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import FloatArray, Signal, integral
 from transopt.recordings.speed import encoder_count_m, fitted
 
 GUARD_S = 1e-3  # kept free before contact, whose low-passed foot reaches so far
@@ -130,7 +130,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
         )
         return Approach(x, 0.0, 0.0, UNSEPARATED, known, (f"{said}: {lost}",))
     w = 2 * np.pi * trusted_from_Hz
-    inverse = replace(x, values=x.values + w * _integral(x.values, x.dt_s))
+    inverse = replace(x, values=x.values + w * integral(x.values, x.dt_s))
     rest = position.values[inside] - np.interp(t[inside], x.times_s, _twice_integrated(inverse))
     solution, interval = fitted(t[inside] - onset_s, rest, encoder_count_m(position.values), 4)
     slope = 6 * float(solution[3])
@@ -143,12 +143,5 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
     return Approach(whole, slope / w, incoming, SEPARATED, slow_part_known=True, notes=notes)
 
 
-def _integral(values: FloatArray, step: float) -> FloatArray:
-    """(n,) by the trapezoidal rule, from the first sample on."""
-    course = np.zeros(values.size)
-    np.cumsum(0.5 * step * (values[1:] + values[:-1]), out=course[1:])
-    return course
-
-
 def _twice_integrated(x: Signal) -> FloatArray:
-    return _integral(_integral(x.values, x.dt_s), x.dt_s)
+    return integral(integral(x.values, x.dt_s), x.dt_s)

@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, Signal, nrmse, splined
+from transopt.base.signals import FloatArray, Signal, fast_length, integral, nrmse, splined
 from transopt.plant.discretise import TimeGrid
 from transopt.problem.objective.target import Target
 from transopt.recordings.tap import PreparedTap
@@ -150,9 +149,9 @@ def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArr
 def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
     """(n,) shift [s] by which each repeat is later than the mean, to a fraction of the step."""
     reach = round(ALIGNMENT_S / step_s)
-    length = scipy.fft.next_fast_len(mean.size + reach, real=True)
+    length = fast_length(mean.size + reach)
     # The correlation is cyclic, with room behind the signals for the lags looked at; negative lags stand at the end.
-    matches = scipy.fft.irfft(scipy.fft.rfft(repeats, length) * scipy.fft.rfft(mean, length).conj(), length)
+    matches = np.fft.irfft(np.fft.rfft(repeats, length) * np.fft.rfft(mean, length).conj(), length)
     lags = []
     for window in np.roll(matches, reach, axis=1)[:, : 2 * reach + 1]:
         best = int(np.argmax(window))
@@ -171,13 +170,6 @@ def _spread(repeats: FloatArray) -> float:
         return float("nan")
     mean = repeats.mean(axis=0)
     return float(np.mean([nrmse(repeat, mean) for repeat in repeats]))
-
-
-def _integral(values: FloatArray, step_s: float) -> FloatArray:
-    """(n,) by the trapezoidal rule, from the first sample on."""
-    course = np.zeros(values.size)
-    np.cumsum(0.5 * step_s * (values[1:] + values[:-1]), out=course[1:])
-    return course
 
 
 def build_reference(
@@ -232,9 +224,9 @@ def build_reference(
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
     by_itself = free(speed_m_s, grip_N, incoming)(raw.times_s)
     contact = int(np.argmin(np.abs(times)))
-    velocity = _integral(by_itself, raw.dt_s)
+    velocity = integral(by_itself, raw.dt_s)
     velocity += -speed_m_s - velocity[contact]
-    position = _integral(velocity, raw.dt_s)
+    position = integral(velocity, raw.dt_s)
     position -= position[contact]
     courses = np.stack([raw.values, by_itself, position, velocity])
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import scipy
 from scipy.interpolate import CubicSpline
 
-from transopt.base.signals import Signal, splined
+from transopt.base.signals import Signal, fast_length, splined
 
 
 @pytest.mark.parametrize("knots", [2, 3, 4, 5, 400])
@@ -25,3 +26,8 @@ def test_a_signal_between_its_samples() -> None:
     x = Signal(0.0, times[1], np.sin(800 * times))
     at = np.array([-1e-6, 1.234e-3, 7.7e-3, 1e-2 + 1e-6])
     assert x.at(at) == pytest.approx([0.0, *np.sin(800 * at[1:3]), 0.0], abs=1e-9)
+
+
+def test_a_fast_length_is_that_of_scipy() -> None:
+    lengths = [1, 2, 7, 97, 1024, 1601, 6401, 32001]
+    assert [fast_length(n) for n in lengths] == [scipy.fft.next_fast_len(n, real=True) for n in lengths]

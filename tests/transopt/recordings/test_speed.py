@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
 from transopt.recordings.recording import Recording
-from transopt.recordings.speed import UNKNOWN, incoming_speed
+from transopt.recordings.speed import UNKNOWN, incoming_speed, two_sided
 
 RATE_HZ = 10e3
 COUNT_M = 24.5e-6
@@ -66,3 +67,8 @@ def test_nobody_knows() -> None:
     speed, source, _ = incoming_speed(Recording(name="tap", source="", sha256="", acceleration=x), 0.0)
     assert np.isnan(speed)
     assert source == UNKNOWN
+
+
+@pytest.mark.parametrize("free", [1, 2, 3, 4, 5, 97, 500, 2001])
+def test_the_quantile_is_that_of_students_distribution(free: int) -> None:
+    assert two_sided(free) == pytest.approx(scipy.special.stdtrit(free, 0.975), rel=1e-11)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, fast_length
 from transopt.problem.objective.weighting import PACINIAN_Hz, pacinian
 
 # IEC 61260-1: base-ten third octaves, midband 1000 Hz 10^(x/10), edges a factor 10^(1/20) below and above.
@@ -64,9 +63,9 @@ def band_energies(samples: FloatArray, dt_s: float) -> FloatArray:
     Bands that lie above half the sampling rate hold nothing; one that it cuts holds what is below it.
     """
     N = samples.shape[-1]
-    length = scipy.fft.next_fast_len(2 * N)
-    spectrum = scipy.fft.rfft(samples, length, axis=-1)
-    correlation = scipy.fft.irfft(np.abs(spectrum) ** 2, length, axis=-1)[..., :N]
+    length = fast_length(2 * N)
+    spectrum = np.fft.rfft(samples, length, axis=-1)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, length, axis=-1)[..., :N]
     # Rounding leaves an empty band a hair below zero.
     return np.asarray(np.maximum(correlation @ _integrals(N, dt_s), 0.0))
 
