@@ -40,11 +40,8 @@ def _radau(stages: int) -> tuple[FloatArray, FloatArray]:
 
     Nodes as in Hairer & Wanner, Solving Ordinary Differential Equations II, Sec. IV.5.
     """
-    # All but the last are the roots of a Jacobi polynomial, eigenvalues of its recursion (Golub and Welsch).
-    k, j = np.arange(stages - 1), np.arange(1, stages - 1)
-    beside = np.diag(np.sqrt(j * (j + 1)) / (2 * j + 1), 1)
-    roots = np.linalg.eigvalsh(np.diag(-1 / ((2 * k + 1) * (2 * k + 3))) + beside + beside.T)
-    nodes = np.append((roots + 1) / 2, 1.0)
+    # Roots of the difference of two Legendre polynomials, P_s - P_(s-1).
+    nodes = (np.polynomial.legendre.legroots([0.0] * (stages - 1) + [-1.0, 1.0]) + 1) / 2
     powers = np.arange(stages)
     integrals = nodes[:, None] ** (powers + 1) / (powers + 1)
     butcher = integrals @ np.linalg.inv(nodes[:, None] ** powers)

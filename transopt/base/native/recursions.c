@@ -130,9 +130,9 @@ void tr_bilinear(size_t count, int m, const double *M, const double *b, const do
     }
 }
 
-/* Slopes per spacing of the not-a-knot spline through y at `knots` >= 4 evenly spaced ones, courses side by side: both
- * (knots, courses). Row k of d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)), its neighbours before it eliminated, is
- * d_k + above_k d_(k+1) = slopes_k. */
+/* Slopes d per spacing of the not-a-knot spline through y at `knots` >= 4 evenly spaced ones, courses side by side:
+ * both (knots, courses). They obey d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)). With d_(k-1) eliminated that is
+ * d_k + above_k d_(k+1) = slopes_k, which is solved from the last knot back. */
 ALWAYS_INLINE void slopes_of(const size_t knots, const size_t courses, const double *restrict y,
                              double *restrict above, double *restrict slopes)
 {
@@ -143,9 +143,9 @@ ALWAYS_INLINE void slopes_of(const size_t knots, const size_t courses, const dou
     for (size_t k = 1; k < last; k++) {
         const double pivot = 1 / (4 - above[k - 1]);
         const double *next = y + (k + 1) * courses, *before = y + (k - 1) * courses;
-        double *at = slopes + k * courses;
+        double *at = slopes + k * courses, *last_d = at - courses;
         above[k] = pivot;
-        for (size_t c = 0; c < courses; c++) at[c] = (3 * (next[c] - before[c]) - slopes[(k - 1) * courses + c]) * pivot;
+        for (size_t c = 0; c < courses; c++) at[c] = (3 * (next[c] - before[c]) - last_d[c]) * pivot;
     }
     const double pivot = 1 / (1 - 2 * above[last - 1]);
     for (size_t c = 0; c < courses; c++) {
@@ -212,8 +212,8 @@ ALWAYS_INLINE double of_bits(uint64_t bits)
     return x;
 }
 
-/* x^exponent for x > 0 to a few units of the last place: without branches, which a library's pow has, so that lanes go
- * side by side. x = 2^k m with m within a factor sqrt(2) of 1; ln m = 2 artanh s; the exponential by its series. */
+/* x^exponent for x > 0 to a few units of the last place. A library's pow has branches; without any, lanes go side by
+ * side. x = 2^k m with m within a factor sqrt(2) of 1; ln m = 2 artanh s; the exponential by its series. */
 ALWAYS_INLINE double power(double x, double exponent)
 {
     const double whole = 4503599627370496.0, nearest = 6755399441055744.0; /* 2^52 and 1.5 2^52 */
@@ -227,9 +227,10 @@ ALWAYS_INLINE double power(double x, double exponent)
     const double odd = 1. / 3 + p * (1. / 7 + p * (1. / 11 + p * (1. / 15 + p * (1. / 19))));
     const double y = exponent * (k * ln2 + 2 * s * (even + q * odd));
     const double up = y * (1 / ln2) + nearest, n = up - nearest, r = (y - n * ln2_high) - n * ln2_low, t = r * r;
-    const double cosh = 1 + t * (1. / 2 + t * (1. / 24 + t * (1. / 720 + t * (1. / 40320 + t * (1. / 3628800 + t * (1. / 479001600))))));
-    const double sinh = 1 + t * (1. / 6 + t * (1. / 120 + t * (1. / 5040 + t * (1. / 362880 + t * (1. / 39916800 + t * (1. / 6227020800))))));
-    const double e = of_bits(bits_of(cosh + r * sinh) + (bits_of(up) << 52));
+    double symmetric = 1. / 479001600, skew = 1. / 6227020800; /* 1 / 12! and 1 / 13! */
+    symmetric = 1 + t * (1. / 2 + t * (1. / 24 + t * (1. / 720 + t * (1. / 40320 + t * (1. / 3628800 + t * symmetric)))));
+    skew = 1 + t * (1. / 6 + t * (1. / 120 + t * (1. / 5040 + t * (1. / 362880 + t * (1. / 39916800 + t * skew)))));
+    const double e = of_bits(bits_of(symmetric + r * skew) + (bits_of(up) << 52));
     return y > 700 ? INFINITY : y < -700 ? 0 : e;
 }
 
@@ -275,7 +276,7 @@ ALWAYS_INLINE void strike(const size_t steps, const int n, const int outputs, co
 }
 
 #define STRIKE_ARGUMENTS                                                                                             \
-    size_t steps, int n, int outputs, size_t columns, const struct entry *entries, const int *starts,                   \
+    size_t steps, int n, int outputs, size_t columns, const struct entry *entries, const int *starts,                \
         const double *contact, lanes *z, double *found, size_t used
 typedef void strike_of(STRIKE_ARGUMENTS);
 
@@ -284,7 +285,7 @@ static void strike_anywhere(STRIKE_ARGUMENTS)
     strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
 }
 
-#if defined(__GNUC__) && defined(__x86_64__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__)
 /* The same operations in the same order, more lanes at once: the same bits. */
 __attribute__((target("avx2"))) static void strike_avx2(STRIKE_ARGUMENTS)
 {
@@ -299,7 +300,7 @@ __attribute__((target("avx512f,avx512dq,prefer-vector-width=512"))) static void 
 
 static strike_of *strike_here(void)
 {
-#if defined(__GNUC__) && defined(__x86_64__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__)
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")) return strike_avx512;
     if (__builtin_cpu_supports("avx2")) return strike_avx2;
 #endif
@@ -308,7 +309,8 @@ static strike_of *strike_here(void)
 
 /* A linear system of n states x and a contact's force on it by the Runge-Kutta method of fourth order. Its rows,
  * (8 + outputs + n, n + 4), are sums over x and the forces F_0 to F_3 of the four stages: depth and closing speed at
- * each stage, of which F_j = stiffness depth^exponent (1 + damping closing), never below 0, follows; outputs; x after the step.
+ * each stage, of which F_j = stiffness depth^exponent (1 + damping closing), never below 0, follows; outputs; x after
+ * the step.
  * For `columns` courses: state (n, columns), in the end that after all steps; found (steps + 1, outputs, columns). */
 void tr_struck(size_t steps, int n, int outputs, size_t columns, const double *rows, const double *contact,
                double *state, double *found)
