@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
@@ -219,4 +219,4 @@ def _pole_Hz(bridge: Bridge) -> float:
         return float(np.abs(bridge.response(frequency_Hz)) ** 2) - 0.5
 
     # At twice the switching frequency nothing is left of a pulse.
-    return float(optimize.brentq(above, 0.5 * bridge.crossover_Hz, 1.99 * bridge.switching_Hz))
+    return float(scipy.optimize.brentq(above, 0.5 * bridge.crossover_Hz, 1.99 * bridge.switching_Hz))
