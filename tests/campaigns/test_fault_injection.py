@@ -17,6 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from controller.servo.crosscheck import Crosscheck
 from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
@@ -88,6 +89,7 @@ class Detectable:
 
     def __init__(self, servo: Servo, kind: Fault) -> None:
         self._servo, self._kind, self._ticks, self._impulse_A_s, self._counts = servo, kind, 0, 0.0, math.nan
+        self._crosscheck = Crosscheck(servo.settings)
 
     def step(self, readings: Readings, before: Output | None) -> bool:
         s = self._servo.settings
@@ -101,8 +103,11 @@ class Detectable:
             self._impulse_A_s = (
                 self._impulse_A_s + played * s.dt_s if readings.encoder_counts == self._counts else 0.0
             )
+            moved = 0 if math.isnan(self._counts) else int(readings.encoder_counts - self._counts)
             self._counts = readings.encoder_counts
-            return abs(self._impulse_A_s) >= s.stuck_A_s
+            playing = self._servo.state is State.PLAYING
+            self._crosscheck.step(moved, readings.acceleration_m_s2, readings.current_A, playing)
+            return abs(self._impulse_A_s) >= s.stuck_A_s or self._crosscheck.stuck
         if self._kind is Fault.GRIP_LOST:
             return self._servo.state is State.PLAYING
         return True

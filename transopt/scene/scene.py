@@ -1,6 +1,6 @@
 """What a scene holds: everything that defines one library, and the models that follow from it.
 
-`Scene` checks what its tables say about each other; what a single table may say is checked in
+What its tables say about each other is checked in `transopt.scene.consistent`, what a single table may say in
 `transopt.scene.sections`. Its methods turn the tables into the objects of the rooms below: plant, amplifier, coil,
 wall, time grid, limits.
 """
@@ -14,8 +14,7 @@ from transopt.base.axes import Axes
 from transopt.base.errors import InputError
 from transopt.base.section import Name, Section, Words
 from transopt.base.shown import cut, wrapped
-from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS, MOST_NODES, MOST_STAGES
-from transopt.base.writing import rounded_down
+from transopt.base.sizes import MOST_NODES, MOST_STAGES
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.bridge import Bridge
 from transopt.plant.circuit import Circuit
@@ -33,15 +32,14 @@ from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.state_space import Input, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
-from transopt.problem.limits import kinds_of
 from transopt.problem.objective.rapid import rapid_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.recordings.targets import TargetTable
+from transopt.scene.consistent import BELOW, POPULATION_SEED, check
 from transopt.scene.identified import IdentifiedModel
-from transopt.scene.model_parts import ChainHand, DriveDevice, StateSpaceDevice
+from transopt.scene.model_parts import ChainHand, DriveDevice
 from transopt.scene.sections import (
-    OF_A_CURRENT,
     WINDOW_S,
     AmplifierSection,
     Feedback,
@@ -55,10 +53,6 @@ from transopt.scene.sections import (
     Weights,
     covering_lead_s,
 )
-
-BELOW = 1 - 1e-6  # of a bound that has to be stayed below
-POPULATION_SEED = 2  # of the hands that a robust design serves
-FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
 
 
 class Scene(Section):
@@ -105,268 +99,9 @@ class Scene(Section):
         return self.model.driven_by
 
     @model_validator(mode="after")
-    def _one_drive(self) -> Self:
-        self._check_what_is_wanted()
-        self._check_input()
-        if (self.motor is None) != (self.transmission is None):
-            raise ValueError("motor and transmission belong together: give both, or a tip table in their place")
-        if isinstance(self.model, IdentifiedModel):
-            self._check_identified(self.model)
-        if self.nonlinear and not self.targets:
-            raise ValueError("model.nonlinear: x is the displacement from rest, so it needs [[targets]], not speeds")
-        if self.nonlinear and self.weights.objective != "waveform":
-            raise ValueError('model.nonlinear: only with weights.objective = "waveform"')
-        if self.grid.cool_share is not None and (self.nonlinear or self.weights.objective != "waveform"):
-            raise ValueError(
-                "grid.cool_share: the second command is the optimum of a linear plant's waveform: leave it out, or "
-                'model.nonlinear and weights.objective = "intensity"'
-            )
-        if self.nonlinear and self.robust is not None:
-            raise ValueError("robust: serves a spread of linear devices, not model.nonlinear: leave one of them out")
-        whole = isinstance(self.model, PlantKind) and not self.model.driven_at_tip
-        if whole and (self.motor, self.transmission, self.tip) != (None, None, None):
-            raise ValueError(f"model.kind = {self.model.kind} is a whole actuator: take motor, transmission, tip out")
-        if whole and self.feedback is not None:
-            raise ValueError(f"feedback: a wall is for a stylus on a motor, not for model.kind = {self.model.kind}")
-        held = not isinstance(self.model, PlantKind) or self.model.held_by_hand
-        if not held and self.grid.grips_N != [0.0]:
-            raise ValueError(f"grid.grips_N: model.kind = {self.model.kind} depends on no grip: leave it out")
-        if not whole and not self._drive_in_file and (self.motor is None) == (self.tip is None):
-            raise ValueError("the drive is stated either by motor and transmission or by tip: give exactly one")
-        through = isinstance(self.model, PlantKind) and self.model.through_transmission
-        if through and self.tip is not None and None in (self.tip.stiffness_N_m, self.tip.damping_N_s_m):
-            raise ValueError(f"model.kind = {self.model.kind} needs tip.stiffness_N_m and tip.damping_N_s_m")
-        if self.motor is not None and self.limits.transient_input > self.motor.i_peak_A:
-            raise ValueError(
-                f"limits: transient limit {self.limits.transient_input:g} A is above the motor's i_peak_A = "
-                f"{self.motor.i_peak_A:g} A: lower beta or current_A"
-            )
-        self._check_amplifier()
-        commands = self.axes.entries * self.stages
-        if commands > MOST_COMMANDS:
-            raise ValueError(
-                f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages"
-            )
-        self._check_time()
-        self._check_what_needs_what()
-        if self.hand_over_samples > self.stages:
-            raise ValueError(
-                f"hand_over_samples = {self.hand_over_samples}: must not exceed time.stages = {self.stages}"
-            )
+    def _consistent(self) -> Self:
+        check(self)
         return self
-
-    def _check_what_is_wanted(self) -> None:
-        """Speeds with recordings of taps, or named targets: one of the two."""
-        names = [target.name for target in self.targets]
-        if not names:
-            if self.weights.calm != 1:
-                raise ValueError("weights.calm: a tap goes on as it was recorded, only a named target has an end")
-            if not self.grid.speeds_m_s:
-                raise ValueError("grid.speeds_m_s: missing; add it to the scene, or [[targets]] without speeds")
-            if not self.recordings.files and self.recordings.simulated is None:
-                raise ValueError("recordings: give either files or a simulated table, not both and not neither")
-            return
-        if len(set(names)) < len(names):
-            raise ValueError("targets: two of one name: give each its own")
-        if self.grid.speeds_m_s:
-            raise ValueError("grid.speeds_m_s: named targets have no speed: give either speeds or targets")
-        if self.grid.grips_N != [0.0]:
-            raise ValueError("grid.grips_N: named targets are for a device that nobody holds: leave it out")
-        if self.recordings.files or self.recordings.simulated is not None:
-            raise ValueError("recordings: named targets take the place of files and simulated taps: leave these out")
-        if self.feedback is not None:
-            raise ValueError("feedback: a virtual wall needs a stylus that comes in: leave it out with named targets")
-
-    def _check_input(self) -> None:
-        """The limits, and all that knows currents alone, must be of the plant's input."""
-        limits, unit = self.limits, self.driven_by.unit
-        if unit == "A":
-            if limits.voltage_V is not None:
-                raise ValueError(
-                    f"limits.voltage_V: a current drives model.kind = {self.model.kind}: state its limits in A, or a "
-                    "model that a voltage drives"
-                )
-            if limits.steady_current_A is None:
-                raise ValueError("limits.steady_current_A: missing; add it to the scene")
-            return
-        if limits.voltage_V is None:
-            raise ValueError(f"limits.voltage_V: missing; a voltage drives model.kind = {self.model.kind}")
-        if limits.current_A is not None and isinstance(self.model, MovingCoil) and self.model.L_H == 0:
-            raise ValueError(
-                "limits.current_A: the current of a coil without inductance follows the voltage at once and is no "
-                "state to be limited: state model.L_H, or bound the voltage by limits.voltage_V"
-            )
-        for key, stated in (
-            ("limits.beta", limits.beta is not None),
-            *((f"limits.{key}", getattr(limits, key) is not None) for key in OF_A_CURRENT),
-            ("feedback", self.feedback is not None),
-            ("thermal", self.thermal != Thermal()),
-            ("grid.cool_share", self.grid.cool_share is not None),
-        ):
-            if stated:
-                raise ValueError(
-                    f"{key}: belongs to a motor that a current drives, and here a voltage does: leave it out"
-                )
-
-    def _check_what_needs_what(self) -> None:
-        """Keys that need or exclude keys of other tables."""
-        if self.limits.supply_V is not None and (self.circuit() is None or self.amplifier == "ideal"):
-            raise ValueError(
-                "limits.supply_V needs [motor] (resistance, inductance, back-EMF) and an amplifier with a pole: an "
-                "ideal one changes the current at once, which no voltage can"
-            )
-        budgets = (self.thermal.headroom_K, self.thermal.tap_rate_Hz)
-        if budgets != (None, None) and self._winding is None:
-            raise ValueError("thermal.headroom_K and thermal.tap_rate_Hz need [motor]: a tip states no coil")
-        winding = self._winding
-        if winding is not None and self.thermal.start_winding_C > winding.winding_max_C:
-            raise ValueError(
-                f"thermal.start_winding_C = {self.thermal.start_winding_C:g} C: above the motor's winding_max_C = "
-                f"{winding.winding_max_C:g} C: let it cool"
-            )
-        grid = self.time_grid()
-        takes_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
-        shorter = "" if self.time.stages is None else ", or shorten time.stages"
-        if self.thermal.tap_rate_Hz is not None and not 1 / self.thermal.tap_rate_Hz > takes_s:
-            raise ValueError(
-                f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
-                f"amplifier's delay: must be at most {rounded_down(BELOW / takes_s):g}{shorter}"
-            )
-        if self.robust is not None and self.feedback is not None:
-            raise ValueError(
-                "robust: feedback answers one device's motion, and a spread of them has many: leave one of them out"
-            )
-        if self.robust is not None and self.robust.minimise == "worst" and self.weights.objective == "intensity":
-            raise ValueError(
-                'robust.minimise = "worst": is of the waveform: leave out weights.objective = "intensity", or take '
-                '"mean"'
-            )
-        if self.robust is not None and self.robust.grip_spread is not None and self.grid.grips_N[0] == 0:
-            raise ValueError("robust.grip_spread: the free device has no grip to spread")
-        if self.robust is not None and self.robust.population is not None:
-            self._check_population(self.robust)
-        produced = self.robust is not None and (self.robust.resonance_spread or self.robust.quality_spread)
-        if produced and not isinstance(self.model, MovingCoil):
-            raise ValueError(
-                "robust.resonance_spread and quality_spread: are of a mass on a spring, model.kind = inertial or "
-                f"voice_coil, not of {self.model.kind}: leave them out"
-            )
-        if self.robust is not None and self.robust.model_uncertainty and not isinstance(self.model, IdentifiedModel):
-            raise ValueError('robust.model_uncertainty: needs a model file (model = "MODEL.json"), which has it')
-
-    def _check_population(self, robust: Robust) -> None:
-        """Hands of a population take the place of a hand that is stated by itself and holds the device."""
-        if not isinstance(self.model, Drive | FourthOrder) or self.grid.grips_N[0] == 0:
-            raise ValueError(
-                "robust.population: spreads the hand that a scene states by [model.hand], at grips above 0: leave it "
-                "out; an identified model has robust.model_uncertainty"
-            )
-        assert robust.population is not None
-        try:
-            robust.population.drawn(robust.samples, POPULATION_SEED, self.grid.grips_N)
-        except InputError as error:
-            raise ValueError(f"robust.{error}") from None
-
-    @property
-    def _drive_in_file(self) -> bool:
-        """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
-        return isinstance(self.model, IdentifiedModel) and self.model.device is not None
-
-    def _on_the_motion(self) -> list[str]:
-        """Keys of the limits asked for that look at the device's motion."""
-        asked, kinds = self.limits.asked(), kinds_of(self.driven_by)
-        return [kind.key for kind in kinds if kind.of_each_device and asked.get(kind.key) is not None]
-
-    def _check_identified(self, model: IdentifiedModel) -> None:
-        """What the scene states beside a model file must not contradict it."""
-        for grip in self.grid.grips_N:
-            for served in (grip, *self.spread_grips_N(grip)):
-                try:
-                    model.check_grip(served)
-                except InputError as error:
-                    raise ValueError(f"grid.grips_N: {served:g} N: {error}") from None
-        tip = model.tip()
-        if self._drive_in_file and self.tip is not None:
-            raise ValueError(f"tip: the device in {model.file} has it all: take the tip table out")
-        if tip is not None and self.motor is not None and self.transmission is not None:
-            stated, known = self.motor.kt_Nm_A * self.transmission.ratio_1_m, tip.force_per_current_N_A
-            if not abs(stated / known - 1) <= FORCE_TOLERANCE:
-                raise ValueError(
-                    f"motor: kt_Nm_A * transmission.ratio_1_m = {stated:.4g} N/A, but {model.file} was identified "
-                    f"with force_per_current_N_A = {known:.4g} N/A: they must agree within {FORCE_TOLERANCE:.0%}; "
-                    "correct one of them, or identify again with this motor"
-                )
-        if isinstance(model.device, StateSpaceDevice):
-            for key, stated_in_scene in (
-                ("feedback", self.feedback is not None),
-                *((f"limits.{key}", True) for key in self._on_the_motion()),
-            ):
-                if stated_in_scene:
-                    raise ValueError(
-                        f"{key}: needs the motor's motion, and the device in {model.file} is a state space, which "
-                        "knows none: identify a drive chain, or leave it out"
-                    )
-            if self.recordings.simulated is not None and self.striker is None:
-                raise ValueError(
-                    f"recordings.simulated: the device in {model.file} is a state space, which has no stylus to "
-                    "strike with: give recorded files, or a [model] that strikes and the file as model_file"
-                )
-        if self.robust is not None and self.robust.model_uncertainty:
-            try:
-                model.drawn(self.robust.samples, self.grid.grips_N)
-            except InputError as error:
-                raise ValueError(f"robust.model_uncertainty: {error}") from None
-
-    def _check_amplifier(self) -> None:
-        """Pole and delay stand in the scene or in its model file, in one of them, or follow from bridge and motor."""
-        identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
-        stated = None if self.amplifier == "ideal" else self.amplifier
-        if stated is not None and stated.switching_Hz is not None:
-            if self.circuit() is None or self.limits.supply_V is None:
-                raise ValueError(
-                    "amplifier.switching_Hz: needs [motor] and the rail that the bridge switches, limits.supply_V: "
-                    "add them, or take it out"
-                )
-            self.bridge()
-        if stated is not None and stated.gain_V_A is not None:
-            if stated.switching_Hz is None:
-                raise ValueError("amplifier.gain_V_A: is of a bridge's current loop: add amplifier.switching_Hz too")
-            if stated.pole_Hz is not None or identified is not None:
-                raise ValueError(
-                    "amplifier.gain_V_A: the pole follows from it, and is stated too: take one of them out"
-                )
-        if identified is None:
-            follows = self.bridge() is not None and not self.pole_is_stated
-            for name in ("pole_Hz", "delay_s"):
-                if stated is not None and getattr(stated, name) is None and not follows:
-                    raise ValueError(f"amplifier.{name}: missing; add it to the scene")
-            return
-        assert isinstance(self.model, IdentifiedModel)
-        if self.amplifier == "ideal":
-            raise ValueError(f"amplifier = 'ideal': {self.model.file} has an amplifier part: state [amplifier]")
-        assert isinstance(self.amplifier, AmplifierSection)
-        for name in ("pole_Hz", "delay_s"):
-            value = getattr(self.amplifier, name)
-            if value is not None:
-                raise ValueError(
-                    f"amplifier.{name} = {value:g}: {self.model.file} has it too ({getattr(identified, name):g}): "
-                    "take it out of the scene"
-                )
-
-    def _check_time(self) -> None:
-        """A lead that is not stated must be possible, and the samples after the window must not be too many."""
-        lead_s, after = self.lead_s, samples_after(self.weights.after_s, self.time.dt_s)
-        if self.time.lead_s is None and lead_s > LONGEST_LEAD_S:
-            raise ValueError(
-                f"time.lead_s: the amplifier's delay of {self.delay_s * 1e3:g} ms and 0.2 ms, in whole periods of "
-                f"{self.time.dt_s * 1e3:g} ms, take a lead of {lead_s * 1e3:g} ms, at most {LONGEST_LEAD_S * 1e3:g} "
-                "ms: state a shorter time.lead_s; what no command can reach then counts as error"
-            )
-        if after > MOST_AFTER:
-            raise ValueError(
-                f"weights.after_s = {self.weights.after_s:g} s: {after} samples of {self.time.dt_s:g} s, at most "
-                f"{MOST_AFTER}: lower weights.after_s"
-            )
 
     def striking(self) -> Self:
         """The scene whose device strikes the object of simulated recordings: this one, unless it states a striker."""
@@ -408,7 +143,7 @@ class Scene(Section):
 
     def _chain(self, grip_N: float, struck: bool) -> StateSpace:
         if isinstance(self.model, IdentifiedModel):
-            force = None if self._drive_in_file else self.drive_at_tip().force_per_current_N_A
+            force = None if self.model.device is not None else self.drive_at_tip().force_per_current_N_A
             return self.model.plant(grip_N, force, struck=struck)
         tip = self.drive_at_tip() if self.model.driven_at_tip else None
         return self.model.plant(grip_N, tip, struck=struck)
@@ -613,7 +348,7 @@ class Scene(Section):
         )
 
     @property
-    def _winding(self) -> Motor | Winding | None:
+    def winding(self) -> Motor | Winding | None:
         """How the winding heats, by the motor's datasheet or by that of a whole actuator; None where nobody says."""
         if self.motor is not None:
             return self.motor
@@ -621,7 +356,7 @@ class Scene(Section):
 
     def coil(self) -> CoilModel | None:
         """Give the coil; None if the drive is stated at the tip (no motor, no temperature) or takes a voltage."""
-        circuit, winding = self.circuit(), self._winding
+        circuit, winding = self.circuit(), self.winding
         if circuit is None or winding is None:
             return None
         identified = self.model.coil if isinstance(self.model, IdentifiedModel) else None

@@ -1,0 +1,295 @@
+"""What the tables of a scene say about each other: keys that need or exclude keys of other tables."""
+
+from typing import TYPE_CHECKING
+
+from transopt.base.errors import InputError
+from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS
+from transopt.base.writing import rounded_down
+from transopt.plant.discretise import samples_after
+from transopt.plant.drive import Drive
+from transopt.plant.fourth_order import FourthOrder
+from transopt.plant.kind import PlantKind
+from transopt.plant.moving_coil import MovingCoil
+from transopt.problem.limits import kinds_of
+from transopt.scene.identified import IdentifiedModel
+from transopt.scene.model_parts import StateSpaceDevice
+from transopt.scene.sections import OF_A_CURRENT, AmplifierSection, Robust, Thermal
+
+if TYPE_CHECKING:
+    from transopt.scene.scene import Scene
+
+BELOW = 1 - 1e-6  # of a bound that has to be stayed below
+FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
+POPULATION_SEED = 2  # of the hands that a robust design serves
+
+
+def check(scene: "Scene") -> None:
+    """What the tables of a scene say about each other.
+
+    Raises
+    ------
+    ValueError : the first contradiction, with the key to change.
+    """
+    _check_what_is_wanted(scene)
+    _check_input(scene)
+    if (scene.motor is None) != (scene.transmission is None):
+        raise ValueError("motor and transmission belong together: give both, or a tip table in their place")
+    if isinstance(scene.model, IdentifiedModel):
+        _check_identified(scene, scene.model)
+    if scene.nonlinear and not scene.targets:
+        raise ValueError("model.nonlinear: x is the displacement from rest, so it needs [[targets]], not speeds")
+    if scene.nonlinear and scene.weights.objective != "waveform":
+        raise ValueError('model.nonlinear: only with weights.objective = "waveform"')
+    if scene.grid.cool_share is not None and (scene.nonlinear or scene.weights.objective != "waveform"):
+        raise ValueError(
+            "grid.cool_share: the second command is the optimum of a linear plant's waveform: leave it out, or "
+            'model.nonlinear and weights.objective = "intensity"'
+        )
+    if scene.nonlinear and scene.robust is not None:
+        raise ValueError("robust: serves a spread of linear devices, not model.nonlinear: leave one of them out")
+    whole = isinstance(scene.model, PlantKind) and not scene.model.driven_at_tip
+    if whole and (scene.motor, scene.transmission, scene.tip) != (None, None, None):
+        raise ValueError(f"model.kind = {scene.model.kind} is a whole actuator: take motor, transmission, tip out")
+    if whole and scene.feedback is not None:
+        raise ValueError(f"feedback: a wall is for a stylus on a motor, not for model.kind = {scene.model.kind}")
+    held = not isinstance(scene.model, PlantKind) or scene.model.held_by_hand
+    if not held and scene.grid.grips_N != [0.0]:
+        raise ValueError(f"grid.grips_N: model.kind = {scene.model.kind} depends on no grip: leave it out")
+    if not whole and not _drive_in_file(scene) and (scene.motor is None) == (scene.tip is None):
+        raise ValueError("the drive is stated either by motor and transmission or by tip: give exactly one")
+    through = isinstance(scene.model, PlantKind) and scene.model.through_transmission
+    if through and scene.tip is not None and None in (scene.tip.stiffness_N_m, scene.tip.damping_N_s_m):
+        raise ValueError(f"model.kind = {scene.model.kind} needs tip.stiffness_N_m and tip.damping_N_s_m")
+    if scene.motor is not None and scene.limits.transient_input > scene.motor.i_peak_A:
+        raise ValueError(
+            f"limits: transient limit {scene.limits.transient_input:g} A is above the motor's i_peak_A = "
+            f"{scene.motor.i_peak_A:g} A: lower beta or current_A"
+        )
+    _check_amplifier(scene)
+    commands = scene.axes.entries * scene.stages
+    if commands > MOST_COMMANDS:
+        raise ValueError(f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages")
+    _check_time(scene)
+    _check_what_needs_what(scene)
+    if scene.hand_over_samples > scene.stages:
+        raise ValueError(
+            f"hand_over_samples = {scene.hand_over_samples}: must not exceed time.stages = {scene.stages}"
+        )
+
+
+def _check_what_is_wanted(scene: "Scene") -> None:
+    """Speeds with recordings of taps, or named targets: one of the two."""
+    names = [target.name for target in scene.targets]
+    if not names:
+        if scene.weights.calm != 1:
+            raise ValueError("weights.calm: a tap goes on as it was recorded, only a named target has an end")
+        if not scene.grid.speeds_m_s:
+            raise ValueError("grid.speeds_m_s: missing; add it to the scene, or [[targets]] without speeds")
+        if not scene.recordings.files and scene.recordings.simulated is None:
+            raise ValueError("recordings: give either files or a simulated table, not both and not neither")
+        return
+    if len(set(names)) < len(names):
+        raise ValueError("targets: two of one name: give each its own")
+    if scene.grid.speeds_m_s:
+        raise ValueError("grid.speeds_m_s: named targets have no speed: give either speeds or targets")
+    if scene.grid.grips_N != [0.0]:
+        raise ValueError("grid.grips_N: named targets are for a device that nobody holds: leave it out")
+    if scene.recordings.files or scene.recordings.simulated is not None:
+        raise ValueError("recordings: named targets take the place of files and simulated taps: leave these out")
+    if scene.feedback is not None:
+        raise ValueError("feedback: a virtual wall needs a stylus that comes in: leave it out with named targets")
+
+
+def _check_input(scene: "Scene") -> None:
+    """The limits, and all that knows currents alone, must be of the plant's input."""
+    limits, unit = scene.limits, scene.driven_by.unit
+    if unit == "A":
+        if limits.voltage_V is not None:
+            raise ValueError(
+                f"limits.voltage_V: a current drives model.kind = {scene.model.kind}: state its limits in A, or a "
+                "model that a voltage drives"
+            )
+        if limits.steady_current_A is None:
+            raise ValueError("limits.steady_current_A: missing; add it to the scene")
+        return
+    if limits.voltage_V is None:
+        raise ValueError(f"limits.voltage_V: missing; a voltage drives model.kind = {scene.model.kind}")
+    if limits.current_A is not None and isinstance(scene.model, MovingCoil) and scene.model.L_H == 0:
+        raise ValueError(
+            "limits.current_A: the current of a coil without inductance follows the voltage at once and is no "
+            "state to be limited: state model.L_H, or bound the voltage by limits.voltage_V"
+        )
+    for key, stated in (
+        ("limits.beta", limits.beta is not None),
+        *((f"limits.{key}", getattr(limits, key) is not None) for key in OF_A_CURRENT),
+        ("feedback", scene.feedback is not None),
+        ("thermal", scene.thermal != Thermal()),
+        ("grid.cool_share", scene.grid.cool_share is not None),
+    ):
+        if stated:
+            raise ValueError(
+                f"{key}: belongs to a motor that a current drives, and here a voltage does: leave it out"
+            )
+
+
+def _check_what_needs_what(scene: "Scene") -> None:
+    """Keys that need or exclude keys of other tables."""
+    if scene.limits.supply_V is not None and (scene.circuit() is None or scene.amplifier == "ideal"):
+        raise ValueError(
+            "limits.supply_V needs [motor] (resistance, inductance, back-EMF) and an amplifier with a pole: an "
+            "ideal one changes the current at once, which no voltage can"
+        )
+    budgets = (scene.thermal.headroom_K, scene.thermal.tap_rate_Hz)
+    if budgets != (None, None) and scene.winding is None:
+        raise ValueError("thermal.headroom_K and thermal.tap_rate_Hz need [motor]: a tip states no coil")
+    winding = scene.winding
+    if winding is not None and scene.thermal.start_winding_C > winding.winding_max_C:
+        raise ValueError(
+            f"thermal.start_winding_C = {scene.thermal.start_winding_C:g} C: above the motor's winding_max_C = "
+            f"{winding.winding_max_C:g} C: let it cool"
+        )
+    grid = scene.time_grid()
+    takes_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
+    shorter = "" if scene.time.stages is None else ", or shorten time.stages"
+    if scene.thermal.tap_rate_Hz is not None and not 1 / scene.thermal.tap_rate_Hz > takes_s:
+        raise ValueError(
+            f"thermal.tap_rate_Hz = {scene.thermal.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
+            f"amplifier's delay: must be at most {rounded_down(BELOW / takes_s):g}{shorter}"
+        )
+    if scene.robust is not None and scene.feedback is not None:
+        raise ValueError(
+            "robust: feedback answers one device's motion, and a spread of them has many: leave one of them out"
+        )
+    if scene.robust is not None and scene.robust.minimise == "worst" and scene.weights.objective == "intensity":
+        raise ValueError(
+            'robust.minimise = "worst": is of the waveform: leave out weights.objective = "intensity", or take "mean"'
+        )
+    if scene.robust is not None and scene.robust.grip_spread is not None and scene.grid.grips_N[0] == 0:
+        raise ValueError("robust.grip_spread: the free device has no grip to spread")
+    if scene.robust is not None and scene.robust.population is not None:
+        _check_population(scene, scene.robust)
+    produced = scene.robust is not None and (scene.robust.resonance_spread or scene.robust.quality_spread)
+    if produced and not isinstance(scene.model, MovingCoil):
+        raise ValueError(
+            "robust.resonance_spread and quality_spread: are of a mass on a spring, model.kind = inertial or "
+            f"voice_coil, not of {scene.model.kind}: leave them out"
+        )
+    if scene.robust is not None and scene.robust.model_uncertainty and not isinstance(scene.model, IdentifiedModel):
+        raise ValueError('robust.model_uncertainty: needs a model file (model = "MODEL.json"), which has it')
+
+
+def _check_population(scene: "Scene", robust: Robust) -> None:
+    """Hands of a population take the place of a hand that is stated by itself and holds the device."""
+    if not isinstance(scene.model, Drive | FourthOrder) or scene.grid.grips_N[0] == 0:
+        raise ValueError(
+            "robust.population: spreads the hand that a scene states by [model.hand], at grips above 0: leave it "
+            "out; an identified model has robust.model_uncertainty"
+        )
+    assert robust.population is not None
+    try:
+        robust.population.drawn(robust.samples, POPULATION_SEED, scene.grid.grips_N)
+    except InputError as error:
+        raise ValueError(f"robust.{error}") from None
+
+
+def _drive_in_file(scene: "Scene") -> bool:
+    """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
+    return isinstance(scene.model, IdentifiedModel) and scene.model.device is not None
+
+
+def _on_the_motion(scene: "Scene") -> list[str]:
+    """Keys of the limits asked for that look at the device's motion."""
+    asked, kinds = scene.limits.asked(), kinds_of(scene.driven_by)
+    return [kind.key for kind in kinds if kind.of_each_device and asked.get(kind.key) is not None]
+
+
+def _check_identified(scene: "Scene", model: IdentifiedModel) -> None:
+    """What the scene states beside a model file must not contradict it."""
+    for grip in scene.grid.grips_N:
+        for served in (grip, *scene.spread_grips_N(grip)):
+            try:
+                model.check_grip(served)
+            except InputError as error:
+                raise ValueError(f"grid.grips_N: {served:g} N: {error}") from None
+    tip = model.tip()
+    if _drive_in_file(scene) and scene.tip is not None:
+        raise ValueError(f"tip: the device in {model.file} has it all: take the tip table out")
+    if tip is not None and scene.motor is not None and scene.transmission is not None:
+        stated, known = scene.motor.kt_Nm_A * scene.transmission.ratio_1_m, tip.force_per_current_N_A
+        if not abs(stated / known - 1) <= FORCE_TOLERANCE:
+            raise ValueError(
+                f"motor: kt_Nm_A * transmission.ratio_1_m = {stated:.4g} N/A, but {model.file} was identified "
+                f"with force_per_current_N_A = {known:.4g} N/A: they must agree within {FORCE_TOLERANCE:.0%}; "
+                "correct one of them, or identify again with this motor"
+            )
+    if isinstance(model.device, StateSpaceDevice):
+        for key, stated_in_scene in (
+            ("feedback", scene.feedback is not None),
+            *((f"limits.{key}", True) for key in _on_the_motion(scene)),
+        ):
+            if stated_in_scene:
+                raise ValueError(
+                    f"{key}: needs the motor's motion, and the device in {model.file} is a state space, which "
+                    "knows none: identify a drive chain, or leave it out"
+                )
+        if scene.recordings.simulated is not None and scene.striker is None:
+            raise ValueError(
+                f"recordings.simulated: the device in {model.file} is a state space, which has no stylus to "
+                "strike with: give recorded files, or a [model] that strikes and the file as model_file"
+            )
+    if scene.robust is not None and scene.robust.model_uncertainty:
+        try:
+            model.drawn(scene.robust.samples, scene.grid.grips_N)
+        except InputError as error:
+            raise ValueError(f"robust.model_uncertainty: {error}") from None
+
+
+def _check_amplifier(scene: "Scene") -> None:
+    """Pole and delay stand in the scene or in its model file, in one of them, or follow from bridge and motor."""
+    identified = scene.model.amplifier if isinstance(scene.model, IdentifiedModel) else None
+    stated = None if scene.amplifier == "ideal" else scene.amplifier
+    if stated is not None and stated.switching_Hz is not None:
+        if scene.circuit() is None or scene.limits.supply_V is None:
+            raise ValueError(
+                "amplifier.switching_Hz: needs [motor] and the rail that the bridge switches, limits.supply_V: "
+                "add them, or take it out"
+            )
+        scene.bridge()
+    if stated is not None and stated.gain_V_A is not None:
+        if stated.switching_Hz is None:
+            raise ValueError("amplifier.gain_V_A: is of a bridge's current loop: add amplifier.switching_Hz too")
+        if stated.pole_Hz is not None or identified is not None:
+            raise ValueError("amplifier.gain_V_A: the pole follows from it, and is stated too: take one of them out")
+    if identified is None:
+        follows = scene.bridge() is not None and not scene.pole_is_stated
+        for name in ("pole_Hz", "delay_s"):
+            if stated is not None and getattr(stated, name) is None and not follows:
+                raise ValueError(f"amplifier.{name}: missing; add it to the scene")
+        return
+    assert isinstance(scene.model, IdentifiedModel)
+    if scene.amplifier == "ideal":
+        raise ValueError(f"amplifier = 'ideal': {scene.model.file} has an amplifier part: state [amplifier]")
+    assert isinstance(scene.amplifier, AmplifierSection)
+    for name in ("pole_Hz", "delay_s"):
+        value = getattr(scene.amplifier, name)
+        if value is not None:
+            raise ValueError(
+                f"amplifier.{name} = {value:g}: {scene.model.file} has it too ({getattr(identified, name):g}): "
+                "take it out of the scene"
+            )
+
+
+def _check_time(scene: "Scene") -> None:
+    """A lead that is not stated must be possible, and the samples after the window must not be too many."""
+    lead_s, after = scene.lead_s, samples_after(scene.weights.after_s, scene.time.dt_s)
+    if scene.time.lead_s is None and lead_s > LONGEST_LEAD_S:
+        raise ValueError(
+            f"time.lead_s: the amplifier's delay of {scene.delay_s * 1e3:g} ms and 0.2 ms, in whole periods of "
+            f"{scene.time.dt_s * 1e3:g} ms, take a lead of {lead_s * 1e3:g} ms, at most {LONGEST_LEAD_S * 1e3:g} "
+            "ms: state a shorter time.lead_s; what no command can reach then counts as error"
+        )
+    if after > MOST_AFTER:
+        raise ValueError(
+            f"weights.after_s = {scene.weights.after_s:g} s: {after} samples of {scene.time.dt_s:g} s, at most "
+            f"{MOST_AFTER}: lower weights.after_s"
+        )
