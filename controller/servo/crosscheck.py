@@ -63,7 +63,7 @@ class Crosscheck:
         if playing:
             self._listen(acceleration, current_A)
             # A dead accelerometer takes the end of a motion for its going on.
-            self.stuck = abs(self.path_m) >= self._stuck_m and self._heard()[0] >= DEAD_M_S2 * DEAD_M_S2
+            self.stuck = abs(self.path_m) >= self._stuck_m and self._heard() >= DEAD_M_S2 * DEAD_M_S2
         elif self._whole or self._ticks:
             self.forget()
 
@@ -112,19 +112,22 @@ class Crosscheck:
             self._judge()
 
     def _judge(self) -> None:
-        variance, swing_A = self._heard()
-        self.quiet = variance < QUIET_M_S2 * QUIET_M_S2 and swing_A >= self._swing_A
+        # The answer to what the current did in the newest block is still to come.
+        newest = (self._at if self._at > 0 else QUIET_BLOCKS) - 1
+        low_A, high_A = self._blocks[self._at][2:]
+        for j, (_, _, low, high) in enumerate(self._blocks):
+            if j != newest:
+                low_A, high_A = min(low_A, low), max(high_A, high)
+        self.quiet = self._heard() < QUIET_M_S2 * QUIET_M_S2 and high_A - low_A >= self._swing_A
 
-    def _heard(self) -> tuple[float, float]:
-        """Variance of the acceleration and swing of the current within the window, as far as it has come."""
+    def _heard(self) -> float:
+        """Variance of the acceleration within the window, as far as it has come."""
         total = square = 0.0
-        low_A, high_A = self._blocks[0][2:]
-        for one, of_squares, low, high in self._blocks[: max(self._whole, self._at + 1)]:
+        for one, of_squares, _, _ in self._blocks[: max(self._whole, self._at + 1)]:
             total, square = total + one, square + of_squares
-            low_A, high_A = min(low_A, low), max(high_A, high)
         readings = min(self._whole, QUIET_BLOCKS) * self._block_ticks
         if self._ticks:
             # The block under way has taken the place of the oldest.
             readings += self._ticks - (self._block_ticks if self._whole == QUIET_BLOCKS else 0)
         mean = total / readings
-        return square / readings - mean * mean, high_A - low_A
+        return square / readings - mean * mean

@@ -39,7 +39,8 @@ def test_without_answers_there_is_no_file(play: Run, monkeypatch: pytest.MonkeyP
     assert read_device(Path("mine.toml")).device.servo.dt_s == pytest.approx(5e-5)
 
 
-def test_show_says_what_is_stated_and_what_is_built_in(play: Run) -> None:
+def test_show_says_what_is_stated_and_what_is_built_in(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     Path("mine.toml").write_text("[encoder]\ncount_m = 1e-5\n")
     shown = play("device", "show", "mine.toml").out
     [row] = [line for line in shown.splitlines() if "encoder.count_m" in line]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from controller.protocol import messages as m
-from controller.protocol.capacity import LINK_SILENCE_MS
+from controller.protocol.capacity import LINK_SILENCE_MS, REST_BETWEEN_PULSES_S
 from controller.protocol.codes import EVENT_CODES, STATES, Kind, LinkNotice, Reason
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import sha256
@@ -14,6 +14,7 @@ from controller.servo.interface import Fault, Readings, State
 from tests.benches.device import ARM, DT_S, HASHES, IMAGE, REST, SETTINGS, Talker
 from transopt.plant.coil import CoilModel
 
+RESTS = round(REST_BETWEEN_PULSES_S / SETTINGS.dt_s)  # ticks before every pulse
 COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
 
 
@@ -33,7 +34,7 @@ def test_arm_is_refused_for_each_reason_in_turn() -> None:
     assert bench.refused(replace(ARM, trial=2)) is Reason.BAD_VALUE
     bench.done(m.Pulse(0.05, 10, 0))
     assert bench.refused(ARM) is Reason.PULSING
-    bench.step(10)
+    bench.step(RESTS + 10)
     for k in range(40):
         bench.step(1, replace(REST, encoder_counts=200 - k))
     assert bench.refused(ARM) is Reason.NOT_AT_REST
@@ -106,13 +107,13 @@ def test_a_pulse_is_small_short_and_told() -> None:
         assert bench.refused(m.Pulse(0.05, ticks, 0)) is Reason.BAD_VALUE
     bench.done(m.Pulse(-0.1, 200, 0))
     assert bench.refused(m.Pulse(0.05, 50, 0)) is Reason.PULSING
-    commands = [bench.step().command_A for _ in range(250)]
-    assert commands == [-0.1] * 200 + [0.0] * 50
+    commands = [bench.step().command_A for _ in range(RESTS + 250)]
+    assert commands == [0.0] * RESTS + [-0.1] * 200 + [0.0] * 50
     assert [m.Event(0, 199, 33, 0, *4 * (math.nan,)).code] == [
         x.code for x in bench.heard() if isinstance(x, m.Event)
     ]
     bench.done(m.Pulse(0.1, 200, 0))
-    bench.step(3)
+    bench.step(RESTS + 3)
     output = bench.step(1, replace(REST, emergency_stop=True))
     assert (output.command_A, output.state) == (0.0, State.FAULT)
     assert bench.step().command_A == 0.0

@@ -25,7 +25,8 @@ def cells(text: str, name: str) -> list[str]:
     return [cell.strip() for cell in row.strip("│").split("│")]
 
 
-def test_what_leaves_stands_beside_the_design(run: Run, lra: Path) -> None:
+def test_what_leaves_stands_beside_the_design(run: Run, lra: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     outcome = run("export", lra, "d.wav", "--drive", "--rate-Hz", 96000, "--bits", 16)
     assert outcome.code == 0
     assert "as it leaves: 96000 Hz, 16 bit, full scale 3 V" in outcome.out
@@ -42,7 +43,8 @@ def test_what_leaves_stands_beside_the_design(run: Run, lra: Path) -> None:
     assert "multiple" not in outcome.out
 
 
-def test_saturation_is_counted_and_said(run: Run, lra: Path) -> None:
+def test_saturation_is_counted_and_said(run: Run, lra: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     outcome = run("export", lra, "d.bin", "--drive", "--full-scale", 1.5, "--target", "click 150 Hz")
     assert outcome.code == 0
     _, designed, leaves, _, saturated, peak_V, *_ = cells(outcome.out, "click 150 Hz")

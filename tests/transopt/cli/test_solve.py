@@ -51,7 +51,10 @@ class TestSolve:
         assert float(found[7]) > 0
         assert "gap" in outcome.out.split("┡")[0].split()
 
-    def test_detail_is_printed_when_asked_for(self, run: Run, quick_scene: Path) -> None:
+    def test_detail_is_printed_when_asked_for(
+        self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("COLUMNS", "200")
         assert "┡" not in run("solve", quick_scene, "--out", "here").out
         outcome = run("solve", quick_scene, "--out", "here", "--table")
         assert {"speed", "grip", "tap", "felt", "heat", "verdict"} <= set(outcome.out.split("┡")[0].split())

@@ -280,7 +280,8 @@ def files(folder: Path) -> list[str]:
 
 def test_the_command_writes_model_and_figure_and_says_so(tmp_path: Path) -> None:
     model = tmp_path / "arm.json"
-    result = CliRunner().invoke(app, ["identify", "amplifier", *files(tmp_path), "--out", str(model)])
+    wide = {"COLUMNS": "200"}
+    result = CliRunner().invoke(app, ["identify", "amplifier", *files(tmp_path), "--out", str(model)], env=wide)
     assert result.exit_code == 0, result.output
     for said in ("pole", "delay beyond the hold", "delay with the hold's half sample", "crossover", "95 % interval"):
         assert said in result.output

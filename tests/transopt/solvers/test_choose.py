@@ -2,6 +2,7 @@
 
 import os
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from problems.stress.cases import Current, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
 from transopt.base import apart
 from transopt.design.optimum import optimum
+from transopt.plant.intention import INTENTION_S
 from transopt.problem.answer import Status
 from transopt.problem.problem import TransientProblem
 from transopt.solvers import choose, feasibility, riccati
@@ -84,7 +86,9 @@ def test_a_problem_of_any_scale_has_the_same_least_widening() -> None:
 
 def test_what_a_factorisation_prints_reaches_no_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     """The sparse factorisation of a system that has broken down complains by itself."""
-    designed = optimum(drawn(3, 286).problem(), SolverOptions())
+    case = drawn(3, 286)
+    straight = replace(case, demand=replace(case.demand, yields="straight", intention_s=INTENTION_S))
+    designed = optimum(straight.problem(), SolverOptions())
     assert designed.solution.status is Status.INFEASIBLE
     assert capfd.readouterr() == ("", "")
 

@@ -57,35 +57,39 @@ static void follow(td_crosscheck *check, const td_config *config, int32_t moved,
     check->still_ticks = 0;
 }
 
-/* Variance of the acceleration and swing of the current within the window, as far as it has come. */
-static td_real heard(const td_crosscheck *check, const td_config *config, td_real *swing_A)
+/* Variance of the acceleration within the window, as far as it has come. */
+static td_real heard(const td_crosscheck *check, const td_config *config)
 {
     const int32_t blocks = check->whole > check->at + 1 ? check->whole : check->at + 1;
     int32_t readings = check->whole * config->block_ticks, j;
-    td_real sum = 0, square = 0, mean, low_A = check->blocks[0].low_A, high_A = check->blocks[0].high_A;
+    td_real sum = 0, square = 0, mean;
 
     for (j = 0; j < blocks; j++) {
-        const td_block *block = &check->blocks[j];
-
-        sum += block->sum;
-        square += block->square;
-        low_A = smaller(low_A, block->low_A);
-        high_A = larger(high_A, block->high_A);
+        sum += check->blocks[j].sum;
+        square += check->blocks[j].square;
     }
     /* The block under way has taken the place of the oldest. */
     if (check->ticks > 0)
         readings += check->ticks - (check->whole == TD_QUIET_BLOCKS ? config->block_ticks : 0);
     mean = sum / (td_real)readings;
-    *swing_A = high_A - low_A;
     return square / (td_real)readings - mean * mean;
 }
 
 static void judge(td_crosscheck *check, const td_config *config)
 {
-    td_real swing_A;
-    const td_real variance = heard(check, config, &swing_A);
+    /* The answer to what the current did in the newest block is still to come. */
+    const int32_t newest = (check->at > 0 ? check->at : TD_QUIET_BLOCKS) - 1;
+    const td_real variance = heard(check, config);
+    td_real low_A = check->blocks[check->at].low_A, high_A = check->blocks[check->at].high_A;
+    int32_t j;
 
-    check->quiet = variance < (td_real)TD_QUIET_M_S2 * (td_real)TD_QUIET_M_S2 && swing_A >= config->swing_A;
+    for (j = 0; j < TD_QUIET_BLOCKS; j++) {
+        if (j == newest)
+            continue;
+        low_A = smaller(low_A, check->blocks[j].low_A);
+        high_A = larger(high_A, check->blocks[j].high_A);
+    }
+    check->quiet = variance < (td_real)TD_QUIET_M_S2 * (td_real)TD_QUIET_M_S2 && high_A - low_A >= config->swing_A;
 }
 
 static void listen(td_crosscheck *check, const td_config *config, td_real acceleration_m_s2, td_real current_A)
@@ -124,12 +128,10 @@ void td_crosscheck_step(td_crosscheck *check, const td_config *config, int32_t m
         acceleration_m_s2 = 0;
     follow(check, config, moved, acceleration_m_s2);
     if (playing) {
-        td_real swing_A;
-
         listen(check, config, acceleration_m_s2, current_A);
         /* A dead accelerometer takes the end of a motion for its going on. */
         check->stuck = td_size(check->path_m) >= config->stuck_m &&
-                       heard(check, config, &swing_A) >= (td_real)TD_DEAD_M_S2 * (td_real)TD_DEAD_M_S2;
+                       heard(check, config) >= (td_real)TD_DEAD_M_S2 * (td_real)TD_DEAD_M_S2;
     } else if (check->whole > 0 || check->ticks > 0) {
         td_crosscheck_forget(check);
     }
