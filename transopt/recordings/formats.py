@@ -7,7 +7,7 @@ checks and converts all of them alike.
 
 import io
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -157,6 +157,8 @@ def _from_variables(
         for name in candidates
         if words.unit_suffix.search(name) or apart(name)[1] or stated_for(name, words, units)
     ]
+    if "magnitude" in words.quantities and not layout.columns:
+        _refuse_unstated(reads, [name for name in candidates if name not in chosen], units)
     # Names that mean something are asked about where none has a unit.
     chosen = chosen or [name for name in candidates if looks_known(name, words)]
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
@@ -173,6 +175,26 @@ def _from_variables(
             columns[name] = values
     header = {name: _column(reads[name], name) for name in words.header if name in reads}
     return RawTable(columns, known, header, place)
+
+
+def _refuse_unstated(
+    reads: Mapping[str, Callable[[], object]], names: Sequence[str], units: Mapping[str, str]
+) -> None:
+    """Ask for the unit of a complex array, which is a response if anything is.
+
+    Raises
+    ------
+    InputError : there is one.
+    """
+    for name in names:
+        with guarded(f"variable {name} is not readable", _SAVE_NPZ):
+            found = np.iscomplexobj(np.asarray(reads[name]()))
+        if found:
+            stated = ",".join(f"{key}={unit}" for key, unit in {"frequency": "Hz", **units, name: "m/s^2/V"}.items())
+            raise InputError(
+                f"variable {name} is complex, as a response is, and nothing states its unit: --units {stated}, or "
+                "what else it is"
+            )
 
 
 def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callable[[], object]]:

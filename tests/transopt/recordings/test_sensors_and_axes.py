@@ -211,6 +211,10 @@ def test_fields_of_a_structure(tmp_path: Path, compressed: bool) -> None:
 def test_a_complex_response(tmp_path: Path, pack: Any) -> None:
     path = tmp_path / ("frf.npz" if pack is npz else "frf.mat")
     path.write_bytes(pack(freq=FREQUENCIES_Hz, frf=ACCELERANCE / G))
+    with pytest.raises(InputError, match="variable frf is complex, as a response is") as caught:
+        read_response(path)
+    asked = stated_units(proposed(str(caught.value), "units").rstrip(","))
+    np.testing.assert_allclose(read_response(path, Layout(units=asked)).response, ACCELERANCE / G, rtol=1e-9)
     found = read_response(path, Layout(units={"freq": "Hz", "frf": "g/V"}))
     np.testing.assert_allclose(found.response, ACCELERANCE, rtol=1e-9)
     assert found.driven_by == "voltage"
