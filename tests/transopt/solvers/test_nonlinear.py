@@ -114,7 +114,7 @@ def by_integrator(
     def moved(z: State, by: float, rate: State) -> State:
         return z[0] + by * rate[0], z[1] + by * rate[1], z[2] + by * rate[2], z[3] + by * rate[3]
 
-    @lru_cache(maxsize=2)
+    @lru_cache(maxsize=64)  # objective and limits are differenced at the same points
     def rolled_once(commands: bytes) -> tuple[np.ndarray, np.ndarray]:
         return rolled(np.frombuffer(commands))
 
