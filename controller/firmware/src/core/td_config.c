@@ -200,6 +200,8 @@ static void unpack_crosscheck(td_config *config, table *from)
     /* An excitation may be played on a rotor that is blocked on purpose. */
     if (!config->calibration.has_accelerometer || config->host_starts)
         stuck_m = swing_A = (double)INFINITY;
+    config->tick_s = (td_real)n[TD_CFG_DT_S];
+    config->step_m = (td_real)n[TD_CFG_COUNT_M];
     config->stuck_m = (td_real)stuck_m;
     config->swing_A = (td_real)swing_A;
     config->rest_limit = whole(from, periods(TD_FOLLOW_STILL_S, dt), 1, MOST_TICKS);

@@ -86,6 +86,7 @@ typedef struct {
     /* sensors against each other: path without a count, swing of the current that must shake; infinite without an
      * accelerometer and for an excitation. Ticks of a rest, and of a block of the window that is listened to. */
     td_real stuck_m, swing_A;
+    td_real tick_s, step_m; /* period and count once more: a conversion at every tick costs more than the sum it is for */
     int32_t rest_limit, block_ticks;
     td_coil coil;
     td_calibration calibration;

@@ -28,7 +28,7 @@ static void rest(td_crosscheck *check)
 
 static void follow(td_crosscheck *check, const td_config *config, int32_t moved, td_real acceleration_m_s2)
 {
-    const td_real dt_s = (td_real)config->dt_s;
+    const td_real dt_s = config->tick_s;
     td_real step_m, since_s, ahead_m, r;
 
     check->speed_m_s += dt_s * (acceleration_m_s2 - check->offset_m_s2);
@@ -41,7 +41,7 @@ static void follow(td_crosscheck *check, const td_config *config, int32_t moved,
             rest(check);
         return;
     }
-    check->ahead_m -= (td_real)moved * (td_real)config->count_m;
+    check->ahead_m -= (td_real)moved * config->step_m;
     ahead_m = check->ahead_m;
     if (!(-(td_real)TD_FOLLOW_FAR_M <= ahead_m && ahead_m <= (td_real)TD_FOLLOW_FAR_M)) {
         check->offset_m_s2 = 0;

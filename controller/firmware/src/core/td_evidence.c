@@ -170,22 +170,22 @@ void td_evidence_contact(td_evidence *evidence, const td_config *config)
 }
 
 /* The smaller of a size by a stated scale and of what the hardware itself had for it. */
-static td_wide by_either(td_wide size, td_real scale)
+static td_real by_either(td_real size, td_real scale)
 {
-    const td_wide part = (td_wide)td_size(scale);
+    const td_real part = td_size(scale);
 
     return part > 1 ? size / part : size;
 }
 
-void td_evidence_flows(td_evidence *evidence, const td_config *config, td_wide expected_A, td_wide measured_A)
+void td_evidence_flows(td_evidence *evidence, const td_config *config, td_real expected_A, td_real measured_A)
 {
     td_flowed *flowed = &evidence->flowed;
-    const td_wide played = by_either(fabs(expected_A), config->calibration.amplifier_scale);
-    const td_wide read = by_either(fabs(measured_A), config->calibration.monitor_scale);
-    const td_wide both = played < read ? played : read;
+    const td_real played = by_either(td_size(expected_A), config->calibration.amplifier_scale);
+    const td_real read = by_either(td_size(measured_A), config->calibration.monitor_scale);
+    const td_real both = played < read ? played : read;
 
-    flowed->expected += expected_A * expected_A;
-    flowed->both += expected_A * measured_A;
+    flowed->expected += (td_wide)(expected_A * expected_A);
+    flowed->both += (td_wide)(expected_A * measured_A);
     flowed->least_A = both > flowed->least_A ? both : flowed->least_A;
 }
 
@@ -195,7 +195,7 @@ void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide g
 
     evidence->stage = TD_STAGE_TRIED;
     /* So small that nothing of it was felt proves nothing, nor does a current that did not flow. */
-    if (!(gain >= TD_TRIAL_GAIN / 2 && flowed->least_A >= least_A && agrees(flowed->both / flowed->expected)))
+    if (!(gain >= TD_TRIAL_GAIN / 2 && (td_wide)flowed->least_A >= least_A && agrees(flowed->both / flowed->expected)))
         return;
     if (config->host_starts || !config->calibration.has_accelerometer || evidence->agreed)
         evidence->bits |= TD_TRIAL_FINISHED;

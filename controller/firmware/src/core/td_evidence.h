@@ -26,7 +26,8 @@ typedef struct {
 /* What flowed in a trial: products of the current that was expected and of the one that was measured, and the largest
  * size that both of them had at once, by the scales that the host states and by the hardware's own units. */
 typedef struct {
-    td_wide expected, both, least_A;
+    td_wide expected, both;
+    td_real least_A;
 } td_flowed;
 
 typedef struct {
@@ -60,7 +61,7 @@ void td_evidence_trying(td_evidence *evidence);
 void td_evidence_contact(td_evidence *evidence, const td_config *config);
 
 /* One tick of a trial that plays: the current that the model expects, and the corrected reading. */
-void td_evidence_flows(td_evidence *evidence, const td_config *config, td_wide expected_A, td_wide measured_A);
+void td_evidence_flows(td_evidence *evidence, const td_config *config, td_real expected_A, td_real measured_A);
 
 /* A trial was played to its end, at this gain; `least_A`: a smaller current proves nothing. */
 void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain, td_wide least_A);

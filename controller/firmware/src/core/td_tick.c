@@ -118,7 +118,7 @@ static void witness(td_device *device, const td_readings *seen, const td_output 
     if (!device->trial)
         return;
     if (watch->playing)
-        td_evidence_flows(&device->evidence, config, (td_wide)watch->expected_A, (td_wide)watch->current_A);
+        td_evidence_flows(&device->evidence, config, watch->expected_A, watch->current_A);
     for (j = 0; j < output->event_count; j++) {
         if (output->events[j].what == TD_WHAT_CONTACT)
             td_evidence_contact(&device->evidence, config);

@@ -74,7 +74,7 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
         watch->still_ticks++;
     /* A slow tail of the transient may well be held still by the hand; its strokes cannot. */
     if (td_size(transient_A) >= config->stuck_A)
-        watch->still_A_s += transient_A * (td_real)config->dt_s;
+        watch->still_A_s += transient_A * config->tick_s;
 }
 
 static uint32_t bit(int what, bool set)
