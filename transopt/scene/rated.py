@@ -6,7 +6,7 @@ mass mu = m M / (m + M), the damper c = mu w0 / Q and the motional resistance R_
 
     V = I |R + R_m + j w0 L|,    a = m / (m + M) w0 BL I / c,    t_rise = 2 ln(10) mu / (c + BL^2 / R)
 
-Four unknown numbers, m, BL, Q and R, are fitted to all that is stated, each within its usual tolerance.
+Four unknown numbers, m, BL, Q and R, are fitted to all that is stated, each within a tolerance that is assumed.
 """
 
 import math
@@ -21,7 +21,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
 UNKNOWN = ("moving_mass_kg", "force_factor_N_A", "quality", "R_ohm")
 START = (1.5e-3, 1.0, 10.0, 20.0)  # in their order: an LRA of a phone
-# Relative tolerance by which sheets of one part differ from their samples, and from each other.
+# Relative tolerance of what a sheet states; assumed, no sheet tells it.
 TOLERANCE: Mapping[str, float] = {
     "moving_mass_kg": 0.05,
     "force_factor_N_A": 0.05,
