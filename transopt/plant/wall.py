@@ -18,6 +18,8 @@ from transopt.base.signals import FloatArray, integral
 from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
 from transopt.plant.discretise import TimeGrid
 
+ENDLESS_A = 1e100  # a feedback current for which the square of a motion is still a number
+
 
 def earlier_by(ticks: int, values: FloatArray) -> FloatArray:
     """(N,) values moved `ticks` to the front, zeros behind: the transpose of a delay, which may exceed N."""
@@ -90,8 +92,13 @@ class Wall:
         return np.asarray(-force / self.force_per_current_N_A)
 
     def current(self, position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
-        """i_fb for what was measured: pushes below the surface, zero above [A]."""
-        return np.asarray(np.where(position_m < 0, np.maximum(self.wanted(position_m, velocity_m_s), 0.0), 0.0))
+        """i_fb for what was measured: pushes below the surface, zero above [A].
+
+        A wall that grows by itself multiplies its current at every tick. Beyond `ENDLESS_A` it is cut off, so that a
+        simulation of such a wall, which is refused by name, stays within the range of the numbers.
+        """
+        pushed = np.clip(self.wanted(position_m, velocity_m_s), 0.0, ENDLESS_A)
+        return np.asarray(np.where(position_m < 0, pushed, 0.0))
 
     def linear(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
         """(..., N) change of `wanted` for a deviation of the encoder readings that starts at zero."""

@@ -51,6 +51,19 @@ def plain_feedback(wall: Wall, z_m: np.ndarray, approach_m_s: float) -> np.ndarr
     return feedback
 
 
+def test_a_wall_that_grows_by_itself_stays_within_the_numbers() -> None:
+    """Each tick's current throws the encoder back and forth, ten times as far as the tick before."""
+    loop = FeedbackLoop(WALL, None, DT_S, np.array([-COUNT_m]), np.array([0.1]))
+    encoder = np.array([-COUNT_m])
+    largest = 0.0
+    for tick in range(2000):
+        current = loop.step(encoder)
+        encoder = -0.02 * current if tick % 2 else 0.02 * current - COUNT_m
+        largest = max(largest, float(current[0]))
+    assert 1e99 < largest < 1e101
+    assert np.isfinite(encoder).all()
+
+
 def plain_prefilter(plant_input: np.ndarray) -> np.ndarray:
     p = np.exp(-2 * np.pi * 1050.0 * DT_S)
     return np.array([(i - p * e) / (1 - p) for i, e in zip(plant_input, [0.0, *plant_input[:-1]], strict=True)])
