@@ -14,7 +14,6 @@ too, stops the device: disarmed if all is well, else by an emergency stop, and w
 Every wait is bounded, by the session's own deadlines at the latest. Not thread-safe.
 """
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -320,7 +319,7 @@ def arm_at_rest(device: Device, lease_ms: int, within_s: float) -> None:
     ------
     DeviceError : it was not within this time.
     """
-    end_s = time.monotonic() + within_s
+    end_s = device.now_s() + within_s
     while True:
         try:
             device.arm(1.0, lease_ms)
@@ -328,6 +327,6 @@ def arm_at_rest(device: Device, lease_ms: int, within_s: float) -> None:
         except LinkLostError:
             raise
         except DeviceError:
-            if time.monotonic() > end_s:
+            if device.now_s() > end_s:
                 raise
             device.listen(0.02)

@@ -1,7 +1,8 @@
 """A serial port as a stream of bytes: the one file that knows pyserial.
 
 Names are those of `serial.serial_for_url`: a device (`/dev/ttyACM0`, `COM3`, a pseudo-terminal), `socket://HOST:PORT`,
-`loop://`. A thread of its own reads into a bounded queue, because what is not fetched in time is lost in the driver's
+`loop://`. `,slow=FACTOR` behind one says that the device is emulated and its time so much slower than the host's: all
+of the host's waits and deadlines are longer by this factor. A thread of its own reads into a bounded buffer, because what is not fetched in time is lost in the driver's
 buffer. What pyserial and the system throw, and where they throw nothing, becomes one of four errors of one line.
 
 Thread-safety: `read` by one thread and `write` by one (the same or another); `close` by any, any number of times.
@@ -9,8 +10,8 @@ Thread-safety: `read` by one thread and `write` by one (the same or another); `c
 
 import contextlib
 import errno
+import math
 import os
-import queue
 import select
 import threading
 import time
@@ -22,11 +23,13 @@ from serial.tools import list_ports
 from controller.host.connection import PortError, UnpluggedError
 
 BAUD = 115_200  # of a real UART only; over USB it means nothing
+SLOW, SLOWEST = ",slow=", 1000.0
 POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
-WRITE_TIMEOUT_S = 1.0
+EMULATED_REST_S = 1e-3
+WRITE_TIMEOUT_S, WRITE_BYTES = 1.0, 1024  # for a piece of what is sent: a window of an upload takes 1.5 s at 115200 baud
 CLOSE_S = 1.0
 BLOCK_BYTES = 4096
-QUEUE_BLOCKS = 1024
+KEPT_BYTES = 1 << 22
 
 
 def port_names() -> list[tuple[str, str]]:
@@ -37,6 +40,23 @@ def port_names() -> list[tuple[str, str]]:
 def _ports_in_words() -> str:
     names = [name for name, _ in port_names()]
     return f"there are {', '.join(names)}" if names else "there is no serial port at all: plug the device in"
+
+
+def split_name(name: str) -> tuple[str, float]:
+    """Name of the port, and the factor by which its device is slower than time, 1 without.
+
+    Raises
+    ------
+    PortError : the factor is none.
+    """
+    port, said, factor = name.partition(SLOW)
+    try:
+        slow = float(factor) if said else 1.0
+    except ValueError:
+        slow = math.nan
+    if not 1.0 <= slow <= SLOWEST:
+        raise PortError(f"{name}: {said}{factor}: must be {SLOW}1 to {SLOW}{SLOWEST:g}, as an emulated board was started")
+    return port, slow
 
 
 def _refusal(name: str, error: Exception) -> PortError:
@@ -64,7 +84,7 @@ class Transport:
 
     Parameters
     ----------
-    name : of the port, as `serial_for_url` takes it.
+    name : of the port, as `serial_for_url` takes it, and perhaps by how much its device is slower than time.
 
     Raises
     ------
@@ -75,13 +95,14 @@ class Transport:
 
     def __init__(self, name: str) -> None:
         self.name = name
+        name, self._slow = split_name(name)
         self._closing, self._failed = threading.Event(), threading.Event()
         self._detail = ""
-        self._queue: queue.Queue[bytes] = queue.Queue(QUEUE_BLOCKS)
+        self._came, self._changed = bytearray(), threading.Condition()
         # Not every kind of port knows the word.
         exclusive: dict[str, Any] = {} if "://" in name else {"exclusive": True}
         try:
-            self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
+            self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=self._slow * WRITE_TIMEOUT_S, **exclusive)
         except (OSError, ValueError) as error:  # SerialException is an OSError
             raise _refusal(name, error) from None
         # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
@@ -99,17 +120,15 @@ class Transport:
         return descriptor
 
     def now_s(self) -> float:
-        return time.monotonic()
+        return time.monotonic() / self._slow
 
     def read(self, timeout_s: float) -> bytes:
-        try:
-            blocks = [self._queue.get(timeout=max(timeout_s, 0.0)) if timeout_s > 0 else self._queue.get_nowait()]
-        except queue.Empty:
-            blocks = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                blocks.append(self._queue.get_nowait())
-        data = b"".join(blocks)
+        with self._changed:
+            if timeout_s > 0 and not self._came:
+                self._changed.wait_for(lambda: self._came or self._failed.is_set(), self._slow * timeout_s)
+            data = bytes(self._came)
+            self._came.clear()
+            self._changed.notify_all()
         if not data:
             self._check()
         return data
@@ -119,7 +138,8 @@ class Transport:
         if not data:
             return
         try:
-            self._port.write(data)
+            for place in range(0, len(data), WRITE_BYTES):
+                self._port.write(data[place : place + WRITE_BYTES])
         except serial.SerialTimeoutException:
             self._fail("it has taken no data for a second")
         # A port that another thread is closing, or that is gone, fails in any of these ways.
@@ -146,14 +166,16 @@ class Transport:
     def _check(self) -> None:
         if self._closing.is_set():
             raise UnpluggedError(f"{self.name}: closed")
-        if self._failed.is_set() and self._queue.empty():
+        if self._failed.is_set() and not self._came:
             message = f"{self.name}: the connection is gone ({self._detail}): plug the device in again"
             raise UnpluggedError(message, self._detail)
 
     def _fail(self, detail: str) -> None:
-        if not self._failed.is_set():
-            self._detail = detail
-            self._failed.set()
+        with self._changed:
+            if not self._failed.is_set():
+                self._detail = detail
+                self._failed.set()
+            self._changed.notify_all()
 
     def _read_on(self) -> None:
         """The reader's thread: dies only with a word about it."""
@@ -168,15 +190,17 @@ class Transport:
                     continue
                 if data:
                     self._put(data)
+                    # An emulator gives single bytes, and is kept up by every one that is fetched by itself.
+                    self._closing.wait(EMULATED_REST_S * (self._slow - 1.0))
         except Exception as error:  # also termios.error, TypeError of a port closed meanwhile
             self._fail(str(error) or type(error).__name__)
         else:
             self._fail("closed")
-        with contextlib.suppress(queue.Full):
-            self._queue.put_nowait(b"")  # wakes whoever waits
 
     def _put(self, data: bytes) -> None:
-        while not self._closing.is_set():
-            with contextlib.suppress(queue.Full):
-                self._queue.put(data, timeout=POLL_S)
-                return
+        """Keep it; the reader's thread waits here while nobody fetches."""
+        with self._changed:
+            while len(self._came) >= KEPT_BYTES and not self._closing.is_set():
+                self._changed.wait(POLL_S)
+            self._came += data
+            self._changed.notify_all()

@@ -1,0 +1,116 @@
+"""The image for a whole board under QEMU: built by CMake, its ports two pseudo-terminals, a person at the second one."""
+
+import re
+import secrets
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from controller.firmware.build import FIRMWARE
+from transopt.base.errors import InputError
+
+PORT = FIRMWARE / "port" / "stm32f405"
+TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm", "cmake": "cmake", "make": "make"}
+IMAGES = ("stm32f405", "emulated", "template")
+START, SLOW = 0x2002FFF0, 0x2002FFF4  # where the image looks for them, see emulated.c
+NANOSECONDS_PER_INSTRUCTION = 3  # as a power of two, for a board at its own pace
+BUILD_S, BOOT_S = 120.0, 20.0
+
+
+class MissingToolError(InputError):
+    """A tool that is not on this machine."""
+
+
+def need_tools(*tools: str) -> None:
+    """Raises
+    ------
+    MissingToolError : which, and the package that has it.
+    """
+    for tool in tools or TOOLS:
+        if shutil.which(tool) is None:
+            raise MissingToolError(f"{tool}: not found; install {TOOLS[tool]} (Debian)")
+
+
+def build_images(folder: Path) -> dict[str, Path]:
+    """All images by name, built in this folder.
+
+    Raises
+    ------
+    InputError : what the compiler or the linker says.
+    """
+    made = {name: folder / f"{name}.elf" for name in IMAGES}
+    for command in (["cmake", "-S", str(PORT), "-B", str(folder)], ["cmake", "--build", str(folder), "-j", "2"]):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_S, check=False)
+        if done.returncode:
+            raise InputError(f"{' '.join(command)}: {done.stdout[-500:]}{done.stderr[-1500:]}")
+    return made
+
+
+@dataclass
+class Emulated:
+    """A board that runs.
+
+    Attributes
+    ----------
+    port : its name, as `--port` takes it. line : on which the hand is asked.
+    """
+
+    port: str
+    line: TextIO
+
+    def ask(self, words: str) -> None:
+        """Let the hand do something, in the words in which a command asks a person."""
+        print(words, file=self.line, flush=True)
+
+
+@contextmanager
+def emulated(image: Path, slow: int) -> Iterator[Emulated]:
+    """The image in the emulator, `slow` times slower than a board: 1, 2, 4 and so on."""
+    shift = NANOSECONDS_PER_INSTRUCTION + slow.bit_length() - 1
+    command = ["qemu-system-arm", "-M", "netduinoplus2", "-icount", f"shift={shift},align=on"]
+    command += ["-display", "none", "-monitor", "none", "-serial", "pty", "-serial", "pty"]
+    for address, word in ((START, 1 + secrets.randbelow(1 << 30)), (SLOW, slow)):
+        command += ["-device", f"loader,addr={address:#x},data={word},data-len=4"]
+    running = subprocess.Popen(
+        [*command, "-kernel", str(image)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        assert running.stdout is not None
+        names: list[str] = []
+        for said in running.stdout:
+            names += re.findall(r"redirected to (\S+)", said)
+            if len(names) == 2:
+                break
+        if len(names) < 2:
+            raise InputError("qemu-system-arm: ended before it had its ports")
+        with open(names[1], "w", encoding="ascii") as line:
+            yield Emulated(f"{names[0]},slow={slow}", line)
+    finally:
+        running.kill()
+        running.wait()
+
+
+class Ear:
+    """What a command prints, of which the hand hears what a person is asked for."""
+
+    def __init__(self, board: Emulated) -> None:
+        self._board, self._rest, self.text = board, "", ""
+
+    def write(self, text: str) -> int:
+        self.text += text
+        *lines, self._rest = (self._rest + text).split("\n")
+        for line in lines:
+            if line.startswith("  please "):
+                self._board.ask(line.strip())
+        return len(text)
+
+    def flush(self) -> None:
+        """Everything is out already."""
+
+    def isatty(self) -> bool:
+        return False
