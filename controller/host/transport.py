@@ -1,16 +1,15 @@
 """A serial port as a stream of bytes: the one file that knows pyserial.
 
 Names are those of `serial.serial_for_url`: a device (`/dev/ttyACM0`, `COM3`, a pseudo-terminal), `socket://HOST:PORT`,
-`loop://`. `,slow=FACTOR` behind one says that the device is emulated and its time so much slower than the host's: all
-of the host's waits and deadlines are longer by this factor. A thread of its own reads into a bounded buffer, because what is not fetched in time is lost in the driver's
-buffer. What pyserial and the system throw, and where they throw nothing, becomes one of four errors of one line.
+`loop://`. An emulated board has a time of its own: `PORT,clock=PORT2` names the line on which it sends a byte every
+millisecond, and every wait of the host goes by it. A thread of its own reads into a bounded buffer, because what is not
+fetched in time is lost in the driver's buffer. What pyserial and the system throw, and where they throw nothing, becomes one of four errors of one line.
 
 Thread-safety: `read` by one thread and `write` by one (the same or another); `close` by any, any number of times.
 """
 
 import contextlib
 import errno
-import math
 import os
 import select
 import threading
@@ -23,13 +22,13 @@ from serial.tools import list_ports
 from controller.host.connection import PortError, UnpluggedError
 
 BAUD = 115_200  # of a real UART only; over USB it means nothing
-SLOW, SLOWEST = ",slow=", 1000.0
 POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
-EMULATED_REST_S = 1e-3
-WRITE_TIMEOUT_S, WRITE_BYTES = 1.0, 1024  # for a piece of what is sent: a window of an upload takes 1.5 s at 115200 baud
+WRITE_TIMEOUT_S, WRITE_BYTES = 1.0, 1024  # of what is sent at once: a whole window takes 1.5 s at 115200 baud
 CLOSE_S = 1.0
 BLOCK_BYTES = 4096
 KEPT_BYTES = 1 << 22
+CLOCK, CLOCK_S = ",clock=", 1e-3
+EMULATED_REST_S = 1e-3  # an emulator gives bytes one by one, and every one that is fetched alone keeps it up
 
 
 def port_names() -> list[tuple[str, str]]:
@@ -40,23 +39,6 @@ def port_names() -> list[tuple[str, str]]:
 def _ports_in_words() -> str:
     names = [name for name, _ in port_names()]
     return f"there are {', '.join(names)}" if names else "there is no serial port at all: plug the device in"
-
-
-def split_name(name: str) -> tuple[str, float]:
-    """Name of the port, and the factor by which its device is slower than time, 1 without.
-
-    Raises
-    ------
-    PortError : the factor is none.
-    """
-    port, said, factor = name.partition(SLOW)
-    try:
-        slow = float(factor) if said else 1.0
-    except ValueError:
-        slow = math.nan
-    if not 1.0 <= slow <= SLOWEST:
-        raise PortError(f"{name}: {said}{factor}: must be {SLOW}1 to {SLOW}{SLOWEST:g}, as an emulated board was started")
-    return port, slow
 
 
 def _refusal(name: str, error: Exception) -> PortError:
@@ -84,7 +66,7 @@ class Transport:
 
     Parameters
     ----------
-    name : of the port, as `serial_for_url` takes it, and perhaps by how much its device is slower than time.
+    name : of the port, as `serial_for_url` takes it; of an emulated board's clock behind it.
 
     Raises
     ------
@@ -95,16 +77,19 @@ class Transport:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        name, self._slow = split_name(name)
         self._closing, self._failed = threading.Event(), threading.Event()
         self._detail = ""
         self._came, self._changed = bytearray(), threading.Condition()
+        self._clock, self._clock_s = None, 0.0
+        name, _, clock = name.partition(CLOCK)
         # Not every kind of port knows the word.
         exclusive: dict[str, Any] = {} if "://" in name else {"exclusive": True}
         try:
-            self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=self._slow * WRITE_TIMEOUT_S, **exclusive)
+            self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
+            if clock:
+                self._clock = os.open(clock, os.O_RDONLY | os.O_NOCTTY)
         except (OSError, ValueError) as error:  # SerialException is an OSError
-            raise _refusal(name, error) from None
+            raise _refusal(self.name, error) from None
         # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
         # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
         self._descriptor = self._descriptor_of_port()
@@ -120,12 +105,13 @@ class Transport:
         return descriptor
 
     def now_s(self) -> float:
-        return time.monotonic() / self._slow
+        return time.monotonic() if self._clock is None else self._clock_s
 
     def read(self, timeout_s: float) -> bytes:
+        end_s = self.now_s() + timeout_s
         with self._changed:
-            if timeout_s > 0 and not self._came:
-                self._changed.wait_for(lambda: self._came or self._failed.is_set(), self._slow * timeout_s)
+            while timeout_s > 0 and not self._came and not self._failed.is_set() and self.now_s() < end_s:
+                self._changed.wait(max(end_s - self.now_s(), 0.0) if self._clock is None else None)
             data = bytes(self._came)
             self._came.clear()
             self._changed.notify_all()
@@ -156,6 +142,9 @@ class Transport:
         # On a port that is gone, termios.error, which is no OSError, comes from here.
         with contextlib.suppress(Exception):
             self._port.close()
+        if self._clock is not None and not self._reader.is_alive():
+            os.close(self._clock)
+            self._clock = None
 
     def __enter__(self) -> "Transport":
         return self
@@ -184,23 +173,26 @@ class Transport:
                 if self._descriptor is None:
                     data = self._port.read(1)
                     data += self._port.read(min(self._port.in_waiting, BLOCK_BYTES)) if data else b""
-                elif select.select([self._descriptor], [], [], POLL_S)[0]:
-                    data = self._port.read(BLOCK_BYTES)
-                else:
+                    self._keep(data)
                     continue
-                if data:
-                    self._put(data)
-                    # An emulator gives single bytes, and is kept up by every one that is fetched by itself.
-                    self._closing.wait(EMULATED_REST_S * (self._slow - 1.0))
+                ends = [self._descriptor] if self._clock is None else [self._descriptor, self._clock]
+                for end in select.select(ends, [], [], POLL_S)[0]:
+                    if end == self._descriptor:
+                        self._keep(self._port.read(BLOCK_BYTES))
+                    else:
+                        self._keep(b"", CLOCK_S * len(os.read(end, BLOCK_BYTES)))
+                if self._clock is not None:
+                    self._closing.wait(EMULATED_REST_S)
         except Exception as error:  # also termios.error, TypeError of a port closed meanwhile
             self._fail(str(error) or type(error).__name__)
         else:
             self._fail("closed")
 
-    def _put(self, data: bytes) -> None:
-        """Keep it; the reader's thread waits here while nobody fetches."""
+    def _keep(self, data: bytes, passed_s: float = 0.0) -> None:
+        """What came, for whoever reads; waits for him once there is too much of it."""
         with self._changed:
             while len(self._came) >= KEPT_BYTES and not self._closing.is_set():
                 self._changed.wait(POLL_S)
             self._came += data
+            self._clock_s += passed_s
             self._changed.notify_all()

@@ -10,10 +10,10 @@
  *     watchdog, backup        missing: the tick feeds nothing, and the coil was cold and is forgotten
  *     CCM                     missing, and 192 kB of SRAM in one piece: the linker puts the stack behind the first 128
  *     number of the start     what starts the emulator writes it to START
+ *     time                    the emulator goes as fast as it can: USART3 sends a byte every millisecond of its time,
+ *                             by which a host keeps its deadlines (`--port PORT,clock=PORT2`)
  *
- * A servo period takes SLOW times as long by the emulator's time as on a board, so that the emulator keeps up with its
- * clock; what starts it writes the factor, and the host knows it by `,slow=` behind the port's name. Two come to 8 ns of
- * the board's time for an instruction of 16 ns (-icount shift=4): 1.3 cycles.
+ * -icount shift=3 is 8 ns for an instruction, 1.3 cycles of the board.
  *
  * The stylus is the built-in device of transopt (controller/sim/default_device.py) on a level surface, integrated by the
  * semi-implicit Euler method in twelve steps a period, in the frame of the hand; the converters round what it does, and
@@ -24,9 +24,9 @@
 #include "../hardware.h"
 #include "registers.h"
 
-#define START AT(0x2002fff0u) /* behind the stack; QEMU's -device loader puts them there */
-#define SLOW (AT(0x2002fff4u) > 0 ? AT(0x2002fff4u) : 1u)
+#define START AT(0x2002fff0u) /* behind the stack; QEMU's -device loader puts it there */
 #define RX_BYTES ((TD_UPLOAD_FRAMES + 1) * TD_FRAME_LIMIT)
+#define PERIODS_PER_MS ((uint32_t)(1e-3 / HARDWARE.dt_s + 0.5))
 #define LINE 80
 #define KNOTS 40
 #define SPEEDS 16
@@ -290,6 +290,8 @@ void SysTick_Handler(void)
     int j;
 
     periods++;
+    if (periods % PERIODS_PER_MS == 0)
+        USART_DR(USART3) = '.';
     port_tick();
     tap_in_turn();
     carried_m_s2 = hand_advance();
@@ -316,6 +318,7 @@ void board_start(void)
     NVIC_ISER(IRQ_USART1) = 1u << (IRQ_USART1 % 32u);
     USART_CR1(USART1) = USART_CR1_UE | USART_CR1_TE | USART_CR1_RE | USART_CR1_RXNEIE;
     USART_CR1(USART2) = USART_CR1_UE | USART_CR1_RE;
+    USART_CR1(USART3) = USART_CR1_UE | USART_CR1_TE;
     TIM_ARR(TIM5) = 0xffffffffu;
     TIM_CR1(TIM5) = TIM_CR1_CEN;
 }
@@ -328,7 +331,7 @@ uint32_t board_next_boot(void)
 void board_start_ticks(void)
 {
     SHPR3_SYSTICK = TICK_PRIORITY;
-    SYST_RVR = (uint32_t)(HARDWARE.dt_s * 168e6 + 0.5) * SLOW - 1u;
+    SYST_RVR = (uint32_t)(HARDWARE.dt_s * 168e6 + 0.5) - 1u;
     SYST_CVR = 0;
     SYST_CSR = SYST_CSR_ON;
 }
@@ -340,7 +343,7 @@ uint32_t board_cycles(void)
 
 uint32_t board_period_cycles(void)
 {
-    return (uint32_t)(HARDWARE.dt_s * 1e9 + 0.5) * SLOW;
+    return (uint32_t)(HARDWARE.dt_s * 1e9 + 0.5);
 }
 
 void board_alive(bool level)

@@ -111,6 +111,7 @@ enum { GPIO_INPUT, GPIO_OUTPUT, GPIO_OTHER, GPIO_ANALOGUE };
 /* RM0090 30.6: serial ports. */
 #define USART1 0x40011000u
 #define USART2 0x40004400u
+#define USART3 0x40004800u
 #define USART_SR(port) AT((port) + 0x00u)
 #define USART_SR_RXNE (1u << 5)
 #define USART_SR_TXE (1u << 7)
