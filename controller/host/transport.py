@@ -27,7 +27,7 @@ WRITE_TIMEOUT_S, WRITE_BYTES = 1.0, 1024  # of what is sent at once: a whole win
 CLOSE_S = 1.0
 BLOCK_BYTES = 4096
 KEPT_BYTES = 1 << 22
-CLOCK, CLOCK_S = ",clock=", 1e-3
+CLOCK, CLOCK_S, STANDSTILL_S = ",clock=", 1e-3, 10.0
 EMULATED_REST_S = 1e-3  # an emulator gives bytes one by one, and every one that is fetched alone keeps it up
 
 
@@ -80,19 +80,21 @@ class Transport:
         self._closing, self._failed = threading.Event(), threading.Event()
         self._detail = ""
         self._came, self._changed = bytearray(), threading.Condition()
-        self._clock, self._clock_s = None, 0.0
+        self._clock, self._clock_bytes = None, 0
         name, _, clock = name.partition(CLOCK)
         # Not every kind of port knows the word.
         exclusive: dict[str, Any] = {} if "://" in name else {"exclusive": True}
         try:
             self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
+            # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
+            # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
+            self._descriptor = self._descriptor_of_port()
+            if clock and self._descriptor is None:
+                raise ValueError("it has no clock beside it")
             if clock:
                 self._clock = os.open(clock, os.O_RDONLY | os.O_NOCTTY)
         except (OSError, ValueError) as error:  # SerialException is an OSError
             raise _refusal(self.name, error) from None
-        # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
-        # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
-        self._descriptor = self._descriptor_of_port()
         self._reader = threading.Thread(target=self._read_on, name=f"reader of {name}", daemon=True)
         self._reader.start()
 
@@ -105,13 +107,15 @@ class Transport:
         return descriptor
 
     def now_s(self) -> float:
-        return time.monotonic() if self._clock is None else self._clock_s
+        return time.monotonic() if self._clock is None else CLOCK_S * self._clock_bytes
 
     def read(self, timeout_s: float) -> bytes:
         end_s = self.now_s() + timeout_s
         with self._changed:
             while timeout_s > 0 and not self._came and not self._failed.is_set() and self.now_s() < end_s:
-                self._changed.wait(max(end_s - self.now_s(), 0.0) if self._clock is None else None)
+                wait_s = STANDSTILL_S if self._clock is not None else max(end_s - self.now_s(), 0.0)
+                if not self._changed.wait(wait_s) and self._clock is not None:
+                    self._fail("its clock stands still")
             data = bytes(self._came)
             self._came.clear()
             self._changed.notify_all()
@@ -179,8 +183,10 @@ class Transport:
                 for end in select.select(ends, [], [], POLL_S)[0]:
                     if end == self._descriptor:
                         self._keep(self._port.read(BLOCK_BYTES))
+                    elif passed := os.read(end, BLOCK_BYTES):
+                        self._keep(b"", len(passed))
                     else:
-                        self._keep(b"", CLOCK_S * len(os.read(end, BLOCK_BYTES)))
+                        raise OSError("its clock is gone")
                 if self._clock is not None:
                     self._closing.wait(EMULATED_REST_S)
         except Exception as error:  # also termios.error, TypeError of a port closed meanwhile
@@ -188,11 +194,11 @@ class Transport:
         else:
             self._fail("closed")
 
-    def _keep(self, data: bytes, passed_s: float = 0.0) -> None:
+    def _keep(self, data: bytes, of_the_clock: int = 0) -> None:
         """What came, for whoever reads; waits for him once there is too much of it."""
         with self._changed:
             while len(self._came) >= KEPT_BYTES and not self._closing.is_set():
                 self._changed.wait(POLL_S)
             self._came += data
-            self._clock_s += passed_s
+            self._clock_bytes += of_the_clock
             self._changed.notify_all()

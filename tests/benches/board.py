@@ -4,7 +4,6 @@ import re
 import secrets
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ PORT = FIRMWARE / "port" / "stm32f405"
 TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm", "cmake": "cmake", "make": "make"}
 IMAGES = ("stm32f405", "emulated", "template")
 START = 0x2002FFF0  # where the image looks for its number, see emulated.c
-BUILD_S, BOOT_S = 120.0, 20.0
+BUILD_S = 120.0
 
 
 class MissingToolError(InputError):
@@ -63,7 +62,7 @@ class Emulated:
     line: TextIO
 
     def ask(self, words: str) -> None:
-        """Let the hand do something, in the words in which a command asks a person."""
+        """Let the hand do something, in the words in which a command asks a person: `please tap`."""
         print(words, file=self.line, flush=True)
 
 
@@ -73,23 +72,20 @@ def emulated(image: Path) -> Iterator[Emulated]:
     command = ["qemu-system-arm", "-M", "netduinoplus2", "-icount", "shift=3", "-display", "none", "-monitor", "none"]
     command += 3 * ["-serial", "pty"]
     command += ["-device", f"loader,addr={START:#x},data={1 + secrets.randbelow(1 << 30)},data-len=4"]
-    running = subprocess.Popen(
+    with subprocess.Popen(
         [*command, "-kernel", str(image)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    try:
-        assert running.stdout is not None
-        names: list[str] = []
-        for said in running.stdout:
-            names += re.findall(r"redirected to (\S+)", said)
-            if len(names) == 3:
-                break
-        if len(names) < 3:
-            raise InputError("qemu-system-arm: ended before it had its ports")
-        with open(names[1], "w", encoding="ascii") as line:
-            yield Emulated(f"{names[0]},clock={names[2]}", line)
-    finally:
-        running.kill()
-        running.wait()
+    ) as running:
+        try:
+            assert running.stdout is not None
+            names: list[str] = []
+            while len(names) < 3 and (said := running.stdout.readline()):
+                names += re.findall(r"redirected to (\S+)", said)
+            if len(names) < 3:
+                raise InputError("qemu-system-arm: ended before it had its ports")
+            with open(names[1], "w", encoding="ascii") as line:
+                yield Emulated(f"{names[0]},clock={names[2]}", line)
+        finally:
+            running.kill()
 
 
 class Ear:

@@ -134,7 +134,11 @@ def run_desk(library: Library, folder: Path, seed: int) -> list[Tap]:
         _run(path, folder, seed)
     text = said.getvalue()
     print(text, end="")
-    # The last table of taps is of those in full.
+    return taps_in(text, library)
+
+
+def taps_in(text: str, library: Library) -> list[Tap]:
+    """Taps of the last table that a command has printed: those in full."""
     rows = [ROW.match(line) for line in text[text.rindex(" gain 1") :].splitlines()]
     taps = []
     for row in filter(None, rows):

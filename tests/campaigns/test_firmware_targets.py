@@ -13,7 +13,6 @@ passed.
 """
 
 import re
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -26,6 +25,8 @@ from typer import Argument
 
 from controller.firmware.build import CORE, FIRMWARE, FLAGS, STRICT, build, sources
 from controller.firmware.replay import REPLAY, write_runs
+from tests.benches import board
+from tests.benches.board import MissingToolError
 from tests.campaigns.harness import PartFile, Seed, library_of, long_form, write_part
 from tests.campaigns.parity_runs import random_run, tap_run
 from tests.campaigns.test_device_conversations import random_talk
@@ -47,10 +48,6 @@ PERIOD_CYCLES = 16_800  # of a servo period of 0.1 ms at 168 MHz, the clock of c
 CYCLES_PER_INSTRUCTION = 1.45
 M4F = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16")
 M7 = ("-mcpu=cortex-m7", "-mfpu=fpv5-d16")
-
-
-class MissingToolError(InputError):
-    """A tool that is not on this machine."""
 
 
 @dataclass(frozen=True)
@@ -122,10 +119,7 @@ def need_tools() -> None:
     ------
     MissingToolError : which, and the package that has it.
     """
-    packages = {ARM: "gcc-arm-none-eabi", QEMU: "qemu-system-arm"}
-    for tool, package in packages.items():
-        if shutil.which(tool) is None:
-            raise MissingToolError(f"{tool}: not found; install {package} (Debian)")
+    board.need_tools(ARM, QEMU)
     done = subprocess.run([ARM, "-print-file-name=rdimon.specs"], capture_output=True, text=True, check=True)
     if not Path(done.stdout.strip()).is_absolute():
         raise MissingToolError(f"{ARM}: has no newlib; install libnewlib-arm-none-eabi (Debian)")

@@ -8,8 +8,19 @@
 #define TRANSOPT_PORT_H
 
 /* Hardware that computes with float only. Double would be right, and several times as slow. */
-#if defined(__ARM_FP) && !(__ARM_FP & 8) && !defined(TD_REAL_FLOAT)
+#if (defined(__ARM_FP) && !(__ARM_FP & 8)) || (defined(__riscv_flen) && __riscv_flen < 64)
+#ifndef TD_REAL_FLOAT
 #define TD_REAL_FLOAT
+#endif
+#endif
+
+/* Hardware that computes with neither (RP2040, Cortex-M3), or does not say (Xtensa): a tick takes many periods. */
+#if (defined(__arm__) && !defined(__ARM_FP)) || (defined(__riscv) && !defined(__riscv_flen)) || defined(__AVR__)
+#ifndef TD_SOFTWARE_FLOAT
+#error "this processor has no floating-point unit and is too slow for the servo; -DTD_SOFTWARE_FLOAT compiles it all the same"
+#endif
+#elif defined(__XTENSA__) && !defined(TD_REAL_FLOAT)
+#error "doubles are computed in software here: compile with -DTD_REAL_FLOAT"
 #endif
 
 #ifndef TD_MAX_LIBRARY_SAMPLES

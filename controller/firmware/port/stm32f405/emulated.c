@@ -17,8 +17,8 @@
  *
  * The stylus is the built-in device of transopt (controller/sim/default_device.py) on a level surface, integrated by the
  * semi-implicit Euler method in twelve steps a period, in the frame of the hand; the converters round what it does, and
- * add no noise. The hand does what its line, USART2, tells it, one request a line, in the words in which transopt-play asks
- * a person for it.
+ * add no noise. The hand does what its line, USART2, asks for, in the words in which transopt-play asks a person, so that
+ * all that it prints may go there; and `please taps 0.2 0.3`, over and over while the amplifier is enabled.
  */
 #include "../board.h"
 #include "../hardware.h"
@@ -45,7 +45,7 @@
 #define GRAVITY_M_S2 9.81f
 #define COUNT_M 24.5e-6
 #define COLD_C 0x41c80000u /* 25 as a float */
-#define HOME_M 12e-3f
+#define HOME_M 20e-3f
 #define TOUCH_S 0.3f
 #define TAP_EVERY_S 0.1f /* after the one before, with the amplifier enabled */
 #define HELD_N 3.0f
@@ -164,9 +164,9 @@ static void go(float way_m)
 /* From where it is straight in at the speed, on for 30 ms, to rest, and back. */
 static void tap(float speed_m_s)
 {
-    const float straight_s = (float)hand.z_m / speed_m_s + 0.025f, depth_m = speed_m_s * (0.02f + straight_s);
+    const float straight_s = (float)hand.z_m / speed_m_s + 0.015f, depth_m = speed_m_s * (0.03f + straight_s);
 
-    then(0.01f, -speed_m_s);
+    then(0.03f, -speed_m_s);
     then(straight_s, -speed_m_s);
     then(0.03f, 0);
     then(0.02f, 0);
@@ -223,8 +223,9 @@ static void obey(const char *line)
 
     while (*line == ' ')
         line++;
-    if (begins(line, "please "))
-        line += strlen("please ");
+    if (!begins(line, "please "))
+        return;
+    line += strlen("please ");
     hand.speed_count = 0;
     if (begins(line, "press")) {
         hand.stop = true;

@@ -1,0 +1,137 @@
+"""A whole board under QEMU, through the commands that a user types: described, zeroed, checked, loaded, tapped, refined.
+
+    python -m pytest -m long -n 0 tests/campaigns/test_emulated_board.py --campaign="[--short] [--out DIR] [--part FILE]"
+
+The image for an STM32F405 is built by CMake and linked for its memories. The one for QEMU's netduinoplus2 differs from it
+by the file `emulated.c`, which has a stylus and a hand in place of the converters. Its serial port is a pseudo-terminal, on
+which `transopt-play` finds it as behind a cable. Twelve taps are played, then two nodes refined. It fails if a command
+does, if a tap's error is more than 3 points above the library's, or if a port's own part of a tick has more instructions than
+its budget has cycles for. Short: the check leaves out what a person does with encoder, accelerometer and grip sensor.
+"""
+
+import re
+import subprocess
+import tempfile
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from typer import Option
+
+import problems
+from tests.benches.board import Ear, Emulated, MissingToolError, build_images, emulated, need_tools
+from tests.campaigns.harness import PartFile, long_form, show, write_part
+from tests.campaigns.test_desk import MOST_OVER, Tap, taps_in, typed
+from transopt.design.build import build_library
+from transopt.library.library import Library
+from transopt.scene.keys import with_values
+from transopt.scene.recordings import recordings_of
+
+SCENE = {"grid.speeds_m_s": [0.2, 0.3], "grid.grips_N": [3.0]}  # as much as comes over an emulated line in a second
+TAPPED_M_S, TAPS = (0.21, 0.28), 12
+DONE_BY_A_PERSON = ("encoder", "accelerometer", "grip-zero", "grip-hold")
+MEMORIES = {"flash": 896 * 1024, "SRAM": 128 * 1024, "stack in CCM": 64 * 1024}
+PORT_CYCLES = 400  # of a tick beside the core, see port/port_template.c
+CYCLES = 2  # of an instruction, at most on average: as ARM's table has loads, stores and what fills the pipeline
+OF_THE_TICK = {"ADC_IRQHandler": 1, "port_tick": 1, "put": 1, "value_of": 3, "board_converted": 3}
+OF_THE_TICK |= dict.fromkeys(("board_cycles", "board_period_cycles", "board_alive", "board_encoder"), 1)
+OF_THE_TICK |= dict.fromkeys(("board_stop_pressed", "board_put"), 1)
+
+
+def sizes(image: Path) -> tuple[int, int, int]:
+    """Bytes of flash, of SRAM, and of the stack."""
+    said = subprocess.run(["arm-none-eabi-size", "-A", str(image)], capture_output=True, text=True, check=True).stdout
+    of = {name: int(size) for name, size in re.findall(r"^(\.\S+) +(\d+) +\d+", said, re.MULTILINE)}
+    stored = of[".data"]
+    return of[".text"] + of.get(".ARM.exidx", 0) + stored, stored + of[".bss"], of[".stack"]
+
+
+def instructions_of_the_port(image: Path) -> int:
+    """Most instructions that a tick executes outside of the core: all of these functions, none of which has a loop."""
+    command = ["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", str(image)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    bodies = re.findall(r"^[0-9a-f]+ <(\w+)>:\n((?:.+\n)+)", said, re.MULTILINE)
+    return sum(OF_THE_TICK.get(name, 0) * len(re.findall(r":\t[a-z]", body)) for name, body in bodies)
+
+
+def rows_of_sizes(images: dict[str, Path]) -> list[tuple[object, ...]]:
+    return [(name, *sizes(image), instructions_of_the_port(image)) for name, image in images.items()]
+
+
+def library_for_it() -> Library:
+    scene = with_values(problems.load("wood_on_foam"), SCENE)
+    made = build_library(scene, recordings_of(scene)).library
+    assert made is not None
+    return made
+
+
+def through_the_commands(board: Emulated, library: Library, folder: Path, short: bool) -> tuple[list[Tap], str]:
+    """The road of a device, each command as a user types it; the taps, and all that was printed.
+
+    Raises
+    ------
+    InputError : one of them ended with another exit code than 0.
+    """
+    path, device, ear = folder / "library.npz", folder / "device.toml", Ear(board)
+    library.save(path)
+    port = ("--port", board.port, "--device", device)
+    skipped = [word for name in DONE_BY_A_PERSON if short for word in ("--skip", name)]
+    with redirect_stdout(ear):
+        typed("device", "new", device, "--defaults")
+        typed("zero", *port)
+        typed("check", path, *port, "--patience", 10, *skipped)
+        typed("upload", path, *port)
+        board.ask(f"please taps {' '.join(map(str, TAPPED_M_S))}")
+        typed("tap", path, *port, "--taps", TAPS, "--for", 60)
+        taps = taps_in(ear.text, library)
+        typed("refine", path, *port, "--taps", 2, "--rounds", 1, "--for", 60, "--out", folder / "refined")
+    return taps, ear.text
+
+
+def misses(taps: list[Tap], said: str, sized: list[tuple[object, ...]]) -> list[str]:
+    """What is not as asked, one line each."""
+    found = [
+        f"a tap at {t.speed_m_s:g} m/s: error {100 * t.tap_error:.2f} %, predicted {100 * t.predicted:.2f} %"
+        for t in taps
+        if not abs(t.tap_error - t.predicted) <= MOST_OVER
+    ]
+    if len(taps) != TAPS:
+        found.append(f"{len(taps)} of {TAPS} taps")
+    if "2 of 2 nodes refined" not in said:
+        found.append("refine: not 2 of 2 nodes refined")
+    for name, *used, instructions in sized:
+        over = [what for (what, most), size in zip(MEMORIES.items(), used, strict=True) if size > most]
+        found += [f"{name}: {what} is full" for what in over]
+        if name == "stm32f405" and CYCLES * int(str(instructions)) > PORT_CYCLES:
+            found.append(f"{name}: {instructions} instructions of its own in a tick, for {PORT_CYCLES} cycles")
+    return found
+
+
+def main(
+    short: Annotated[bool, Option("--short", help="leave out the steps of the check that a person does by hand")] = False,
+    out: Annotated[Path | None, Option(help="keep images, device file and libraries here")] = None,
+    part: PartFile = None,
+) -> int:
+    try:
+        need_tools()
+    except MissingToolError as missing:
+        pytest.skip(str(missing))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) if out is None else out
+        folder.mkdir(parents=True, exist_ok=True)
+        images = build_images(folder / "images")
+        with emulated(images["emulated"]) as board:
+            taps, said = through_the_commands(board, library_for_it(), folder, short)
+    sized = rows_of_sizes(images)
+    lines = show(("image", "flash B", "SRAM B", "stack in CCM B", "instructions of the port in a tick"), sized)
+    lines += ["", f"Of {', '.join(f'{size} of {name}' for name, size in MEMORIES.items())}.", ""]
+    cells = [(f"{t.speed_m_s:.2f}", f"{100 * t.tap_error:.1f}", f"{100 * t.predicted:.1f}") for t in taps]
+    lines += show(("tap at m/s", "tap error %", "predicted %"), sorted(cells))
+    write_part(part, lines)
+    missed = misses(taps, said, sized)
+    print("\n".join(missed) or "as asked")
+    return 1 if missed else 0
+
+
+test_long_form = long_form(main)

@@ -1,0 +1,96 @@
+"""The port for a bare processor: its functions, its memories, and processors that are no good for it."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from controller.firmware.build import FIRMWARE
+from tests.benches.board import PORT, MissingToolError, need_tools
+
+ARM = "arm-none-eabi-gcc"
+SRC = FIRMWARE / "src"
+M4F = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
+STRICT = ("-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow")
+BOARDS = (PORT / "board.c", PORT / "emulated.c", PORT.parent / "port_template.c")
+
+
+@pytest.fixture(autouse=True)
+def _tools() -> None:
+    try:
+        need_tools(ARM)
+    except MissingToolError as missing:
+        pytest.skip(str(missing))
+
+
+def arm(*words: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [ARM, "-mthumb", *map(str, words)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("board", BOARDS, ids=lambda path: path.stem)
+def test_a_board_has_all_functions_and_no_others(board: Path, tmp_path: Path) -> None:
+    """The template, the board and its emulation are the same list; what a compiler warns of is an error."""
+    done = arm(*M4F, *STRICT, "-DTRANSOPT_PORT", f"-I{SRC}", "-c", board, "-o", "board.o", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = subprocess.run(
+        [ARM.replace("gcc", "nm"), "--defined-only", "board.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    declared = set(re.findall(r"^[a-z].*?\b(board_\w+)\(", (PORT.parent / "board.h").read_text(), re.MULTILINE))
+    assert set(re.findall(r" T (board_\w+)", said.stdout)) == declared
+    assert len(declared) > 10
+
+
+def test_the_template_states_a_budget_for_every_function() -> None:
+    template = (PORT.parent / "port_template.c").read_text()
+    for comment, name in re.findall(r"/\*((?:(?!\*/).)*)\*/\n[a-z].*?\b(board_\w+)\(", template, re.DOTALL):
+        assert re.search(r"\d+ cycles|\d+ us|\d+ s\b|Any time|One servo period", comment), name
+
+
+PROGRAM = "char big[{bytes}]; int main(void) {{ return big[0]; }}"
+
+
+def linked(size: int, folder: Path) -> subprocess.CompletedProcess[str]:
+    (folder / "main.c").write_text(PROGRAM.format(bytes=size))
+    link = ("-nostartfiles", "-T", PORT / "memory.ld")
+    return arm(*M4F, "-O2", "main.c", PORT / "startup.c", *link, "-o", "image.elf", folder=folder)
+
+
+def test_an_image_that_is_larger_than_the_memory_of_the_board_does_not_link(tmp_path: Path) -> None:
+    """An emulator that has more memory would not show it."""
+    assert linked((128 << 10) - 64, tmp_path).returncode == 0
+    too_large = linked((128 << 10) + 8, tmp_path)
+    assert too_large.returncode != 0
+    assert "sram" in too_large.stderr.lower()
+
+
+def test_the_stack_lies_at_the_bottom_of_the_ccm(tmp_path: Path) -> None:
+    """What runs over it is no memory, so that it is a fault and writes over nothing."""
+    assert linked(64, tmp_path).returncode == 0
+    said = subprocess.run(
+        [ARM.replace("gcc", "nm"), "image.elf"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    at = {name: int(address, 16) for address, name in re.findall(r"^(\w+) \w (\w+)$", said, re.MULTILINE)}
+    assert at["td_stack_bottom"] == 0x10000000
+    assert at["td_stack_top"] - at["td_stack_bottom"] == 8192
+    assert at["td_bss_end"] <= 0x20000000 + (128 << 10)
+
+
+@pytest.mark.parametrize(
+    ("processor", "flags", "said"),
+    [
+        (("-mcpu=cortex-m0plus",), (), "no floating-point unit"),
+        (("-mcpu=cortex-m3",), ("-DTD_REAL_FLOAT",), "no floating-point unit"),
+        (("-mcpu=cortex-m0plus",), ("-DTD_SOFTWARE_FLOAT",), ""),
+        (M4F, (), ""),
+        (("-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard"), (), ""),
+    ],
+)
+def test_a_processor_that_computes_in_software_is_refused(
+    processor: tuple[str, ...], flags: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    asked = (*processor, *flags, "-DTRANSOPT_PORT", f"-I{SRC}", "-E", SRC / "core" / "td_guard.c")
+    done = arm(*asked, folder=tmp_path)
+    assert (done.returncode != 0) == bool(said)
+    assert said in done.stderr
