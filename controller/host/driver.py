@@ -54,6 +54,10 @@ Listener = Callable[[News], None]
 
 
 def _opened(name: str) -> Connection:
+    from controller.host.emulated import CLOCK, EmulatedPort
+
+    if CLOCK in name:
+        return EmulatedPort(name)
     from controller.host.transport import Transport  # pyserial, which a simulated device does without
 
     return Transport(name)

@@ -1,9 +1,8 @@
 """A serial port as a stream of bytes: the one file that knows pyserial.
 
 Names are those of `serial.serial_for_url`: a device (`/dev/ttyACM0`, `COM3`, a pseudo-terminal), `socket://HOST:PORT`,
-`loop://`. An emulated board has a time of its own: `PORT,clock=PORT2` names the line on which it sends a byte every
-millisecond, and every wait of the host goes by it. A thread of its own reads into a bounded buffer, because what is not
-fetched in time is lost in the driver's buffer. What pyserial and the system throw, and where they throw nothing, becomes one of four errors of one line.
+`loop://`. A thread of its own reads into a bounded queue, because what is not fetched in time is lost in the driver's
+buffer. What pyserial and the system throw, and where they throw nothing, becomes one of four errors of one line.
 
 Thread-safety: `read` by one thread and `write` by one (the same or another); `close` by any, any number of times.
 """
@@ -11,6 +10,7 @@ Thread-safety: `read` by one thread and `write` by one (the same or another); `c
 import contextlib
 import errno
 import os
+import queue
 import select
 import threading
 import time
@@ -23,12 +23,10 @@ from controller.host.connection import PortError, UnpluggedError
 
 BAUD = 115_200  # of a real UART only; over USB it means nothing
 POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
-WRITE_TIMEOUT_S, WRITE_BYTES = 1.0, 1024  # of what is sent at once: a whole window takes 1.5 s at 115200 baud
+WRITE_TIMEOUT_S = 1.0
 CLOSE_S = 1.0
 BLOCK_BYTES = 4096
-KEPT_BYTES = 1 << 22
-CLOCK, CLOCK_S, STANDSTILL_S = ",clock=", 1e-3, 10.0
-EMULATED_REST_S = 1e-3  # an emulator gives bytes one by one, and every one that is fetched alone keeps it up
+QUEUE_BLOCKS = 1024
 
 
 def port_names() -> list[tuple[str, str]]:
@@ -66,7 +64,7 @@ class Transport:
 
     Parameters
     ----------
-    name : of the port, as `serial_for_url` takes it; of an emulated board's clock behind it.
+    name : of the port, as `serial_for_url` takes it.
 
     Raises
     ------
@@ -79,22 +77,16 @@ class Transport:
         self.name = name
         self._closing, self._failed = threading.Event(), threading.Event()
         self._detail = ""
-        self._came, self._changed = bytearray(), threading.Condition()
-        self._clock, self._clock_bytes = None, 0
-        name, _, clock = name.partition(CLOCK)
+        self._queue: queue.Queue[bytes] = queue.Queue(QUEUE_BLOCKS)
         # Not every kind of port knows the word.
         exclusive: dict[str, Any] = {} if "://" in name else {"exclusive": True}
         try:
             self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
-            # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
-            # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
-            self._descriptor = self._descriptor_of_port()
-            if clock and self._descriptor is None:
-                raise ValueError("it has no clock beside it")
-            if clock:
-                self._clock = os.open(clock, os.O_RDONLY | os.O_NOCTTY)
         except (OSError, ValueError) as error:  # SerialException is an OSError
-            raise _refusal(self.name, error) from None
+            raise _refusal(name, error) from None
+        # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
+        # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
+        self._descriptor = self._descriptor_of_port()
         self._reader = threading.Thread(target=self._read_on, name=f"reader of {name}", daemon=True)
         self._reader.start()
 
@@ -107,18 +99,17 @@ class Transport:
         return descriptor
 
     def now_s(self) -> float:
-        return time.monotonic() if self._clock is None else CLOCK_S * self._clock_bytes
+        return time.monotonic()
 
     def read(self, timeout_s: float) -> bytes:
-        end_s = self.now_s() + timeout_s
-        with self._changed:
-            while timeout_s > 0 and not self._came and not self._failed.is_set() and self.now_s() < end_s:
-                wait_s = STANDSTILL_S if self._clock is not None else max(end_s - self.now_s(), 0.0)
-                if not self._changed.wait(wait_s) and self._clock is not None:
-                    self._fail("its clock stands still")
-            data = bytes(self._came)
-            self._came.clear()
-            self._changed.notify_all()
+        try:
+            blocks = [self._queue.get(timeout=max(timeout_s, 0.0)) if timeout_s > 0 else self._queue.get_nowait()]
+        except queue.Empty:
+            blocks = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                blocks.append(self._queue.get_nowait())
+        data = b"".join(blocks)
         if not data:
             self._check()
         return data
@@ -128,8 +119,7 @@ class Transport:
         if not data:
             return
         try:
-            for place in range(0, len(data), WRITE_BYTES):
-                self._port.write(data[place : place + WRITE_BYTES])
+            self._port.write(data)
         except serial.SerialTimeoutException:
             self._fail("it has taken no data for a second")
         # A port that another thread is closing, or that is gone, fails in any of these ways.
@@ -146,9 +136,6 @@ class Transport:
         # On a port that is gone, termios.error, which is no OSError, comes from here.
         with contextlib.suppress(Exception):
             self._port.close()
-        if self._clock is not None and not self._reader.is_alive():
-            os.close(self._clock)
-            self._clock = None
 
     def __enter__(self) -> "Transport":
         return self
@@ -159,16 +146,14 @@ class Transport:
     def _check(self) -> None:
         if self._closing.is_set():
             raise UnpluggedError(f"{self.name}: closed")
-        if self._failed.is_set() and not self._came:
+        if self._failed.is_set() and self._queue.empty():
             message = f"{self.name}: the connection is gone ({self._detail}): plug the device in again"
             raise UnpluggedError(message, self._detail)
 
     def _fail(self, detail: str) -> None:
-        with self._changed:
-            if not self._failed.is_set():
-                self._detail = detail
-                self._failed.set()
-            self._changed.notify_all()
+        if not self._failed.is_set():
+            self._detail = detail
+            self._failed.set()
 
     def _read_on(self) -> None:
         """The reader's thread: dies only with a word about it."""
@@ -177,28 +162,21 @@ class Transport:
                 if self._descriptor is None:
                     data = self._port.read(1)
                     data += self._port.read(min(self._port.in_waiting, BLOCK_BYTES)) if data else b""
-                    self._keep(data)
+                elif select.select([self._descriptor], [], [], POLL_S)[0]:
+                    data = self._port.read(BLOCK_BYTES)
+                else:
                     continue
-                ends = [self._descriptor] if self._clock is None else [self._descriptor, self._clock]
-                for end in select.select(ends, [], [], POLL_S)[0]:
-                    if end == self._descriptor:
-                        self._keep(self._port.read(BLOCK_BYTES))
-                    elif passed := os.read(end, BLOCK_BYTES):
-                        self._keep(b"", len(passed))
-                    else:
-                        raise OSError("its clock is gone")
-                if self._clock is not None:
-                    self._closing.wait(EMULATED_REST_S)
+                if data:
+                    self._put(data)
         except Exception as error:  # also termios.error, TypeError of a port closed meanwhile
             self._fail(str(error) or type(error).__name__)
         else:
             self._fail("closed")
+        with contextlib.suppress(queue.Full):
+            self._queue.put_nowait(b"")  # wakes whoever waits
 
-    def _keep(self, data: bytes, of_the_clock: int = 0) -> None:
-        """What came, for whoever reads; waits for him once there is too much of it."""
-        with self._changed:
-            while len(self._came) >= KEPT_BYTES and not self._closing.is_set():
-                self._changed.wait(POLL_S)
-            self._came += data
-            self._clock_bytes += of_the_clock
-            self._changed.notify_all()
+    def _put(self, data: bytes) -> None:
+        while not self._closing.is_set():
+            with contextlib.suppress(queue.Full):
+                self._queue.put(data, timeout=POLL_S)
+                return

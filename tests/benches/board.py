@@ -1,4 +1,4 @@
-"""The image for a whole board under QEMU: built by CMake, its ports three pseudo-terminals, a hand at the second one."""
+"""A whole board under QEMU: its images, built by CMake, and its three lines: to the host, to a hand, of its clock."""
 
 import re
 import secrets
@@ -14,7 +14,12 @@ from controller.firmware.build import FIRMWARE
 from transopt.base.errors import InputError
 
 PORT = FIRMWARE / "port" / "stm32f405"
-TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm", "cmake": "cmake", "make": "make"}
+TOOLS = {
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi",
+    "qemu-system-arm": "qemu-system-arm",
+    "cmake": "cmake",
+    "make": "make",
+}
 IMAGES = ("stm32f405", "emulated", "template")
 START = 0x2002FFF0  # where the image looks for its number, see emulated.c
 BUILD_S = 120.0
@@ -82,7 +87,7 @@ def emulated(image: Path) -> Iterator[Emulated]:
                 names += re.findall(r"redirected to (\S+)", said)
             if len(names) < 3:
                 raise InputError("qemu-system-arm: ended before it had its ports")
-            with open(names[1], "w", encoding="ascii") as line:
+            with Path(names[1]).open("w", encoding="ascii") as line:
                 yield Emulated(f"{names[0]},clock={names[2]}", line)
         finally:
             running.kill()

@@ -1,12 +1,13 @@
-"""A whole board under QEMU, through the commands that a user types: described, zeroed, checked, loaded, tapped, refined.
+"""A whole board under QEMU, through the commands of a user: described, zeroed, checked, loaded, tapped, refined.
 
-    python -m pytest -m long -n 0 tests/campaigns/test_emulated_board.py --campaign="[--short] [--out DIR] [--part FILE]"
+    python -m pytest -m long -n 0 tests/campaigns/test_emulated_board.py
+        --campaign="[--short] [--out DIR] [--part FILE]"
 
-The image for an STM32F405 is built by CMake and linked for its memories. The one for QEMU's netduinoplus2 differs from it
-by the file `emulated.c`, which has a stylus and a hand in place of the converters. Its serial port is a pseudo-terminal, on
-which `transopt-play` finds it as behind a cable. Twelve taps are played, then two nodes refined. It fails if a command
-does, if a tap's error is more than 3 points above the library's, or if a port's own part of a tick has more instructions than
-its budget has cycles for. Short: the check leaves out what a person does with encoder, accelerometer and grip sensor.
+CMake builds the image for an STM32F405 and links it for its memories. The one for QEMU's netduinoplus2 differs from it
+by the file `emulated.c`, which has a stylus and a hand in place of the converters. `transopt-play` finds its serial port,
+a pseudo-terminal, as behind a cable. Twelve taps are played, then two nodes refined. It fails if a command does, if a
+tap's error is more than 3 points from the library's, if a memory is full, or if a port's own part of a tick has more
+instructions than its budget allows. Short: the check leaves out the encoder, the accelerometer and the grip sensor.
 """
 
 import re
@@ -31,7 +32,7 @@ from transopt.scene.recordings import recordings_of
 SCENE = {"grid.speeds_m_s": [0.2, 0.3], "grid.grips_N": [3.0]}  # as much as comes over an emulated line in a second
 TAPPED_M_S, TAPS = (0.21, 0.28), 12
 DONE_BY_A_PERSON = ("encoder", "accelerometer", "grip-zero", "grip-hold")
-MEMORIES = {"flash": 896 * 1024, "SRAM": 128 * 1024, "stack in CCM": 64 * 1024}
+MEMORIES = {"flash": 896 * 1024, "SRAM": 128 * 1024, "CCM": 64 * 1024}
 PORT_CYCLES = 400  # of a tick beside the core, see port/port_template.c
 CYCLES = 2  # of an instruction, at most on average: as ARM's table has loads, stores and what fills the pipeline
 OF_THE_TICK = {"ADC_IRQHandler": 1, "port_tick": 1, "put": 1, "value_of": 3, "board_converted": 3}
@@ -48,7 +49,7 @@ def sizes(image: Path) -> tuple[int, int, int]:
 
 
 def instructions_of_the_port(image: Path) -> int:
-    """Most instructions that a tick executes outside of the core: all of these functions, none of which has a loop."""
+    """Most instructions that a tick executes outside of the core: all of its functions, none of which has a loop."""
     command = ["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", str(image)]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     bodies = re.findall(r"^[0-9a-f]+ <(\w+)>:\n((?:.+\n)+)", said, re.MULTILINE)
@@ -109,7 +110,9 @@ def misses(taps: list[Tap], said: str, sized: list[tuple[object, ...]]) -> list[
 
 
 def main(
-    short: Annotated[bool, Option("--short", help="leave out the steps of the check that a person does by hand")] = False,
+    short: Annotated[
+        bool, Option("--short", help="leave out the steps of the check that a person does by hand")
+    ] = False,
     out: Annotated[Path | None, Option(help="keep images, device file and libraries here")] = None,
     part: PartFile = None,
 ) -> int:
@@ -124,8 +127,9 @@ def main(
         with emulated(images["emulated"]) as board:
             taps, said = through_the_commands(board, library_for_it(), folder, short)
     sized = rows_of_sizes(images)
-    lines = show(("image", "flash B", "SRAM B", "stack in CCM B", "instructions of the port in a tick"), sized)
-    lines += ["", f"Of {', '.join(f'{size} of {name}' for name, size in MEMORIES.items())}.", ""]
+    lines = show(("image", "flash B", "SRAM B", "CCM B: the stack", "instructions of the port in a tick"), sized)
+    there_is = ", ".join(f"{name} {size}" for name, size in MEMORIES.items())
+    lines += ["", f"There are, in bytes: {there_is}.", ""]
     cells = [(f"{t.speed_m_s:.2f}", f"{100 * t.tap_error:.1f}", f"{100 * t.predicted:.1f}") for t in taps]
     lines += show(("tap at m/s", "tap error %", "predicted %"), sorted(cells))
     write_part(part, lines)

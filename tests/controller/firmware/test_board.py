@@ -12,7 +12,17 @@ from tests.benches.board import PORT, MissingToolError, need_tools
 ARM = "arm-none-eabi-gcc"
 SRC = FIRMWARE / "src"
 M4F = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
-STRICT = ("-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow")
+STRICT = (
+    "-std=c11",
+    "-O2",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-pedantic",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wshadow",
+)
 BOARDS = (PORT / "board.c", PORT / "emulated.c", PORT.parent / "port_template.c")
 
 
@@ -35,7 +45,11 @@ def test_a_board_has_all_functions_and_no_others(board: Path, tmp_path: Path) ->
     done = arm(*M4F, *STRICT, "-DTRANSOPT_PORT", f"-I{SRC}", "-c", board, "-o", "board.o", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     said = subprocess.run(
-        [ARM.replace("gcc", "nm"), "--defined-only", "board.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+        [ARM.replace("gcc", "nm"), "--defined-only", "board.o"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     declared = set(re.findall(r"^[a-z].*?\b(board_\w+)\(", (PORT.parent / "board.h").read_text(), re.MULTILINE))
     assert set(re.findall(r" T (board_\w+)", said.stdout)) == declared

@@ -21,6 +21,7 @@ WAIT_S = 5.0
 
 @contextlib.contextmanager
 def opened() -> Iterator[tuple[int, str]]:
+    """A pseudo-terminal that hands on every byte as it is: the end to play with, and the name of the other."""
     try:
         master, slave = os.openpty()
     except OSError as error:
@@ -35,12 +36,6 @@ def opened() -> Iterator[tuple[int, str]]:
 
 @pytest.fixture
 def pty() -> Iterator[tuple[int, str]]:
-    with opened() as both:
-        yield both
-
-
-@pytest.fixture
-def second_pty() -> Iterator[tuple[int, str]]:
     with opened() as both:
         yield both
 
@@ -147,55 +142,6 @@ def test_a_port_that_takes_nothing_is_told(pty: tuple[int, str], monkeypatch: py
     _, name = pty
     with Transport(name) as port, pytest.raises(UnpluggedError, match="taken no data"):
         port.write(bytes(1_000_000))
-
-
-def test_waits_go_by_the_clock_of_an_emulated_board(pty: tuple[int, str], second_pty: tuple[int, str]) -> None:
-    """A byte of the clock is a millisecond, however long it took; and where the clock is gone nobody waits for ever."""
-    (master, name), (clock, clock_name) = pty, second_pty
-    ended = threading.Event()
-
-    def run_on() -> None:
-        while not ended.is_set():
-            os.write(clock, b".")
-
-    running = threading.Thread(target=run_on)
-    with Transport(f"{name}{t.CLOCK}{clock_name}") as port:
-        assert port.now_s() == 0.0
-        running.start()
-        assert port.read(0.04) == b""
-        assert port.now_s() >= 0.04
-        os.write(master, b"abc")
-        assert read_all(port, 3) == b"abc"
-        ended.set()
-        running.join(WAIT_S)
-        os.close(clock)
-        with pytest.raises(UnpluggedError, match="the connection is gone"):
-            port.read(1e9)
-
-
-def test_a_clock_that_stands_still_is_told(
-    pty: tuple[int, str], second_pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(t, "STANDSTILL_S", 0.02)
-    with Transport(f"{pty[1]}{t.CLOCK}{second_pty[1]}") as port, pytest.raises(UnpluggedError, match="stands still"):
-        port.read(1.0)
-
-
-def test_a_clock_that_is_not_there(pty: tuple[int, str]) -> None:
-    with pytest.raises(PortError, match="/dev/none: no such port"):
-        Transport(f"{pty[1]}{t.CLOCK}/dev/none")
-    with pytest.raises(PortError, match="it has no clock beside it"):
-        Transport(f"loop://{t.CLOCK}{pty[1]}")
-    Transport(pty[1]).close()
-
-
-def test_a_host_that_does_not_read_loses_nothing_that_comes_byte_by_byte(pty: tuple[int, str]) -> None:
-    """An emulator waits for whoever does not take its bytes, while the host waits for it to take his."""
-    master, name = pty
-    with Transport(name) as port:
-        for byte in range(3000):
-            os.write(master, bytes([byte % 256]))
-        assert read_all(port, 3000) == bytes(byte % 256 for byte in range(3000))
 
 
 def test_busy(pty: tuple[int, str]) -> None:

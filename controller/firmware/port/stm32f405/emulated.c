@@ -4,14 +4,14 @@
  *
  *     RCC, flash, DWT         read 0, and who waits for a clock waits for ever: nothing is set and nothing is awaited
  *     tick                    SysTick, since there is no trigger from a timer to a converter
- *     cycle counter           TIM5, which counts nanoseconds of the emulator's time whatever its clock is set to
+ *     cycle counter           TIM5, which counts nanoseconds whatever its clock is set to, less what was waited for the host
  *     encoder, ADC, DAC, GPIO no encoder mode, a sawtooth, nothing, nothing: the stylus below is in their place
  *     DMA                     missing: bytes go one by one, those from the host by an interrupt each
  *     watchdog, backup        missing: the tick feeds nothing, and the coil was cold and is forgotten
  *     CCM                     missing, and 192 kB of SRAM in one piece: the linker puts the stack behind the first 128
  *     number of the start     what starts the emulator writes it to START
- *     time                    the emulator goes as fast as it can: USART3 sends a byte every millisecond of its time,
- *                             by which a host keeps its deadlines (`--port PORT,clock=PORT2`)
+ *     time                    passes only while the host waits (`--port PORT,clock=PORT2`): every five milliseconds the
+ *                             board says so on USART3 and waits there for its next turn
  *
  * -icount shift=3 is 8 ns for an instruction, 1.3 cycles of the board.
  *
@@ -26,7 +26,7 @@
 
 #define START AT(0x2002fff0u) /* behind the stack; QEMU's -device loader puts it there */
 #define RX_BYTES ((TD_UPLOAD_FRAMES + 1) * TD_FRAME_LIMIT)
-#define PERIODS_PER_MS ((uint32_t)(1e-3 / HARDWARE.dt_s + 0.5))
+#define PERIODS_PER_TURN ((uint32_t)(5e-3 / HARDWARE.dt_s + 0.5))
 #define LINE 80
 #define KNOTS 40
 #define SPEEDS 16
@@ -53,6 +53,7 @@
 
 void SysTick_Handler(void);
 void USART1_IRQHandler(void);
+void USART3_IRQHandler(void);
 
 static struct {
     float u[3], v[3]; /* motor, stylus, hand: place and velocity in the frame of the hand's intention */
@@ -82,6 +83,8 @@ static struct {
 static uint8_t coming[RX_BYTES];
 static size_t taken;
 static volatile size_t came;
+static volatile uint32_t turns; /* that the host has given */
+static uint32_t waited; /* for them, as the cycle counter has it */
 static volatile uint32_t periods; /* that have passed */
 static volatile uint32_t kept[BOARD_KEPT];
 
@@ -284,15 +287,38 @@ static void tap_in_turn(void)
 
 /* ------------------------------------------------------------------------------------------------------ the period */
 
+void USART3_IRQHandler(void)
+{
+    (void)USART_DR(USART3);
+    turns++;
+}
+
+/* The period that began then begins anew behind it. */
+static void wait_for_turn(uint32_t began)
+{
+    static uint32_t had;
+
+    SYST_CSR = 0;
+    USART_DR(USART3) = '.';
+    __asm volatile("cpsid i"); /* so that a turn which comes now is not taken before the processor sleeps, and wakes it */
+    while (turns == had)
+        __asm volatile("wfi\n\tcpsie i\n\tisb\n\tcpsid i" : : : "memory");
+    __asm volatile("cpsie i");
+    had++;
+    waited += TIM_CNT(TIM5) - began;
+    SYST_CVR = 0;
+    ICSR = ICSR_PENDSTCLR;
+    SYST_CSR = SYST_CSR_ON;
+}
+
 void SysTick_Handler(void)
 {
+    const uint32_t began = TIM_CNT(TIM5);
     const float before_A = amplifier.command_A;
     float carried_m_s2;
     int j;
 
     periods++;
-    if (periods % PERIODS_PER_MS == 0)
-        USART_DR(USART3) = '.';
     port_tick();
     tap_in_turn();
     carried_m_s2 = hand_advance();
@@ -300,6 +326,8 @@ void SysTick_Handler(void)
         chain_step(DELAY_S / EARLY, before_A, carried_m_s2);
     for (j = 0; j < LATE; j++)
         chain_step((DT_S - DELAY_S) / LATE, amplifier.command_A, carried_m_s2);
+    if (periods % PERIODS_PER_TURN == 0)
+        wait_for_turn(began);
 }
 
 static uint32_t counts_of(float value, const td_scale *scale)
@@ -315,11 +343,13 @@ void board_start(void)
     hand.grip_N = HELD_N;
     kept[0] = kept[1] = COLD_C;
     kept[2] = port_check_word(COLD_C, COLD_C);
-    NVIC_IPR(IRQ_USART1) = TICK_PRIORITY + 0x40u;
+    NVIC_IPR(IRQ_USART1) = 0; /* within the tick too */
     NVIC_ISER(IRQ_USART1) = 1u << (IRQ_USART1 % 32u);
     USART_CR1(USART1) = USART_CR1_UE | USART_CR1_TE | USART_CR1_RE | USART_CR1_RXNEIE;
     USART_CR1(USART2) = USART_CR1_UE | USART_CR1_RE;
-    USART_CR1(USART3) = USART_CR1_UE | USART_CR1_TE;
+    NVIC_IPR(IRQ_USART3) = 0;
+    NVIC_ISER(IRQ_USART3) = 1u << (IRQ_USART3 % 32u);
+    USART_CR1(USART3) = USART_CR1_UE | USART_CR1_TE | USART_CR1_RE | USART_CR1_RXNEIE;
     TIM_ARR(TIM5) = 0xffffffffu;
     TIM_CR1(TIM5) = TIM_CR1_CEN;
 }
@@ -339,7 +369,7 @@ void board_start_ticks(void)
 
 uint32_t board_cycles(void)
 {
-    return TIM_CNT(TIM5);
+    return TIM_CNT(TIM5) - waited;
 }
 
 uint32_t board_period_cycles(void)

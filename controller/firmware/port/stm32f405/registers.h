@@ -163,12 +163,15 @@ enum { GPIO_INPUT, GPIO_OUTPUT, GPIO_OTHER, GPIO_ANALOGUE };
 #define SYST_CSR_ON 7u /* counts the processor's clock, and interrupts */
 #define SYST_RVR AT(0xe000e014u)
 #define SYST_CVR AT(0xe000e018u)
+#define ICSR AT(0xe000ed04u)
+#define ICSR_PENDSTCLR (1u << 25) /* SysTick's tick that waits */
 #define SHPR3_SYSTICK (*(volatile uint8_t *)0xe000ed23u)
 #define CPACR AT(0xe000ed88u)
 #define CPACR_FPU_ON (15u << 20)
 
 #define IRQ_ADC 18u
 #define IRQ_USART1 37u
+#define IRQ_USART3 39u
 #define TICK_PRIORITY 0x40u /* of four bits, the upper ones of the byte; what hold() keeps out */
 
 /* Keep interrupts of this priority and below out, from the next instruction on; 0: none. */

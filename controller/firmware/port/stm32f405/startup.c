@@ -12,6 +12,7 @@ void td_reset(void);
 void td_trap(void);
 void ADC_IRQHandler(void) __attribute__((weak, alias("td_trap")));
 void USART1_IRQHandler(void) __attribute__((weak, alias("td_trap")));
+void USART3_IRQHandler(void) __attribute__((weak, alias("td_trap")));
 void SysTick_Handler(void) __attribute__((weak, alias("td_trap")));
 
 void td_reset(void)
@@ -44,5 +45,5 @@ __attribute__((section(".vectors"), used)) static const struct {
 } vectors = {
     td_stack_top,
     {td_reset, td_trap, td_trap, td_trap, td_trap, td_trap, 0, 0, 0, 0, td_trap, td_trap, 0, td_trap, SysTick_Handler},
-    {[IRQ_ADC] = ADC_IRQHandler, [IRQ_USART1] = USART1_IRQHandler},
+    {[IRQ_ADC] = ADC_IRQHandler, [IRQ_USART1] = USART1_IRQHandler, [IRQ_USART3] = USART3_IRQHandler},
 };
