@@ -1,8 +1,8 @@
 """The line to a board in an emulator, whose time passes only while the host waits for it.
 
 A port of the name `PORT,clock=PORT2` is one: two pseudo-terminals of the emulator. On the second the host gives the
-board its turns, `TURN_S` of its time each, byte by byte, and the board says by a byte that it is through. So no deadline
-depends on how fast the emulator is, or on what else the machine has to do.
+board its turns, `TURN_S` of its time each, byte by byte, and the board says by a byte that it is through. So no
+deadline depends on how fast the emulator is, or on what else the machine has to do.
 """
 
 import os

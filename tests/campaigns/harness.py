@@ -10,7 +10,7 @@ runs, and `test_long_form = long_form(main)`. Without `-n 0` nothing is seen bef
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from multiprocessing import get_context
@@ -27,6 +27,7 @@ from transopt.base.writing import table, write_text
 from transopt.design.build import build_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
+from transopt.scene.keys import with_values
 from transopt.scene.recordings import recordings_of
 
 CommandLineError: type[Exception] = typer.BadParameter.__mro__[2]  # of the Click that Typer uses
@@ -71,9 +72,9 @@ def numbers_of(said: str) -> list[float]:
         raise InputError(f"{said}: must be numbers with commas between") from None
 
 
-def solved(scene: str = "wood_on_foam") -> Library:
-    """The library of a built-in scene, solved here."""
-    said = problems.load(scene)
+def solved(scene: str = "wood_on_foam", values: Mapping[str, object] | None = None) -> Library:
+    """The library of a built-in scene, with other values at dotted keys, solved here."""
+    said = with_values(problems.load(scene), values or {})
     library = build_library(said, recordings_of(said)).library
     assert library is not None
     return library

@@ -3,11 +3,11 @@
     python -m pytest -m long -n 0 tests/campaigns/test_emulated_board.py
         --campaign="[--short] [--out DIR] [--part FILE]"
 
-CMake builds the image for an STM32F405 and links it for its memories. The one for QEMU's netduinoplus2 differs from it
-by the file `emulated.c`, which has a stylus and a hand in place of the converters. `transopt-play` finds its serial port,
-a pseudo-terminal, as behind a cable. Twelve taps are played, then two nodes refined. It fails if a command does, if a
-tap's error is more than 3 points from the library's, if a memory is full, or if a port's own part of a tick has more
-instructions than its budget allows. Short: the check leaves out the encoder, the accelerometer and the grip sensor.
+CMake builds the image for an STM32F405 and links it for its memories. The one for QEMU's netduinoplus2 differs from
+it by the file `emulated.c`, which has a stylus and a hand in place of the converters. `transopt-play` finds its serial
+port, a pseudo-terminal, as behind a cable. Twelve taps are played, then two nodes refined. It fails if a command does,
+if a tap's error is more than 3 points from the library's, if a memory is full, or if a port's own part of a tick has
+more instructions than its budget allows. Short: the check leaves out encoder, accelerometer and grip sensor.
 """
 
 import re
@@ -20,14 +20,10 @@ from typing import Annotated
 import pytest
 from typer import Option
 
-import problems
 from tests.benches.board import Ear, Emulated, MissingToolError, build_images, emulated, need_tools
-from tests.campaigns.harness import PartFile, long_form, show, write_part
+from tests.campaigns.harness import PartFile, long_form, show, solved, write_part
 from tests.campaigns.test_desk import MOST_OVER, Tap, taps_in, typed
-from transopt.design.build import build_library
 from transopt.library.library import Library
-from transopt.scene.keys import with_values
-from transopt.scene.recordings import recordings_of
 
 SCENE = {"grid.speeds_m_s": [0.2, 0.3], "grid.grips_N": [3.0]}  # as much as comes over an emulated line in a second
 TAPPED_M_S, TAPS = (0.21, 0.28), 12
@@ -58,13 +54,6 @@ def instructions_of_the_port(image: Path) -> int:
 
 def rows_of_sizes(images: dict[str, Path]) -> list[tuple[object, ...]]:
     return [(name, *sizes(image), instructions_of_the_port(image)) for name, image in images.items()]
-
-
-def library_for_it() -> Library:
-    scene = with_values(problems.load("wood_on_foam"), SCENE)
-    made = build_library(scene, recordings_of(scene)).library
-    assert made is not None
-    return made
 
 
 def through_the_commands(board: Emulated, library: Library, folder: Path, short: bool) -> tuple[list[Tap], str]:
@@ -125,7 +114,7 @@ def main(
         folder.mkdir(parents=True, exist_ok=True)
         images = build_images(folder / "images")
         with emulated(images["emulated"]) as board:
-            taps, said = through_the_commands(board, library_for_it(), folder, short)
+            taps, said = through_the_commands(board, solved("wood_on_foam", SCENE), folder, short)
     sized = rows_of_sizes(images)
     lines = show(("image", "flash B", "SRAM B", "CCM B: the stack", "instructions of the port in a tick"), sized)
     there_is = ", ".join(f"{name} {size}" for name, size in MEMORIES.items())

@@ -8,6 +8,8 @@ import pytest
 
 from controller.firmware.build import FIRMWARE
 from tests.benches.board import PORT, MissingToolError, need_tools
+from tests.campaigns.test_desk import Tap
+from tests.campaigns.test_emulated_board import TAPS, misses
 
 ARM = "arm-none-eabi-gcc"
 SRC = FIRMWARE / "src"
@@ -108,3 +110,14 @@ def test_a_processor_that_computes_in_software_is_refused(
     done = arm(*asked, folder=tmp_path)
     assert (done.returncode != 0) == bool(said)
     assert said in done.stderr
+
+
+def test_what_the_emulated_board_falls_short_of_is_told() -> None:
+    """Campaign `tests/campaigns/test_emulated_board.py`: taps, refinement, memories, and the port's part of a tick."""
+    taps = [Tap(0.2, 3.0, 0.0, 0.20, 0.20)] * (TAPS - 2) + [Tap(0.3, 3.0, 0.0, 0.24, 0.20)]
+    sized = [("stm32f405", 10, 131_073, 8192, 201)]
+    said = misses(taps, "1 of 2 nodes refined", sized)
+    assert len(said) == 5
+    for words in ("a tap at 0.3 m/s: error 24.00 %", "11 of 12 taps", "refine", "SRAM is full", "201 instructions"):
+        assert any(words in line for line in said), words
+    assert not misses(taps[:1] * TAPS, "2 of 2 nodes refined", [("stm32f405", 10, 131_072, 8192, 200)])
