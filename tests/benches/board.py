@@ -94,17 +94,22 @@ def emulated(image: Path) -> Iterator[Emulated]:
 
 
 class Ear:
-    """What a command prints, of which the hand hears what a person is asked for."""
+    """What commands print, of which the hand hears what a person is asked for.
+
+    Attributes
+    ----------
+    text : all of it.
+    """
 
     def __init__(self, board: Emulated) -> None:
-        self._board, self._rest, self.text = board, "", ""
+        self.board, self._rest, self.text = board, "", ""
 
     def write(self, text: str) -> int:
         self.text += text
         *lines, self._rest = (self._rest + text).split("\n")
         for line in lines:
             if line.startswith("  please "):
-                self._board.ask(line.strip())
+                self.board.ask(line.strip())
         return len(text)
 
     def flush(self) -> None:

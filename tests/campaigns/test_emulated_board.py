@@ -4,10 +4,10 @@
         --campaign="[--short] [--out DIR] [--part FILE]"
 
 CMake builds the image for an STM32F405 and links it for its memories. The one for QEMU's netduinoplus2 differs from
-it by the file `emulated.c`, which has a stylus and a hand in place of the converters. `transopt-play` finds its serial
-port, a pseudo-terminal, as behind a cable. Twelve taps are played, then two nodes refined. It fails if a command does,
-if a tap's error is more than 3 points from the library's, if a memory is full, or if a port's own part of a tick has
-more instructions than its budget allows. Short: the check leaves out encoder, accelerometer and grip sensor.
+it by the file `emulated.c`, which has a stylus and a hand in place of the converters. `transopt-play` finds its
+serial port, a pseudo-terminal, as behind a cable. Twelve taps are played, then two nodes refined. It fails if a
+command does, if a tap's error is more than 3 points from the library's, if a memory is full, or if a port's own part
+of a tick has more instructions than its budget allows. Short: the check leaves out encoder, accelerometer and grip.
 """
 
 import re
@@ -20,9 +20,10 @@ from typing import Annotated
 import pytest
 from typer import Option
 
-from tests.benches.board import Ear, Emulated, MissingToolError, build_images, emulated, need_tools
+from tests.benches.board import Ear, MissingToolError, build_images, emulated, need_tools
 from tests.campaigns.harness import PartFile, long_form, show, solved, write_part
 from tests.campaigns.test_desk import MOST_OVER, Tap, taps_in, typed
+from transopt.base.errors import InputError
 from transopt.library.library import Library
 
 SCENE = {"grid.speeds_m_s": [0.2, 0.3], "grid.grips_N": [3.0]}  # as much as comes over an emulated line in a second
@@ -56,14 +57,14 @@ def rows_of_sizes(images: dict[str, Path]) -> list[tuple[object, ...]]:
     return [(name, *sizes(image), instructions_of_the_port(image)) for name, image in images.items()]
 
 
-def through_the_commands(board: Emulated, library: Library, folder: Path, short: bool) -> tuple[list[Tap], str]:
-    """The road of a device, each command as a user types it; the taps, and all that was printed.
+def through_the_commands(ear: Ear, library: Library, folder: Path, short: bool) -> list[Tap]:
+    """The road of a device, each command as a user types it, in the hearing of the hand; the taps.
 
     Raises
     ------
     InputError : one of them ended with another exit code than 0.
     """
-    path, device, ear = folder / "library.npz", folder / "device.toml", Ear(board)
+    board, path, device = ear.board, folder / "library.npz", folder / "device.toml"
     library.save(path)
     port = ("--port", board.port, "--device", device)
     skipped = [word for name in DONE_BY_A_PERSON if short for word in ("--skip", name)]
@@ -76,7 +77,7 @@ def through_the_commands(board: Emulated, library: Library, folder: Path, short:
         typed("tap", path, *port, "--taps", TAPS, "--for", 60)
         taps = taps_in(ear.text, library)
         typed("refine", path, *port, "--taps", 2, "--rounds", 1, "--for", 60, "--out", folder / "refined")
-    return taps, ear.text
+    return taps
 
 
 def misses(taps: list[Tap], said: str, sized: list[tuple[object, ...]]) -> list[str]:
@@ -114,15 +115,20 @@ def main(
         folder.mkdir(parents=True, exist_ok=True)
         images = build_images(folder / "images")
         with emulated(images["emulated"]) as board:
-            taps, said = through_the_commands(board, solved("wood_on_foam", SCENE), folder, short)
-    sized = rows_of_sizes(images)
+            ear = Ear(board)
+            try:
+                taps = through_the_commands(ear, solved("wood_on_foam", SCENE), folder, short)
+            except InputError:
+                print(ear.text)
+                raise
+        sized = rows_of_sizes(images)
     lines = show(("image", "flash B", "SRAM B", "CCM B: the stack", "instructions of the port in a tick"), sized)
     there_is = ", ".join(f"{name} {size}" for name, size in MEMORIES.items())
     lines += ["", f"There are, in bytes: {there_is}.", ""]
     cells = [(f"{t.speed_m_s:.2f}", f"{100 * t.tap_error:.1f}", f"{100 * t.predicted:.1f}") for t in taps]
     lines += show(("tap at m/s", "tap error %", "predicted %"), sorted(cells))
     write_part(part, lines)
-    missed = misses(taps, said, sized)
+    missed = misses(taps, ear.text, sized)
     print("\n".join(missed) or "as asked")
     return 1 if missed else 0
 

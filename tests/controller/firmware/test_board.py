@@ -113,7 +113,7 @@ def test_a_processor_that_computes_in_software_is_refused(
 
 
 def test_what_the_emulated_board_falls_short_of_is_told() -> None:
-    """Campaign `tests/campaigns/test_emulated_board.py`: taps, refinement, memories, and the port's part of a tick."""
+    """Taps, refinement, memories, and the port's part of a tick."""
     taps = [Tap(0.2, 3.0, 0.0, 0.20, 0.20)] * (TAPS - 2) + [Tap(0.3, 3.0, 0.0, 0.24, 0.20)]
     sized = [("stm32f405", 10, 131_073, 8192, 201)]
     said = misses(taps, "1 of 2 nodes refined", sized)

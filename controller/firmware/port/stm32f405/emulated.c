@@ -10,8 +10,8 @@
  *     watchdog, backup        missing: the tick feeds nothing, and the coil was cold and is forgotten
  *     CCM                     missing, and 192 kB of SRAM in one piece: the linker puts the stack behind the first 128
  *     number of the start     what starts the emulator writes it to START
- *     time                    passes only while the host waits (`--port PORT,clock=PORT2`): every five milliseconds the
- *                             board says so on USART3 and waits there for its next turn
+ *     time                    passes only while the host waits (`--port PORT,clock=PORT2`), in turns of five milliseconds
+ *                             on USART3: what either has sent is there before a turn begins, however fast the emulator
  *
  * -icount shift=3 is 8 ns for an instruction, 1.3 cycles of the board.
  *
@@ -25,7 +25,7 @@
 #include "registers.h"
 
 #define START AT(0x2002fff0u) /* behind the stack; QEMU's -device loader puts it there */
-#define RX_BYTES ((TD_UPLOAD_FRAMES + 1) * TD_FRAME_LIMIT)
+#define RX_BYTES 16384u /* divides 2^16 */
 #define PERIODS_PER_TURN ((uint32_t)(5e-3 / HARDWARE.dt_s + 0.5))
 #define LINE 80
 #define KNOTS 40
@@ -81,8 +81,9 @@ static struct {
 } amplifier;
 
 static uint8_t coming[RX_BYTES];
-static size_t taken;
-static volatile size_t came;
+static uint16_t taken;
+static volatile uint16_t came, announced; /* bytes of the host, modulo 2^16 */
+static volatile uint32_t gone; /* bytes to the host in this turn */
 static volatile uint32_t turns; /* that the host has given */
 static uint32_t waited; /* for them, as the cycle counter has it */
 static volatile uint32_t periods; /* that have passed */
@@ -287,21 +288,33 @@ static void tap_in_turn(void)
 
 /* ------------------------------------------------------------------------------------------------------ the period */
 
+/* How many bytes the host has sent before the turn that it gives. */
 void USART3_IRQHandler(void)
 {
-    (void)USART_DR(USART3);
-    turns++;
+    static uint32_t low;
+    static bool second;
+    const uint32_t one = USART_DR(USART3);
+
+    if (second) {
+        announced += (uint16_t)(one << 8 | low);
+        turns++;
+    }
+    low = one;
+    second = !second;
 }
 
-/* The period that began then begins anew behind it. */
+/* Say how many bytes went out since the last; then the next turn, and all that the host sent before it. The period that
+ * began then begins anew behind it. */
 static void wait_for_turn(uint32_t began)
 {
     static uint32_t had;
 
     SYST_CSR = 0;
-    USART_DR(USART3) = '.';
-    __asm volatile("cpsid i"); /* so that a turn which comes now is not taken before the processor sleeps, and wakes it */
-    while (turns == had)
+    USART_DR(USART3) = gone & 0xffu;
+    USART_DR(USART3) = gone >> 8 & 0xffu;
+    gone = 0;
+    __asm volatile("cpsid i"); /* so that what comes now is not taken before the processor sleeps, and wakes it */
+    while (turns == had || (int16_t)(announced - came) > 0)
         __asm volatile("wfi\n\tcpsie i\n\tisb\n\tcpsid i" : : : "memory");
     __asm volatile("cpsie i");
     had++;
@@ -427,17 +440,14 @@ size_t board_receive(uint8_t *bytes, size_t room)
     size_t size = 0;
 
     listen();
-    while (size < room && taken != came) {
-        bytes[size++] = coming[taken];
-        taken = (taken + 1) % RX_BYTES;
-    }
+    while (size < room && taken != came)
+        bytes[size++] = coming[taken++ % RX_BYTES];
     return size;
 }
 
 void USART1_IRQHandler(void)
 {
-    coming[came] = (uint8_t)USART_DR(USART1);
-    came = (came + 1) % RX_BYTES;
+    coming[came++ % RX_BYTES] = (uint8_t)USART_DR(USART1);
 }
 
 size_t board_send(const uint8_t *bytes, size_t size)
@@ -446,6 +456,7 @@ size_t board_send(const uint8_t *bytes, size_t size)
 
     for (sent = 0; sent < size; sent++)
         USART_DR(USART1) = bytes[sent];
+    gone += (uint32_t)sent;
     return sent;
 }
 
