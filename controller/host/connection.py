@@ -1,12 +1,15 @@
 """The line to a device as the host sees it, and the errors that every line has.
 
-`controller.host.transport.Transport` is a serial port, `controller.sim.port.SimulatedPort` the port `sim:`, a device
-that is computed. Everything above, `controller.host.driver.Device` and the commands, is the same for both.
+`controller.host.transport.Transport` is a serial port, `controller.host.emulated.EmulatedPort` that of a board in an
+emulator, `controller.sim.port.SimulatedPort` the port `sim:`, a device that is computed. Everything above,
+`controller.host.driver.Device` and the commands, is the same for all.
 """
 
 from typing import Protocol
 
 from transopt.base.errors import InputError
+
+CLOCK = ",clock="  # between the two names of an emulated board's port
 
 
 class PortError(InputError):

@@ -17,7 +17,7 @@ Every wait is bounded, by the session's own deadlines at the latest. Not thread-
 from collections.abc import Callable
 from contextlib import suppress
 
-from controller.host.connection import Connection, PortError, UnpluggedError
+from controller.host.connection import CLOCK, Connection, PortError, UnpluggedError
 from controller.host.session import Session
 from controller.host.session_states import OPEN, SessionState
 from controller.protocol.capacity import LEASE_DEFAULT_MS
@@ -54,9 +54,9 @@ Listener = Callable[[News], None]
 
 
 def _opened(name: str) -> Connection:
-    from controller.host.emulated import CLOCK, EmulatedPort
-
     if CLOCK in name:
+        from controller.host.emulated import EmulatedPort  # terminals of a Unix
+
         return EmulatedPort(name)
     from controller.host.transport import Transport  # pyserial, which a simulated device does without
 

@@ -10,9 +10,9 @@ import os
 import select
 import termios
 
-from controller.host.connection import PortError, UnpluggedError
+from controller.host.connection import CLOCK, PortError, UnpluggedError
 
-CLOCK, TURN_S = ",clock=", 5e-3  # as port/stm32f405/emulated.c has it
+TURN_S = 5e-3  # as port/stm32f405/emulated.c has it
 STANDSTILL_S, LATE_S = 30.0, 0.5  # in which a turn has to be through; in which its bytes come, or were nobody's
 SAID_BYTES, MOST_BYTES = 2, 4096  # of a count, and of what is sent before a turn
 BLOCK_BYTES = 1 << 16
@@ -36,9 +36,9 @@ class EmulatedPort:
         self.name, self._turns = name, 0
         self._leaving, self._open = b"", list[int]()
         try:
-            for terminal in name.split(CLOCK):
+            for terminal in name.split(CLOCK, 1):
                 self._open.append(os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
-                termios.tcflush(self._open[-1], termios.TCIOFLUSH)  # what came for another host
+                termios.tcflush(self._open[-1], termios.TCIFLUSH)  # what came for another host
         except (OSError, termios.error) as error:
             self.close()
             raise PortError(f"{name}: {error}: give the terminals that the emulator has printed") from None

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 from controller.host import emulated as e
-from controller.host.connection import PortError, UnpluggedError
+from controller.host.connection import CLOCK, PortError, UnpluggedError
 from controller.host.driver import _opened
-from controller.host.emulated import CLOCK, TURN_S, EmulatedPort
+from controller.host.emulated import TURN_S, EmulatedPort
 from tests.controller.host.test_transport import opened
 
 WAIT_S = 5.0

@@ -14,6 +14,10 @@
 #include "registers.h"
 
 #define CRYSTAL_MHZ 8u
+#define PLL_M (CRYSTAL_MHZ / 2u)
+#define PLL_N 168u
+#define PLL_P 2u
+#define PLL_Q 7u
 #define BAUD 4000000u /* telemetry of every tick is 340 kB/s */
 #define PROCESSOR_HZ 168000000u
 #define TIMER_HZ 84000000u
@@ -52,11 +56,12 @@ static void set_function(uint32_t port, uint32_t pin, uint32_t function)
 /* Without its crystal the processor has no time that is good for anything: it stays here, outputs safe. */
 static void start_clocks(void)
 {
+    _Static_assert(1000000u * CRYSTAL_MHZ / PLL_M * PLL_N / PLL_P == PROCESSOR_HZ, "CRYSTAL_MHZ: even, 2 to 26");
     FLASH_ACR = FLASH_ACR_FAST;
     RCC_CR |= RCC_CR_HSEON;
     while (!(RCC_CR & RCC_CR_HSERDY))
         continue;
-    RCC_PLLCFGR = CRYSTAL_MHZ / 2u | 84u << 6 | 0u << 16 | RCC_PLLCFGR_HSE | 7u << 24; /* 2 MHz x 84: 168 MHz */
+    RCC_PLLCFGR = PLL_M | PLL_N << 6 | (PLL_P / 2u - 1u) << 16 | RCC_PLLCFGR_HSE | PLL_Q << 24;
     RCC_CR |= RCC_CR_PLLON;
     while (!(RCC_CR & RCC_CR_PLLRDY))
         continue;
@@ -107,6 +112,7 @@ static void start_serial(void)
     const uint32_t eighths = TIMER_HZ / BAUD; /* of a period, with 8 samples of a bit */
 
     _Static_assert(TIMER_HZ % BAUD == 0, "BAUD: no divider of 84 MHz gives it exactly");
+    GPIO_OSPEEDR(GPIOA) |= 2u << (2u * 9u); /* edges for 4 Mbaud */
     set_function(GPIOA, 9u, 7u);
     set_function(GPIOA, 10u, 7u);
     USART_BRR(USART1) = (eighths / 8u) << 4 | eighths % 8u;
@@ -233,7 +239,7 @@ void board_wait(void)
 
 size_t board_receive(uint8_t *bytes, size_t room)
 {
-    const size_t end = RX_BYTES - DMA2_SNDTR(STREAM_IN);
+    const size_t end = (RX_BYTES - DMA2_SNDTR(STREAM_IN)) % RX_BYTES;
     size_t size = 0;
 
     while (size < room && taken != end) {
