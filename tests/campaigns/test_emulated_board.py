@@ -4,10 +4,10 @@
         --campaign="[--short] [--out DIR] [--part FILE]"
 
 CMake builds the image for an STM32F405 and links it for its memories. The one for QEMU's netduinoplus2 has the file
-`emulated.c` in place of `board.c`, and a stylus in a hand in place of the converters. `transopt-play` finds its serial
-port, a pseudo-terminal, as behind a cable. Twelve taps are played, then two nodes refined. It fails if a command does,
-if a tap's error is more than 3 points from the library's, if a memory is full, or if a port's own part of a tick has
-more instructions than its budget allows. Short: the check leaves out encoder, accelerometer and grip.
+`emulated.c` in place of `board.c`, and a stylus in a hand in place of the converters. `transopt-play` finds its
+serial port, a pseudo-terminal, as behind a cable. Twelve taps are played, then two nodes refined. It fails if a
+command does, if a tap's error is more than 3 points from the library's, if a memory is full, or if a port's own part
+of a tick has more instructions than its budget allows. Short: the check leaves out encoder, accelerometer and grip.
 """
 
 import re
