@@ -53,6 +53,18 @@ def plant_new(
     rise_s: Annotated[
         float | None, typer.Option("--rise-s", help="Time from rest to 90 % of it, by that sine alone.")
     ] = None,
+    brake_s: Annotated[
+        float | None, typer.Option("--brake-s", help="Time from it to 10 %, the driver holding 0 V.")
+    ] = None,
+    quality_electrical: Annotated[
+        float | None, typer.Option("--quality-electrical", "--Qes", help="Quality by the driven coil alone, Qes.")
+    ] = None,
+    quality_total: Annotated[
+        float | None, typer.Option("--quality-total", "--Qts", help="Quality with the driven coil, Qts.")
+    ] = None,
+    stiffness_N_m: Annotated[
+        float | None, typer.Option("--stiffness-N-m", help="Of the suspension: 1000 over Cms in mm/N.")
+    ] = None,
     peak: Annotated[float | None, typer.Option(help="The most that the driver may ever put out, in V or A.")] = None,
     stroke_m: Annotated[
         float | None, typer.Option("--stroke-m", help="From rest to the stop, in either direction.")
@@ -69,7 +81,7 @@ def plant_new(
 ) -> None:
     """Write a commented scene of an actuator from its datasheet; on a terminal what is missing is asked for.
 
-    Moving mass, BL, Q and resistance, which sheets of LRAs leave out, follow from the rated sine and the rise time.
+    Moving mass, BL, Q, resistance and f0 follow from the rated sine, its rise and brake time, Qes, Qts and stiffness.
     """
     from transopt.scene.datasheet import KINDS, needed, scene_text
 
@@ -93,10 +105,20 @@ def plant_new(
         "rate_Hz": rate_Hz,
     }
     stated = {"kind": kind, "input": driven_by, **{key: each for key, each in options.items() if each is not None}}
-    _is_odd(stated, accept)  # before anything is made of it
-    sine = {"rms_V": rms_V, "rms_A": rms_A, "rms_g": rms_g, "rise_s": rise_s}
-    if said := {key: each for key, each in sine.items() if each is not None}:
-        stated = _from_the_sine(stated, said)
+    further = {
+        "rms_V": rms_V,
+        "rms_A": rms_A,
+        "rms_g": rms_g,
+        "rise_s": rise_s,
+        "brake_s": brake_s,
+        "quality_electrical": quality_electrical,
+        "quality_total": quality_total,
+        "stiffness_N_m": stiffness_N_m,
+    }
+    said = {key: each for key, each in further.items() if each is not None}
+    _is_odd({**stated, **said}, accept)  # before anything is made of it
+    if said:
+        stated = _completed(stated, said)
     file = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
     missing = [key for key in needed(kind, driven_by) if key not in stated]
     if missing and asking.on_a_terminal():
@@ -112,30 +134,31 @@ def plant_new(
     typer.echo(f"{file} written; edit its targets, then: transopt solve {shlex.quote(str(file))}")
 
 
-def _from_the_sine(stated: dict[str, Any], sine: dict[str, float]) -> dict[str, Any]:
-    """What is stated with what follows from the rated sine of a sheet, which is printed with how sure it is."""
+def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, Any]:
+    """What is stated with what follows from the further numbers of a sheet, which is printed with how sure it is."""
     from transopt.base.units import unit_of
-    from transopt.scene.rated import SAID, UNKNOWN, UNSURE, completed
+    from transopt.scene.rated import SAID, UNKNOWN, UNSURE, Rating, completed
 
-    lacking = [key for key in ("resonance_Hz", "case_mass_kg") if key not in stated]
-    if stated["kind"] != "inertial" or lacking:
-        options = " and ".join(map(option_of, lacking)) or "--kind inertial"
+    if stated["kind"] == "inertial" and "case_mass_kg" not in stated:
         raise InputError(
-            f"{option_of(next(iter(sine)))}: the rated sine of an LRA needs {options} as well; state that"
+            f"{option_of(next(iter(further)))}: an LRA shakes a jig, often of 0.1 kg: state --case-mass-kg"
         )
-    numbers = {key: value for key, value in {**stated, **sine}.items() if isinstance(value, float)}
-    if bad := next((key for key, value in numbers.items() if not 0 < value < float("inf") and key != "L_H"), None):
+    numbers = {key: value for key, value in {**stated, **further}.items() if isinstance(value, float)}
+    zero = ("L_H", "payload_kg")
+    if bad := next((key for key, value in numbers.items() if not 0 < value < float("inf") and key not in zero), None):
         raise InputError(f"{option_of(bad)} {numbers[bad]:g}: must be above 0 and finite")
-    found = completed(
-        numbers, stated["resonance_Hz"], stated["case_mass_kg"], stated.get("L_H", 0.0), sine.get("rms_V")
+    rating = Rating(
+        stated.get("case_mass_kg"), stated.get("L_H", 0.0), further.get("rms_V"), further.get("rms_A")
     )
+    found = completed(numbers, rating)
     if found.note:
         typer.echo(f"note: {found.note}; correct it, or leave it out")
     for key in (key for key in UNKNOWN if key not in stated):
         sure = found.deviations[key]
         about = f"+-{100 * sure:.0f} %" if sure < UNSURE else f"a guess: measure it, and state {option_of(key)}"
         typer.echo(f"{SAID[key]} {found.values[key]:.3g} {unit_of(key)}".rstrip() + f": {about}")
-    peak = {"rated": 2**0.5 * sine["rms_V"]} if "rms_V" in sine and stated["input"] == "voltage" else {}
+    volts = "rms_V" in further and stated["input"] == "voltage"
+    peak = {"rated": 2**0.5 * further["rms_V"]} if volts else {}
     return {**peak, **{key: float(f"{found.values[key]:.4g}") for key in UNKNOWN}, **stated}
 
 

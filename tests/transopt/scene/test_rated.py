@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from transopt.base.errors import InputError
 from transopt.cli.main import app
 from transopt.scene.builtin import load_scene
-from transopt.scene.rated import TOLERANCE, UNKNOWN, completed
+from transopt.scene.rated import TOLERANCE, UNKNOWN, Completed, Rating, completed
 
 G = 9.80665
 Actuator = Mapping[str, float]
@@ -48,10 +48,19 @@ def sheet_of(a: Actuator) -> dict[str, float]:
         "force_factor_N_A": a["BL"],
         "quality": a["Q"],
         "R_ohm": a["R"],
+        "resonance_Hz": a["f"],
         "rms_A": abs(current),
         "rms_g": abs(1j * w * phasor[3]) / G,
         "rise_s": rise,
+        "brake_s": rise,
+        "quality_electrical": w * mu * a["R"] / a["BL"] ** 2,
+        "quality_total": w / (2 * math.log(10) / rise),
+        "stiffness_N_m": k,
     }
+
+
+def by_its_sheet(told: Mapping[str, float], a: Actuator) -> Completed:
+    return completed(told, Rating(a["M"], rms_V=a["V"], rms_A=told.get("rms_A")))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -60,9 +69,9 @@ def test_each_number_follows_from_the_others(seed: int, left_out: str) -> None:
     actuator = drawn(seed)
     sheet = sheet_of(actuator)
     told = {key: value for key, value in sheet.items() if key != left_out}
-    found = completed(told, actuator["f"], actuator["M"], rms_V=actuator["V"])
+    found = by_its_sheet(told, actuator)
     again = sheet_of(
-        {**actuator, **dict(zip(("m", "BL", "Q", "R"), (found.values[key] for key in UNKNOWN), strict=True))}
+        {**actuator, **dict(zip(("m", "BL", "Q", "R", "f"), (found.values[key] for key in UNKNOWN), strict=True))}
     )
     assert again[left_out] == pytest.approx(sheet[left_out], rel=0.25)
     assert found.note == ""
@@ -77,7 +86,7 @@ def test_a_number_that_contradicts_the_others_is_named(seed: int, wrong: str, sa
     actuator = drawn(seed)
     sheet = sheet_of(actuator)
     told = {**sheet, wrong: factor * sheet[wrong]}
-    note = completed(told, actuator["f"], actuator["M"], rms_V=actuator["V"]).note
+    note = by_its_sheet(told, actuator).note
     assert note.startswith("the numbers contradict each other; one of these is wrong: ")
     assert said in note
 
@@ -90,9 +99,9 @@ def test_intervals_hold_what_sheets_round() -> None:
         sheet = sheet_of(actuator)
         told = {
             key: sheet[key] * math.exp(TOLERANCE[key] * random.standard_normal())
-            for key in ("R_ohm", "rms_A", "rms_g", "rise_s", "quality")
+            for key in ("resonance_Hz", "R_ohm", "rms_A", "rms_g", "rise_s", "quality")
         }
-        found = completed(told, actuator["f"], actuator["M"], rms_V=actuator["V"])
+        found = by_its_sheet(told, actuator)
         inside += [abs(math.log(found.values[key] / sheet[key])) < 2 * found.deviations[key] for key in UNKNOWN]
     assert np.mean(inside) > 0.85
 
@@ -100,13 +109,13 @@ def test_intervals_hold_what_sheets_round() -> None:
 def test_too_little_is_asked_for_by_what_would_do() -> None:
     actuator = drawn(0)
     sheet = sheet_of(actuator)
-    told = {key: sheet[key] for key in ("R_ohm", "rms_A", "rms_g")}
-    with pytest.raises(InputError, match="resistance, rated current, rated acceleration: too little") as caught:
-        completed(told, actuator["f"], actuator["M"], rms_V=actuator["V"])
+    told = {key: sheet[key] for key in ("R_ohm", "rms_A", "rms_g", "resonance_Hz")}
+    with pytest.raises(InputError, match="resistance, resonance f0, rated current, rated acceleration: too") as caught:
+        by_its_sheet(told, actuator)
     options = [word[2:].replace("-", "_") for word in str(caught.value).split() if word.startswith("--")]
     assert "rise_s" in options
     for key in options:
-        assert completed({**told, key: sheet[key]}, actuator["f"], actuator["M"], rms_V=actuator["V"]).note == ""
+        assert by_its_sheet({**told, key: sheet[key]}, actuator).note == ""
 
 
 def test_the_scene_of_a_sheet_makes_the_rated_acceleration(tmp_path: Path) -> None:
