@@ -147,9 +147,7 @@ def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, A
     zero = ("L_H", "payload_kg")
     if bad := next((key for key, value in numbers.items() if not 0 < value < float("inf") and key not in zero), None):
         raise InputError(f"{option_of(bad)} {numbers[bad]:g}: must be above 0 and finite")
-    rating = Rating(
-        stated.get("case_mass_kg"), stated.get("L_H", 0.0), further.get("rms_V"), further.get("rms_A")
-    )
+    rating = Rating(stated.get("case_mass_kg"), stated.get("L_H", 0.0), further.get("rms_V"), further.get("rms_A"))
     found = completed(numbers, rating)
     if found.note:
         typer.echo(f"note: {found.note}; correct it, or leave it out")

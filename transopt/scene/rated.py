@@ -145,12 +145,12 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
 
     keys = list(told)
     x, slopes = fitted(keys)
+    note = _too_much_current(told, test)
     if not _is_determined(slopes[: len(keys)]):
-        raise InputError(_insufficient(x, keys, test))
+        raise InputError(note or _insufficient(x, keys, test))
     covariance = np.linalg.inv(slopes.T @ slopes)
     values = dict(zip(UNKNOWN, map(float, np.exp(x)), strict=True))
     deviations = dict(zip(UNKNOWN, map(float, np.sqrt(np.diag(covariance))), strict=True))
-    note = _too_much_current(told, test)
     if not note and np.abs(misses(x, keys)).max() > CONTRADICTS and len(keys) > len(UNKNOWN):
         suspects = []
         for key in keys:
@@ -170,7 +170,8 @@ def _too_much_current(told: Mapping[str, float], test: Rating) -> str:
         return ""
     return (
         f"the numbers contradict each other: {rms_V:g} V through {R:g} ohm are {rms_V / R:.3g} A at standstill and "
-        f"less in motion, the rated current is {rms_A:g} A: one of them is a largest value, or of another temperature"
+        f"less in motion, the rated current is {rms_A:g} A: one is a largest value, or of another temperature; "
+        "leave that one out"
     )
 
 

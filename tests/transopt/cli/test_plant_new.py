@@ -91,6 +91,43 @@ def test_the_numbers_of_the_sheet_are_those_of_the_plant(run: Run) -> None:
             assert getattr(scene.model, key) == pytest.approx(value, rel=1e-12), key
 
 
+def test_what_thiele_and_small_state_is_a_voice_coil(run: Run) -> None:
+    """Fs, Re, Mms, Qes, Qts and Cms of a driver: BL, Q and its plant follow; a brake time stands for Qts."""
+    told = {"--kind": "voice_coil", "--R-ohm": 4.0, "--moving-mass-kg": 0.02, "--peak": 3.0}
+    w, m, R, Q, BL = 2 * np.pi * 60.0, 0.02, 4.0, 5.0, 6.0
+    electrical = m * w * R / BL**2
+    total = 1 / (1 / Q + 1 / electrical)
+    brake_s = 2 * np.log(10) * total / w
+    shared = {**told, "--Qes": electrical}
+    ways = {
+        "qts": {**shared, "--resonance-Hz": 60, "--Qts": total},
+        "brake": {**shared, "--resonance-Hz": 60, "--brake-s": brake_s},
+        "spring": {**shared, "--stiffness-N-m": m * w**2, "--Qts": total},
+    }
+    for name, options in ways.items():
+        outcome = run("plant", "new", name, *words(options))
+        assert outcome.code == 0, outcome.err
+        assert "force factor BL 6 N/A: +-" in outcome.out
+        assert ("resonance f0 60 Hz: +-" in outcome.out) == (name == "spring")
+        plant = load_scene(f"{name}.toml").plant(0.0)
+        pole = np.linalg.eigvals(plant.A)[0]
+        assert abs(pole) / (2 * np.pi) == pytest.approx(60, rel=1e-3)
+        assert abs(pole) / (-2 * pole.real) == pytest.approx(total, rel=1e-3)
+        assert plant.D[0, 0] == pytest.approx(BL / R / m, rel=1e-3)
+
+
+def test_a_current_that_the_voltage_cannot_drive_is_named(run: Run) -> None:
+    sheet = words({"--resonance-Hz": 235, "--R-ohm": 22.5, "--rms-V": 1.8, "--rms-A": 0.09})
+    sheet += words({"--case-mass-kg": 0.1, "--peak": 3})
+    said = ["1.8 V through 22.5 ohm are 0.08 A at standstill", "the rated current is 0.09 A"]
+    more = ["--rms-g", "1.2", "--rise-s", "0.04"]
+    for options in (sheet, [*sheet, *more]):
+        assert_refused(run("plant", "new", "lra", *options), *said)
+    without = [word for word in [*sheet, *more] if word not in ("--rms-A", 0.09)]
+    outcome = run("plant", "new", "lra", *without, "--moving-mass-kg", 0.0012)
+    assert outcome.code == 0, outcome.err
+
+
 def test_a_payload_lowers_the_resonance_of_a_shaker_and_leaves_its_spring(run: Run) -> None:
     for name, payload in (("bare", 0.0), ("laden", 0.6)):
         options = {**SHAKER, "--payload-kg": payload, "--input": "current"}

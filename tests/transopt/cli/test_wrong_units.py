@@ -72,6 +72,10 @@ SHEETS = [
     ("--peak", 3000, ["--peak = 3000 V", "3000 mV, which is 3 V"]),
     ("--stroke-m", 0.5, ["--stroke-m = 0.5 m", "0.5 mm, which is 0.0005 m"]),
     ("--R-ohm", 8000, ["--R-ohm = 8000 ohm", "8000 mohm, which is 8 ohm"]),
+    ("--rms-A", 69, ["--rms-A = 69 A", "69 mA, which is 0.069 A"]),
+    ("--rms-V", 1800, ["--rms-V = 1800 V", "1800 mV, which is 1.8 V"]),
+    ("--rms-g", 1200, ["--rms-g = 1200 g", "1200 mg, which is 1.2 g"]),
+    ("--rise-s", 40, ["--rise-s = 40 s", "40 ms, which is 0.04 s"]),
 ]
 # What a column or a header says, what is typed in its place, and the unit that the message names.
 TAPS = [

@@ -110,7 +110,9 @@ def test_too_little_is_asked_for_by_what_would_do() -> None:
     actuator = drawn(0)
     sheet = sheet_of(actuator)
     told = {key: sheet[key] for key in ("R_ohm", "rms_A", "rms_g", "resonance_Hz")}
-    with pytest.raises(InputError, match="resistance, resonance f0, rated current, rated acceleration: too") as caught:
+    with pytest.raises(
+        InputError, match="resistance, resonance f0, rated current, rated acceleration: too"
+    ) as caught:
         by_its_sheet(told, actuator)
     options = [word[2:].replace("-", "_") for word in str(caught.value).split() if word.startswith("--")]
     assert "rise_s" in options
