@@ -26,7 +26,6 @@ from transopt.library.library import PLANT, Library
 from transopt.library.meta import SCHEMA, heat_is_in, most_parts, shared_left_out
 from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arrays
 from transopt.plant.state_space import POSITION, VELOCITY
-from transopt.problem.limits import needed_outputs
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import COURSES, Reference
 from transopt.recordings.references import References
@@ -314,7 +313,7 @@ def _meta(
 ) -> dict[str, Any]:
     scene = context.scene
     left_out = shared_left_out([[entry.left_out for entry in row] for row in entries])
-    watched = needed_outputs(scene.limits.asked(), scene.driven_by)
+    watched = context.posing.watched
     # A mass in a case is told from one that the nominal motion moves whether or not a limit looks at it.
     outputs = [entry.problem.stage.plant.stored((POSITION, VELOCITY, *watched)) for entry in entries[0]]
     of_spread = [[device.plant.stored(watched) for device in entry.problem.spread] for entry in entries[0]]

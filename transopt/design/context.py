@@ -10,7 +10,6 @@ from typing import Generic, TypeVar
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear import NonlinearCoil
-from transopt.problem.limits import needed_outputs
 from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
@@ -171,7 +170,7 @@ class Context:
 
     def _stage(self, of: Scene, grip_N: float) -> StageModel:
         posing = self.posing
-        outputs = sorted(needed_outputs(posing.asked, posing.driven_by))
+        outputs = sorted(posing.watched)
         key = f"{grip_N!r} {outputs} {as_text(of, *OF_A_STAGE)}"
         return self.stages.get(key, lambda: posing.stage(of.plant(grip_N)))
 

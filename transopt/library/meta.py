@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from transopt.base.errors import InputError
 from transopt.base.shown import cut
+from transopt.problem.limits.current import BEFORE, FollowingCurrentLimit
 from transopt.problem.limits.output import PARTS
 from transopt.problem.limits.temperature import TemperatureLimit
 
@@ -101,6 +102,9 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
         "refinement": meta.get("refinement") is not None,
         "instants_within": meta.get("instants_within") is not None,
         TemperatureLimit.key: heat_is_in(meta["left_out"]),
+        BEFORE: scene.driven_by.unit == "V"
+        and scene.limits.current_A is not None
+        and FollowingCurrentLimit.suits(scene.circuit()),
     }
     limits = {key for key, value in scene.limits.asked().items() if value is not None}
     return {name for name, has in said.items() if has} | (limits - {TemperatureLimit.key})

@@ -9,7 +9,7 @@ from transopt.base.signals import FloatArray
 from transopt.library.arrays import Array, declared
 from transopt.library.held import Held
 from transopt.problem.answer import Multipliers
-from transopt.problem.limits import KINDS, OF_OUTPUTS, kinds_of
+from transopt.problem.limits import KINDS, OF_OUTPUTS, kinds_for
 from transopt.problem.limits.limit import SIDES, device_row
 from transopt.problem.limits.output import row_within
 from transopt.problem.limits.own import OwnLimit, follows_motion
@@ -70,8 +70,8 @@ def further_arrays(posing: Posing, spread: int, parts: int) -> list[str]:
     spread : number of further devices. parts : the most of a servo period at whose ends a limit is stated.
     """
     limits, drive = posing.asked, posing.driven_by
-    own = limits.get(OwnLimit.key) or []
-    of_each = [kind for kind in kinds_of(drive) if kind.of_each_device and limits.get(kind.key) is not None]
+    own, kinds = limits.get(OwnLimit.key) or [], kinds_for(drive, posing.circuit)
+    of_each = [kind for kind in kinds if kind.of_each_device and limits.get(kind.key) is not None]
     inside = [row_within(kind.name, share) for kind in OF_OUTPUTS if kind in of_each for share in kind.shares(parts)]
     rows = [*(row for kind in of_each for row in kind.row_names), *inside]
     rows += [table["name"] for table in own if follows_motion(table["outputs"], drive)]

@@ -27,7 +27,6 @@ from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.leave_out import leave_out
-from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
@@ -148,7 +147,7 @@ class Online:
 
     def _devices(self, posing: Posing, grip_N: float) -> tuple[StageModel, ...]:
         """The device of a grip and those of its spread, discretised with the amplifier and the outputs it takes."""
-        key = (grip_N, posing.amplifier, needed_outputs(posing.asked, posing.driven_by))
+        key = (grip_N, posing.amplifier, posing.watched)
         found = self._stages.get(key)
         if found is None:
             others = (posing.stage(plant) for plant in _made(self._spread, grip_N, "spread"))

@@ -52,7 +52,7 @@ def with_limits(limits: Mapping[str, float], posing: Posing) -> Posing:
         lacks = (
             posing.coil is None if kind is TemperatureLimit else posing.circuit is None or posing.amplifier is None
         )
-        if kind.asks_for and lacks:
+        if kind.asks_for and (lacks or not kind.concerns(posing.driven_by)):
             raise InputError(f"limits.{name}: needs {kind.asks_for}, which the library's scene does not state")
     asked = {name: float(value) for name, value in limits.items() if name in BY_KEY}
     return replace(posing, asked={**posing.asked, **asked})

@@ -107,8 +107,13 @@ class Posing:
             self.amplifier,
             self.grid.dt_s,
             position=self.wall is not None,
-            outputs=needed_outputs(self.asked, self.driven_by),
+            outputs=self.watched,
         )
+
+    @property
+    def watched(self) -> tuple[str, ...]:
+        """Outputs that the limits look at."""
+        return needed_outputs(self.asked, self.driven_by, self.circuit)
 
     def terms(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
         """The terms of the error: of a tap the plain and the rapid one, of a named target the plain one alone.

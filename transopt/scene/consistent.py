@@ -114,10 +114,15 @@ def _check_input(scene: "Scene") -> None:
         return
     if limits.voltage_V is None:
         raise ValueError(f"limits.voltage_V: missing; a voltage drives model.kind = {scene.model.kind}")
-    if limits.current_A is not None and isinstance(scene.model, MovingCoil) and scene.model.L_H == 0:
+    if (
+        limits.current_A is not None
+        and scene.nonlinear
+        and isinstance(scene.model, MovingCoil)
+        and not scene.model.L_H
+    ):
         raise ValueError(
-            "limits.current_A: the current of a coil without inductance follows the voltage at once and is no "
-            "state to be limited: state model.L_H, or bound the voltage by limits.voltage_V"
+            "limits.current_A: without inductance the current of a coil whose BL changes with x is no linear limit: "
+            "state model.L_H, or bound the voltage by limits.voltage_V"
         )
     for key, stated in (
         ("limits.beta", limits.beta is not None),

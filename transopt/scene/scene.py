@@ -291,7 +291,7 @@ class Scene(Section):
     def circuit(self) -> Circuit | None:
         """Give the circuit; None if the drive is stated at the tip. In SI, back-EMF per m/s is force per ampere."""
         if self.motor is None:
-            return self.model.circuit() if isinstance(self.model, PlantKind) and self.driven_by.unit == "A" else None
+            return self.model.circuit() if isinstance(self.model, PlantKind) else None
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
 
     def unfit_model(self) -> str:
@@ -357,7 +357,7 @@ class Scene(Section):
     def coil(self) -> CoilModel | None:
         """Give the coil; None if the drive is stated at the tip (no motor, no temperature) or takes a voltage."""
         circuit, winding = self.circuit(), self.winding
-        if circuit is None or winding is None:
+        if circuit is None or winding is None or self.driven_by.unit == "V":
             return None
         identified = self.model.coil if isinstance(self.model, IdentifiedModel) else None
         heat = winding if identified is None else identified

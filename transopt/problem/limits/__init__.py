@@ -7,9 +7,10 @@ follow from it.
 from collections.abc import Mapping
 from typing import Any
 
+from transopt.plant.circuit import Circuit
 from transopt.plant.state_space import CURRENT_INPUT, Input
 from transopt.problem.limits.command import CommandLimit, VoltageCommandLimit
-from transopt.problem.limits.current import CoilCurrentLimit, CurrentLimit
+from transopt.problem.limits.current import CoilCurrentLimit, CurrentLimit, FollowingCurrentLimit
 from transopt.problem.limits.limit import Limit, Limits, Setting
 from transopt.problem.limits.output import OutputLimit
 from transopt.problem.limits.own import LawOf, OwnLimit, outputs_needed, own_limits
@@ -29,6 +30,7 @@ KINDS: tuple[type[Limit], ...] = (
     SlewLimit,
     VoltageSlewLimit,
     CoilCurrentLimit,
+    FollowingCurrentLimit,
     SupplyLimit,
     StrokeLimit,
     VelocityLimit,
@@ -41,6 +43,11 @@ OF_OUTPUTS = tuple(kind for kind in KINDS if issubclass(kind, OutputLimit))  # w
 def kinds_of(driven_by: Input) -> list[type[Limit]]:
     """The kinds that a plant with this input may have."""
     return [kind for kind in KINDS if kind.concerns(driven_by)]
+
+
+def kinds_for(driven_by: Input, circuit: Circuit | None) -> list[type[Limit]]:
+    """The kinds that a plant with this input and these terminals may have."""
+    return [kind for kind in kinds_of(driven_by) if kind.suits(circuit)]
 
 
 def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = None) -> Limits:
@@ -56,7 +63,7 @@ def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = Non
     ------
     InputError : a number that is no limit.
     """
-    kinds = kinds_of(setting.stage.plant.driven_by)
+    kinds = kinds_for(setting.stage.plant.driven_by, setting.circuit)
     made = (kind.posed(asked, setting) for kind in kinds if kind.implied or asked.get(kind.key) is not None)
     tables = asked.get(OwnLimit.key)
     own = own_limits(tables, setting, law_of) if tables else ()
@@ -72,8 +79,11 @@ def limits_of(*limits: Limit | None) -> Limits:
     return Limits(tuple(sorted(given, key=lambda limit: order.get(limit.name, len(order)))))
 
 
-def needed_outputs(asked: Mapping[str, Any], driven_by: Input = CURRENT_INPUT) -> tuple[str, ...]:
+def needed_outputs(
+    asked: Mapping[str, Any], driven_by: Input = CURRENT_INPUT, circuit: Circuit | None = None
+) -> tuple[str, ...]:
     """Outputs that a stage has to name for the limits that a scene asks for."""
-    needed = [name for kind in kinds_of(driven_by) if asked.get(kind.key) is not None for name in kind.needs]
+    kinds = kinds_for(driven_by, circuit)
+    needed = [name for kind in kinds if asked.get(kind.key) is not None for name in kind.needs]
     tables = asked.get(OwnLimit.key)
     return tuple(dict.fromkeys([*needed, *(outputs_needed(tables, driven_by) if tables else ())]))

@@ -169,7 +169,7 @@ class Setting:
     ----------
     stage : device of the entry's grip.
     grid : time axis.
-    circuit : terminals of the motor; None where the drive is stated at the tip.
+    circuit : terminals of the motor or of the coil; None where the drive is stated at the tip.
     coil : with its temperatures at the start; None without motor data.
     budget : what the winding may do beside keeping below its limit.
     wall : the virtual wall over this tap; None without one.
@@ -286,6 +286,11 @@ class Limit(ABC):
     def concerns(cls, driven_by: Input) -> bool:
         """Whether a plant with this input may have it."""
         return cls.driven_by in (None, driven_by)
+
+    @classmethod
+    def suits(cls, circuit: Circuit | None) -> bool:
+        """Whether a device with these terminals has it in this form; of two with one key one does."""
+        return True
 
     @classmethod
     def stored_with(cls, row: str) -> str:

@@ -17,7 +17,7 @@ a coil's current bend most just after a new command, in the coil's time constant
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, ClassVar, Self
@@ -126,18 +126,8 @@ class OutputLimit(Limit):
     def kept_back(self) -> float:
         return max(self.margin(device) for device in range(len(self.bends)))
 
-    def bound(self, problem: Posed) -> float:
-        """What no admissible command can exceed: the sum of the response's sizes, every command at its largest."""
-        largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
-        impulse = np.eye(1, problem.grid.stages)[0]
-        motions, most = [device.motion(impulse) for device in problem.devices], 0.0
-        for row in self.rows(problem):
-            responses = np.abs(replace(row, offset=0.0).value(motions[row.device], impulse))
-            most = max(most, float((np.cumsum(responses) * largest + np.abs(row.offset)).max()))
-        return most
-
     def cannot_bind(self, problem: Posed) -> str:
-        bound = self.bound(problem)
+        bound = largest_of(self.rows(problem), problem)
         if bound > self.limit - self.kept_back:
             return ""
         return (
@@ -176,6 +166,17 @@ class OutputLimit(Limit):
 
     def replayed(self, peak: float) -> str:
         return f"replayed {self.label} {peak:.6g} {self.unit}, limit {self.limit:g} {self.unit}"
+
+
+def largest_of(rows: Iterable[Row], problem: Posed) -> float:
+    """What no admissible command can make rows exceed: the sums of their responses, every command at its largest."""
+    largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
+    impulse = np.eye(1, problem.grid.stages)[0]
+    motions, most = [device.motion(impulse) for device in problem.devices], 0.0
+    for row in rows:
+        responses = np.abs(replace(row, offset=0.0).value(motions[row.device], impulse))
+        most = max(most, float((np.cumsum(responses) * largest + np.abs(row.offset)).max()))
+    return most
 
 
 def row_within(name: str, share: Fraction) -> str:
