@@ -28,7 +28,7 @@ def build(**values: object) -> Build:
 
 
 def current_A(found: Build, j: int) -> np.ndarray:
-    """(2 N,) current just after every switching instant and just before the next, by an independent discretisation."""
+    """(2 N,) current after every switching instant and before the next, by an independent discretisation."""
     problem = found.entries[j][0].problem
     command, N = found.entries[j][0].solution.command, problem.grid.stages
     velocity = dense.responses(problem).velocity @ command
@@ -83,8 +83,8 @@ def test_a_small_inductance_is_the_same_limit() -> None:
     """A coil that settles in a fortieth of a period costs what one without costs, but for a twentieth kept back."""
     bounds = ((0.0, 0.22), (2e-5, 0.22), (0.0, 0.95 * 0.22))
     costs = [
-        [entry.certificate.objective for (entry,) in build(model__L_H=L, limits__current_A=I).entries]
-        for L, I in bounds
+        [entry.certificate.objective for (entry,) in build(model__L_H=L, limits__current_A=bound).entries]
+        for L, bound in bounds
     ]
     for wide, small, narrow in zip(*costs, strict=True):
         assert wide < small < 1.05 * narrow
