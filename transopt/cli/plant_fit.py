@@ -1,16 +1,37 @@
-"""`transopt plant fit`: from a measured frequency response to a state space that a scene can name."""
+"""`transopt plant fit` and `plant sweep`: a state space for a scene, from a measured response or a recorded sweep."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.cli.layout import layout
+from transopt.cli.layout import RateHz, layout
+
+if TYPE_CHECKING:
+    from transopt.identify.response_fit import ResponseFit
 
 COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: frequency_Hz,magnitude_dB,phase_deg.'
 UNITS_HELP = "Units of columns that state none: magnitude=g/V,phase=deg."
+SWEEP_COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: time_s,voltage_V,acceleration_g.'
+SWEEP_UNITS_HELP = "Units of columns that state none: time=s,voltage=V,acceleration=g."
+ACCEPTED = "correct it; if it is right, --accept takes it"
+Out = Annotated[Path, typer.Option(help="Plant file, .npz. A PNG is written beside it.")]
+Band = Annotated[
+    tuple[float, float] | None,
+    typer.Option("--band-Hz", help="Lowest and highest frequency that count. Default: all."),
+]
+Resonance = Annotated[
+    float | None, typer.Option("--resonance-Hz", help="Resonance by the datasheet: a contradiction is named.")
+]
+RatedG = Annotated[
+    float | None, typer.Option("--rms-g", help="Acceleration by the datasheet at --rms-V or --rms-A, rms, in g.")
+]
+RatedV = Annotated[float | None, typer.Option("--rms-V", help="Voltage of that sine at the resonance, rms.")]
+RatedA = Annotated[float | None, typer.Option("--rms-A", help="Current of that sine, in its place.")]
+Accept = Annotated[bool, typer.Option("--accept", help="Take a response that no actuator has as it is.")]
 
 
 def plant_fit(
@@ -18,15 +39,12 @@ def plant_fit(
         Path, typer.Argument(help="Acceleration over input: CSV, NPZ, MAT, or a universal file (dataset 58).")
     ],
     order: Annotated[int, typer.Option(help="Number of states: two for each resonance, one for a coil's L / R.")],
-    out: Annotated[Path, typer.Option(help="Plant file, .npz. A PNG is written beside it.")],
+    out: Out,
     driven_by: Annotated[
         str | None,
         typer.Option("--input", help="What the response is to: current or voltage. Default: the file's, or current."),
     ] = None,
-    band_Hz: Annotated[
-        tuple[float, float] | None,
-        typer.Option("--band-Hz", help="Lowest and highest frequency that count. Default: all."),
-    ] = None,
+    band_Hz: Band = None,
     delay_s: Annotated[
         float,
         typer.Option("--delay-s", help="Pure delay in the response, taken out; a scene has it as amplifier.delay_s."),
@@ -34,6 +52,11 @@ def plant_fit(
     scale: Annotated[float, typer.Option(help="What makes m/s^2 per A or V of the file's numbers.")] = 1.0,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    resonance_Hz: Resonance = None,
+    rms_V: RatedV = None,
+    rms_A: RatedA = None,
+    rms_g: RatedG = None,
+    accept: Accept = False,
 ) -> None:
     """Fit a stable real state space to a measured response, say how far off it is, and write it if it may be used.
 
@@ -41,38 +64,121 @@ def plant_fit(
     """
     import numpy as np
 
-    from transopt.base.plotting import save_figure
     from transopt.base.sizes import LONGEST_DELAY_S
     from transopt.identify.response_fit import fit_response
     from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
     from transopt.recordings.response import read_response
-    from transopt.report.response_fit import response_figure
-    from transopt.scene.plant_file import save_plant
 
-    console = terminal.console()
     inputs = {each.name: each for each in (CURRENT_INPUT, VOLTAGE_INPUT)}
-    if driven_by is not None and driven_by not in inputs:
-        raise InputError(f"--input {driven_by}: unknown; choose {', '.join(inputs)}")
-    if out.suffix.lower() != ".npz":
-        raise InputError(f"--out {out}: a plant file that is written ends in .npz")
+    _check_options(driven_by, out)
     if not 0 <= delay_s <= LONGEST_DELAY_S:
         raise InputError(f"--delay-s {delay_s:g}: must be 0 to {LONGEST_DELAY_S:g} s")
-    terminal.make_folder(out.parent)
     measured = read_response(response, layout(columns, units), scale=scale, driven_by=driven_by or "")
     driven_by = measured.driven_by or CURRENT_INPUT.name
     f = measured.frequencies_Hz
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)
     fit = fit_response(f, undelayed, order, inputs[driven_by], band_Hz)
-    picture = out.with_name(f"{out.stem}.png")
-    save_figure(response_figure(fit), picture)
+    _check_plausible(response, fit, resonance_Hz, rms_g, rms_V if driven_by == "voltage" else rms_A, accept=accept)
+    _say_and_save(fit, f"{order} states to {fit.frequencies_Hz.size} points", measured.notes, out)
+
+
+def plant_sweep(
+    sweep: Annotated[
+        Path, typer.Argument(help="Time, voltage or current, and acceleration of one sweep: any file of a recording.")
+    ],
+    out: Out,
+    order: Annotated[
+        int | None, typer.Option(help="Number of states. Default: the least that follows the record.")
+    ] = None,
+    driven_by: Annotated[
+        str | None,
+        typer.Option("--input", help="What drives the plant: voltage or current. Default: the voltage if recorded."),
+    ] = None,
+    band_Hz: Band = None,
+    columns: Annotated[str, typer.Option(help=SWEEP_COLUMNS_HELP)] = "",
+    units: Annotated[str, typer.Option(help=SWEEP_UNITS_HELP)] = "",
+    rate_Hz: RateHz = None,
+    resonance_Hz: Resonance = None,
+    rms_V: RatedV = None,
+    rms_A: RatedA = None,
+    rms_g: RatedG = None,
+    accept: Accept = False,
+) -> None:
+    """Make a state space of a recorded sweep, of a sine or of noise, and write it if it may be used.
+
+    Exit 1: the fit is not fit to design with; no plant is written.
+    """
+    from transopt.identify.measurement import load_measurement
+    from transopt.identify.sweep_fit import fit_sweep
+
+    _check_options(driven_by, out)
+    swept = fit_sweep(load_measurement(sweep, layout(columns, units, rate_Hz)), order, driven_by or "", band_Hz)
+    fit = swept.fit
+    by_voltage = fit.plant.driven_by.unit == "V"
+    _check_plausible(sweep, fit, resonance_Hz, rms_g, rms_V if by_voltage else rms_A, accept=accept)
+    said = f"{fit.plant.order} states to {swept.answered} of {swept.bands} bands of the sweep"
+    _say_and_save(fit, said, swept.notes, out, f"+-{100 * swept.unsure:.2g} % by the record's noise")
+
+
+def _check_options(driven_by: str | None, out: Path) -> None:
+    if driven_by not in (None, "current", "voltage"):
+        raise InputError(f"--input {driven_by}: unknown; choose current, voltage")
+    if out.suffix.lower() != ".npz":
+        raise InputError(f"--out {out}: a plant file that is written ends in .npz")
+    terminal.make_folder(out.parent)
+
+
+def _check_plausible(
+    source: Path,
+    fit: "ResponseFit",
+    resonance_Hz: float | None,
+    rms_g: float | None,
+    rms_input: float | None,
+    *,
+    accept: bool,
+) -> None:
+    """Refuse a response that no actuator has, or that contradicts its sheet, unless that is accepted."""
+    import numpy as np
+
+    from transopt.base.signals import STANDARD_GRAVITY_M_S2
+    from transopt.recordings.plausible import against_sheet, implausible_response
+
+    unit = fit.plant.driven_by.unit
+    found = [each for each, _ in fit.resonances()]
+    wrong = implausible_response(fit.frequencies_Hz, fit.measured, found, unit)
+    if not wrong and resonance_Hz and found:
+        nearest = min(found, key=lambda each: abs(np.log(each / resonance_Hz)))
+        wrong = against_sheet(nearest, resonance_Hz, "resonance", "Hz")
+    if not wrong and rms_g:
+        if not rms_input:
+            raise InputError(f"--rms-g {rms_g:g}: at which sine? state --rms-{unit} as well")
+        at_Hz = np.array([resonance_Hz or fit.frequencies_Hz[np.abs(fit.measured).argmax()]])
+        gain = abs(fit.plant.response(at_Hz)[0]) / STANDARD_GRAVITY_M_S2
+        wrong = against_sheet(gain, rms_g / rms_input, f"response at {at_Hz[0]:.4g} Hz", f"g/{unit}")
+    if wrong and not accept:
+        raise InputError(f"{source}: {wrong}; {ACCEPTED}")
+    if wrong:
+        terminal.console().print(f"accepted as it is: {wrong}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Path, sure: str = "") -> None:
+    """Print what was found, draw it, and write the plant if it may be used."""
+    import numpy as np
+
+    from transopt.base.plotting import save_figure
+    from transopt.report.response_fit import response_figure
+    from transopt.scene.plant_file import save_plant
+
+    console = terminal.console()
 
     def line(text: str, style: str | None = None) -> None:
         console.print(text, style=style, highlight=False, soft_wrap=True)
 
-    band = f"{fit.frequencies_Hz[0]:.4g} to {fit.frequencies_Hz[-1]:.4g} Hz"
-    for note in measured.notes:
+    picture = out.with_name(f"{out.stem}.png")
+    save_figure(response_figure(fit), picture)
+    for note in notes:
         line(note, "yellow")
-    line(f"{order} states to {fit.frequencies_Hz.size} points, {band}")
+    line(f"{states}, {fit.frequencies_Hz[0]:.4g} to {fit.frequencies_Hz[-1]:.4g} Hz")
     pairs = ", ".join(f"{at:.4g} Hz (Q {quality:.3g})" for at, quality in fit.resonances())
     line(f"resonances: {pairs or 'none'}")
     line(
@@ -82,10 +188,10 @@ def plant_fit(
         "input, where nothing was measured"
     )
     misfit = f"misfit {100 * fit.misfit:.2g} % (rms), at most {100 * fit.worst:.2g} % of the largest response, "
-    line(f"{misfit}at {fit.worst_Hz:.4g} Hz")
+    line(f"{misfit}at {fit.worst_Hz:.4g} Hz" + (f"; {sure}" if sure else ""))
     if not fit.fit_to_design_with:
         line(f"{picture}; {out} is not written")
-        line(f"not fit to design with: {unfit_advice(fit.misfit, order)}", "red")
+        line(f"not fit to design with: {unfit_advice(fit.misfit, fit.plant.order)}", "red")
         raise typer.Exit(1)
     save_plant(fit.plant, out)
     line(f"{out}, {picture.name}")

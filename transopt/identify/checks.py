@@ -213,7 +213,7 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
 
     `limited`: a tap of a library, whose current may rest at its limit.
     """
-    unit = "A" if quantity in {"command", "current"} else "m/s^2" if quantity == "acceleration" else "SI"
+    unit = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2"}.get(quantity, "SI")
     values = x.values
     if np.ptp(values) == 0:
         what = "the cable and the channel" if quantity != "command" else "what the device was told"

@@ -5,6 +5,9 @@ Poles come from vector fitting, the rest from linear least squares, whose figure
 
     misfit = sqrt(sum |G_fit - G|^2 / sum |G|^2)  over the points of the band.
 
+Where the points are known to be uncertain, as those of a recorded sweep are, each counts by the inverse of its
+variance, in the misfit as well, and what their noise alone makes of the misfit is stated beside it.
+
 Below the band nothing was measured, and a fit may put an acceleration there that goes on for ever under a constant
 input, which a design would play into. What a spring holds has none: G has two zeros at s = 0. They are asked for
 wherever that costs next to no misfit.
@@ -37,6 +40,7 @@ class ResponseFit:
     misfit : relative rms over the band.
     worst_Hz : where the fit is farthest off. worst : by how much, of the largest size of the response.
     at_rest : whether the fit has its two zeros at s = 0.
+    noise : misfit that the uncertainty of the points makes of a perfect fit; 0 where it is not known.
     """
 
     plant: StateSpace
@@ -46,13 +50,14 @@ class ResponseFit:
     worst_Hz: float
     worst: float
     at_rest: bool
+    noise: float = 0.0
 
     __repr__ = brief
 
     @property
     def fit_to_design_with(self) -> bool:
         """Whether the misfit is small enough; NaN is not."""
-        return self.misfit <= MOST_MISFIT
+        return self.misfit**2 - self.noise**2 <= MOST_MISFIT**2
 
     def resonances(self) -> list[tuple[float, float]]:
         """Frequency [Hz] and quality of every pair of poles, by frequency."""
@@ -67,6 +72,7 @@ def fit_response(
     order: int,
     driven_by: Input,
     band_Hz: tuple[float, float] | None = None,
+    deviations: FloatArray | None = None,
 ) -> ResponseFit:
     """The state space of an order that is nearest to a response over a band.
 
@@ -76,6 +82,7 @@ def fit_response(
     response : (m,) acceleration over input [m/s^2 per A or V].
     order : number of states.
     band_Hz : lowest and highest frequency that count; None for all.
+    deviations : (m,) standard deviations of real and imaginary part of the points; None where nothing is known.
 
     Raises
     ------
@@ -99,9 +106,14 @@ def fit_response(
         raise InputError("the response is zero at every frequency of the band: check its columns")
     top = 2 * np.pi * float(f[-1])
     s = np.asarray(2j * np.pi * f / top, dtype=np.complex128)
-    poles = _resolved(vector_fit(s, G / largest, np.ones(f.size), order, direct=True), f, top)
-    free, held = (_nearest(s, G / largest, poles, rests=zeros and order > 1) for zeros in (False, True))
-    misfits = [_misfit(s, G / largest, poles, row) for row in (free, held)]
+    weight, noise = np.ones(f.size), 0.0
+    if deviations is not None:
+        weight = 1 / deviations[inside]
+        noise = float(np.sqrt(2 * f.size) / np.linalg.norm(weight * G))
+        weight = weight / weight.max()
+    poles = _resolved(vector_fit(s, G / largest, weight, order, direct=True), f, top)
+    free, held = (_nearest(s, G / largest, poles, weight, rests=zeros and order > 1) for zeros in (False, True))
+    misfits = [_misfit(s, G / largest, poles, row, weight) for row in (free, held)]
     rests = order > 1 and bool(misfits[1] <= max(COSTS_NOTHING * misfits[0], EXACT))
     row = held if rests else free
     _, A, b = fractions(s, poles)
@@ -117,10 +129,11 @@ def fit_response(
         plant=plant,
         frequencies_Hz=f,
         measured=G,
-        misfit=float(np.linalg.norm(off) / np.linalg.norm(G)),
+        misfit=float(np.linalg.norm(weight * off) / np.linalg.norm(weight * G)),
         worst_Hz=float(f[off.argmax()]),
         worst=float(off.max()) / largest,
         at_rest=rests,
+        noise=noise,
     )
 
 
@@ -130,13 +143,15 @@ def _resolved(poles: ComplexArray, frequencies_Hz: FloatArray, top: float) -> Co
     return np.asarray(np.where(poles.imag == 0, poles.real, np.minimum(poles.real, -least)) + 1j * poles.imag)
 
 
-def _nearest(s: ComplexArray, target: ComplexArray, poles: ComplexArray, *, rests: bool) -> FloatArray:
+def _nearest(
+    s: ComplexArray, target: ComplexArray, poles: ComplexArray, weight: FloatArray, *, rests: bool
+) -> FloatArray:
     """(n + 1,) coefficients of the fractions, then the constant, by least squares.
 
     With `rests` the value and the slope at s = 0 are kept at zero.
     """
     basis, A, b = fractions(s, poles)
-    columns = np.hstack([basis, np.ones((s.size, 1))])
+    columns, target = weight[:, None] * np.hstack([basis, np.ones((s.size, 1))]), weight * target
     system, wanted = np.vstack([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
     kept = at_rest(A, b) if rests else np.eye(poles.size + 1)
     reduced = system @ kept
@@ -144,6 +159,7 @@ def _nearest(s: ComplexArray, target: ComplexArray, poles: ComplexArray, *, rest
     return np.asarray(kept @ (np.linalg.lstsq(reduced / norm, wanted, rcond=None)[0] / norm))
 
 
-def _misfit(s: ComplexArray, target: ComplexArray, poles: ComplexArray, row: FloatArray) -> float:
+def _misfit(s: ComplexArray, target: ComplexArray, poles: ComplexArray, row: FloatArray, weight: FloatArray) -> float:
     basis, _, _ = fractions(s, poles)
-    return float(np.linalg.norm(basis @ row[:-1] + row[-1] - target) / np.linalg.norm(target))
+    off = basis @ row[:-1] + row[-1] - target
+    return float(np.linalg.norm(weight * off) / np.linalg.norm(weight * target))

@@ -14,11 +14,19 @@ give it away, and neither depends on the object that was struck:
   impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies by it.
 
 Where nobody knows the speed, the height of the peak is the only thing to go by.
+
+A response, acceleration over current or voltage, is looked at in the same way. Its largest size, its resonance and
+how far a constant input moves the actuator lie within bounds that a mistaken unit leaves. On either side of the
+resonance it goes with powers of the frequency, by which an acceleration, a velocity and a displacement differ. What a
+sheet states tells the rest: off by 9.81, 1000 or 2 pi is a unit and no tolerance.
 """
+
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray, Signal
 from transopt.recordings.settings import Recordings
 
 PULSE_S = (30e-6, 0.1)  # at half its height
@@ -27,6 +35,12 @@ CHANGE_WITHIN_S = 0.05  # of contact; later the hand lifts the stylus
 PEAK_G = (0.3, 2000.0)  # where no speed is known
 HAND_M_S = (0.01, 3.0)  # speeds that a hand taps with
 FINE = 100_000  # samples that a recording is looked at with
+GAIN = (0.02, 2e4)  # m/s^2 per A or V, largest of a response: an LRA's case has 1 to 50, a tweeter's dome 2000
+RESONANCE_HZ = (2.0, 3e3)
+STILL_M = (1e-10, 0.02)  # m per A or V below the resonance: a phone's case moves 1e-6, a soft shaker 2e-3
+SLOPE, SLOPE_POINTS = 0.35, 4  # powers of the frequency, and points that tell them, on either side of a resonance
+SHEET = 1.4  # times: what specimens and mountings differ by
+TINY = 1e-300
 GROWTH = 1.2  # from one length to the next that is tried as the pulse's
 
 
@@ -110,3 +124,82 @@ def _height(peak_g: float) -> str:
     if PEAK_G[0] <= peak_g <= PEAK_G[1]:
         return ""
     return f"peak {peak_g:.3g} g, a tap's {PEAK_G[0]:g} to {PEAK_G[1]:g} g: check the unit of the acceleration"
+
+
+def implausible_response(
+    frequencies_Hz: FloatArray, response: ComplexArray, resonances_Hz: Sequence[float], unit: str
+) -> str:
+    """Why a frequency response cannot be that of an actuator's acceleration; empty if it can.
+
+    Parameters
+    ----------
+    frequencies_Hz : (m,) increasing, above 0. response : (m,) [m/s^2 per A or V].
+    resonances_Hz : of a fit to it.
+    unit : "A" or "V", of what it is to.
+    """
+    f, size = frequencies_Hz, np.abs(response)
+    peak = float(size.max())
+    if off := _beyond(peak, GAIN):
+        likely = _likely(off, {"g": STANDARD_GRAVITY_M_S2, "mm/s^2, mg or mV": 1e3})
+        return (
+            f"the largest response is {peak:.3g} m/s^2 per {unit}, an actuator's {GAIN[0]:g} to {GAIN[1]:g}: check "
+            f"its unit{likely}"
+        )
+    if not resonances_Hz:
+        return ""
+    at = max(resonances_Hz, key=lambda each: float(np.interp(each, f, size, left=0.0, right=0.0)))
+    if off := _beyond(at, RESONANCE_HZ):
+        likely = _likely(off, {"rad/s called Hz": 2 * math.pi, "kHz": 1e3})
+        return (
+            f"its resonance is at {at:.4g} Hz, an actuator's at {RESONANCE_HZ[0]:g} to {RESONANCE_HZ[1]:g}: check "
+            f"the unit of the frequency{likely}"
+        )
+    low, high = f < at / 2, f > 2 * at
+    if min(low.sum(), high.sum()) < SLOPE_POINTS:
+        return ""
+    rise, fall = (float(np.polyfit(np.log(f[part]), np.log(size[part] + TINY), 1)[0]) for part in (low, high))
+    for slopes, name, by in ((1, "a velocity", "2 pi f"), (2, "a displacement", "(2 pi f)^2")):
+        if max(abs(rise - (2 - slopes)), abs(fall + slopes)) < SLOPE:
+            return (
+                f"below and above {at:.4g} Hz it goes with the frequency as {name}, no acceleration: state its unit, "
+                f"or multiply it by {by}"
+            )
+    still_m = float(np.median((size / (2 * math.pi * f) ** 2)[low]))
+    if off := _beyond(still_m, STILL_M):
+        likely = _likely(off, {"mm/s^2, mg or mV": 1e3, "rad/s called Hz": (2 * math.pi) ** 2, "kHz": 1e6})
+        return (
+            f"below its resonance it moves by {still_m:.2g} m per {unit}, an actuator by {STILL_M[0]:g} to "
+            f"{STILL_M[1]:g}: check the units{likely}"
+        )
+    return ""
+
+
+def against_sheet(found: float, stated: float, what: str, unit: str) -> str:
+    """Why a figure contradicts that of a sheet, and the unit that makes such a difference; empty if it agrees.
+
+    Parameters
+    ----------
+    found, stated : in one unit. what : is compared.
+    """
+    ratio = found / stated
+    if 1 / SHEET < ratio < SHEET:
+        return ""
+    causes = {"g and m/s^2": STANDARD_GRAVITY_M_S2, "milli": 1e3, "rad/s and Hz": 2 * math.pi, "rms and peak": 2**0.5}
+    return (
+        f"its {what} is {found:.4g} {unit}, by the sheet {stated:.4g} {unit}, {ratio:.3g} times as much"
+        f"{_likely(ratio, causes)}"
+    )
+
+
+def _beyond(value: float, bounds: tuple[float, float]) -> float:
+    """How many times a value is above its bounds, or what part of them it is; 0 within."""
+    if value > bounds[1]:
+        return value / bounds[1]
+    return value / bounds[0] if value < bounds[0] else 0.0
+
+
+def _likely(off: float, factors: Mapping[str, float]) -> str:
+    """The slip whose factor is nearest to how far a number is off, as a question."""
+    size = abs(math.log(max(off, TINY)))
+    name = min(factors, key=lambda each: abs(size - math.log(factors[each])))
+    return f" (a factor of {factors[name]:.4g}: {name}?)"
