@@ -13,7 +13,8 @@ give it away, and neither depends on the object that was struck:
   The taps of the built-in scenes have 0.78 (soft rubber, which the hand helps) to 1.38 (metal), the shock-table
   impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies by it.
 
-Where nobody knows the speed, the height of the peak is the only thing to go by.
+Where nobody knows the speed, the height of the peak is the only thing to go by. Units of speed and acceleration that
+are wrong in step leave q alone, and show by the speed, of which a hand's has bounds.
 
 A response, acceleration over current or voltage, is looked at in the same way. Its largest size, its resonance and
 how far a constant input moves the actuator lie within bounds that a mistaken unit leaves. On either side of the
@@ -31,8 +32,9 @@ from transopt.recordings.settings import Recordings
 
 PULSE_S = (30e-6, 0.1)  # at half its height
 SPEED_CHANGE = (0.25, 5.0)  # over the incoming speed
+THROWN_BACK = 2.0  # over the incoming speed, what an object can give at most: above it the height is looked at too
 CHANGE_WITHIN_S = 0.05  # of contact; later the hand lifts the stylus
-PEAK_G = (0.3, 2000.0)  # where no speed is known
+PEAK_G = (0.3, 60.0)  # of taps by hand: the built-in ones have up to 19
 HAND_M_S = (0.01, 3.0)  # speeds that a hand taps with
 FINE = 100_000  # samples that a recording is looked at with
 GAIN = (0.02, 2e4)  # m/s^2 per A or V, largest of a response: an LRA's case has 1 to 50, a tweeter's dome 2000
@@ -96,14 +98,22 @@ def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Re
     settings : for what they state themselves, which may be what is wrong.
     fitted : whether the speed is fitted to a position, whose unit is then the one to check.
     """
+    by_hand = (settings.time_scale, settings.amplitude_scale) == (1.0, 1.0)
+    height = _height(float(x.values.max()) / STANDARD_GRAVITY_M_S2) if by_hand else ""
     if np.isnan(speed_m_s):
-        return _height(float(x.values.max()) / STANDARD_GRAVITY_M_S2)
+        return height
     during = (x.times_s >= onset_s) & (x.times_s <= onset_s + CHANGE_WITHIN_S)
     change = np.cumsum(x.values[during]) * x.dt_s
     up, down = float(change.max(initial=0.0)), float(-change.min(initial=0.0))
     ratio = up / speed_m_s
+    column = "of the position that the speed is fitted to" if fitted else "of the speed"
     if SPEED_CHANGE[0] <= ratio <= SPEED_CHANGE[1]:
-        return ""
+        if by_hand and speed_m_s > HAND_M_S[1]:
+            return (
+                f"the incoming speed is {speed_m_s:.3g} m/s, a hand's {HAND_M_S[0]:g} to {HAND_M_S[1]:g} m/s: check "
+                f"the unit {column}, and that of the acceleration, which agrees with it"
+            )
+        return height if ratio > THROWN_BACK else ""
     times = f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.2g}"
     found = (
         f"the pulse changes the speed by {up:.3g} m/s, {times} times the incoming {speed_m_s:.3g} m/s (limits "
@@ -111,7 +121,6 @@ def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Re
     )
     if down > up and settings.polarity != "auto":
         return f'{found}: check recordings.polarity = "{settings.polarity}", the pulse has the other sign'
-    column = "of the position that the speed is fitted to" if fitted else "of the speed"
     if not HAND_M_S[0] <= speed_m_s <= HAND_M_S[1]:
         return f"{found}: check the unit {column} (a hand taps with {HAND_M_S[0]:g} to {HAND_M_S[1]:g} m/s)"
     guess = "g called m/s^2?" if ratio < 1 else "m/s^2 called g?"
@@ -123,7 +132,11 @@ def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Re
 def _height(peak_g: float) -> str:
     if PEAK_G[0] <= peak_g <= PEAK_G[1]:
         return ""
-    return f"peak {peak_g:.3g} g, a tap's {PEAK_G[0]:g} to {PEAK_G[1]:g} g: check the unit of the acceleration"
+    likely = _likely(peak_g, PEAK_G, {"g and m/s^2": STANDARD_GRAVITY_M_S2, "mg or mm/s^2": 1e3})
+    return (
+        f"peak {peak_g:.3g} g, a tap's by hand {PEAK_G[0]:g} to {PEAK_G[1]:g} g: check the unit of the "
+        f"acceleration{likely}"
+    )
 
 
 def implausible_response(
@@ -139,8 +152,8 @@ def implausible_response(
     """
     f, size = frequencies_Hz, np.abs(response)
     peak = float(size.max())
-    if off := _beyond(peak, GAIN):
-        likely = _likely(off, {"g": STANDARD_GRAVITY_M_S2, "mm/s^2, mg or mV": 1e3})
+    if not GAIN[0] <= peak <= GAIN[1]:
+        likely = _likely(peak, GAIN, {"g": STANDARD_GRAVITY_M_S2, "mm/s^2, mg or mV": 1e3})
         return (
             f"the largest response is {peak:.3g} m/s^2 per {unit}, an actuator's {GAIN[0]:g} to {GAIN[1]:g}: check "
             f"its unit{likely}"
@@ -148,8 +161,8 @@ def implausible_response(
     if not resonances_Hz:
         return ""
     at = max(resonances_Hz, key=lambda each: float(np.interp(each, f, size, left=0.0, right=0.0)))
-    if off := _beyond(at, RESONANCE_HZ):
-        likely = _likely(off, {"rad/s called Hz": 2 * math.pi, "kHz": 1e3})
+    if not RESONANCE_HZ[0] <= at <= RESONANCE_HZ[1]:
+        likely = _likely(at, RESONANCE_HZ, {"rad/s called Hz": 2 * math.pi, "kHz": 1e3})
         return (
             f"its resonance is at {at:.4g} Hz, an actuator's at {RESONANCE_HZ[0]:g} to {RESONANCE_HZ[1]:g}: check "
             f"the unit of the frequency{likely}"
@@ -165,8 +178,9 @@ def implausible_response(
                 f"or multiply it by {by}"
             )
     still_m = float(np.median((size / (2 * math.pi * f) ** 2)[low]))
-    if off := _beyond(still_m, STILL_M):
-        likely = _likely(off, {"mm/s^2, mg or mV": 1e3, "rad/s called Hz": (2 * math.pi) ** 2, "kHz": 1e6})
+    if not STILL_M[0] <= still_m <= STILL_M[1]:
+        slips = {"mm/s^2, mg or mV": 1e3, "rad/s called Hz": (2 * math.pi) ** 2, "kHz": 1e6}
+        likely = _likely(still_m, STILL_M, slips)
         return (
             f"below its resonance it moves by {still_m:.2g} m per {unit}, an actuator by {STILL_M[0]:g} to "
             f"{STILL_M[1]:g}: check the units{likely}"
@@ -185,21 +199,20 @@ def against_sheet(found: float, stated: float, what: str, unit: str) -> str:
     if 1 / SHEET < ratio < SHEET:
         return ""
     causes = {"g and m/s^2": STANDARD_GRAVITY_M_S2, "milli": 1e3, "rad/s and Hz": 2 * math.pi, "rms and peak": 2**0.5}
+    nearest = min(causes, key=lambda each: abs(abs(math.log(ratio)) - math.log(causes[each])))
     return (
         f"its {what} is {found:.4g} {unit}, by the sheet {stated:.4g} {unit}, {ratio:.3g} times as much"
-        f"{_likely(ratio, causes)}"
+        f"{_asked(nearest, causes)}"
     )
 
 
-def _beyond(value: float, bounds: tuple[float, float]) -> float:
-    """How many times a value is above its bounds, or what part of them it is; 0 within."""
-    if value > bounds[1]:
-        return value / bounds[1]
-    return value / bounds[0] if value < bounds[0] else 0.0
+def _likely(value: float, bounds: tuple[float, float], factors: Mapping[str, float]) -> str:
+    """The slip that a value outside its bounds comes of, as a question; empty where none leads into them."""
+    by = {name: value * (1 / factor if value > bounds[1] else factor) for name, factor in factors.items()}
+    middle = math.log(bounds[0] * bounds[1]) / 2
+    inside = {name: abs(math.log(each) - middle) for name, each in by.items() if bounds[0] <= each <= bounds[1]}
+    return _asked(min(inside, key=lambda name: inside[name]), factors) if inside else ""
 
 
-def _likely(off: float, factors: Mapping[str, float]) -> str:
-    """The slip whose factor is nearest to how far a number is off, as a question."""
-    size = abs(math.log(max(off, TINY)))
-    name = min(factors, key=lambda each: abs(size - math.log(factors[each])))
+def _asked(name: str, factors: Mapping[str, float]) -> str:
     return f" (a factor of {factors[name]:.4g}: {name}?)"

@@ -23,6 +23,7 @@ from transopt.recordings.formats import refuse_idle
 from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.pulling import pulled_back_after_s
 from transopt.recordings.recording import Recording, load_recording
+from transopt.recordings.second_hit import second_hit
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
 from transopt.recordings.split import SLOWEST_HZ, split
@@ -338,6 +339,12 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     scaled = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * upright.values)
     filtered = lowpass(scaled, settings.lowpass_Hz)
     peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
+    hit = None if settings.simulated else second_hit(filtered, 0.0)
+    if hit is not None:
+        more.append(
+            f"a second hit {1e3 * hit[0]:.0f} ms after contact, {100 * hit[1]:.0f} % of the first: if the stylus was "
+            "thrown back and came again, record another tap or cut the file before it"
+        )
     more += _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
     return PreparedTap(
         recording,

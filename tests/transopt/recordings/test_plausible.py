@@ -9,7 +9,7 @@ import problems
 from tests.benches.places import IMPACTS
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
-from transopt.recordings.plausible import pulse_length_s
+from transopt.recordings.plausible import against_sheet, implausible_response, pulse_length_s
 from transopt.recordings.recording import Recording
 from transopt.recordings.references import assign
 from transopt.recordings.settings import Recordings
@@ -129,3 +129,95 @@ def test_recorded_impacts_pass() -> None:
     taps = [prepare(recording, settings) for recording in read_recordings(settings)]
     assert len(taps) == 25
     assert not any(tap.implausible for tap in taps)
+
+
+def test_a_tap_of_70_g_or_of_10_m_s_is_asked_about() -> None:
+    tap = recordings_of(problems.load("wood_on_foam"))[0]
+    unknown = replace(tap, speed_m_s=None, position=None)
+    high = 70 * STANDARD_GRAVITY_M_S2 / prepare(unknown, SETTINGS).peak_m_s2
+    said = prepare(stretched_acceleration(unknown, high), SETTINGS).implausible
+    assert "a tap's by hand 0.3 to 60 g" in said
+    assert "9.807: g and m/s^2?" in said
+    # Speed and acceleration wrong in step agree with each other, and no hand is as fast.
+    speed = prepare(tap, SETTINGS).speed_m_s
+    both = replace(stretched_acceleration(tap, 10 / speed), speed_m_s=10.0)
+    said = prepare(both, SETTINGS).implausible
+    assert "the incoming speed is 10 m/s, a hand's 0.01 to 3 m/s: check the unit of the speed" in said
+    # Another rig's impacts are scaled, and are no hand's.
+    scaled = SETTINGS.model_copy(update={"amplitude_scale": 0.1})
+    assert not prepare(both, scaled).implausible
+
+
+class TestSecondHit:
+    def hit_twice(self, after_s: float, share: float) -> Recording:
+        tap = recordings_of(problems.load("wood_on_foam"))[0]
+        x = tap.acceleration
+        onset, size = prepare(tap, SETTINGS).onset_s, prepare(tap, SETTINGS).peak_m_s2
+        t = x.times_s - onset - after_s
+        pulse = np.where((t > 0) & (t < 3e-3), np.sin(np.pi * t / 3e-3), 0.0)
+        return replace(tap, acceleration=replace(x, values=x.values + share * size * pulse))
+
+    @pytest.mark.parametrize(("after_s", "share"), [(0.03, 0.4), (0.05, 0.9), (0.08, 0.3)])
+    def test_is_named(self, after_s: float, share: float) -> None:
+        found = prepare(self.hit_twice(after_s, share), SETTINGS)
+        (note,) = [each for each in found.notes if each.startswith("a second hit ")]
+        assert float(note.split()[3]) == pytest.approx(1e3 * after_s, abs=2)
+        assert float(note.split()[7]) == pytest.approx(100 * share, rel=0.3)
+        # Cut off as the note says, there is none.
+        x = found.recording.acceleration
+        kept = x.times_s < found.onset_s + after_s - 1e-3
+        cut = replace(found.recording, acceleration=replace(x, values=x.values[kept]), position=None)
+        assert not [each for each in prepare(cut, SETTINGS).notes if "second hit" in each]
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_ringing_and_a_hand_are_none(self, kind: str) -> None:
+        random = np.random.default_rng(5)
+        for tap in recordings_of(problems.load(kind)):
+            x = tap.acceleration
+            rough = x.values + 0.01 * x.values.max() * random.standard_normal(x.values.size)
+            push = 0.3 * x.values.max() * np.clip((x.times_s - x.times_s[-1] + 0.05) / 0.05, 0, 1)
+            for values in (x.values, rough, rough + push):
+                found = prepare(replace(tap, acceleration=replace(x, values=values)), SETTINGS)
+                assert not [each for each in found.notes if "second hit" in each]
+
+
+class TestResponse:
+    f = np.geomspace(20, 1000, 80)
+
+    def accelerance(self, gain: float = 0.6, f0: float = 150.0) -> np.ndarray:
+        s, w = 2j * np.pi * self.f, 2 * np.pi * f0
+        return gain * s**2 / (s**2 + s * w / 8 + w**2)
+
+    def said(self, response: np.ndarray, frequency: float = 1.0, f0: float = 150.0) -> str:
+        return implausible_response(frequency * self.f, response, [frequency * f0], "V")
+
+    @pytest.mark.parametrize("gain", [0.3, 3.0, 30.0, 300.0])
+    def test_actuators_pass(self, gain: float) -> None:
+        assert not self.said(self.accelerance(gain))
+
+    @pytest.mark.parametrize(
+        ("factor", "frequency", "words"),
+        [
+            (1e-3, 1.0, "1000: mm/s^2, mg or mV?"),
+            (1e6, 1.0, "1000: mm/s^2, mg or mV?"),
+            (1.0, 1e-3, "1000: kHz?"),
+            (1.0, 1e3, "1000: kHz?"),
+            (1.0, 40.0, "6.283: rad/s called Hz?"),
+        ],
+    )
+    def test_a_wrong_unit_is_named_with_its_factor(self, factor: float, frequency: float, words: str) -> None:
+        assert words in self.said(factor * self.accelerance(), frequency)
+
+    def test_a_velocity_and_a_displacement_are_told_from_an_acceleration(self) -> None:
+        w = 2 * np.pi * self.f
+        assert "as a velocity, no acceleration: state its unit, or multiply it by 2 pi f" in self.said(
+            1e3 * self.accelerance() / w
+        )
+        assert "as a displacement" in self.said(1e6 * self.accelerance() / w**2)
+
+    @pytest.mark.parametrize(
+        ("ratio", "words"), [(9.81, "g and m/s^2"), (1 / 9.81, "g and m/s^2"), (1e3, "milli"), (6.28, "rad/s and Hz")]
+    )
+    def test_against_its_sheet(self, ratio: float, words: str) -> None:
+        assert words in against_sheet(150 * ratio, 150, "resonance", "Hz")
+        assert not against_sheet(1.2 * 150, 150, "resonance", "Hz")
