@@ -1,5 +1,6 @@
 """`transopt export`: a library in the formats of other programs, and its drive waveforms for a driver."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -41,13 +42,19 @@ def export(
     """
     asked = {RATE: rate_Hz, BITS: bits, FULL_SCALE: full_scale, TARGET: target, SPEED: speed, GRIP: grip}
     if not drive:
-        from transopt.library.export import export_library
+        from transopt.library.export import export_library, sounds
 
         for option, value in asked.items():
             if value is not None:
                 raise InputError(f"{option}: only for the commands of a driver; add --drive")
-        export_library(opened(library, unproven=unproven), file)
+        loaded = opened(library, unproven=unproven)
+        export_library(loaded, file)
         typer.echo(f"{terminal.harmless(str(file))} written")
+        if file.suffix.lower() == ".wav":
+            typer.echo(sounds(loaded))
+            if loaded.driven_by.unit == "V":
+                command = shlex.join(["transopt", "export", str(library), f"{file.stem}_drive.wav", "--drive"])
+                typer.echo(f"no driver plays these sounds: for the volts, {terminal.harmless(command)}")
         return
     from transopt.library.drive_files import export_drive
     from transopt.report.trade import TRADE_LEGEND, drive_remarks, drive_table

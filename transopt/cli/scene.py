@@ -68,15 +68,15 @@ def scene_new(
     typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
 
 
-def write_new(file: Path, text: str, *, force: bool) -> None:
-    """Write a scene file that is not there, or in the place of one that is.
+def write_new(file: Path, text: str, *, force: bool, ending: str = ".toml") -> None:
+    """Write a scene file, or one with another `ending`, that is not there, or in the place of one that is.
 
     Raises
     ------
-    InputError : it is there and `force` is not set, has another suffix than .toml, or cannot be written.
+    InputError : it is there and `force` is not set, has another suffix, or cannot be written.
     """
-    if file.suffix != ".toml":
-        raise InputError(f"{file}: a scene file ends in .toml")
+    if file.suffix != ending:
+        raise InputError(f"{file}: {'a scene file' if ending == '.toml' else 'it'} ends in {ending}")
     try:
         with file.open("w" if force else "x", encoding="utf-8") as new:
             new.write(text)

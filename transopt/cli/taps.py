@@ -25,8 +25,8 @@ OPTIONS = {
 
 def taps(
     files: Annotated[
-        list[Path], typer.Argument(help="Recordings: CSV, text, XLSX, ODS, MAT, NPZ, TDMS, LVM, HDF5, WAV.")
-    ],
+        list[Path] | None, typer.Argument(help="Recordings: CSV, text, XLSX, ODS, MAT, NPZ, TDMS, LVM, HDF5, WAV.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the overlay figure.")] = None,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
@@ -51,17 +51,31 @@ def taps(
         Path | None,
         typer.Option(metavar="FILE.toml", help="Write a scene of these recordings and the built-in device."),
     ] = None,
+    template: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Write a recording to fill in, with its remarks and an invented tap."),
+    ] = None,
     accept: Annotated[bool, typer.Option("--accept", help=ACCEPT_HELP)] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over the file of --scene if it is there.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write over the file of --scene or --template if it is there.")
+    ] = False,
 ) -> None:
     """Look at recordings before solving: rate, onset, offset, polarity, speed, grip, peak, clipping.
 
     Exit 2: a recording cannot be a tap in the units that are stated; the line says which to check, and --accept
     takes it as it is.
     """
+    from transopt.cli.scene import write_new
+
+    if template is not None:
+        if files:
+            raise InputError(f"--template {template}: writes a new file and reads none; leave {files[0]} out")
+        _write_template(template, force=force)
+        return
+    if not files:
+        raise InputError("no recording named: name files, or write one to fill in by --template tap.csv")
     from pydantic import ValidationError
 
-    from transopt.cli.scene import write_new
     from transopt.recordings.names import stated_units
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import check_speed, prepare, read_recordings
@@ -115,8 +129,8 @@ def taps(
     for one in prepared:
         check_speed(one)  # a scene needs it
     if scene is not None:
-        template = scene_path("own_taps").read_text(encoding="utf-8")
-        write_new(scene, scene_of_taps(template, prepared, files, settings, scene.parent), force=force)
+        text = scene_path("own_taps").read_text(encoding="utf-8")
+        write_new(scene, scene_of_taps(text, prepared, files, settings, scene.parent), force=force)
         after = f"next: transopt solve {shlex.quote(str(scene))}"
         if wrong and not accept:
             after = "solve refuses it until that is put right or accepted (--accept)"
@@ -126,6 +140,15 @@ def taps(
         typer.echo(scene_lines(prepared, files, settings))
     if wrong and not accept:
         raise typer.Exit(2)
+
+
+def _write_template(file: Path, *, force: bool) -> None:
+    """Write a recording to fill in."""
+    from transopt.cli.scene import write_new
+    from transopt.recordings.template import template
+
+    write_new(file, template(), force=force, ending=".csv")
+    typer.echo(f"{file} written; put your tap in it, then: transopt taps {shlex.quote(str(file))}")
 
 
 def _refusal(error: "ValidationError") -> str:

@@ -153,6 +153,16 @@ def wav_file(library: Library) -> bytes:
     return file.getvalue()
 
 
+def sounds(library: Library) -> str:
+    """What `wav_file` writes, in one sentence."""
+    count, seconds = library.command[..., 0].size, library.command.shape[-1] * library.time_grid().dt_s + SILENCE_S
+    of = f"{count} target{'s' * (count > 1)}" if library.axes.targets else f"{count} tap{'s' * (count > 1)}"
+    return (
+        f"it is {3 * count * seconds:.1f} s of accelerations to listen to: of {of} what was asked for, what a "
+        "clipped inversion makes of it, and the optimum"
+    )
+
+
 def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatArray) -> FloatArray:
     """(N,) y'' of a command on an entry's device; silence from where a nonlinear one's motion has no value."""
     if not library.nonlinear:

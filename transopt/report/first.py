@@ -288,8 +288,10 @@ def lines(source: Build | Library | None, look: Look, width: int) -> list[tuple[
 
 
 def next_commands(library: Path, scene: Scene) -> list[str]:
-    """Three commands that go on from a library file: detail, sound or a simulated tap, and the page."""
+    """Three commands that go on from a library file: detail, what a driver plays or a simulated tap, and the page."""
     file = shlex.quote(str(library))
-    heard = f"transopt export {file} listen.wav" if scene.targets else f"transopt-play tap {file} --simulate"
+    heard = f"transopt-play tap {file} --simulate"
+    if scene.targets:
+        heard = f"transopt export {file} drive.wav --drive"
     last = "verify" if scene.nonlinear else "page"  # which is for linear plants
     return [f"transopt show {file} --table", heard, f"transopt {last} {file}"]

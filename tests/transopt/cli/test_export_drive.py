@@ -43,6 +43,27 @@ def test_what_leaves_stands_beside_the_design(run: Run, lra: Path, monkeypatch: 
     assert "multiple" not in outcome.out
 
 
+def test_sounds_say_what_they_are_and_name_the_drive_which_is_one(run: Run, lra: Path, solved: Path) -> None:
+    outcome = run("export", lra, "d.wav")
+    assert outcome.code == 0
+    wrote, said, drive = outcome.out.splitlines()
+    assert wrote == "d.wav written"
+    rate, samples = wavfile.read("d.wav")
+    assert float(said.split()[2]) == pytest.approx(samples.size / rate, abs=0.06)
+    assert "of 2 targets what was asked for" in said
+    # The command that is named writes volts.
+    words = drive.split("for the volts, ")[1].split()
+    assert words[:2] == ["transopt", "export"]
+    assert run(*words[1:]).code == 0
+    library = clicks()
+    _, volts = wavfile.read("d_drive_click_150_Hz.wav")
+    assert np.corrcoef(volts, library.command[0, 0])[0, 1] > 0.9999
+    # A library of currents says what it wrote, and has no driver's waveforms to name.
+    outcome = run("export", solved / "library.npz", "s.wav")
+    assert "to listen to" in outcome.out
+    assert "--drive" not in outcome.out
+
+
 def test_saturation_is_counted_and_said(run: Run, lra: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     outcome = run("export", lra, "d.bin", "--drive", "--full-scale", 1.5, "--target", "click 150 Hz")

@@ -4,9 +4,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import problems
 from tests.benches.commands import Run, assert_refused
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import prepare, read_recordings
 from transopt.scene.builtin import load_scene
 from transopt.scene.recordings import recordings_of, references_of
 
@@ -190,3 +193,33 @@ class TestSensors:
 def test_a_pattern_that_matches_nothing(run: Run, tmp_path: Path) -> None:
     """A shell hands the pattern on as it stands where it finds no file either."""
     assert_refused(run("taps", tmp_path / "rgi" / "tap_*.csv"), "tap_*.csv: matches no file: check the names")
+
+
+def test_the_template_is_a_recording_that_is_read_and_solved(run: Run) -> None:
+    outcome = run("taps", "--template", "tap.csv")
+    assert (outcome.code, outcome.out) == (0, "tap.csv written; put your tap in it, then: transopt taps tap.csv\n")
+    text = Path("tap.csv").read_text()
+    assert run("taps", "tap.csv", "--scene", "mine.toml").code == 0
+    # Its remarks say what may be left out: the speed, which the position tells as well.
+    Path("fitted.csv").write_text(text.replace("# speed_m_s: 0.2\n", ""))
+    (stated, fitted) = (
+        prepare(each, Recordings(files=["unused"]))
+        for file in ("tap.csv", "fitted.csv")
+        for each in read_recordings(Recordings(files=[str(Path(file).absolute())]))
+    )
+    assert fitted.speed_m_s == pytest.approx(stated.speed_m_s, rel=1e-3)
+    for found in (stated, fitted):
+        assert not found.implausible
+        assert not found.notes
+        assert found.offset_m_s2 == pytest.approx(9.80665, rel=1e-3)
+        assert found.onset_s == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_template_overwrites_nothing_and_reads_nothing(run: Run) -> None:
+    Path("tap.csv").write_text("precious")
+    assert_refused(run("taps", "--template", "tap.csv"), "exists already", "--force")
+    assert Path("tap.csv").read_text() == "precious"
+    assert run("taps", "--template", "tap.csv", "--force").code == 0
+    assert_refused(run("taps", "tap.csv", "--template", "other.csv"), "reads none; leave tap.csv out")
+    assert_refused(run("taps", "--template", "tap.txt"), "ends in .csv")
+    assert_refused(run("taps"), "no recording named", "--template tap.csv")
