@@ -63,7 +63,7 @@ def plant_new(
         float | None, typer.Option("--quality-total", "--Qts", help="Quality with the driven coil, Qts.")
     ] = None,
     stiffness_N_m: Annotated[
-        float | None, typer.Option("--stiffness-N-m", help="Of the suspension: 1000 over Cms in mm/N.")
+        float | None, typer.Option("--stiffness-N-m", help="Stiffness of the suspension: 1000 over Cms in mm/N.")
     ] = None,
     peak: Annotated[float | None, typer.Option(help="The most that the driver may ever put out, in V or A.")] = None,
     stroke_m: Annotated[

@@ -140,7 +140,7 @@ def _height(peak_g: float) -> str:
 
 
 def implausible_response(
-    frequencies_Hz: FloatArray, response: ComplexArray, resonances_Hz: Sequence[float], unit: str
+    frequencies_Hz: FloatArray, response: ComplexArray | FloatArray, resonances_Hz: Sequence[float], unit: str
 ) -> str:
     """Why a frequency response cannot be that of an actuator's acceleration; empty if it can.
 

@@ -255,6 +255,8 @@ def read_scene(
         content["model"] = _identified(path, "model", content["model"])
     if isinstance(content.get("model"), dict):
         content["model"] = with_plant_file(path, content["model"])
+        if content.get("implausible") != "accept" and content["model"].get("kind") == "state_space":
+            check_plausible(path, {"model": content["model"]})
     recordings = content.setdefault("recordings", {}) if content.get("targets") else content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
         recordings["folder"] = _resolved(path, recordings.get("folder", "."))

@@ -10,12 +10,16 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from transopt.base.errors import InputError
 from transopt.base.units import unit_of
-from transopt.recordings.plausible import HAND_M_S
+from transopt.plant.state_space import StateSpace
+from transopt.recordings.plausible import HAND_M_S, implausible_response
 
 ACCEPT = 'correct it; if it is right, --accept takes it, or implausible = "accept" above the first table of the scene'
 KELVIN_0_C = -273.15
+FREQUENCIES_HZ = np.geomspace(2.0, 3e3, 150)  # at which the response of a plant by its matrices is looked at
 # Unit of a key -> units that are entered in its place, each with what one of it is.
 MISTAKEN = {
     "kg": {"g": 1e-3, "mg": 1e-6},
@@ -131,7 +135,27 @@ def implausible(content: Mapping[str, Any]) -> list[str]:
     ----------
     content : its tables as they were read; what is no number, or of no key known here, is passed over.
     """
-    return list(dict.fromkeys(said for found in _numbers(content) if (said := _wrong(*found))))
+    found = [said for each in _numbers(content) if (said := _wrong(*each))]
+    if said := _wrong_matrices(content.get("model")):
+        found.append(f"model: {said}")
+    return list(dict.fromkeys(found))
+
+
+def _wrong_matrices(model: Any) -> str:
+    """Why a plant by its matrices is no actuator; empty if it can be one, or is none by matrices that fit."""
+    if not isinstance(model, Mapping) or model.get("kind") != "state_space" or "A" not in model:
+        return ""
+    try:
+        A, B, C, D = (np.array(model.get(name, 0.0), dtype=float) for name in "ABCD")
+        plant = StateSpace(A, B[:, None], C[None], D.reshape(1, 1))
+        found = [abs(pole) / (2 * math.pi) for pole in np.linalg.eigvals(A) if pole.imag > 0]
+        with np.errstate(all="ignore"):
+            response = plant.response(FREQUENCIES_HZ)
+    except (InputError, ValueError, IndexError, TypeError, np.linalg.LinAlgError):
+        return ""  # refused where the scene is checked
+    if not np.all(np.isfinite(response)):
+        return ""
+    return implausible_response(FREQUENCIES_HZ, response, found, "V" if model.get("input") == "voltage" else "A")
 
 
 def _wrong(path: str, names: str, value: float) -> str:

@@ -200,7 +200,7 @@ def test_the_template_is_a_recording_that_is_read_and_solved(run: Run) -> None:
     assert (outcome.code, outcome.out) == (0, "tap.csv written; put your tap in it, then: transopt taps tap.csv\n")
     text = Path("tap.csv").read_text()
     assert run("taps", "tap.csv", "--scene", "mine.toml").code == 0
-    # Its remarks say what may be left out: the speed, which the position tells as well.
+    # The remarks say what may be left out: the speed, which the position tells as well.
     Path("fitted.csv").write_text(text.replace("# speed_m_s: 0.2\n", ""))
     (stated, fitted) = (
         prepare(each, Recordings(files=["unused"]))

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import problems
@@ -118,6 +119,24 @@ def test_in_a_tap(run: Run, old: str, new: str, said: str) -> None:
     assert outcome.code == 2
     assert f"check the unit {said}" in outcome.out + outcome.err
     assert run("taps", "tap.csv", "--accept").code == 0 or old == "time_s"  # no approach fits such times
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(1e5, "1000: mm/s^2, mg or mV?"), (1e-5, "1000: mm/s^2, mg or mV?"), (1.0, "")]
+)
+def test_in_matrices(run: Run, factor: float, said: str) -> None:
+    """A plant by its matrices, stated in the scene or in a file beside it."""
+    w, gain = 2 * np.pi * 60, factor * 10.0
+    A, C = [[0.0, 1.0], [-(w**2), -w / 5]], [-gain * w**2, -gain * w / 5]
+    np.savez("plant.npz", A=A, B=[0.0, 1.0], C=C, D=gain, input="voltage")
+    head = problems.scene_path(LRA).read_text().split("[model]")[0]
+    stated = f'input = "voltage"\nA = {A}\nB = [0.0, 1.0]\nC = {C}\nD = {gain}\n'
+    for model in (stated, 'file = "plant.npz"\n'):
+        Path("mine.toml").write_text(f'{head}[model]\nkind = "state_space"\n{model}[limits]\nvoltage_V = 3.0\n')
+        if said:
+            assert_refused(run("solve", "mine.toml"), "model: the largest response is", said, "--accept")
+        else:
+            assert not implausible(load_scene("mine.toml").model_dump())
 
 
 def test_in_a_study(run: Run) -> None:

@@ -174,10 +174,10 @@ def test_a_file_that_is_none(name: str, content: bytes | None, words: str, tmp_p
 
 
 class TestCoilsInScenes:
-    def test_the_current_of_a_coil_without_inductance_is_no_state(self, tmp_path: Path) -> None:
-        text = lra_scene().replace("L_H = 1e-4\n", "") + "current_A = 0.3\n"
-        with pytest.raises(InputError, match=r"limits.current_A: the current of a coil without .*state model.L_H"):
-            read(tmp_path, text)
+    def test_the_current_of_a_coil_without_inductance_is_no_state_and_limited(self, tmp_path: Path) -> None:
+        scene = read(tmp_path, lra_scene().replace("L_H = 1e-4\n", "") + "current_A = 0.3\n")
+        assert "current" not in scene.plant(0.0).outputs
+        assert scene.limits.asked()["current_A"] == pytest.approx(0.3)
 
 
 class TestPositionAndVelocity:
