@@ -71,7 +71,9 @@ class FollowingCurrentLimit(Limit):
 
     Attributes
     ----------
-    bends : of every device, the largest size of that part for any command within its limits [A].
+    circuit : of the coil. nominal_m_s : (N,) velocity of the nominal motion at tau_k.
+    bends : of every device, the size of that part for any command within its limits, by the first and second
+        differences of the velocity's response [A].
     """
 
     name: ClassVar[str] = CoilCurrentLimit.name
