@@ -150,7 +150,7 @@ def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, A
     rating = Rating(stated.get("case_mass_kg"), stated.get("L_H", 0.0), further.get("rms_V"), further.get("rms_A"))
     found = completed(numbers, rating)
     if found.note:
-        typer.echo(f"note: {found.note}; correct it, or leave it out")
+        typer.echo(f"note: {found.note}")
     for key in (key for key in UNKNOWN if key not in stated):
         sure = found.deviations[key]
         about = f"+-{100 * sure:.0f} %" if sure < UNSURE else f"a guess: measure it, and state {option_of(key)}"

@@ -53,7 +53,6 @@ SAID = {
     "quality_total": "total quality Qts",
     "stiffness_N_m": "stiffness",
 }
-FURTHER = tuple(key for key in TOLERANCE if key not in UNKNOWN)  # what the other numbers are found from
 CONTRADICTS = 3.0  # tolerances, by which a number may miss what the others say
 DETERMINED = 1e-3  # of the largest singular value, below which a combination of unknowns is not told
 UNSURE = 0.5  # relative deviation, from which on a number is called a guess
@@ -159,7 +158,8 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
             if np.abs(misses(others, rest)).max() <= CONTRADICTS:
                 by_others = predicted(np.exp(others), test)[key]
                 suspects.append(f"{SAID[key]} {told[key]:.3g}, by the others {by_others:.3g}")
-        note = f"the numbers contradict each other; one of these is wrong: {'; '.join(suspects) or 'more than one'}"
+        wrong = "; ".join(suspects) or "more than one"
+        note = f"the numbers contradict each other; one of these is wrong: {wrong}; correct it, or leave it out"
     return Completed(values, deviations, note)
 
 
