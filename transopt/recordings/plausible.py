@@ -42,6 +42,7 @@ RESONANCE_HZ = (2.0, 3e3)
 STILL_M = (1e-10, 0.02)  # m per A or V below the resonance: a phone's case moves 1e-6, a soft shaker 2e-3
 SLOPE, SLOPE_POINTS = 0.35, 4  # powers of the frequency, and points that tell them, on either side of a resonance
 SHEET = 1.4  # times: what specimens and mountings differ by
+THIRD = 2 ** (1 / 3)  # of an octave
 TINY = 1e-300
 GROWTH = 1.2  # from one length to the next that is tried as the pulse's
 
@@ -158,6 +159,11 @@ def implausible_response(
             f"the largest response is {peak:.3g} m/s^2 per {unit}, an actuator's {GAIN[0]:g} to {GAIN[1]:g}: check "
             f"its unit{likely}"
         )
+    first = f <= THIRD * f[0]
+    nearby = any(f[0] / 2 <= each <= 2 * f[0] for each in resonances_Hz)
+    if first.sum() >= SLOPE_POINTS and not nearby and _power(f[first], size[first]) < -1:
+        inverse = f"{'volts' if unit == 'V' else 'amperes'} over acceleration"
+        return f"it grows towards low frequencies, as {inverse}: are the columns exchanged?"
     if not resonances_Hz:
         return ""
     at = max(resonances_Hz, key=lambda each: float(np.interp(each, f, size, left=0.0, right=0.0)))
@@ -170,7 +176,7 @@ def implausible_response(
     low, high = f < at / 2, f > 2 * at
     if min(low.sum(), high.sum()) < SLOPE_POINTS:
         return ""
-    rise, fall = (float(np.polyfit(np.log(f[part]), np.log(size[part] + TINY), 1)[0]) for part in (low, high))
+    rise, fall = (_power(f[part], size[part]) for part in (low, high))
     for slopes, name, by in ((1, "a velocity", "2 pi f"), (2, "a displacement", "(2 pi f)^2")):
         if max(abs(rise - (2 - slopes)), abs(fall + slopes)) < SLOPE:
             return (
@@ -204,6 +210,11 @@ def against_sheet(found: float, stated: float, what: str, unit: str) -> str:
         f"its {what} is {found:.4g} {unit}, by the sheet {stated:.4g} {unit}, {ratio:.3g} times as much"
         f"{_asked(nearest, causes)}"
     )
+
+
+def _power(f: FloatArray, size: FloatArray) -> float:
+    """Power of the frequency by which a size grows."""
+    return float(np.polyfit(np.log(f), np.log(size + TINY), 1)[0])
 
 
 def _likely(value: float, bounds: tuple[float, float], factors: Mapping[str, float]) -> str:

@@ -182,6 +182,18 @@ def test_a_missing_column_is_named(run: Run, names: str, said: str) -> None:
     assert_refused(run("plant", "sweep", "sweep.csv", "--out", "plant.npz"), said)
 
 
+def test_exchanged_columns_and_times_of_a_wrong_unit_are_refused(run: Run) -> None:
+    record("sweep.csv", 113)
+    rows = Path("sweep.csv").read_text().splitlines()
+    for names, said in (
+        ("time_s,acceleration_g,voltage_V", "are the columns exchanged?"),
+        ("time_ms,voltage_V,acceleration_g", "check the unit of the frequency (a factor of 1000"),
+    ):
+        Path("wrong.csv").write_text("\n".join([names, *rows[1:]]))
+        assert_refused(run("plant", "sweep", "wrong.csv", "--out", "plant.npz"), said)
+    assert run("plant", "sweep", "wrong.csv", "--out", "plant.npz", "--units", "time=s").code == 0
+
+
 def test_a_clipped_sensor_is_refused(run: Run) -> None:
     record("sweep.csv", 112)
     t, u, a = np.loadtxt("sweep.csv", delimiter=",", skiprows=1).T

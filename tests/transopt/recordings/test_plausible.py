@@ -215,6 +215,11 @@ class TestResponse:
         )
         assert "as a displacement" in self.said(1e6 * self.accelerance() / w**2)
 
+    def test_exchanged_columns_are_told_by_how_the_response_begins(self) -> None:
+        assert "are the columns exchanged?" in implausible_response(self.f, 1 / self.accelerance(), [9.0], "V")
+        above = self.f > 155  # a band that begins on the far side of a resonance falls as steeply
+        assert not implausible_response(self.f[above], self.accelerance()[above], [150.0], "V")
+
     @pytest.mark.parametrize(
         ("ratio", "words"), [(9.81, "g and m/s^2"), (1 / 9.81, "g and m/s^2"), (1e3, "milli"), (6.28, "rad/s and Hz")]
     )
