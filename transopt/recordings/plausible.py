@@ -164,9 +164,10 @@ def implausible_response(
     if first.sum() >= SLOPE_POINTS and not nearby and _power(f[first], size[first]) < -1:
         inverse = f"{'volts' if unit == 'V' else 'amperes'} over acceleration"
         return f"it grows towards low frequencies, as {inverse}: are the columns exchanged?"
-    if not resonances_Hz:
+    inside = [each for each in resonances_Hz if f[0] <= each <= f[-1]]  # elsewhere a fit may put what it likes
+    if not inside:
         return ""
-    at = max(resonances_Hz, key=lambda each: float(np.interp(each, f, size, left=0.0, right=0.0)))
+    at = max(inside, key=lambda each: float(np.interp(each, f, size)))
     if not RESONANCE_HZ[0] <= at <= RESONANCE_HZ[1]:
         likely = _likely(at, RESONANCE_HZ, {"rad/s called Hz": 2 * math.pi, "kHz": 1e3})
         return (

@@ -194,6 +194,8 @@ class TestResponse:
     @pytest.mark.parametrize("gain", [0.3, 3.0, 30.0, 300.0])
     def test_actuators_pass(self, gain: float) -> None:
         assert not self.said(self.accelerance(gain))
+        assert not self.said(self.accelerance(gain), f0=1e5)  # a pole of the fit where nothing was measured
+        assert not implausible_response(self.f, np.full(self.f.size, gain + 0j), [], "A")
 
     @pytest.mark.parametrize(
         ("factor", "frequency", "words"),
