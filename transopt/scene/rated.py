@@ -142,24 +142,29 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
         found = scipy.optimize.least_squares(all_misses, own, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         return np.asarray(found.x), np.asarray(found.jac)
 
-    keys = list(told)
+    def contradiction() -> str:
+        """Which numbers are wrong if one is: those without which the others agree; empty if there are none."""
+        suspects = []
+        for key in keys:
+            rest = [each for each in keys if each != key]
+            others, slopes = fitted(rest)
+            if _is_determined(slopes[: len(rest)]) and np.abs(misses(others, rest)).max() <= CONTRADICTS:
+                by_others = predicted(np.exp(others), test)[key]
+                suspects.append(f"{SAID[key]} {told[key]:.3g}, by the others {by_others:.3g}")
+        return "; ".join(suspects)
+
+    keys, said = list(told), "the numbers contradict each other; one of these is wrong:"
     x, slopes = fitted(keys)
     note = _too_much_current(told, test)
     if not _is_determined(slopes[: len(keys)]):
+        if not note and len(keys) > len(UNKNOWN) and (wrong := contradiction()):
+            note = f"{said} {wrong}; correct it, or leave it out"
         raise InputError(note or _insufficient(x, keys, test))
     covariance = np.linalg.inv(slopes.T @ slopes)
     values = dict(zip(UNKNOWN, map(float, np.exp(x)), strict=True))
     deviations = dict(zip(UNKNOWN, map(float, np.sqrt(np.diag(covariance))), strict=True))
     if not note and np.abs(misses(x, keys)).max() > CONTRADICTS and len(keys) > len(UNKNOWN):
-        suspects = []
-        for key in keys:
-            rest = [each for each in keys if each != key]
-            others, _ = fitted(rest)
-            if np.abs(misses(others, rest)).max() <= CONTRADICTS:
-                by_others = predicted(np.exp(others), test)[key]
-                suspects.append(f"{SAID[key]} {told[key]:.3g}, by the others {by_others:.3g}")
-        wrong = "; ".join(suspects) or "more than one"
-        note = f"the numbers contradict each other; one of these is wrong: {wrong}; correct it, or leave it out"
+        note = f"{said} {contradiction() or 'more than one'}; correct it, or leave it out"
     return Completed(values, deviations, note)
 
 

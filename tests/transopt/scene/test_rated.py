@@ -91,6 +91,15 @@ def test_a_number_that_contradicts_the_others_is_named(seed: int, wrong: str, sa
     assert said in note
 
 
+def test_a_contradiction_that_leaves_nothing_to_be_found_is_named_and_not_asked_about() -> None:
+    """A brake time ten times the rise time, of a coil that motion hardly shows in."""
+    sheet = {"R_ohm": 25.0, "rms_A": 0.069, "rms_g": 1.2, "rise_s": 0.04, "quality": 13.0, "resonance_Hz": 235.0}
+    rating = Rating(0.1, rms_V=1.8, rms_A=0.069)
+    assert completed(sheet, rating).note == ""
+    with pytest.raises(InputError, match=r"one of these is wrong: .*brake time 0\.4, by the others 0\.0"):
+        completed({**sheet, "brake_s": 0.4}, rating)
+
+
 def test_intervals_hold_what_sheets_round() -> None:
     """Numbers off by their tolerances lead to values off by what is stated, two times out of three or more."""
     random, inside = np.random.default_rng(9), []
