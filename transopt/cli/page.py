@@ -8,12 +8,14 @@ import typer
 from transopt.base.errors import InputError
 from transopt.cli.scene import ACCEPT_HELP, DEFAULT_SCENE
 
+PORT_HELP = "Port to serve at; without it 8037, or any that is free where that is taken."
+
 
 def page(
     source: Annotated[
         str, typer.Argument(metavar="[SCENE|LIBRARY]", help="Built-in name, .toml file or library.npz.")
     ] = DEFAULT_SCENE,
-    port: Annotated[int, typer.Option(help="Port to serve at; any that is free without it.", min=0, max=65535)] = 0,
+    port: Annotated[int | None, typer.Option(help=PORT_HELP, min=0, max=65535)] = None,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
     accept: Annotated[bool, typer.Option("--accept", help=ACCEPT_HELP)] = False,
     show: Annotated[bool, typer.Option("--open", help="Open the address in the browser.")] = False,
@@ -22,15 +24,13 @@ def page(
 
     Serves this machine alone, at the address that it prints, until Ctrl-C.
     """
-    from transopt.scene.builtin import load_scene
     from transopt.web.serve import Page
     from transopt.web.server import check_extra
 
     check_extra()
     if recordings is not None and not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: no such folder")
-    is_library = source.lower().endswith(".npz")
-    served = Page(source if is_library else load_scene(source, accept=accept), port=port, recordings=recordings)
+    served = Page(source, port=port, recordings=recordings, accept=accept)
     typer.echo(f"{served.name}: {served.address}")
     typer.echo("open it in a browser on this machine; Ctrl-C ends it")
     if show:

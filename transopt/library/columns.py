@@ -240,7 +240,12 @@ class EntryTable:
         return replace(self, names=names)
 
     def legend(self, driven_by: str, *, named: bool) -> str:
-        """What the columns mean, in one paragraph.
+        """What the columns mean, in one paragraph; parameters as of `meanings`."""
+        said = self.meanings(driven_by, named=named)
+        return " ".join(f"{head.removesuffix(' %')}: {meaning}." for head, meaning in said.items())
+
+    def meanings(self, driven_by: str, *, named: bool) -> dict[str, str]:
+        """Head of a column -> what stands in it; of the columns whose head does not say it.
 
         Parameters
         ----------
@@ -248,7 +253,6 @@ class EntryTable:
         """
         target, over = ("the target", "over the waveform") if named else ("the recorded tap", "over the intention")
         ends = "" if named else ": the waveform ends while the hand pushes"
+        words = {"target": target, "over": over, "ends": ends, "input": driven_by, "unit": self.unit}
         said = [(column.head.split(" {at}")[0], column.meaning) for column in self.columns if column.meaning]
-        return " ".join(f"{head.removesuffix(' %')}: {meaning}." for head, meaning in said).format(
-            target=target, over=over, ends=ends, input=driven_by, unit=self.unit
-        )
+        return {head.format(**words): meaning.format(**words) for head, meaning in said}

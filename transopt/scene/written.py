@@ -2,6 +2,10 @@
 
 import json
 import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from transopt.plant.matrices import Matrices
@@ -55,3 +59,119 @@ def _value(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(_value, value)) + "]"
     return str(value)
+
+
+def edited(text: str, changes: Mapping[str, Any]) -> str | None:
+    """The text of a scene's file with other values, and with all its comments.
+
+    A line that is changed says what stood there; one that is left out becomes a comment.
+
+    Parameters
+    ----------
+    changes : dotted path -> value; None leaves the key out. A whole table takes the place of the one of its name.
+
+    Returns
+    -------
+    The text; None for no text, or one that states what is changed in another way than line by line.
+    """
+    if not text:
+        return None
+    try:
+        expected, lines = tomllib.loads(text), text.splitlines()
+        for path, value in changes.items():
+            _put(expected, path, value)
+            lines = _table(lines, path, value) if isinstance(value, dict) else _line(lines, path, value)
+        found = "\n".join(lines) + "\n"
+        return found if tomllib.loads(found) == expected else None
+    except (tomllib.TOMLDecodeError, AttributeError, TypeError):
+        return None
+
+
+def _put(content: dict[str, Any], path: str, value: Any) -> None:
+    *tables, key = path.split(".")
+    for name in tables:
+        content = content.get(name, {}) if value is None else content.setdefault(name, {})
+    if value is None:
+        content.pop(key, None)
+    else:
+        content[key] = value
+
+
+@dataclass(frozen=True)
+class _Statement:
+    """A key in the lines of a file: [start, stop), the table above it, and its name."""
+
+    start: int
+    stop: int
+    table: str
+    key: str
+
+
+def _statements(lines: list[str]) -> Iterator[_Statement]:
+    table, start = "", 0
+    while start < len(lines):
+        stop = start + 1
+        if header := re.match(r"\s*\[+([^\[\]]+)\]+\s*(#.*)?$", lines[start]):
+            table = header[1].strip()
+            yield _Statement(start, stop, table, "")
+        elif "=" in lines[start].partition("#")[0]:
+            while _value_of("\n".join(lines[start:stop])) is None and stop < len(lines):
+                stop += 1  # an array or a text of several lines
+            yield _Statement(start, stop, table, lines[start].partition("=")[0].strip())
+        start = stop
+
+
+def _value_of(statement: str) -> list[Any] | None:
+    """What a statement states, alone in a list; None where it is none."""
+    try:
+        return list(tomllib.loads(statement).values())
+    except tomllib.TOMLDecodeError:
+        return None
+
+
+def _line(lines: list[str], path: str, value: Any) -> list[str]:
+    """The lines with one key changed, added at the end of its table, or made a comment."""
+    table, _, key = path.rpartition(".")
+    all_of_them = list(_statements(lines))
+    old = next((each for each in all_of_them if (each.table, each.key) == (table, key)), None)
+    if old is not None:
+        kept = lines[old.start : old.stop]
+        if value is None:
+            new = [f"# {line}" for line in kept]
+        else:
+            comment, was = _comment(kept)
+            same = _value_of("\n".join(kept)) == [value]
+            new = kept if same else [f"{key} = {_value(value)}  {comment or '#'} (was {was})"]
+        return [*lines[: old.start], *new, *lines[old.stop :]]
+    if value is None:
+        return lines
+    new = [f"{key} = {_value(value)}"]
+    after = [each.stop for each in all_of_them if each.table == table]
+    if after:
+        return [*lines[: after[-1]], *new, *lines[after[-1] :]]
+    if table:
+        return [*lines, "", f"[{table}]", *new]
+    first = next((each.start for each in all_of_them), len(lines))
+    return [*lines[:first], *new, *lines[first:]]
+
+
+def _comment(lines: list[str]) -> tuple[str, str]:
+    """Comment at the end of a statement, and its value as it is written."""
+    text = " ".join(line.strip() for line in lines)
+    value = text.partition("=")[2].strip()
+    for at in (match.start() for match in re.finditer("#", value)) if len(lines) == 1 else ():
+        if _value_of(f"x = {value[:at]}") is not None:
+            return value[at:], value[:at].strip()
+    return "", value
+
+
+def _table(lines: list[str], name: str, value: Mapping[str, Any]) -> list[str]:
+    """The lines with other keys in a table, which loses those it had and the tables within it; remarks stay."""
+    new = [f"{key} = {_value(each)}" for key, each in value.items()]
+    found, begun = list(lines), False
+    for each in reversed(list(_statements(lines))):
+        if each.table != name and not each.table.startswith(f"{name}."):
+            continue
+        begun = begun or (each.table, each.key) == (name, "")
+        found[each.start : each.stop] = [lines[each.start], *new] if (each.table, each.key) == (name, "") else []
+    return found if begun else [*found, "", f"[{name}]", *new]

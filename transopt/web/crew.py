@@ -16,7 +16,8 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future
 
 from transopt.base.apart import Processes, bounded
 from transopt.scene.scene import Scene
-from transopt.web.service import Service, Shown
+from transopt.web.service import Service
+from transopt.web.shown import Shown
 
 MOST = 3  # processes: with the server's own share that is three taps each of twelve
 MOST_S = 20.0  # for a share; who takes longer is ended, and the server solves it
@@ -73,7 +74,7 @@ class Crew:
             member.process.shutdown(wait=False)
 
     def quick(self, name: str, service: Service, order: Sequence[int]) -> Iterator[Shown]:
-        """`Service.quick` of several taps, the first of them first and with its words, the others without.
+        """`Service.quick` of several taps, the first of them first.
 
         Parameters
         ----------
@@ -81,7 +82,7 @@ class Crew:
         """
         alone = len(order) < 2 or not self._at_work.acquire(blocking=False)
         if alone:
-            yield from (service.quick(index, words=index == order[0]) for index in order)
+            yield from (service.quick(index) for index in order)
             return
         try:
             # Neighbours in the order share the device of their grip, which is made once for each process.
@@ -90,7 +91,7 @@ class Crew:
                 (member, share, member.ask(name, service, share))
                 for member, share in zip(list(self._members), others, strict=False)
             ]
-            yield from (service.quick(index, words=index == order[0]) for index in own)
+            yield from (service.quick(index) for index in own)
             for member, share, answer in asked:
                 yield from self._answer(member, share, answer, service)
         finally:  # answers that nobody waits for any more come before those of the next call
@@ -107,7 +108,7 @@ class Crew:
             member.process.shutdown(wait=False)
             if not self._ended.is_set():
                 self.start()
-            return [service.quick(index, words=False) for index in share]
+            return [service.quick(index) for index in share]
 
 
 def _shares(order: Sequence[int], count: int) -> list[Sequence[int]]:
@@ -158,7 +159,7 @@ def _share(
         _services.popitem(last=False)
     service = _services[name]
     service.scene, service.probe, service.winding_C = asked
-    return bounded(MOST_S, lambda: [service.quick(index, words=False) for index in share])
+    return bounded(MOST_S, lambda: [service.quick(index) for index in share])
 
 
 def service_name() -> str:

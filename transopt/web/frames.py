@@ -13,7 +13,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.web.service import Shown, plain
+from transopt.web.shown import Shown, plain
 
 CURVES = (
     *("recorded_m_s2", "optimum_m_s2", "clipped_m_s2", "input", "clipped_input", "temperature_C"),

@@ -1,8 +1,12 @@
-"""The inverse question of one tap: which limit does its error need."""
+"""The inverse question of one tap: which limit does its error need, and what can move that error at all."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from transopt.base.errors import InputError
+from transopt.base.writing import percent
 from transopt.design.design import design
 from transopt.problem.answer import Status
 from transopt.scene.keys import Value, find_key, with_values
@@ -12,6 +16,7 @@ from transopt.web.controls import Control
 from transopt.web.service import Service
 
 PRECISION = 1e-3  # of the answer
+LEAST_MOVE = 5e-4  # of the tap error: what moves it less is not offered
 
 
 @dataclass(frozen=True)
@@ -21,11 +26,55 @@ class Found:
     Attributes
     ----------
     value : of the key; None where none within its slider does.
+    needed : whether the error is too large as it is; else the value would do as well.
     words : what was found, or how near the search came.
     """
 
     value: Value
+    needed: bool
     words: str
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A number of the scene that moves the error of one tap.
+
+    Attributes
+    ----------
+    key, label, unit : of its control.
+    best : least tap error at the two ends of its slider.
+    at : the end that has it.
+    """
+
+    key: str
+    label: str
+    unit: str
+    best: float
+    at: float
+
+
+def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: False) -> list[Mover] | None:
+    """What can move the error of one tap, the strongest first: every stated number, solved at the ends of its slider.
+
+    Parameters
+    ----------
+    given_up : asked before every solution; the answer is then None.
+    """
+    now = _tap_error(service, index, {})[0]
+    found = []
+    for control in service.controls:
+        if control.choices or control.value is None:
+            continue
+        errors = {}
+        for value in (control.low, control.high):
+            if given_up():
+                return None
+            errors[value] = _tap_error(service, index, {control.key: value})[0]
+        at = min(errors, key=lambda value: np.nan_to_num(errors[value], nan=np.inf))
+        moved = [error for error in errors.values() if not abs(error - now) <= LEAST_MOVE and np.isfinite(error)]
+        if moved:
+            found.append(Mover(control.key, control.label, control.unit, errors[at], at))
+    return sorted(found, key=lambda mover: mover.best)
 
 
 def asked(service: Service, index: int, control: Control, tap_error: float) -> Found:
@@ -41,10 +90,10 @@ def asked(service: Service, index: int, control: Control, tap_error: float) -> F
     InputError : a key that is no number, or an error that is none.
     """
     if control.choices:
-        raise InputError(f"{control.key}: a choice and no number: ask about a limit")
+        raise InputError(f"{control.label}: a choice and no number: ask about a limit")
     if not 0 < tap_error < 1:
         raise InputError(f"error {100 * tap_error:g} %: must be between 0 and 100 %")
-    place, reference = service.places[index], service.reference(service.places[index])
+    place, shown = service.places[index], service.quick(index)
     question = Question(
         find_key(service.scene, control.key),
         control.low,
@@ -55,33 +104,39 @@ def asked(service: Service, index: int, control: Control, tap_error: float) -> F
     )
 
     def row(value: float) -> Row:
+        error, reason = _tap_error(service, index, {control.key: value})
         cells = {"speed_m_s": str(place.speed_m_s), "grip_N": str(place.grip_N), "target": place.target}
-        try:
-            scene = with_values(service.scene, {control.key: value})
-            posed = service.context.varied(scene).posed_as(reference, place.grip_N)
-            (found,) = design([posed], options=service.trial)
-        except InputError as error:
-            return {**cells, "status": "REFUSED", "reason": str(error), "tap_error": ""}
-        if found.solution.status is not Status.OPTIMAL or not found.certificate.accepted:
-            said = found.solution.status.value
-            return {**cells, "status": Status.NOT_CERTIFIED.name, "reason": said, "tap_error": ""}
-        return {
-            **cells,
-            "status": OPTIMAL,
-            "reason": "",
-            "tap_error": repr(found.problem.yardstick.tap_error(found.told, found.predicted_m_s2)),
-        }
+        status = Status.NOT_CERTIFIED.name if reason else OPTIMAL
+        return {**cells, "status": status, "reason": reason, "tap_error": "" if reason else repr(error)}
 
     answered = answer(question, lambda values: [[row(value)] for value in values])
     unit = f" {control.unit}" if control.unit else ""
     wanted = f"{place.title}: an error of at most {100 * tap_error:.3g} %"
+    now = shown.figures.tap_error if shown.figures is not None else np.inf
+    needed = now > tap_error
     if answered.met is None:
         nearest = min(answered.tried, key=lambda tried: tried.excess)
         reached = nearest.rows[0]["tap_error"]
         how_near = f"; the nearest is {100 * float(reached):.3g} % at {nearest.value:.4g}{unit}" if reached else ""
-        return Found(
-            None,
-            f"{wanted} is met by no {control.label} from {control.low:.4g} to {control.high:.4g}{unit}{how_near}",
-        )
+        floor = f"; no limit at all leaves {percent(shown.floor)} %" if shown.floor > tap_error else ""
+        span = f"from {control.low:.4g} to {control.high:.4g}{unit}"
+        return Found(None, needed, f"{wanted} is met by no {control.label} {span}{how_near}{floor}")
     ends = "" if answered.missed is not None else ", the end of its slider"
-    return Found(answered.met.value, f"{wanted} takes a {control.label} of {answered.met.value:.4g}{unit}{ends}")
+    least = f"{answered.met.value:.4g}{unit}{ends}"
+    if needed:
+        return Found(answered.met.value, needed, f"{wanted} takes a {control.label} of {least}")
+    said = f"Nothing need be done: {place.title} has {percent(now)} % already"
+    return Found(answered.met.value, needed, f"{said}; a {control.label} of {least} would do")
+
+
+def _tap_error(service: Service, index: int, changes: dict[str, Value]) -> tuple[float, str]:
+    """Tap error with other values, NaN where it is not certified, and why it is not."""
+    place, reference = service.places[index], service.reference(service.places[index])
+    try:
+        context = service.context.varied(with_values(service.scene, changes)) if changes else service.context
+        (found,) = design([context.posed_as(reference, place.grip_N)], options=service.trial)
+    except InputError as error:
+        return np.nan, str(error)
+    if found.solution.status is not Status.OPTIMAL or not found.certificate.accepted:
+        return np.nan, found.solution.status.value
+    return found.problem.yardstick.tap_error(found.told, found.predicted_m_s2), ""

@@ -5,15 +5,17 @@ from typing import TYPE_CHECKING, Self
 
 from transopt.base.errors import InputError
 from transopt.base.shown import html_figure, html_table
+from transopt.design.entry import Entry
 from transopt.library.columns import EntryTable
 from transopt.library.library import Library
 from transopt.report.transients import entries_figure
 from transopt.scene.scene import Scene
+from transopt.web.opening import opened
 from transopt.web.server import Server, check_extra
-from transopt.web.service import Service, opened
+from transopt.web.service import Service
 
 if TYPE_CHECKING:
-    import plotly.graph_objects
+    from matplotlib.figure import Figure
 
 
 class Page:
@@ -22,8 +24,10 @@ class Page:
     Parameters
     ----------
     source : a scene, a library, the name of a built-in scene, or the path of a .toml or .npz file.
-    port : 0 for any that is free.
+    port : 0 for any that is free; None for the usual one, or any where that is taken.
     recordings : folder of the scene's recordings, in place of the one that it names.
+    token : of the address; a random one where none is given.
+    accept : numbers that no device and no tap has.
 
     Attributes
     ----------
@@ -35,13 +39,19 @@ class Page:
     """
 
     def __init__(
-        self, source: Scene | Library | str | Path, *, port: int = 0, recordings: Path | None = None, token: str = ""
+        self,
+        source: Scene | Library | str | Path,
+        *,
+        port: int | None = 0,
+        recordings: Path | None = None,
+        token: str = "",
+        accept: bool = False,
     ) -> None:
         check_extra()
-        self.service = opened(source, recordings)
+        self.service = opened(source, recordings, accept=accept)
         library = source if isinstance(source, Library) else self.service.of_library
-        scene = self.service.opened
-        self._server = Server(lambda: Service(scene, library=library), port, token)
+        scene, text = self.service.opened, self.service.source
+        self._server = Server(lambda: Service(scene, library=library, text=text), port, token)
 
     @property
     def name(self) -> str:
@@ -74,22 +84,24 @@ class Page:
     def __repr__(self) -> str:
         return f"Page({self.name}: {self.address})"
 
-    def plot(self) -> "plotly.graph_objects.Figure":
-        """Every tap as plotly draws it, without a server."""
-        from transopt.web.figure import service_figure
+    @property
+    def _entries(self) -> list[list[Entry]]:
+        """Every tap as a library would hold it: rows of speeds or targets."""
+        width = len(self.service.scene.axes.grips_N)
+        entries = [self.service.entry(index) for index in range(len(self.service.places))]
+        return [entries[at : at + width] for at in range(0, len(entries), width)]
 
-        return service_figure(self.service)
+    def plot(self) -> "Figure":
+        """Every tap as the figures of a library show it, without a server."""
+        return entries_figure(self._entries)
 
     def _repr_html_(self) -> str:
-        """Table and figure in a notebook: static, and made of every tap as a library would hold it."""
-        service = self.service
-        axes, places = service.scene.axes, range(len(service.places))
-        entries = [service.entry(index) for index in places]
-        width = len(axes.grips_N)
-        figure = entries_figure([entries[at : at + width] for at in range(0, len(entries), width)])
+        """Table and figure in a notebook, static."""
+        rows, scene = self._entries, self.service.scene
         names = ("tap", "floor", "binding", "verdict")
-        shown = EntryTable(axes.columns, names, entries, service.scene.driven_by.unit)
-        return html_table(repr(self), shown.heads, shown.cells) + html_figure(figure)
+        entries = [entry for row in rows for entry in row]
+        shown = EntryTable(scene.axes.columns, names, entries, scene.driven_by.unit)
+        return html_table(repr(self), shown.heads, shown.cells) + html_figure(entries_figure(rows))
 
 
 def page(source: Scene | Library | str | Path, *, port: int = 0) -> Page:

@@ -2,7 +2,7 @@
 
 It is bound to 127.0.0.1 alone. The address has a random token, which every request must have; a request that a page
 of another origin makes, or that came by another host name (DNS rebinding), is refused. Nothing is loaded from
-anywhere else: plotly's JavaScript is that of its Python package.
+anywhere else.
 """
 
 import asyncio
@@ -20,14 +20,16 @@ from transopt.base.errors import InputError
 from transopt.web.crew import Crew
 from transopt.web.frames import parted
 from transopt.web.service import Service
-from transopt.web.session import MOST_UPLOAD_BYTES, Session
+from transopt.web.session import Session
+from transopt.web.upload import MOST_UPLOAD_BYTES
 
 HOST = "127.0.0.1"
-MISSING = "the page needs starlette, uvicorn, websockets and plotly: pip install 'transopt[page]'"
+MISSING = "the page needs starlette, uvicorn and websockets: pip install 'transopt[page]'"
 STATIC = Path(__file__).parent / "static"
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 MOST_WINDOWS = 16
 FRAME_BYTES = MOST_UPLOAD_BYTES + 2**20
+USUAL_PORT = 8037  # another start has the same origin, in which a browser keeps own taps
 READY_S = 10.0
 SWITCH_S = 5e-4
 REFUSED = 4403  # closes a websocket that is not the page's own
@@ -43,19 +45,11 @@ def check_extra() -> None:
     InputError : a package of it cannot be imported.
     """
     try:
-        import plotly  # noqa: F401
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
         import websockets  # noqa: F401
     except ImportError:
         raise InputError(MISSING) from None
-
-
-def plotly_script() -> Path:
-    """The JavaScript that plotly's wheel carries."""
-    import plotly
-
-    return Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
 
 
 class Guard:
@@ -73,7 +67,7 @@ class Guard:
         self._hosts = {f"{HOST}:{port}", f"localhost:{port}"}
         self._origins = {f"http://{host}" for host in self._hosts}
         self._policy = (
-            "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
             f"connect-src 'self' {' '.join(f'ws://{host}' for host in sorted(self._hosts))}; base-uri 'none'; "
             "form-action 'none'; frame-ancestors 'none'"
         )
@@ -131,7 +125,6 @@ def application(opener: Callable[[], Service], crew: Crew, token: str, port: int
 
     windows: set[Session] = set()
     files = {path.name: path for path in STATIC.iterdir() if path.suffix in KINDS}
-    files["plotly.min.js"] = plotly_script()
 
     async def static(request: Request) -> Response:
         name = request.path_params["name"]
@@ -205,7 +198,7 @@ class Server:
     Parameters
     ----------
     opener : makes the service of each window.
-    port : 0 for any that is free.
+    port : 0 for any that is free; None for the usual one, or any where that is taken.
     token : of the address; a random one where none is given.
 
     Raises
@@ -213,19 +206,11 @@ class Server:
     InputError : the extra is missing, or the port is taken.
     """
 
-    def __init__(self, opener: Callable[[], Service], port: int = 0, token: str = "") -> None:
+    def __init__(self, opener: Callable[[], Service], port: int | None = 0, token: str = "") -> None:
         check_extra()
         import uvicorn
 
-        self._socket = socket.socket()
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind((HOST, port))
-            self._socket.listen()
-        except (OSError, OverflowError) as error:
-            self._socket.close()
-            said = getattr(error, "strerror", None) or error
-            raise InputError(f"--port {port}: cannot be used ({said}): choose another, or leave it out") from None
+        self._socket = _bound(port)
         self.port = int(self._socket.getsockname()[1])
         self.token = token or secrets.token_urlsafe()
         self.address = f"http://{HOST}:{self.port}/{self.token}/"
@@ -267,3 +252,19 @@ class Server:
         self._server.should_exit = True
         if self._thread is not None:
             self._thread.join(READY_S)
+
+
+def _bound(port: int | None) -> socket.socket:
+    """A socket that listens at a port, at the usual one where none is asked for, or else at any."""
+    listening = socket.socket()
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((HOST, USUAL_PORT if port is None else port))
+        listening.listen()
+    except (OSError, OverflowError) as error:
+        listening.close()
+        if port is None:
+            return _bound(0)
+        said = getattr(error, "strerror", None) or error
+        raise InputError(f"--port {port}: cannot be used ({said}): choose another, or leave it out") from None
+    return listening

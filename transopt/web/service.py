@@ -7,7 +7,7 @@ is what a library would hold.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,26 +24,22 @@ from transopt.design.explain import what_would_do
 from transopt.design.remedy import remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
-from transopt.library.proven import load_proven
 from transopt.library.recorded import references_of_library
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
-from transopt.problem.answer import Status
-from transopt.problem.baselines import clipped_optimum
-from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.objective.figures import Figures
-from transopt.problem.problem import TransientProblem
 from transopt.problem.warm_coil import WarmCoil
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.recordings.references import References
-from transopt.recordings.tap import check_usable, prepare, read_recordings
-from transopt.scene.builtin import load_scene
+from transopt.scene.builtin import FOLDER
 from transopt.scene.keys import IN_PLACE_OF, Value, keys, with_values
 from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
+from transopt.scene.written import edited, scene_text
 from transopt.solvers.options import SolverOptions, TrialOptions
-from transopt.web.controls import DEVICE, TABLES, Control, controls, input_key
+from transopt.web.controls import DEVICE, TABLES, Control, controls
+from transopt.web.price import priced
+from transopt.web.shown import Place, Shown, shown
 from transopt.web.warm import Warm, on_warm_coil
 
 MOST_REMEDY_S = 1.5  # of a processor's time for what would do for one tap
@@ -62,90 +58,6 @@ RECORDED = {
 }
 
 
-@dataclass(frozen=True)
-class Place:
-    """Which tap it is.
-
-    Attributes
-    ----------
-    speed_m_s, grip_N : 0 of a named target.
-    target : its name; empty for a tap.
-    title : in words.
-    between : whether it lies between the nodes of the scene, where the sliders of speed and grip put it.
-    """
-
-    speed_m_s: float
-    grip_N: float
-    target: str
-    title: str
-    between: bool = False
-
-
-@dataclass(frozen=True)
-class Curves:
-    """One tap as it is drawn; without a certified optimum its own curves are NaN.
-
-    Attributes
-    ----------
-    times_s : (N + M,) the switching instants, and those after the window.
-    recorded_m_s2 : (N + M,) r, the recorded acceleration.
-    optimum_m_s2, clipped_m_s2 : (N + M,) y'' of the optimum, and of the unlimited one cut at the limit.
-    input, clipped_input : (N + M,) what drives the plant [A or V].
-    input_limit : that they stay within.
-    temperature_C : (N,) of the winding at the ends of the periods; (0,) without a coil.
-    temperature_limit_C : NaN without a coil.
-    warm_m_s2, warm_input : (N + M,) as `optimum_m_s2` and `input`, of what is played on a coil as warm as is asked
-        for; (0,) where nothing is asked.
-    """
-
-    times_s: FloatArray
-    recorded_m_s2: FloatArray
-    optimum_m_s2: FloatArray
-    clipped_m_s2: FloatArray
-    input: FloatArray
-    clipped_input: FloatArray
-    input_limit: float
-    temperature_C: FloatArray
-    temperature_limit_C: float
-    warm_m_s2: FloatArray = field(default_factory=lambda: np.zeros(0))
-    warm_input: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True)
-class Shown:
-    """One tap of an answer.
-
-    Attributes
-    ----------
-    index : of the place.
-    certified : whether the project's certificate is accepted; what is not is greyed.
-    replayed : whether it is admitted too, as an entry of a library is.
-    reason : why it is not certified; empty if it is.
-    figures : how near the optimum comes to the recorded tap; None where there is none.
-    floor, clipped : tap error of the optimum without limits, and of that one clipped.
-    heat_A2_ms : integral of the squared current.
-    binds : what holds it back, in words.
-    curves : as drawn; None in the answer of `settled`, which changes no curve.
-    warm : what is played on a coil as warm as is asked for; None where nothing is asked, or it is not certified.
-    price : of the dearest limit, in a sentence; known when settled.
-    verdict : known when settled.
-    """
-
-    index: int
-    certified: bool
-    replayed: bool
-    reason: str
-    figures: Figures | None
-    floor: float
-    clipped: float
-    heat_A2_ms: float
-    binds: str
-    curves: Curves | None = None
-    warm: Warm | None = None
-    price: str = ""
-    verdict: str = ""
-
-
 class Service:
     """A scene, its taps, and the changes that have been made to it.
 
@@ -155,6 +67,7 @@ class Service:
     recordings : to be reproduced in place of those that the scene names.
     library : of which it is the scene: then its references serve as long as the time axis stays, and no recording
         need be there.
+    text : of the scene's file, whose comments a scene that is saved keeps; empty where there is none.
 
     Raises
     ------
@@ -162,9 +75,13 @@ class Service:
     """
 
     def __init__(
-        self, scene: Scene, recordings: Sequence[Recording] | None = None, library: Library | None = None
+        self,
+        scene: Scene,
+        recordings: Sequence[Recording] | None = None,
+        library: Library | None = None,
+        text: str = "",
     ) -> None:
-        self.opened, self.of_library, self._given = scene, library, recordings
+        self.opened, self.of_library, self._given, self.source = scene, library, recordings, text
         self.changes: dict[str, Value] = {}
         self.options = SolverOptions()
         self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
@@ -246,10 +163,11 @@ class Service:
         probe: tuple[float, float] | None = None,
         winding_C: float | None = None,
     ) -> None:
-        """Take other values into the scene.
+        """Take other values into the scene as it was opened, in place of those that were taken before.
 
         Parameters
         ----------
+        changes : key -> value; of two statements of one limit the later counts.
         probe : a speed [m/s] and a grip [N] between the nodes; None for none.
         winding_C : of a coil on which every tap is played besides; None for none.
 
@@ -257,13 +175,13 @@ class Service:
         ------
         InputError : values that the scene does not take; it stays as it was.
         """
-        for key in changes:
+        wanted: dict[str, Value] = {}
+        for key, value in changes.items():
             if key not in self._known:
                 raise InputError(f"{key}: no slider of this scene")
-        wanted = {**self.changes, **changes}
-        for key in changes:
             wanted.pop(IN_PLACE_OF.get(key, ""), None)
-        scene = with_values(self.opened, wanted)
+            wanted[key] = value
+        scene = self.scene if wanted == self.changes else with_values(self.opened, wanted)
         self._check_probe(scene, probe)
         if winding_C is not None and (self.windings_C is None or not np.isfinite(winding_C)):
             raise InputError(f"winding {winding_C:g} C: the scene has no second commands: state grid.cool_share")
@@ -329,25 +247,18 @@ class Service:
         return [index for index in (selected,) if 0 <= index < len(places)] + [i for i in rest if i != selected]
 
     @one_blas_thread()
-    def quick(self, index: int, *, words: bool = True) -> Shown:
-        """One tap under the present limits: its optimum and the certificate, no replay and no price.
-
-        Parameters
-        ----------
-        words : whether it is found out what binds, and the energy; else these are left empty and NaN.
-        """
+    def quick(self, index: int) -> Shown:
+        """One tap under the present limits: its optimum and the certificate, no replay and no price."""
         with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
             (entry,) = design([self._posed(self.places[index])], options=self.trial)
-            shown = _shown(index, entry, words=words)
-            warm = self._warm(index, entry) if shown.certified else None
-            if warm is None:
-                return shown
-            found, acceleration, current = warm
-            assert shown.curves is not None
+            found = shown(index, entry)
+            warm = self._warm(index, entry) if found.certified else None
+            if warm is None or found.curves is None:
+                return found
+            played, acceleration, current = warm
             free = entry.problem.target.lasting(entry.problem.target.free_m_s2)
-            return replace(
-                shown, warm=found, curves=replace(shown.curves, warm_m_s2=acceleration + free, warm_input=current)
-            )
+            curves = replace(found.curves, warm_m_s2=acceleration + free, warm_input=current)
+            return replace(found, warm=played, curves=curves)
 
     def _warm(self, index: int, entry: Entry) -> tuple[Warm, FloatArray, FloatArray] | None:
         """A tap on a coil as warm as is asked for; None where nothing is asked."""
@@ -384,9 +295,20 @@ class Service:
             heat_A2_ms=1e3 * entry.heat_A2_s if admitted else np.nan,
             binds=entry.binding if admitted else "",
             warm=None if warm is None else warm[0],
-            price=entry.prices[0].sentence if entry.prices else "",
+            prices=priced(self._posed(place), entry, self.trial) if admitted else (),
             verdict=entry.verdict,
         )
+
+    @property
+    def text(self) -> str:
+        """The scene as it is now as a file: with the comments of the one that was opened, without an installation."""
+        scene = self.scene
+        changes: dict[str, Any] = {"name": scene.name}
+        for path, value in self.changes.items():
+            changes |= {IN_PLACE_OF[path]: None, path: value} if path in IN_PLACE_OF else {path: value}
+        if scene.implausible == "accept":
+            changes["implausible"] = "accept"
+        return edited(self.source, changes) or scene_text(_portable(scene))
 
     def accelerations(self, index: int) -> dict[str, FloatArray]:
         """What a tap sounds like: (N + M,) of recorded, clipped and, if certified, optimum [m/s^2]."""
@@ -424,152 +346,11 @@ class Service:
         return made.library
 
 
-def opened(source: Scene | Library | str | Path, recordings: Path | None = None) -> Service:
-    """The service of a scene, of a library, or of the name or path of one.
-
-    Parameters
-    ----------
-    recordings : folder of the scene's recordings, in place of the one that it names.
-
-    Raises
-    ------
-    InputError : a file that cannot be used.
-    """
-    if isinstance(source, str | Path) and str(source).lower().endswith(".npz"):
-        source = load_proven(Path(source))
-    if isinstance(source, Library):
-        source.check_linear("page")
-        return Service(source.scene(), library=source)
-    scene = source if isinstance(source, Scene) else load_scene(source)
-    if recordings is not None:
-        scene = with_values(scene, {"recordings.folder": str(recordings.resolve())})
-    return Service(scene)
-
-
-def own_taps(scene: Scene, folder: Path, files: Sequence[str], speed_m_s: float | None) -> Service:
-    """The service of a scene with taps of a user's own in place of its recordings.
-
-    The grid takes the speeds of the files, one each, since taps within the scene's tolerance of each other share one.
-
-    Parameters
-    ----------
-    files : names in the folder.
-    speed_m_s : of files that state none.
-
-    Raises
-    ------
-    InputError : a file that is no tap, or whose speed nobody states.
-    """
-    if scene.targets:
-        raise InputError(
-            f"{scene.name}: has named targets, which no tap takes the place of: open a scene with speeds"
-        )
-    stated = scene.recordings.model_dump(include={"lowpass_Hz", "trusted_from_Hz", "speed_tolerance"})
-    table = {**stated, "files": list(files), "folder": str(folder), "speed_m_s": speed_m_s}
-    settings = with_values(scene, {"recordings": table}).recordings
-    taps = [prepare(recording, settings) for recording in read_recordings(settings)]
-    nodes: list[float] = []
-    for tap in sorted(taps, key=lambda tap: tap.speed_m_s):
-        check_usable(tap, settings)
-        speed = float(f"{tap.speed_m_s:.3g}")
-        if not nodes or abs(nodes[-1] / tap.speed_m_s - 1) > settings.speed_tolerance:
-            nodes.append(speed)
-    return Service(with_values(scene, {"recordings": table, "grid.speeds_m_s": nodes}))
-
-
-def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N + M,) acceleration and input of a command (N,), after which there is none."""
-    return problem.stage.rollout(np.append(command, np.zeros(problem.grid.after_stages)))
-
-
-def _shown(index: int, entry: Entry, *, words: bool) -> Shown:
-    problem, answer, proof = entry.problem, entry.solution, entry.certificate
-    grid, target = problem.grid, problem.target
-    N = grid.stages
-    certified = answer.status is Status.OPTIMAL and (proof.accepted or _bent(entry))
-    clipped = clipped_optimum(problem.stage, grid, entry.designed.unlimited_command, problem.limits.input_limit)
-    clipped_m_s2, clipped_input = _rolled(problem, clipped)
-    nothing = np.full(N + grid.after_stages, np.nan)
-    optimum, current = (
-        problem.stage.rollout(problem.continued(answer.command)) if certified else (nothing, nothing.copy())
-    )
-    thermal = problem.limits.get(TemperatureLimit.name)
-    warm, limit_C = np.zeros(0), np.nan
-    if isinstance(thermal, TemperatureLimit):
-        limit_C = thermal.limit_C
-        warm = thermal.temperatures_C(current[:N], answer.command) if certified else nothing[:N]
-    curves = Curves(
-        times_s=np.append(grid.switching_times_s, grid.after_times_s),
-        recorded_m_s2=target.lasting(target.recorded_m_s2),
-        optimum_m_s2=optimum + target.lasting(target.free_m_s2),
-        clipped_m_s2=clipped_m_s2 + target.lasting(target.free_m_s2),
-        input=current,
-        clipped_input=clipped_input,
-        input_limit=problem.limits.input_limit,
-        temperature_C=warm,
-        temperature_limit_C=limit_C,
-    )
-    said = "; ".join(dict.fromkeys([answer.status.value, *entry.designed.remarks]))
-    if not certified and answer.status is Status.OPTIMAL:
-        said = f"{Status.NOT_CERTIFIED.value}: gap {proof.relative_gap:.1e}, limit {proof.GAP_TOLERANCE:.0e}"
-    return Shown(
-        index=index,
-        certified=certified,
-        replayed=False,
-        reason="" if certified else said,
-        figures=problem.figures(optimum) if certified else None,
-        floor=entry.floor,
-        clipped=problem.yardstick.tap_error(target, clipped_m_s2),
-        heat_A2_ms=1e3 * entry.heat_A2_s if certified else np.nan,
-        binds=entry.binding if certified and words else "",
-        curves=curves,
-    )
-
-
-def _bent(entry: Entry) -> bool:
-    """Whether the answer is a stationary point under a limit of a user's own, of which nobody can promise more."""
-    own = any(name != TemperatureLimit.name for name in entry.problem.nonlinear)
-    return entry.certificate.is_stationary and own
-
-
-def described(service: Service) -> dict[str, Any]:
-    """What a page has to know of a scene before anything of it is solved: words, units, taps and controls."""
-    scene, axes = service.scene, service.scene.axes
-    driven = scene.driven_by
-    return {
-        "name": scene.name,
-        "description": scene.description,
-        "driven_by": {"name": driven.name, "unit": driven.unit},
-        "input_key": input_key(scene),
-        "window_end_s": service.grid.end_s,
-        "columns": axes.columns,
-        "places": [vars(place) for place in service.places],
-        "controls": [vars(control) for control in service.controls],
-        "between": None
-        if scene.targets
-        else {
-            "speed_m_s": [axes.speeds_m_s[0], axes.speeds_m_s[-1]],
-            "grip_N": [axes.grips_N[0], axes.grips_N[-1]],
-        },
-        "windings_C": service.windings_C,
-        "remarks": service.remarks,
-        "solver": service.options.solver,
-    }
-
-
-def plain(shown: Shown) -> dict[str, Any]:
-    """An answer without its curves, as JSON has it: null where there is no number."""
-    own = {name: value for name, value in vars(shown).items() if name != "curves"}
-    return {**_finite(own), "figures": _said(shown.figures), "warm": _said(shown.warm)}
-
-
-def _said(of: Figures | Warm | None) -> dict[str, Any] | None:
-    if of is None:
-        return None
-    return {**_finite(vars(of)), **({"figures": _said(of.figures)} if isinstance(of, Warm) else {})}
-
-
-def _finite(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: None if isinstance(value, float) and not np.isfinite(value) else value for name, value in table.items()
-    }
+def _portable(scene: Scene) -> Scene:
+    """The scene with a folder of recordings that names no place of an installation."""
+    folder = Path(scene.recordings.folder)
+    if not scene.recordings.files:
+        folder = Path()
+    elif folder.is_relative_to(FOLDER):
+        folder = folder.relative_to(FOLDER)
+    return scene.model_copy(update={"recordings": scene.recordings.model_copy(update={"folder": folder.as_posix()})})

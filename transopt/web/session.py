@@ -6,7 +6,6 @@ prices of a slider at rest, is given up as soon as there is a newer one.
 """
 
 import json
-import re
 import tempfile
 import threading
 from collections import deque
@@ -21,15 +20,15 @@ from scipy import signal
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.scene.written import scene_text
 from transopt.web.crew import Crew, service_name
+from transopt.web.fields import in_words
 from transopt.web.frames import arrays, curves, frame
-from transopt.web.question import asked
-from transopt.web.service import Service, described, own_taps, plain
+from transopt.web.opening import described, gallery, opened
+from transopt.web.question import asked, movers
+from transopt.web.service import Service
+from transopt.web.shown import plain
+from transopt.web.upload import Upload, uploadable
 
-SUFFIXES = (".csv", ".txt", ".mat", ".npz", ".wav")
-MOST_FILES = 200
-MOST_UPLOAD_BYTES = 16 * 2**20
 SOUND_RATE_HZ = 48000
 LOUDEST = 0.5  # of full scale, the recorded peak of the scene's loudest tap: -6 dB leave room for what is stronger
 
@@ -53,8 +52,7 @@ class Session:
         self._newest: Message | None = None
         self._others: deque[tuple[Message, bytes]] = deque()
         self._ended = False
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._names: list[str] = []
+        self._upload: Upload | None = None
         self._service_name = ""  # by which the crew knows the service
         self.service: Service | None = None
         self.thread = threading.Thread(target=self._run, name="page", daemon=True)
@@ -65,11 +63,8 @@ class Session:
     def put(self, message: Message, body: bytes = b"") -> None:
         """A request of the browser."""
         with self._waiting:
-            if message.get("type") == "change":
-                before = self._newest or {}
-                # The values of a change that nobody has looked at yet are still meant.
-                merged = {**before.get("changes", {}), **message.get("changes", {})}
-                self._newest = {**message, "changes": merged}
+            if message.get("type") == "change":  # it says everything: those before are not needed
+                self._newest = message
             else:
                 self._others.append((message, body))
             self._waiting.notify()
@@ -94,8 +89,7 @@ class Session:
                 message, body = request
                 self._guarded(str(message.get("type")), partial(self._answer, message, body), message)
         finally:
-            if self._folder is not None:
-                self._folder.cleanup()
+            self._take(None)
 
     def _next(self) -> tuple[Message, bytes] | None:
         with self._waiting:
@@ -120,15 +114,26 @@ class Session:
             words = f"{type(error).__name__}: {error}: this is a fault of the program; please report it"
         else:
             return
-        self._say({"type": "refused", "about": about, "id": (message or {}).get("id"), "words": words})
+        said = in_words(words, self.service)
+        key = said.key if about == "change" else ""
+        self._say(
+            {"type": "refused", "about": about, "id": (message or {}).get("id"), "words": said.words, "key": key}
+        )
 
     def _open(self) -> None:
-        self.service, self._service_name = self._opener(), service_name()
-        self._describe()
+        self._show(self._opener())
 
-    def _describe(self) -> None:
-        assert self.service is not None
-        self._say({"type": "scene", **described(self.service), "own": self._names})
+    def _show(self, service: Service, upload: Upload | None = None) -> None:
+        """Go on with another service, and with the files that were dropped for it."""
+        self.service, self._service_name = service, service_name()
+        self._take(upload)
+        own = upload.names if upload else []
+        self._say({"type": "scene", **described(service), "own": own, "takes": uploadable()})
+
+    def _take(self, upload: Upload | None) -> None:
+        if self._upload is not None:
+            self._upload.close()
+        self._upload = upload
 
     def _answer(self, message: Message, body: bytes) -> None:
         handlers: dict[str, Callable[[Message], None]] = {
@@ -136,7 +141,11 @@ class Session:
             "ask": self._ask,
             "sound": self._sound,
             "save": self._save,
-            "reset": lambda _: self._reset(),
+            "movers": self._movers,
+            "gallery": lambda _: self._say({"type": "gallery", "scenes": gallery()}),
+            "glimpse": self._glimpse,
+            "choose": self._choose,
+            "reset": lambda _: self._open(),
         }
         kind = message["type"]
         if kind == "drop":
@@ -158,13 +167,14 @@ class Session:
             None if probe is None else (float(probe[0]), float(probe[1])),
             None if winding is None else float(winding),
         )
+        head = {"type": "curves", "id": number}
         if service.places != before:
-            self._say({"type": "places", "places": [vars(place) for place in service.places]})
+            head["places"] = [vars(place) for place in service.places]
         order = service.order(int(message["selected"]))
-        found = self._crew.quick(self._service_name, service, order)
-        self._send(curves({"type": "curves", "id": number, "last": len(order) == 1}, [next(found)]))
-        if rest := list(found):
-            self._send(curves({"type": "curves", "id": number, "last": True}, rest))
+        # All taps in one frame: whatever shows a result shows one of the same numbers.
+        self._send(
+            curves({"type": "curves", "id": number}, list(self._crew.quick(self._service_name, service, order)))
+        )
         if message.get("final"):
             self._settle(service, order, number)
 
@@ -184,8 +194,32 @@ class Session:
         if control is None:
             raise InputError(f"{message['key']}: no slider of this scene")
         self._say({"type": "progress", "words": "searching the limit", "done": 0, "of": 1})
-        found = asked(service, self._index(message), control, float(message["tap_error"]))
-        self._say({"type": "answer", "key": control.key, "value": found.value, "words": found.words})
+        self._say(
+            {
+                "type": "answer",
+                "key": control.key,
+                **vars(asked(service, self._index(message), control, float(message["tap_error"]))),
+            }
+        )
+
+    def _movers(self, message: Message) -> None:
+        """Tell what can move the error of a tap, unless the page has something newer to do."""
+        service, index = self._service(), self._index(message)
+        found = movers(service, index, lambda: self._superseded)
+        if found is not None:
+            self._say({"type": "movers", "tap": index, "movers": [vars(each) for each in found]})
+
+    def _choose(self, message: Message) -> None:
+        """Go on with another built-in scene."""
+        self._opener = partial(opened, str(message["name"]))
+        self._open()
+
+    def _glimpse(self, message: Message) -> None:
+        """The last tap of a built-in scene, for its picture in the gallery."""
+        service = opened(str(message["name"]))
+        found = service.quick(len(service.places) - 1)
+        head = {"type": "glimpse", "name": message["name"], "window_end_s": service.grid.end_s}
+        self._send(curves(head, [found]))
 
     def _index(self, message: Message) -> int:
         index = int(message["tap"])
@@ -209,10 +243,7 @@ class Session:
     def _save(self, message: Message) -> None:
         service = self._service()
         if message["what"] == "scene":
-            scene = service.scene
-            if self._names:  # they were dropped on the page, and lie beside the scene from now on
-                scene = scene.model_copy(update={"recordings": scene.recordings.model_copy(update={"folder": "."})})
-            self._file(f"{scene.name}.toml", scene_text(scene).encode(), "text/plain")
+            self._file(f"{service.scene.name}.toml", service.text.encode(), "text/plain")
             return
         library = service.library(
             lambda done, of: self._say({"type": "progress", "words": "building the library", "done": done, "of": of})
@@ -226,54 +257,12 @@ class Session:
         self._send(frame({"type": "file", "name": name, "kind": kind}, content))
 
     def _drop(self, message: Message, body: bytes) -> None:
-        """Files of a user's own, in one body one after the other: the browser's names are never opened."""
-        service, listed = self._service(), message["files"]
-        if not listed or len(listed) > MOST_FILES:
-            raise InputError(f"{len(listed)} files dropped: from 1 to {MOST_FILES} at once")
-        if len(body) > MOST_UPLOAD_BYTES:
-            raise InputError(f"the files have {len(body)} bytes, at most {MOST_UPLOAD_BYTES}: drop fewer at once")
-        if sum(int(size) for _, size in listed) != len(body):
-            raise InputError("the files did not arrive whole: drop them again")
-        folder = tempfile.TemporaryDirectory()
+        service = self._service()
+        upload = Upload(message, body)
         try:
-            names: list[str] = []
-            at = 0
-            for name, size in listed:
-                safe = safe_name(str(name), names)
-                (Path(folder.name) / safe).write_bytes(body[at : at + int(size)])
-                names.append(safe)
-                at += int(size)
-            speed = message.get("speed_m_s")
-            try:
-                taken = own_taps(service.opened, Path(folder.name), names, None if speed is None else float(speed))
-                taken.change(service.changes)
-            except InputError as error:
-                raise InputError(str(error).replace(f"{folder.name}/", "")) from None
+            taken = upload.service(service)
+            taken.change(service.changes)
         except BaseException:
-            folder.cleanup()
+            upload.close()
             raise
-        if self._folder is not None:
-            self._folder.cleanup()
-        self._folder, self._names, self.service, self._service_name = folder, names, taken, service_name()
-        self._describe()
-
-    def _reset(self) -> None:
-        self._names = []
-        self._open()
-
-
-def safe_name(name: str, taken: list[str]) -> str:
-    """A file's name of letters, digits, dashes and underscores, with one of the suffixes that are read.
-
-    Raises
-    ------
-    InputError : another suffix.
-    """
-    stem, dot, suffix = name.rpartition(".")
-    suffix = f"{dot}{suffix}".lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{name[:80]}: no recording: files of taps end in {', '.join(SUFFIXES)}")
-    safe = re.sub(r"[^A-Za-z0-9_-]", "_", stem)[:60] or "tap"
-    while f"{safe}{suffix}" in taken:
-        safe += "_"
-    return f"{safe}{suffix}"
+        self._show(taken, upload)

@@ -13,7 +13,8 @@ import pytest
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
 from transopt.web.crew import Crew, service_name
-from transopt.web.service import Service, Shown
+from transopt.web.service import Service
+from transopt.web.shown import Shown
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -1,605 +1,398 @@
-// The page: what the hand does becomes requests, what the server answers is drawn and said.
+// The page: what a hand does becomes requests, and every answer drives all that shows a result.
 
+import { Asking } from "./asking.js";
+import { Between } from "./between.js";
+import { Sliders } from "./controls.js";
+import { Detail } from "./detail.js";
+import { Gallery } from "./gallery.js";
+import { Handle } from "./handle.js";
+import { History } from "./history.js";
 import { Link } from "./link.js";
-import { Detail, colours, drawSmall } from "./plots.js";
-import { Sliders, said, shareOf, valueAt } from "./controls.js";
+import { Matrix } from "./matrix.js";
 import { Sound } from "./sound.js";
+import { Table } from "./table.js";
+import { Taps } from "./taps.js";
+import { Wanted } from "./wanted.js";
+import { Warm, onWarmCoil } from "./warm.js";
+import { by, write } from "./words.js";
+import "./tips.js";
 
-const IN_FLIGHT = 2; // requests that the server may have at once: one is solved while the other is drawn,
-const SLOW_MS = 50; // but one alone where an answer takes longer: what waits behind it is old when it comes
-const RESTS_MS = 250; // after the last key or movement a slider is at rest
-const TABLE_MS = 300; // between two states of the table while something is dragged
-const STEPS = 400;
-const by = (id) => document.getElementById(id);
-
+const NOTHING = { changes: {}, probe: null, winding_C: null };
 const state = {
-  scene: null, places: [], taps: [], times: null, selected: 0, changes: {}, kept: {}, probe: null, winding_C: null,
-  pending: null, inFlight: 0, number: 0, began: new Map(), sent: new Map(), takes: 0, rest: null, resting: false, wantSound: null, resume: false,
+  scene: null, places: [], selected: 0,
+  asked: NOTHING, // what the hand wants: all that differs from the scene as it was opened
+  accepted: NOTHING, // the same of the answer that is shown
+  frame: null, // that answer: number, times, taps
+  start: null, // the one of the scene as it was opened
+  resume: false, chosen: "", moving: false, last: "",
 };
-const sound = new Sound();
-let detail = null;
-const sliders = new Sliders(by("sliders"), moved);
+const sentAsked = new Map();
+const sliders = new Sliders(by("sliders"), change);
+const between = new Between((probe, how) => ask({ probe }, "probe", how));
+const warm = new Warm((winding_C, how) => ask({ winding_C }, "winding", how));
+const matrix = new Matrix(by("cells"), select);
+const table = new Table(by("table"), select);
+const detail = new Detail(by("plot"), read);
+const handle = new Handle(by("handle"), detail, change);
 const link = new Link(heard, there);
-
-// ---- requests
-
-function moved(key, value, resting, began) {
-  want({ [key]: value }, began);
-  if (resting) rest(0);
-}
-
-// The newest values are sent as soon as the server has room for them; those before are dropped.
-function want(changes, began = performance.now()) {
-  state.kept = { ...state.kept, ...changes };
-  if (state.scene && !state.scene.between) state.probe = null;
-  state.pending ??= { changes: {}, began };
-  Object.assign(state.pending.changes, changes);
-  state.resting = false;
-  if (by("state").textContent.includes("replayed")) tell("solving ...");
-  rest(RESTS_MS);
-  flush();
-}
-
-function flush(final = false) {
-  if (!state.scene || !link.connected || (!state.pending && !final) || state.inFlight >= (state.takes > SLOW_MS ? 1 : IN_FLIGHT)) return false;
-  const pending = state.pending ?? { changes: {}, began: performance.now() };
-  state.pending = null;
-  state.number += 1;
-  state.inFlight += 1;
-  state.began.set(state.number, pending.began);
-  state.sent.set(state.number, performance.now());
-  link.say({ type: "change", id: state.number, changes: pending.changes, selected: state.selected, probe: state.probe, winding_C: state.winding_C, final });
+const sound = new Sound(link, tell, () => state.selected);
+const taps = new Taps(link, tell, complain);
+const gallery = new Gallery(link, choose);
+const wanted = new Wanted(link, (key, value) => {
+  sliders.get(key)?.set(value);
+  change(key, value, { resting: true, step: "typed" });
+});
+const history = new History(({ past, future }) => {
+  by("undo").disabled = !past.length;
+  by("redo").disabled = !future.length;
+});
+const asking = new Asking((number, final) => {
+  if (!state.scene || !link.connected) return false;
+  sentAsked.set(number, state.asked);
+  link.say({ type: "change", id: number, ...state.asked, selected: state.selected, final });
   return true;
+});
+
+// ---- what a hand does
+
+function change(key, value, how) {
+  const { [key]: _, [state.scene.rivals[key]]: __, ...others } = state.asked.changes;
+  const opened = sliders.get(key).opened;
+  ask({ changes: value === opened ? others : { ...others, [key]: value } }, key, how);
+  if (key === state.scene.input_key) handle.place();
 }
 
-function rest(after_ms) {
-  clearTimeout(state.rest);
-  state.rest = setTimeout(() => {
-    if (state.pending || state.inFlight) return rest(20);
-    if (!state.resting) state.resting = flush(true);
-  }, after_ms);
+function ask(what, of, how = {}) {
+  const probed = state.asked.probe;
+  state.asked = { ...state.asked, ...what };
+  if (!probed && state.asked.probe) state.selected = state.places.length;
+  state.last = of;
+  state.moving = !how.resting;
+  if (how.step) history.note(state.asked, of, how.step);
+  write(by("state"), "solving ...");
+  warm.state(state.asked.winding_C);
+  asking.want(how.began);
+  if (how.resting) asking.rest(0);
+}
+
+function restore(asked) {
+  if (!asked) return;
+  state.asked = asked;
+  state.moving = false;
+  showAsked();
+  asking.want();
+  asking.rest(0);
+}
+
+function showAsked() {
+  sliders.state(state.asked.changes);
+  between.state(state.asked.probe);
+  warm.state(state.asked.winding_C);
+  handle.place();
+}
+
+by("undo").onclick = () => restore(history.undo());
+by("redo").onclick = () => restore(history.redo());
+addEventListener("keydown", (event) => {
+  if (!(event.ctrlKey || event.metaKey) || event.target.matches?.("input[type=text]")) return;
+  const redo = event.key === "y" || (event.key.toLowerCase() === "z" && event.shiftKey);
+  if (!redo && event.key !== "z") return;
+  event.preventDefault();
+  restore(redo ? history.redo() : history.undo());
+});
+
+function select(index) {
+  if (index === state.selected || !state.places[index]) return;
+  state.selected = index;
+  sound.forget();
+  marked();
+  large();
+  if (!state.moving) look();
+}
+
+function choose(name) {
+  state.chosen = name;
+  state.resume = false;
+  tell("opening the scene ...");
+  link.say({ type: "choose", name });
 }
 
 // ---- answers
 
 function there(connected) {
   document.body.classList.toggle("lost", !connected);
-  const banner = by("banner");
-  banner.hidden = connected;
+  by("banner").hidden = connected;
+  asking.forget();
   if (connected) {
     state.resume = Boolean(state.scene);
-    state.inFlight = 0;
-    state.pending = null;
-    state.began.clear();
     tell("connected");
   } else {
-    banner.textContent = "The server does not answer. This page connects again by itself when it is back at this address; if it was "
-      + "ended, start transopt page again and open the address that it prints.";
+    write(by("banner"), "The server does not answer. What you have set and your own taps are kept here. This page connects again by "
+      + "itself when the server is back at this address; if the command was ended, start transopt page again and open the address "
+      + "that it prints in this window.");
   }
 }
 
 function heard(message, arrays) {
   const answers = {
-    scene: opened, places: (m) => { state.places = m.places; cells(); rows(); }, curves: drawn, settled, rested, refused,
+    scene: opened, curves: drawn, settled, rested, refused, answer: (m) => { tell(""); wanted.answered(m); },
+    movers: (m) => wanted.listed(m), gallery: (m) => gallery.listed(m), glimpse: (m, a) => gallery.glimpsed(m, taken(m, a)),
     progress: (m) => tell(`${m.words} ${m.of > 1 ? `${m.done} of ${m.of}` : "..."}`),
-    answer: answered, sound: sounded, file: saved,
+    sound: (m, a) => sound.heard(m, a), file: saved,
   };
   answers[message.type](message, arrays);
 }
 
 function opened(scene) {
-  const again = state.resume && state.scene && state.scene.name === scene.name;
-  const kept = again ? state.kept : {};
-  Object.assign(state, { scene, places: scene.places, taps: [], kept, resume: false, pending: null, inFlight: 0 });
-  if (!again) Object.assign(state, { probe: null, winding_C: null, selected: scene.own.length ? 0 : start(scene) });
-  sound.forget();
-  document.title = `${scene.name} - transopt`;
-  by("name").textContent = scene.name;
-  by("description").textContent = scene.own.length ? `your own taps: ${scene.own.join(", ")}` : scene.description;
-  by("reset").hidden = !scene.own.length;
-  by("probe").checked = Boolean(state.probe);
-  detail = new Detail(by("plot"), scene.driven_by.name, scene.driven_by.unit);
-  if (scene.remarks.length) complain(scene.remarks.join("; "));
-  sliders.show(scene.controls);
-  keysOfError(scene.controls);
-  probes();
-  warmed();
-  cells();
-  rows();
-  for (const [key, value] of Object.entries(kept)) sliders.set(key, value);
-  want(kept);
-  rest(0);
-}
-
-// The last tap is the fastest at the firmest grip: where limits bind.
-function start(scene) {
-  return scene.places.length - 1;
-}
-
-function drawn(message, arrays) {
-  const first = !state.times || !state.taps.length;
-  state.times = arrays.times_s;
-  const colour = colours();
-  for (const tap of message.taps) {
-    const own = (name) => arrays[`${tap.index}.${name}`];
-    const before = state.taps[tap.index];
-    for (const name of ["recorded_m_s2", "optimum_m_s2", "clipped_m_s2", "input", "clipped_input", "temperature_C",
-      "warm_m_s2", "warm_input"]) {
-      tap[name] = own(name);
-    }
-    tap.ends = state.scene.window_end_s;
-    tap.window = Math.round((tap.ends - state.times[0]) / (state.times[1] - state.times[0]));
-    state.taps[tap.index] = tap;
-    if (tap.index === state.selected) large(first || !before);
-    small(tap, colour);
+  const again = state.resume;
+  if (again && state.chosen && scene.name !== state.chosen) {
+    link.say({ type: "choose", name: state.chosen }); // the server began anew with another one
+    return;
   }
-  later();
+  if (taps.shown(scene, again && scene.name === state.scene.name)) return; // they are sent again, and come with a scene
+  const same = again && scene.name === state.scene.name;
+  Object.assign(state, { scene, places: scene.places, frame: null, resume: false, moving: false });
+  asking.forget();
+  if (!same) {
+    Object.assign(state, { asked: NOTHING, start: null, selected: scene.own.length ? 0 : scene.places.length - 1 });
+    history.begin(NOTHING);
+  }
+  state.accepted = NOTHING;
+  document.title = `${scene.name} - transopt`;
+  write(by("name"), scene.name);
+  write(by("description"), scene.own.length ? `your own taps: ${scene.own.join(", ")}` : scene.description);
+  complain(scene.remarks.join("; "));
+  sliders.open(scene.controls);
+  between.open(scene.between, state.asked.probe);
+  warm.open(scene.windings_C, state.asked.winding_C);
+  detail.open(scene);
+  handle.open(scene, sliders.get(scene.input_key));
   sound.forget();
-  if (!message.last) return;
-  const began = state.began.get(message.id);
-  done(message.id);
-  flush();
-  // The frame that is drawn after this: what the eye sees of the event that began it.
-  requestAnimationFrame(() => {
-    if (began !== undefined) performance.measure("slider to frame", { start: began, end: performance.now() });
-  });
-  tellCertified();
+  placed(scene.places);
+  showAsked();
+  asking.want();
+  asking.rest(0);
 }
 
-// The server answers the newest: what was asked before it is answered with it.
-function done(number) {
-  state.inFlight = state.number - number;
-  state.takes = performance.now() - (state.sent.get(number) ?? performance.now());
-  for (const times of [state.began, state.sent]) for (const each of times.keys()) if (each <= number) times.delete(each);
+function placed(places) {
+  state.places = places;
+  state.selected = Math.min(state.selected, places.length - 1);
+  matrix.open(places);
+  table.open(state.scene, places);
+  marked();
+}
+
+function taken(message, arrays) {
+  for (const tap of message.taps) {
+    for (const [name, values] of Object.entries(arrays)) {
+      const [index, own] = name.split(".");
+      if (own && Number(index) === tap.index) tap[own] = values;
+    }
+  }
+  return arrays;
+}
+
+// One answer is the whole of what is shown.
+function drawn(message, arrays) {
+  taken(message, arrays);
+  const frame = { number: message.id, times: arrays.times_s, taps: [] };
+  for (const tap of message.taps) frame.taps[tap.index] = tap;
+  const first = !state.frame;
+  state.frame = frame;
+  state.accepted = sentAsked.get(message.id) ?? state.asked;
+  for (const number of sentAsked.keys()) if (number <= message.id) sentAsked.delete(number);
+  const opened = JSON.stringify(state.accepted) === JSON.stringify(NOTHING);
+  if (opened) state.start = frame;
+  if (message.places) placed(message.places);
+  sound.forget();
+  show(state.moving);
+  const began = asking.done(message.id);
+  requestAnimationFrame(() => {
+    // What the eye sees of the event that began it.
+    if (began !== undefined) performance.measure("slider to frame", { start: began, end: performance.now() });
+    if (first) performance.mark("first picture");
+  });
+}
+
+function show(kept) {
+  const { frame } = state;
+  large(kept);
+  matrix.show(frame, detail.view, detail.hidden, ghost());
+  for (const tap of frame.taps) if (tap) table.show(tap, frame.number);
+  certified();
+}
+
+// The scene as it was opened, where it is another one than what is shown.
+function ghost() {
+  return state.start && state.start !== state.frame && !detail.hidden.has("start") ? state.start : null;
 }
 
 function settled(message) {
-  const shown = message.tap;
-  const tap = state.taps[shown.index];
-  if (!tap || message.id !== state.number) return;
-  const certified = tap.certified;
-  Object.assign(tap, shown);
-  row(tap);
-  caption(tap);
-  if (tap.index === state.selected) {
-    about(tap);
-    if (certified !== tap.certified) handle();
-  }
+  const tap = state.frame?.taps[message.tap.index];
+  if (!tap || message.id !== state.frame.number) return;
+  Object.assign(tap, message.tap);
+  table.show(tap, message.id);
+  matrix.caption(tap, message.id);
+  if (tap.index === state.selected) about(tap);
 }
 
 function rested(message) {
-  if (message.id !== state.number) return;
-  sliders.show(message.controls);
-  keysOfError(message.controls);
-  state.scene.controls = message.controls;
-  large(true);
-  tellCertified();
+  if (message.id !== asking.number) return;
+  state.moving = false;
+  sliders.follow(message.controls);
+  large();
+  certified();
+  look();
+}
+
+function look() {
+  const tap = state.frame?.taps[state.selected];
+  wanted.look(tap, state.places[state.selected]?.title);
 }
 
 function refused(message) {
-  if (message.about === "change") done(message.id);
-  const key = Object.keys(state.kept).find((each) => message.words.includes(each));
-  complain(message.words);
-  if (message.about === "change" && key) sliders.complain(key, message.words);
-  if (message.about === "open") by("description").textContent = message.words;
-  if (message.about === "ask") by("answer").textContent = message.words;
+  const { about: of, words, key, id } = message;
+  if (of === "drop") {
+    const again = state.resume;
+    taps.refused(words);
+    if (again) {
+      taps.kept = null;
+      link.say({ type: "reset" });
+    }
+  } else if (of === "glimpse") {
+    gallery.glimpsed(message, null);
+    return;
+  } else if (of === "change") {
+    const newest = id === asking.number;
+    asking.done(id);
+    if (!newest) return; // what came since is answered too
+    history.refuse(state.asked);
+    state.asked = state.accepted;
+    state.moving = false;
+    showAsked();
+    const field = sliders.get(key || state.last);
+    if (field) field.complain(`${words}. It stays as it was.`);
+    else complain(words);
+    if (state.frame) {
+      large();
+      certified();
+    }
+    return;
+  } else {
+    complain(words);
+  }
+  if (of === "open") write(by("description"), words);
+  if (of === "ask") write(by("answer"), words);
   tell("refused");
-  flush();
-}
-
-function answered(message) {
-  by("answer").textContent = message.words;
-  tell("");
-  if (message.value === null) return;
-  sliders.set(message.key, message.value);
-  want({ [message.key]: message.value });
-  rest(0);
 }
 
 function saved(message, arrays) {
-  const place = URL.createObjectURL(new Blob([arrays.body], { type: message.kind }));
-  const save = document.createElement("a");
-  Object.assign(save, { href: place, download: message.name });
-  save.click();
+  save(new Blob([arrays.body], { type: message.kind }), message.name);
+}
+
+function save(blob, name) {
+  const place = URL.createObjectURL(blob);
+  Object.assign(document.createElement("a"), { href: place, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(place), 10000);
-  tell(`${message.name} saved`);
+  tell(`${name} saved`);
 }
 
 // ---- words
 
 function tell(words) {
-  if (by("state").textContent !== words) by("state").textContent = words;
+  write(by("state"), words);
 }
 
-function tellCertified() {
-  const taps = state.taps.filter(Boolean);
-  const fine = taps.filter((tap) => tap.certified).length;
-  const played = taps.every((tap) => tap.replayed || !tap.certified);
-  tell(`${fine} of ${taps.length} certified${played && fine ? " and replayed" : ""}`);
+function certified() {
+  const all = state.frame.taps.filter(Boolean), fine = all.filter((tap) => tap.certified).length;
+  const played = all.every((tap) => tap.replayed || !tap.certified);
+  tell(`${fine} of ${all.length} certified${played && fine ? " and replayed" : ""}`);
+  by("state").dataset.frame = state.frame.number;
 }
 
 let hiding = null;
 function complain(words) {
-  const message = by("message");
-  message.textContent = words;
-  message.hidden = false;
+  write(by("message-words"), words);
+  by("message").hidden = !words;
   clearTimeout(hiding);
-  hiding = setTimeout(() => { message.hidden = true; }, 12000);
+  hiding = setTimeout(() => { by("message").hidden = true; }, 20000);
+}
+by("message-close").onclick = () => { by("message").hidden = true; };
+
+function read(words) {
+  write(by("read"), words || "Point at the curves, or focus them and use the arrow keys, to read them.");
 }
 
-function percent(share) {
-  return share === null || share === undefined ? "-" : (100 * share).toFixed(1);
-}
-
-function came(tap) {
-  if (!tap) return "...";
-  if (!tap.certified) return "refused";
-  const error = tap.figures.tap_error;
-  return `${percent(error)} %${error > 1.05 * tap.floor ? ", limited" : ""}`;
-}
-
-// What is played on a coil as warm as is asked for, and how near that comes; empty where nothing is asked.
-function onWarmCoil(tap) {
-  const { warm } = tap;
-  if (!warm) return "";
-  if (!warm.figures || warm.scale === 0) return warm.words;
-  return `${warm.words}: tap error ${percent(warm.figures.tap_error)} %, felt error ${percent(warm.figures.felt_error)} %, `
-    + `${warm.figures.felt_dB.toFixed(2)} dB, ${warm.heat_A2_ms.toFixed(0)} A2ms`;
-}
-
-// ---- the small plots
-
-function cells() {
-  const all = by("cells");
-  all.replaceChildren(...state.places.map((place, index) => {
-    const cell = document.createElement("button");
-    Object.assign(cell, { type: "button", className: "cell", title: place.title });
-    cell.setAttribute("role", "option");
-    const canvas = document.createElement("canvas");
-    const name = document.createElement("span");
-    Object.assign(name, { className: "place", textContent: place.between ? `between: ${place.title}` : place.title });
-    const result = document.createElement("span");
-    Object.assign(result, { className: "came", textContent: "..." });
-    cell.append(name, canvas, result);
-    cell.onclick = () => select(index);
-    return cell;
-  }));
-  marked();
-}
+// ---- the selected tap
 
 function marked() {
-  [...by("cells").children].forEach((cell, index) => {
-    cell.setAttribute("aria-selected", String(index === state.selected));
-    cell.tabIndex = index === state.selected ? 0 : -1;
-  });
-  [...by("table").tBodies[0].rows].forEach((line, index) => line.setAttribute("aria-selected", String(index === state.selected)));
+  matrix.select(state.selected);
+  table.select(state.selected);
 }
 
-function small(tap, colour) {
-  const cell = by("cells").children[tap.index];
-  if (!cell) return;
-  drawSmall(cell.querySelector("canvas"), state.times, tap, colour, tap.ends);
-  caption(tap);
-}
-
-function caption(tap) {
-  const cell = by("cells").children[tap.index];
-  if (!cell) return;
-  cell.classList.toggle("refused", !tap.certified);
-  cell.querySelector(".came").textContent = came(tap);
-  cell.setAttribute("aria-label", `${state.places[tap.index].title}: ${came(tap)}`);
-}
-
-by("cells").addEventListener("keydown", (event) => {
-  const steps = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 };
-  const last = state.places.length - 1;
-  const index = event.key === "Home" ? 0 : event.key === "End" ? last : state.selected + (steps[event.key] || NaN);
-  if (Number.isNaN(index)) return;
-  event.preventDefault();
-  select(Math.min(Math.max(index, 0), last));
-  by("cells").children[state.selected].focus();
-});
-
-function select(index) {
-  if (index === state.selected) return;
-  state.selected = index;
-  sound.forget();
-  marked();
-  large(true);
-}
-
-// ---- the large plot and the limit in it
-
-function large(anew) {
-  const tap = state.taps[state.selected];
-  if (!tap || !tap.input) return;
-  detail.draw(state.times, tap, anew);
+function large(kept = false) {
+  const tap = state.frame?.taps[state.selected];
+  if (!tap) return;
+  const start = ghost();
+  detail.show(state.frame, tap, start?.taps[tap.index] && { ...start.taps[tap.index], times: start.times }, kept);
   about(tap);
-  handle();
+  handle.place();
 }
 
 function about(tap) {
-  const place = state.places[tap.index];
-  const found = tap.certified ? `tap error ${percent(tap.figures.tap_error)} %, felt error ${percent(tap.figures.felt_error)} %, floor ${percent(tap.floor)} %` : "";
-  by("selected").textContent = [[place.title, found].filter(Boolean).join(": "), onWarmCoil(tap)].filter(Boolean).join("; on the warm coil ");
+  const place = state.places[tap.index], { cells } = tap, before = ghost()?.taps[tap.index]?.cells.tap;
+  const was = before && before !== cells.tap ? ` (as opened ${before} %)` : "";
+  const found = tap.certified ? `tap error ${cells.tap} %${was}, felt error ${cells.felt} %, floor ${cells.floor} %` : "";
+  write(by("selected"), [[place.title, found].filter(Boolean).join(": "), onWarmCoil(tap)].filter(Boolean).join("; on the warm coil "));
+  by("selected").dataset.frame = state.frame.number;
   by("reason").hidden = tap.certified;
-  by("reason").textContent = tap.certified ? "" : `Not shown: ${tap.reason}`;
+  write(by("reason"), tap.certified ? "" : `Not shown: ${tap.reason}`);
   by("detail").classList.toggle("refused", !tap.certified);
+  const price = tap.prices[0]?.sentence;
+  write(by("binds"), tap.certified ? [`What binds: ${cells.binding}.`, price && `${price}.`, tap.verdict && `${tap.verdict}.`].filter(Boolean).join(" ") : "");
 }
 
-function handle() {
-  const grip = by("handle"), tap = state.taps[state.selected], line = detail.line;
-  const control = (state.scene.controls || []).find((each) => each.key === state.scene.input_key);
-  grip.hidden = !line || !control;
-  if (grip.hidden) return;
-  Object.assign(grip.style, {
-    left: `${line.left}px`, width: `${line.width}px`, top: `${line.axis._offset + line.axis.l2p(tap.input_limit)}px`,
-  });
-  grip.firstElementChild.textContent = said(tap.input_limit, control.unit);
-  grip.setAttribute("aria-label", `limit of the ${control.label} in the plot`);
-  grip.setAttribute("aria-valuemin", control.low);
-  grip.setAttribute("aria-valuemax", control.high);
-  grip.setAttribute("aria-valuenow", tap.input_limit);
-  grip.setAttribute("aria-valuetext", said(tap.input_limit, control.unit));
+// ---- curves that are shown, time that is looked at, saving
+
+for (const button of document.querySelectorAll("[data-curve]")) {
+  button.onclick = () => {
+    const shown = button.getAttribute("aria-pressed") !== "true";
+    button.setAttribute("aria-pressed", String(shown));
+    if (shown) detail.hidden.delete(button.dataset.curve);
+    else detail.hidden.add(button.dataset.curve);
+    if (state.frame) show(true);
+  };
 }
-
-function limited(value, resting, began) {
-  const control = state.scene.controls.find((each) => each.key === state.scene.input_key);
-  const inside = Number(Math.min(Math.max(value, control.low), control.high).toPrecision(3));
-  sliders.set(control.key, inside);
-  moved(control.key, inside, resting, began);
-}
-
-by("handle").addEventListener("pointerdown", (event) => by("handle").setPointerCapture(event.pointerId));
-by("handle").addEventListener("pointermove", (event) => {
-  if (!by("handle").hasPointerCapture(event.pointerId)) return;
-  const { axis } = detail.line;
-  limited(axis.p2l(event.clientY - by("plot").getBoundingClientRect().top - axis._offset), false, event.timeStamp);
-});
-by("handle").addEventListener("pointerup", () => rest(0));
-by("handle").addEventListener("keydown", (event) => {
-  const factors = { ArrowUp: 1.02, ArrowRight: 1.02, ArrowDown: 1 / 1.02, ArrowLeft: 1 / 1.02, PageUp: 1.2, PageDown: 1 / 1.2 };
-  if (!factors[event.key]) return;
-  event.preventDefault();
-  limited(state.taps[state.selected].input_limit * factors[event.key], false, event.timeStamp);
-});
-
-// ---- the table
-
-function rows() {
-  const table = by("table");
-  const columns = ["tap %", "floor %", "clipped %", "felt %", "felt dB", "speed", "bump g", "heat A2ms", "what binds", "price",
-    ...(state.scene.windings_C ? ["on the warm coil"] : []), "state"];
-  const line = table.tHead.insertRow ? table.tHead : table.createTHead();
-  line.replaceChildren();
-  const head = line.insertRow();
-  for (const name of [...state.scene.columns, ...columns]) {
-    const cell = document.createElement("th");
-    Object.assign(cell, { scope: "col", textContent: name });
-    head.append(cell);
-  }
-  table.tBodies[0].replaceChildren();
-  state.places.forEach((place, index) => {
-    const own = table.tBodies[0].insertRow();
-    const names = place.target ? [place.target] : [place.speed_m_s, place.grip_N].map((v) => String(Number(v.toPrecision(4))));
-    for (const name of names) own.insertCell().textContent = name;
-    columns.forEach((_, j) => { own.insertCell().className = j < 8 ? "number" : "words"; });
-    own.onclick = () => select(index);
-    if (state.taps[index]) row(state.taps[index]);
-  });
-  marked();
-}
-
-// A table is laid out anew with every word in it: while something is dragged, only now and then.
-let waiting = null;
-function later() {
-  waiting ??= setTimeout(() => {
-    waiting = null;
-    for (const tap of state.taps) if (tap) row(tap);
-  }, TABLE_MS);
-}
-
-function row(tap) {
-  const line = by("table").tBodies[0].rows[tap.index];
-  if (!line) return;
-  line.classList.toggle("refused", !tap.certified);
-  const fixed = (value, digits) => (value === null || value === undefined ? "-" : value.toFixed(digits));
-  const figures = tap.figures ?? {};
-  const words = [
-    percent(figures.tap_error), percent(tap.floor), percent(tap.clipped), percent(figures.felt_error),
-    fixed(figures.felt_dB, 2), fixed(figures.speed, 2), fixed(figures.bump_m_s2 && figures.bump_m_s2 / 9.80665, 2),
-    fixed(tap.heat_A2_ms, 0), tap.binds || "-", tap.price || "-",
-    ...(state.scene.windings_C ? [onWarmCoil(tap) || "-"] : []),
-    tap.certified ? (tap.replayed ? `certified, replayed; ${tap.verdict}` : "certified") : tap.reason,
-  ];
-  const from = state.scene.columns.length;
-  words.forEach((text, j) => {
-    const cell = line.cells[from + j];
-    if (cell.textContent !== text) cell.textContent = text;
-  });
-}
-
-// ---- between the nodes
-
-const PROBES = [["speed_m_s", "speed", "m/s"], ["grip_N", "grip", "N"]];
-
-function probes() {
-  const { between } = state.scene;
-  by("between").hidden = !between;
-  by("probes").replaceChildren();
-  if (!between) return;
-  PROBES.forEach(([key, label, unit], j) => {
-    const [low, high] = between[key];
-    const row = document.createElement("div");
-    row.className = "control";
-    const name = document.createElement("label");
-    Object.assign(name, { htmlFor: `probe-${key}`, textContent: label });
-    const output = document.createElement("output");
-    const range = document.createElement("input");
-    Object.assign(range, { type: "range", id: `probe-${key}`, min: 0, max: STEPS, value: STEPS / 2, disabled: low === high });
-    const value = () => Number((low + (range.value / STEPS) * (high - low)).toPrecision(4));
-    const show = () => {
-      output.textContent = said(value(), unit);
-      range.setAttribute("aria-valuetext", said(value(), unit));
-    };
-    if (state.probe) range.value = Math.round(STEPS * (state.probe[j] - low) / (high - low || 1));
-    range.oninput = (event) => { show(); probe(event.timeStamp); };
-    range.onchange = () => rest(0);
-    range.valueOf_ = value;
-    row.append(name, output, range);
-    by("probes").append(row);
-    show();
-  });
-}
-
-function probe(began) {
-  const here = [...by("probes").querySelectorAll("input")].map((range) => range.valueOf_());
-  by("probe").checked = true;
-  const first = !state.probe;
-  state.probe = here;
-  if (first) state.selected = state.places.length;
-  want({}, began);
-}
-
-by("probe").onchange = () => {
-  if (by("probe").checked) return probe();
-  state.probe = null;
-  state.taps.length = Math.min(state.taps.length, state.places.length - 1);
-  state.selected = Math.min(state.selected, state.places.length - 2);
-  want({});
-  return undefined;
+const looks = {
+  first: () => detail.first(), whole: () => detail.zoom(...detail.whole), nearer: () => detail.scale(1 / 1.5),
+  wider: () => detail.scale(1.5), earlier: () => detail.shift(-0.5), later: () => detail.shift(0.5),
 };
-
-// ---- a warm coil
-
-// Equal steps are equal ratios of what is left to the temperature that a transient may reach: the last tenth of a kelvin
-// decides, of some seventy.
-const LEAST_LEFT = 1e-4;
-
-function winding_C() {
-  const [cold, hot] = state.scene.windings_C;
-  return Number((hot - (hot - cold) * LEAST_LEFT ** (by("winding").value / STEPS)).toFixed(3));
+for (const button of document.querySelectorAll("[data-look]")) {
+  button.onclick = () => { if (state.frame) looks[button.dataset.look](); };
 }
-
-function warmed() {
-  by("warmed").hidden = !state.scene.windings_C;
-  by("warm").checked = state.winding_C !== null;
-  document.querySelector("#key .warm").hidden = state.winding_C === null;
-  if (!state.scene.windings_C) return;
-  by("winding-value").textContent = `${winding_C()} C, ${said(state.scene.windings_C[1] - winding_C(), "K")} left`;
-  by("winding").setAttribute("aria-valuetext", by("winding-value").textContent);
-}
-
-function warm(began) {
-  state.winding_C = by("warm").checked ? winding_C() : null;
-  warmed();
-  want({}, began);
-}
-
-by("warm").onchange = () => warm();
-by("winding").oninput = (event) => {
-  by("warm").checked = true;
-  warm(event.timeStamp);
+detail.zoomed = () => {
+  matrix.show(state.frame, detail.view, detail.hidden, ghost());
+  const [from, to] = detail.view.map((t) => Number((1e3 * t).toFixed(1)));
+  write(by("looked-at"), `${from} to ${to} ms`);
 };
-by("winding").onchange = () => rest(0);
-
-// ---- the inverse question
-
-const error = { log: true, low: 0.001, high: 1, integer: false };
-
-function keysOfError(controls) {
-  const choice = by("error-key"), before = choice.value || state.scene.input_key;
-  choice.replaceChildren(...controls.filter((control) => !control.choices.length && control.value !== null)
-    .map((control) => new Option(`${control.label} (${control.key})`, control.key)));
-  choice.value = before;
-  if (!choice.value) choice.value = state.scene.input_key;
-}
-
-function errorSaid() {
-  by("error-value").textContent = `${(100 * valueAt(error, by("error").value / STEPS)).toPrecision(3)} %`;
-  by("error").setAttribute("aria-valuetext", by("error-value").textContent);
-}
-
-by("error").oninput = errorSaid;
-by("error").onchange = () => {
-  by("answer").textContent = "searching ...";
-  link.say({ type: "ask", tap: state.selected, key: by("error-key").value, tap_error: valueAt(error, by("error").value / STEPS) });
-};
-by("error").value = Math.round(STEPS * shareOf(error, 0.25));
-errorSaid();
-
-// ---- sound
-
-function hear(names) {
-  if (names.some((name) => sound.buffers.has(name))) return play(names);
-  state.wantSound = names;
-  link.say({ type: "sound", tap: state.selected });
-  return undefined;
-}
-
-function sounded(message, arrays) {
-  sound.take(message.rate_Hz, arrays);
-  if (state.wantSound) play(state.wantSound);
-  state.wantSound = null;
-}
-
-async function play(names) {
-  const played = await sound.play(names);
-  tell(played.length ? `playing ${played.join(", then ")}` : "no certified optimum to hear");
-}
-
-for (const button of document.querySelectorAll("[data-sound]")) button.onclick = () => hear([button.dataset.sound]);
-by("compare").onclick = () => hear(["recorded", "optimum", "recorded", "optimum"]);
-by("gain").oninput = () => {
-  by("gain-value").textContent = `${by("gain").value} dB`;
-  sound.loud(Number(by("gain").value));
-};
-by("gain").oninput();
-
-// ---- own taps, saving
-
-function dropped(files) {
-  if (!files.length) return;
-  const speed = by("speed").value;
-  tell("reading the files ...");
-  link.sendFiles([...files], { type: "drop", speed_m_s: speed ? Number(speed) : null });
-}
-
-by("files").onchange = () => {
-  dropped(by("files").files);
-  by("files").value = "";
-};
-by("reset").onclick = () => link.say({ type: "reset" });
-addEventListener("dragover", (event) => {
-  event.preventDefault();
-  document.body.classList.add("dropping");
-});
-addEventListener("dragleave", () => document.body.classList.remove("dropping"));
-addEventListener("drop", (event) => {
-  event.preventDefault();
-  document.body.classList.remove("dropping");
-  dropped(event.dataTransfer.files);
-});
 for (const button of document.querySelectorAll("[data-save]")) {
   button.onclick = () => link.say({ type: "save", what: button.dataset.save });
 }
 for (const button of document.querySelectorAll("[data-figure]")) {
-  button.onclick = () => detail.save(button.dataset.figure, state.scene.name);
+  button.onclick = async () => {
+    const kind = button.dataset.figure, title = `${state.scene.name}, ${by("selected").textContent}`;
+    save(await detail.file(kind, title), `${state.scene.name}.${kind}`);
+  };
 }
-
-// ---- the window itself
 
 function redraw() {
-  if (!state.scene || !state.times) return;
-  const colour = colours();
-  for (const tap of state.taps) if (tap) small(tap, colour);
-  large(true);
+  if (state.frame) show(false);
 }
-
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 let resizing = null;
 addEventListener("resize", () => {
   clearTimeout(resizing);
   resizing = setTimeout(redraw, 100);
 });
+read("");
 globalThis.page = state; // for whoever measures or tests it

@@ -1,13 +1,33 @@
 // Hearing a tap: recorded, clipped, optimum, at one gain for all three.
 
+import { Field } from "./field.js";
+import { by } from "./words.js";
+
 const PAUSE_S = 0.45;
 const BEFORE_S = 0.03;
 
 export class Sound {
-  constructor() {
-    this.buffers = new Map();
-    this.gain_dB = 0;
-    this.playing = [];
+  // `tell(words)`; `selected()`: index of the tap that is heard.
+  constructor(link, tell, selected) {
+    Object.assign(this, { link, tell, selected, buffers: new Map(), gain_dB: 0, playing: [], wanted: null });
+    for (const button of document.querySelectorAll("[data-sound]")) button.onclick = () => this.hear([button.dataset.sound]);
+    by("compare").onclick = () => this.hear(["recorded", "optimum", "recorded", "optimum"]);
+    const gain = new Field({ id: "gain", label: "loudness", unit: "dB", low: -40, high: 6, integer: true,
+      tip: "of all three sounds alike, from -40 to 6 dB" }, (value) => this.loud(value));
+    gain.set(0);
+    by("gain-place").append(gain.element);
+  }
+
+  hear(names) {
+    if (names.some((name) => this.buffers.has(name))) return this.play(names);
+    this.wanted = names;
+    return this.link.say({ type: "sound", tap: this.selected() });
+  }
+
+  heard(message, arrays) {
+    this.take(message.rate_Hz, arrays);
+    if (this.wanted) this.play(this.wanted);
+    this.wanted = null;
   }
 
   forget() {
@@ -36,7 +56,7 @@ export class Sound {
     this.playing = [];
   }
 
-  // The named ones in turn; returns what of them there is.
+  // The named ones in turn, as far as there are such.
   async play(names) {
     this.stop();
     await this.context.resume();
@@ -47,6 +67,6 @@ export class Sound {
       source.start(this.context.currentTime + BEFORE_S + j * PAUSE_S);
       this.playing.push(source);
     });
-    return there;
+    this.tell(there.length ? `playing ${there.join(", then ")}` : "no certified optimum to hear");
   }
 }

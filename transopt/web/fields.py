@@ -1,0 +1,44 @@
+"""Refusals in the words of the page: a key of the scene is called as its slider, an option as its field."""
+
+import re
+from dataclasses import dataclass
+
+from transopt.web.controls import controls
+from transopt.web.service import Service
+
+# What other front doors are told -> what the page has in its place.
+ELSEWHERE = (
+    (r"--columns \S+ \(in a scene recordings\.columns\)", 'the field "columns in their order"'),
+    (r"--accept takes it, or recordings\.implausible = \"accept\" in the scene", 'tick "take numbers as they are"'),
+    (r"(state |give |--|recordings\.)speed(_m_s)?\b", 'the field "speed where a file states none"'),
+    (r"lower beta or current_A", "lower one of the two sliders"),
+    (r"--recordings( FOLDER)?", "the option --recordings of transopt page"),
+)
+
+
+@dataclass(frozen=True)
+class Said:
+    """A refusal.
+
+    Attributes
+    ----------
+    words : as the page says it.
+    key : of the slider that it is about; empty where it is about none or several.
+    """
+
+    words: str
+    key: str
+
+
+def in_words(words: str, service: Service | None) -> Said:
+    """A message of the project in the words of the page's own fields."""
+    key = ""
+    if service is not None:
+        words = words.removeprefix(f"{service.opened.name}: ")
+        for control in sorted(controls(service.opened), key=lambda each: -len(each.key)):
+            if control.key in words:
+                key = key or control.key
+                words = re.sub(rf"{re.escape(control.key)}( = '?[^:,; ]*'?)?", rf"{control.label}\1", words)
+    for pattern, instead in ELSEWHERE:
+        words = re.sub(pattern, instead, words)
+    return Said(words, key)

@@ -1,0 +1,126 @@
+"""Opening what a page shows: a scene, a library, a user's own taps; and what the page is told of it first."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from transopt.base.errors import InputError
+from transopt.library.columns import COLUMNS, EntryTable
+from transopt.library.library import Library
+from transopt.library.proven import load_proven
+from transopt.recordings.tap import check_usable, prepare, read_recordings
+from transopt.scene.builtin import load_scene, scene_names, scene_path
+from transopt.scene.keys import IN_PLACE_OF, with_values
+from transopt.scene.scene import Scene
+from transopt.scene.written import edited
+from transopt.web.controls import input_key
+from transopt.web.service import Service
+from transopt.web.shown import FIGURES
+
+
+def opened(source: Scene | Library | str | Path, recordings: Path | None = None, *, accept: bool = False) -> Service:
+    """The service of a scene, of a library, or of the name or path of one.
+
+    Parameters
+    ----------
+    recordings : folder of the scene's recordings, in place of the one that it names.
+    accept : numbers that no device and no tap has, as `transopt.scene.builtin.load_scene` takes them.
+
+    Raises
+    ------
+    InputError : a file that cannot be used.
+    """
+    if isinstance(source, str | Path) and str(source).lower().endswith(".npz"):
+        source = load_proven(Path(source))
+    if isinstance(source, Library):
+        source.check_linear("page")
+        return Service(source.scene(), library=source)
+    text = ""
+    if not isinstance(source, Scene):
+        named, source = str(source), load_scene(source, accept=accept)
+        if named.lower().endswith(".toml"):
+            text = Path(named).read_text(encoding="utf-8")
+        else:
+            text = scene_path(named).read_text(encoding="utf-8").replace('"../', '"')  # as `scene new` copies it
+    if recordings is not None:
+        source = with_values(source, {"recordings.folder": str(recordings.resolve())})
+        text = edited(text, {"recordings.folder": str(recordings.resolve())}) or ""
+    return Service(source, text=text)
+
+
+def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[str, Any]) -> Service:
+    """The service of a scene with taps of a user's own in place of its recordings.
+
+    The grid takes the speeds of the files, one each, since taps within the scene's tolerance of each other share one.
+
+    Parameters
+    ----------
+    of : whose scene, as it was opened, the taps are for.
+    files : names in the folder.
+    reading : keys of `recordings` that say how they are read, as `speed_m_s` of files that state none.
+
+    Raises
+    ------
+    InputError : a file that is no tap, or whose speed nobody states.
+    """
+    scene = of.opened
+    if scene.targets:
+        raise InputError(
+            f"{scene.name}: has named targets, which no tap takes the place of: choose a scene with speeds"
+        )
+    stated = scene.recordings.model_dump(include={"lowpass_Hz", "trusted_from_Hz", "speed_tolerance"})
+    table = {**stated, **reading, "files": list(files)}
+    taken = with_values(scene, {"recordings": {**table, "folder": str(folder)}})
+    settings, nodes = taken.recordings, list[float]()
+    taps = [prepare(recording, settings) for recording in read_recordings(settings)]
+    for tap in sorted(taps, key=lambda tap: tap.speed_m_s):
+        check_usable(tap, settings)
+        speed = float(f"{tap.speed_m_s:.3g}")
+        if not nodes or abs(nodes[-1] / tap.speed_m_s - 1) > settings.speed_tolerance:
+            nodes.append(speed)
+    speeds = {"grid.speeds_m_s": nodes}
+    text = edited(of.source, {"recordings": {**table, "folder": "."}, **speeds}) or ""
+    return Service(with_values(taken, speeds), text=text)
+
+
+def gallery() -> list[dict[str, str]]:
+    """Name and description of every built-in scene."""
+    described = ((name, tomllib.loads(scene_path(name).read_text(encoding="utf-8"))) for name in scene_names())
+    return [{"name": name, "description": content.get("description", "")} for name, content in described]
+
+
+def described(service: Service) -> dict[str, Any]:
+    """What a page has to know of a scene before anything of it is solved: words, units, taps and controls."""
+    scene, axes = service.scene, service.scene.axes
+    driven = scene.driven_by
+    return {
+        "name": scene.name,
+        "description": scene.description,
+        "driven_by": {"name": driven.name, "unit": driven.unit},
+        "input_key": input_key(scene),
+        "rivals": IN_PLACE_OF,
+        "window_end_s": service.grid.end_s,
+        "heads": axes.columns,
+        "columns": _columns(scene),
+        "places": [vars(place) for place in service.places],
+        "controls": [vars(control) for control in service.controls],
+        "between": None
+        if scene.targets
+        else {
+            "speed_m_s": [axes.speeds_m_s[0], axes.speeds_m_s[-1]],
+            "grip_N": [axes.grips_N[0], axes.grips_N[-1]],
+        },
+        "windings_C": service.windings_C,
+        "remarks": service.remarks,
+    }
+
+
+def _columns(scene: Scene) -> list[dict[str, str]]:
+    """Name, head and meaning of the columns of the page's table that hold numbers."""
+    driven, named = scene.driven_by, bool(scene.targets)
+    told = EntryTable((), FIGURES, (), driven.unit).meanings(driven.name, named=named)
+    found = [(name, COLUMNS[name].head, told.get(COLUMNS[name].head, "")) for name in FIGURES]
+    cut = f"error of the optimum without limits after its {driven.name} was cut at the limit"
+    found.insert(2, ("clipped", "clipped %", cut))
+    return [{"name": name, "head": head, "meaning": meaning} for name, head, meaning in found]

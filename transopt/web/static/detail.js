@@ -1,0 +1,266 @@
+// The selected tap drawn large: acceleration, what drives the device, error and temperature over one time axis, which
+// can be zoomed and read.
+
+import { colours, within } from "./curves.js";
+import { largest } from "./words.js";
+
+const G = 9.80665; // m/s^2
+const FIRST_MS = 20; // of a tap are what is felt of it
+const ROOM = { left: 46, right: 10, top: 4, bottom: 36, between: 13 };
+const DASHES = { clipped: "6 4", start: "2 3", warm: "9 3", limit: "2 3" };
+const WIDTHS = { optimum: 2.2, warm: 1.8, recorded: 1.5, start: 1.4, clipped: 1.3, limit: 1.5 };
+
+function ticks(low, high, about) {
+  const raw = (high - low) / about, power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 2.5, 5, 10].map((m) => m * power).find((each) => each >= raw * 0.999);
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(Number((k * step).toPrecision(10)));
+  return found;
+}
+
+const escaped = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+
+export class Detail {
+  // `read(words, now)`: what the curves are at the time that is pointed at, in words.
+  constructor(element, read) {
+    Object.assign(this, { element, read, svg: element.querySelector("svg"), hidden: new Set(), zoomed: () => undefined });
+    element.addEventListener("keydown", (event) => this.key(event));
+    element.addEventListener("pointermove", (event) => this.pointed(event));
+    element.addEventListener("pointerdown", (event) => {
+      if (event.button) return;
+      this.from = this.timeAt(event.offsetX);
+      element.setPointerCapture(event.pointerId);
+    });
+    element.addEventListener("pointerup", (event) => {
+      const ends = [this.from, this.timeAt(event.offsetX)].sort((a, b) => a - b);
+      const far = this.from !== null && Math.abs(this.timeX(ends[1]) - this.timeX(ends[0])) > 8;
+      this.from = null;
+      if (far) this.zoom(...ends);
+    });
+    element.addEventListener("pointerleave", () => this.point(null));
+    element.addEventListener("dblclick", () => this.first());
+    this.from = this.cursor = null;
+  }
+
+  // A scene's time axis and input; of a tap its first milliseconds are looked at.
+  open(scene) {
+    Object.assign(this, { scene, view: null, frame: null, cursor: null });
+  }
+
+  get whole() {
+    const { times } = this.frame;
+    return [times[0], times[times.length - 1]];
+  }
+
+  first() {
+    const [from, to] = this.whole;
+    this.zoom(from, this.scene.between ? Math.min(to, FIRST_MS / 1e3) : to);
+  }
+
+  zoom(from, to) {
+    const [least, most] = this.whole, dt = this.frame.times[1] - this.frame.times[0];
+    const span = Math.min(Math.max(to - from, 8 * dt), most - least);
+    const begin = Math.min(Math.max(from, least), most - span);
+    this.view = [begin, begin + span];
+    this.zoomed();
+    this.draw();
+  }
+
+  // Wider (> 1) or nearer (< 1), around what is read or the middle.
+  scale(factor) {
+    const [from, to] = this.view, around = this.cursor ?? (from + to) / 2;
+    this.zoom(around - factor * (around - from), around + factor * (to - around));
+  }
+
+  shift(share) {
+    const [from, to] = this.view;
+    this.zoom(from + share * (to - from), to + share * (to - from));
+  }
+
+  key(event) {
+    const [from, to] = this.view ?? [0, 0], step = (to - from) / 40;
+    const actions = {
+      "+": () => this.scale(1 / 1.5), "=": () => this.scale(1 / 1.5), "-": () => this.scale(1.5), Home: () => this.first(),
+      End: () => this.zoom(...this.whole), PageUp: () => this.shift(-0.5), PageDown: () => this.shift(0.5),
+      ArrowLeft: () => this.point((this.cursor ?? from) - step), ArrowRight: () => this.point((this.cursor ?? from) + step),
+      Escape: () => this.point(null),
+    };
+    if (!this.view || !actions[event.key] || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    actions[event.key]();
+  }
+
+  pointed(event) {
+    if (this.view && event.offsetX >= ROOM.left) this.point(this.timeAt(event.offsetX));
+  }
+
+  point(time) {
+    this.cursor = time === null ? null : Math.min(Math.max(time, this.view[0]), this.view[1]);
+    this.draw();
+  }
+
+  timeX(time) {
+    const [from, to] = this.view;
+    return ROOM.left + ((time - from) / (to - from)) * (this.width - ROOM.left - ROOM.right);
+  }
+
+  timeAt(x) {
+    if (!this.view) return null;
+    const [from, to] = this.view;
+    return from + ((x - ROOM.left) / (this.width - ROOM.left - ROOM.right)) * (to - from);
+  }
+
+  // `kept`: the scales stay, as long as something is in the hand and its curves are inside.
+  show(frame, tap, start, kept) {
+    Object.assign(this, { frame, tap, start });
+    if (!this.view) this.first();
+    else this.draw(kept);
+  }
+
+  curves() {
+    const { tap, start } = this, { times } = this.frame;
+    const inG = (values) => values?.map((a) => a / G);
+    const recorded = inG(tap.recorded_m_s2);
+    const error = (values) => (values?.length ? inG(values).map((a, j) => a - recorded[j]) : []);
+    const limit = [tap.input_limit, -tap.input_limit].map((value) => ["limit", this.view, [value, value]]);
+    const found = {
+      acceleration: [["clipped", times, inG(tap.clipped_m_s2)], ["start", start?.times, inG(start?.optimum_m_s2)],
+        ["recorded", times, recorded], ["optimum", times, inG(tap.optimum_m_s2)], ["warm", times, inG(tap.warm_m_s2)]],
+      input: [["clipped", times, tap.clipped_input], ["start", start?.times, start?.input], ["optimum", times, tap.input],
+        ["warm", times, tap.warm_input], ...limit],
+      error: [["clipped", times, error(tap.clipped_m_s2)], ["optimum", times, error(tap.optimum_m_s2)],
+        ["warm", times, error(tap.warm_m_s2)]],
+    };
+    if (tap.temperature_C.length) found.temperature = [["optimum", times, tap.temperature_C]];
+    return found;
+  }
+
+  // Ends of a panel's axis, with room above what is shown.
+  range(name, curves, kept) {
+    const own = (names) => curves.filter(([curve]) => names.includes(curve)).map(([, , values]) => largest(values ?? []));
+    if (name === "temperature") {
+      const values = curves[0][2];
+      let low = Infinity, high = -Infinity;
+      for (const value of values) {
+        low = Math.min(low, value);
+        high = Math.max(high, value);
+      }
+      return Number.isFinite(low) ? [low - 0.02 * (high - low) - 1e-3, high + 0.1 * (high - low) + 1e-3] : [0, 1];
+    }
+    const most = Math.max(...own(name === "input" ? ["limit"] : ["recorded", "optimum"]), 1e-6) * (name === "input" ? 1.32 : 1.12);
+    const before = this.ranges?.[name]?.[1];
+    const stays = kept && before && most <= 1.3 * before && (name !== "input" || this.tap.input_limit < 0.98 * before);
+    const end = stays ? before : most;
+    return [-end, end];
+  }
+
+  draw(kept = false) {
+    if (!this.frame || !this.view) return;
+    const { element } = this;
+    [this.width, this.height] = [element.clientWidth, element.clientHeight];
+    if (!this.width) return;
+    this.svg.innerHTML = this.drawn(this.width, this.height, kept);
+    element.dataset.frame = this.frame.number;
+    this.tell();
+  }
+
+  // The contents of the picture, with all colours in it, so that it can be saved as it is.
+  drawn(width, height, kept) {
+    const colour = colours(), curves = this.curves(), names = Object.keys(curves);
+    const heights = { acceleration: 3, input: 2.6, error: 1.5, temperature: 1.2 };
+    const { name, unit } = this.scene.driven_by, C = this.tap.temperature_limit_C;
+    const titles = { acceleration: "acceleration, g", input: `${name}, ${unit}`, error: "error, g",
+      temperature: `winding, C${C ? `; limit ${Number(C.toPrecision(4))}` : ""}` };
+    const free = height - ROOM.top - ROOM.bottom - ROOM.between * (names.length - 1);
+    const whole = names.reduce((sum, each) => sum + heights[each], 0);
+    const [left, right] = [ROOM.left, width - ROOM.right], parts = [];
+    const text = (x, y, words, how = "") => parts.push(`<text x="${x}" y="${y}" fill="${colour.ink}" ${how}>${escaped(words)}</text>`);
+    const along = (x1, y1, x2, y2, ink, how = "") => parts.push(`<line x1="${x1}" y1="${y1}" x2="${x2}" y2="${y2}" stroke="${ink}" ${how}/>`);
+    this.panels = {};
+    this.ranges = Object.fromEntries(names.map((each) => [each, this.range(each, curves[each], kept)]));
+    let top = ROOM.top;
+    const ended = this.scene.window_end_s, across = ticks(...this.view.map((t) => 1e3 * t), Math.max(Math.min(width / 90, 10), 4));
+    for (const each of names) {
+      const size = (heights[each] / whole) * free, bottom = top + size, [low, high] = this.ranges[each];
+      const y = (value) => bottom - ((value - low) / (high - low)) * size;
+      this.panels[each] = { top, bottom, low, high, y };
+      for (const t of across) along(this.timeX(t / 1e3), top, this.timeX(t / 1e3), bottom, colour.grid);
+      for (const value of ticks(low, high, Math.max(size / 26, 2))) {
+        along(left, y(value), right, y(value), value === 0 ? colour.line : colour.grid);
+        text(left - 6, y(value) + 4, String(Number(value.toPrecision(6))), 'text-anchor="end"');
+      }
+      parts.push(`<clipPath id="in-${each}"><rect x="${left}" y="${top}" width="${right - left}" height="${size}"/></clipPath>`,
+        `<g clip-path="url(#in-${each})" fill="none">`);
+      for (const [curve, times, values] of curves[each]) {
+        if (!times || !values?.length || (this.hidden.has(curve) && curve !== "limit")) continue;
+        let d = "";
+        within(times, values, ...this.view, right - left, (t, value, begins) => {
+          d += `${begins ? "M" : "L"}${Math.round(10 * this.timeX(t)) / 10} ${Math.round(10 * y(value)) / 10}`;
+        });
+        const dashes = DASHES[curve] ? `stroke-dasharray="${DASHES[curve]}"` : "";
+        parts.push(`<path d="${d}" stroke="${colour[curve]}" stroke-width="${WIDTHS[curve]}" ${dashes}/>`);
+      }
+      parts.push("</g>");
+      text(right - 4, top + 13, titles[each],
+        `text-anchor="end" paint-order="stroke" stroke="${colour.ground}" stroke-width="4" stroke-linejoin="round"`);
+      top = bottom + ROOM.between;
+    }
+    const bottom = top - ROOM.between;
+    if (ended > this.view[0] && ended < this.view[1]) {
+      along(this.timeX(ended), ROOM.top, this.timeX(ended), bottom, colour.line, 'stroke-dasharray="8 3 2 3"');
+    }
+    for (const t of across) text(this.timeX(t / 1e3), bottom + 15, String(t), 'text-anchor="middle"');
+    text((left + right) / 2, bottom + 31, "time after contact, ms", 'text-anchor="middle"');
+    if (this.cursor !== null) along(this.timeX(this.cursor), ROOM.top, this.timeX(this.cursor), bottom, colour.ink, 'stroke-width="1"');
+    return parts.join("");
+  }
+
+  // What the curves are where they are read.
+  tell() {
+    const { cursor, frame, tap } = this;
+    if (cursor === null) return this.read("", null);
+    const { times } = frame, at = Math.min(Math.max(Math.round((cursor - times[0]) / (times[1] - times[0])), 0), times.length - 1);
+    const number = (values, unit) => `${Number(values[at].toPrecision(3))} ${unit}`;
+    const inG = (values) => `${(values[at] / G).toFixed(2)} g`;
+    const words = [`recorded ${inG(tap.recorded_m_s2)}`];
+    if (tap.certified) words.push(`optimum ${inG(tap.optimum_m_s2)}`, `${this.scene.driven_by.name} ${number(tap.input, this.scene.driven_by.unit)}`);
+    words.push(`clipped ${inG(tap.clipped_m_s2)}`);
+    if (tap.certified && tap.temperature_C.length > at) words.push(`winding ${tap.temperature_C[at].toFixed(2)} C`);
+    return this.read(`${(1e3 * times[at]).toFixed(1)} ms: ${words.join(", ")}`, 1e3 * times[at]);
+  }
+
+  // Where a value of the input lies in the element, and back.
+  inputY(value) {
+    return this.panels?.input.y(value);
+  }
+
+  inputAt(y) {
+    const { top, bottom, low, high } = this.panels.input;
+    return low + ((bottom - y) / (bottom - top)) * (high - low);
+  }
+
+  // A file of the picture, with its title.
+  async file(kind, title) {
+    const width = 1200, height = 800, head = 34, kept = [this.width, this.cursor];
+    [this.width, this.cursor] = [width, null];
+    const inner = this.drawn(width, height - head, true);
+    [this.width, this.cursor] = kept;
+    const drawing = this.svg.cloneNode();
+    for (const [name, value] of [["width", width], ["height", height], ["viewBox", `0 0 ${width} ${height}`],
+      ["font-family", "sans-serif"], ["font-size", "13"]]) drawing.setAttribute(name, value);
+    const { ground, ink } = colours();
+    drawing.innerHTML = `<rect width="100%" height="100%" fill="${ground}"/><text x="${ROOM.left}" y="22" font-size="16" fill="${ink}">`
+      + `${escaped(title)}</text><g transform="translate(0 ${head})">${inner}</g>`;
+    this.draw(true);
+    const vector = new Blob([new XMLSerializer().serializeToString(drawing)], { type: "image/svg+xml" });
+    if (kind === "svg") return vector;
+    const picture = new Image(), place = URL.createObjectURL(vector);
+    picture.src = place;
+    await picture.decode();
+    const canvas = new OffscreenCanvas(2 * width, 2 * height), pen = canvas.getContext("2d");
+    pen.scale(2, 2);
+    pen.drawImage(picture, 0, 0);
+    URL.revokeObjectURL(place);
+    return canvas.convertToBlob({ type: "image/png" });
+  }
+}

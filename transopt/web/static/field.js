@@ -1,0 +1,100 @@
+// One number: a slider, the number typed, and back to where it was.
+
+import { made, said, shareOf, valueAt } from "./words.js";
+
+const STEPS = 400;
+
+export class Field {
+  // `spec`: id, label, unit, tip, low, high, and log, integer, optional, or `at` and `share` of a scale of its own;
+  // `opened`, where it goes back to; undefined for no way back.
+  // `moved(value, how)`: how = { resting, began, step } with step "typed", "dragged" or "key" when it may be undone.
+  constructor(spec, moved) {
+    Object.assign(this, { spec, moved });
+    const { id, label, unit } = spec;
+    this.name = made("label", { htmlFor: id, textContent: label });
+    this.number = made("input", {
+      type: "text", id: `${id}-number`, inputMode: "decimal", autocomplete: "off", className: "number",
+      attributes: { "aria-label": unit ? `${label}, ${unit}` : label },
+    });
+    this.range = made("input", { type: "range", id, min: 0, max: STEPS, step: 1 });
+    this.back = made("button", { type: "button", className: "back", textContent: "\u21ba" });
+    this.element = made("div", { className: "control", dataset: { tip: spec.tip ?? "" } }, this.name,
+      made("span", { className: "value" }, this.number, made("span", { className: "unit", textContent: unit }), this.back),
+      this.range);
+    if (spec.optional) {
+      this.stated = made("input", { type: "checkbox", attributes: { "aria-label": `state ${label}` } });
+      this.stated.onchange = () => this.move(this.stated.checked ? this.sliderValue : null, { resting: true, step: "typed" });
+      this.name.before(this.stated);
+      this.element.classList.add("optional");
+    }
+    this.range.onpointerdown = () => { this.held = true; };
+    this.range.oninput = (event) => this.move(this.sliderValue, { began: event.timeStamp });
+    this.range.onchange = () => {
+      this.move(this.sliderValue, { resting: true, step: this.held ? "dragged" : "key" });
+      this.held = false;
+    };
+    this.number.onchange = () => this.typed();
+    this.back.onclick = () => {
+      this.move(this.opened, { resting: true, step: "typed" });
+      this.number.focus();
+    };
+  }
+
+  get sliderValue() {
+    return valueAt(this.spec, this.range.value / STEPS);
+  }
+
+  typed() {
+    const text = this.number.value.trim().replace(",", ".");
+    const value = text === "" && this.spec.optional ? null : Number(text || NaN);
+    if (Number.isNaN(value)) {
+      this.complain(`${this.spec.label}: "${this.number.value}" is no number: type one${this.spec.unit ? ` in ${this.spec.unit}` : ""}`);
+      return;
+    }
+    this.move(value, { resting: true, step: "typed" });
+  }
+
+  move(value, how) {
+    this.complain("");
+    this.set(value);
+    this.moved(value, how);
+  }
+
+  // Ends of the slider stay under the hand, and make room for a number that is typed beyond them.
+  scale(low, high) {
+    this.spec = { ...this.spec, low, high };
+  }
+
+  set(value) {
+    this.value = value;
+    const off = value === null || value === undefined;
+    if (!off && !this.spec.at && this.spec.low < this.spec.high) {
+      if (value < this.spec.low && (!this.spec.log || value > 0)) this.scale(value, this.spec.high);
+      if (value > this.spec.high) this.scale(this.spec.low, value);
+    }
+    const shown = off ? this.spec.start ?? this.spec.low : value;
+    if (document.activeElement !== this.range || Math.abs(this.sliderValue - shown) > 1e-3 * Math.abs(shown)) {
+      this.range.value = Math.round(STEPS * shareOf(this.spec, shown));
+    }
+    this.number.value = off ? "" : said(value);
+    this.number.placeholder = off ? "none" : "";
+    this.range.setAttribute("aria-valuetext", said(value, this.spec.unit));
+    this.element.classList.toggle("off", off);
+    if (this.stated) {
+      this.stated.checked = !off;
+      this.range.disabled = off;
+    }
+    const back = this.opened !== undefined && value !== this.opened;
+    this.back.disabled = !back;
+    this.back.setAttribute("aria-label", `${this.spec.label} back to ${said(this.opened, this.spec.unit)}`);
+    this.back.dataset.tip = back ? `back to ${said(this.opened, this.spec.unit)}` : "";
+  }
+
+  complain(words) {
+    this.number.toggleAttribute("aria-invalid", Boolean(words));
+    this.note ??= made("p", { className: "note", attributes: { role: "alert" } });
+    this.note.textContent = words;
+    if (words) this.element.append(this.note);
+    else this.note.remove();
+  }
+}

@@ -1,0 +1,51 @@
+// The limit in the plot, which shows what is asked for: dragged, or moved by the arrow keys.
+
+import { said } from "./words.js";
+
+const FACTORS = { ArrowUp: 1.02, ArrowRight: 1.02, ArrowDown: 1 / 1.02, ArrowLeft: 1 / 1.02, PageUp: 1.2, PageDown: 1 / 1.2 };
+
+export class Handle {
+  // `changed(key, value, how)`, as of a slider.
+  constructor(element, detail, changed) {
+    Object.assign(this, { element, detail, changed, field: null });
+    element.onpointerdown = (event) => {
+      element.setPointerCapture(event.pointerId);
+      event.stopPropagation();
+    };
+    element.onpointermove = (event) => {
+      if (!element.hasPointerCapture(event.pointerId)) return;
+      this.move(detail.inputAt(event.clientY - detail.element.getBoundingClientRect().top), { began: event.timeStamp });
+    };
+    element.onpointerup = () => this.move(this.field.value, { resting: true, step: "dragged" });
+    element.onkeydown = (event) => {
+      if (!FACTORS[event.key]) return;
+      event.preventDefault();
+      this.move(this.field.value * FACTORS[event.key], { began: event.timeStamp, step: "key" });
+    };
+  }
+
+  open(scene, field) {
+    Object.assign(this, { key: scene.input_key, field });
+  }
+
+  move(value, how) {
+    const { low, high } = this.field.spec;
+    const inside = Number(Math.min(Math.max(value, low), high).toPrecision(3));
+    this.field.set(inside);
+    this.changed(this.key, inside, how);
+  }
+
+  // Where it lies now, and what it says.
+  place() {
+    const { element, field } = this, y = field && this.detail.inputY(field.value);
+    element.hidden = y === undefined || field.value === null;
+    if (element.hidden) return;
+    const { top, bottom } = this.detail.panels.input, text = said(field.value, field.spec.unit);
+    element.style.top = `${Math.min(Math.max(y, top), bottom)}px`;
+    element.firstElementChild.textContent = text;
+    element.setAttribute("aria-label", `limit of the ${field.spec.label} in the plot`);
+    for (const [name, now] of [["min", field.spec.low], ["max", field.spec.high], ["now", field.value], ["text", text]]) {
+      element.setAttribute(`aria-value${name}`, now);
+    }
+  }
+}

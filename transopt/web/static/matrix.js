@@ -1,0 +1,109 @@
+// All taps small, speed by grip, on one scale: curves, tap error in words, and as a bar with the floor marked.
+
+import { drawSmall } from "./curves.js";
+import { largest, made, write } from "./words.js";
+
+const LIMITED = 1.05; // times the floor: above, a limit holds the tap back
+
+export function came(tap) {
+  if (!tap) return "...";
+  if (!tap.certified) return "refused";
+  return `${tap.cells.tap} %${isLimited(tap) ? " limited" : ""}`;
+}
+
+export function isLimited(tap) {
+  return Boolean(tap.figures) && tap.figures.tap_error > LIMITED * tap.floor;
+}
+
+export class Matrix {
+  constructor(element, selects) {
+    Object.assign(this, { element, selects, cells: [], full: 0 });
+    element.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  open(places) {
+    this.places = places;
+    this.full = 0;
+    const nodes = places.filter((place) => !place.between);
+    this.grips = nodes.length && !nodes[0].target ? [...new Set(nodes.map((place) => place.grip_N))] : [];
+    const speeds = [...new Set(nodes.map((place) => place.speed_m_s))];
+    const head = (text, row, column) => {
+      const cell = made("span", { className: "head", textContent: text, attributes: { "aria-hidden": "true" } });
+      Object.assign(cell.style, { gridRow: row, gridColumn: column });
+      return cell;
+    };
+    this.cells = places.map((place, index) => this.cell(place, index));
+    this.element.replaceChildren();
+    this.element.classList.toggle("named", !this.grips.length);
+    if (this.grips.length) {
+      this.element.style.gridTemplateColumns = `max-content repeat(${speeds.length}, minmax(5.2rem, 1fr))`;
+      speeds.forEach((speed, j) => this.element.append(head(`${Number(speed.toPrecision(4))} m/s`, 1, j + 2)));
+      this.grips.forEach((grip, k) => this.element.append(head(`${Number(grip.toPrecision(4))} N`, k + 2, 1)));
+      places.forEach((place, index) => {
+        const j = place.between ? 0 : speeds.indexOf(place.speed_m_s), k = place.between ? this.grips.length : this.grips.indexOf(place.grip_N);
+        if (place.between) this.element.append(head("between", k + 2, 1));
+        Object.assign(this.cells[index].style, { gridRow: k + 2, gridColumn: place.between ? "2 / 4" : j + 2 });
+      });
+    } else {
+      this.element.style.gridTemplateColumns = "";
+    }
+    this.element.append(...this.cells);
+  }
+
+  cell(place, index) {
+    const named = place.target || place.between;
+    const cell = made("button", { type: "button", className: "cell", attributes: { role: "option" } },
+      ...(named ? [made("span", { className: "place", textContent: place.title })] : []), made("canvas"),
+      made("span", { className: "came", textContent: "..." }), made("span", { className: "bar" }, made("i"), made("b")));
+    cell.setAttribute("aria-label", place.title);
+    cell.onclick = () => this.selects(index);
+    return cell;
+  }
+
+  select(index) {
+    this.cells.forEach((cell, j) => {
+      cell.setAttribute("aria-selected", String(j === index));
+      cell.tabIndex = j === index ? 0 : -1;
+    });
+  }
+
+  // Everything of one answer, at one scale.
+  show(frame, view, hidden, start) {
+    const taps = frame.taps.filter(Boolean);
+    const scale = { view, acceleration: Math.max(...taps.map((tap) => largest(tap.recorded_m_s2)), 1e-9),
+      input: Math.max(...taps.map((tap) => tap.input_limit)) };
+    const most = Math.max(...taps.flatMap((tap) => [tap.figures?.tap_error ?? 0, tap.floor]));
+    if (most > this.full || most < 0.5 * this.full) this.full = Math.ceil(12 * most) / 10; // a round one, with room for more
+    for (const tap of taps) {
+      const cell = this.cells[tap.index];
+      if (!cell) continue;
+      drawSmall(cell.querySelector("canvas"), frame.times, tap, scale, hidden, start?.taps[tap.index] && { ...start.taps[tap.index], times: start.times });
+      this.caption(tap, frame.number);
+    }
+  }
+
+  caption(tap, number) {
+    const cell = this.cells[tap.index];
+    if (!cell) return;
+    cell.classList.toggle("refused", !tap.certified);
+    cell.classList.toggle("limited", isLimited(tap));
+    write(cell.querySelector(".came"), came(tap));
+    cell.setAttribute("aria-label", `${this.places[tap.index].title}: ${came(tap)}`);
+    const percent = (share) => `${Math.min(100 * share / this.full, 100)}%`;
+    cell.querySelector("i").style.width = percent(tap.figures?.tap_error ?? 0);
+    cell.querySelector("b").style.left = percent(tap.floor);
+    cell.dataset.frame = number;
+  }
+
+  key(event) {
+    const rows = this.grips.length || 1;
+    const steps = { ArrowRight: rows, ArrowLeft: -rows, ArrowDown: 1, ArrowUp: -1 };
+    const last = this.cells.length - 1, now = this.cells.findIndex((cell) => cell.tabIndex === 0);
+    const index = event.key === "Home" ? 0 : event.key === "End" ? last : now + (steps[event.key] ?? NaN);
+    if (Number.isNaN(index)) return;
+    event.preventDefault();
+    const next = Math.min(Math.max(index, 0), last);
+    this.selects(next);
+    this.cells[next].focus();
+  }
+}

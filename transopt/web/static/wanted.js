@@ -1,0 +1,64 @@
+// The inverse question: an error is asked for, and what can move it answers.
+
+import { Field } from "./field.js";
+import { isLimited } from "./matrix.js";
+import { by, percent, said, write } from "./words.js";
+
+export class Wanted {
+  // `sets(key, value)` takes an answer into the scene.
+  constructor(link, sets) {
+    Object.assign(this, { link, sets, tap: null, found: null });
+    this.field = new Field({ id: "error", label: "tap error, at most", unit: "%", low: 0.1, high: 100, log: true,
+      tip: "error of the selected tap that you can live with; the least value that has it is searched when you let go" }, (value, how) => {
+      if (how.resting) this.ask(value);
+    });
+    this.field.set(25);
+    by("error-place").append(this.field.element);
+    by("error-set").onclick = () => this.take();
+  }
+
+  // What can move it is looked for when the page is at rest.
+  look(tap, title) {
+    if (!tap) return;
+    if (tap !== this.tap) {
+      Object.assign(this, { tap, title });
+      by("error-key").replaceChildren(new Option("looking for what can move it ...", ""));
+      write(by("answer"), "");
+      by("error-set").hidden = true;
+    }
+    this.link.say({ type: "movers", tap: tap.index });
+  }
+
+  listed({ tap, movers }) {
+    if (tap !== this.tap?.index) return;
+    const choice = by("error-key"), before = choice.value;
+    choice.replaceChildren(...movers.map((mover) => new Option(
+      `${mover.label}: ${percent(mover.best)} % at ${said(mover.at, mover.unit)}`, mover.key)));
+    if (!movers.length) choice.append(new Option("nothing on this page moves it", ""));
+    if (movers.some((mover) => mover.key === before)) choice.value = before;
+    this.field.range.disabled = this.field.number.disabled = !movers.length;
+    if (this.tap.certified && !isLimited(this.tap)) {
+      write(by("answer"), `Nothing need be done: ${this.title} is at its floor of ${percent(this.tap.floor)} %, and no limit holds it back.`);
+    }
+  }
+
+  ask(value) {
+    const key = by("error-key").value;
+    if (!key || !this.tap) return;
+    write(by("answer"), "searching ...");
+    by("error-set").hidden = true;
+    this.link.say({ type: "ask", tap: this.tap.index, key, tap_error: value / 100 });
+  }
+
+  answered(message) {
+    write(by("answer"), message.words);
+    this.found = message.value === null ? null : message;
+    by("error-set").hidden = !this.found || message.needed;
+    if (this.found && message.needed) this.take();
+  }
+
+  take() {
+    by("error-set").hidden = true;
+    if (this.found) this.sets(this.found.key, this.found.value);
+  }
+}

@@ -1,0 +1,47 @@
+// Numbers and their words.
+
+export function said(value, unit) {
+  if (value === null || value === undefined) return "not stated";
+  const text = typeof value === "number" ? String(Number(value.toPrecision(4))) : value;
+  return unit ? `${text} ${unit}` : text;
+}
+
+// As the terminal and the report write it.
+export function percent(share) {
+  if (share === null || share === undefined) return "-";
+  return (100 * share).toFixed(share < 0.09995 ? 2 : 1);
+}
+
+export function shareOf(scale, value) {
+  if (scale.share) return scale.share(value);
+  if (scale.log) return Math.log(value / scale.low) / Math.log(scale.high / scale.low);
+  return (value - scale.low) / (scale.high - scale.low || 1);
+}
+
+export function valueAt(scale, share) {
+  if (scale.at) return scale.at(share);
+  const value = scale.log ? scale.low * (scale.high / scale.low) ** share : scale.low + share * (scale.high - scale.low);
+  const rounded = scale.integer ? Math.round(value) : Number(value.toPrecision(3));
+  return Math.min(Math.max(rounded, scale.low), scale.high);
+}
+
+export function largest(values) {
+  let most = 0;
+  for (const value of values) if (Math.abs(value) > most) most = Math.abs(value);
+  return most;
+}
+
+export function made(kind, properties = {}, ...children) {
+  const { dataset, attributes, ...own } = properties;
+  const element = Object.assign(document.createElement(kind), own);
+  Object.assign(element.dataset, dataset);
+  for (const [name, value] of Object.entries(attributes ?? {})) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
+}
+
+export function write(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export const by = (id) => document.getElementById(id);

@@ -1,0 +1,94 @@
+"""Files of a user's own that the browser sends, in a folder of the session's own."""
+
+import re
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from transopt.base.errors import InputError
+from transopt.web.opening import own_taps
+from transopt.web.service import Service
+
+SUFFIXES = (".csv", ".txt", ".mat", ".npz", ".wav")
+MOST_FILES = 200
+MOST_UPLOAD_BYTES = 16 * 2**20
+
+
+def uploadable() -> dict[str, Any]:
+    """What the page asks of files before it sends them."""
+    return {"bytes": MOST_UPLOAD_BYTES, "files": MOST_FILES, "suffixes": SUFFIXES}
+
+
+class Upload:
+    """Files in one body one after the other: the browser's names are never opened.
+
+    Parameters
+    ----------
+    message : `files`, names and lengths; what the page's fields say of how they are read.
+    body : the files.
+
+    Attributes
+    ----------
+    names : of the files, made safe.
+
+    Raises
+    ------
+    InputError : too many or too large, not whole, or no recordings by their names.
+    """
+
+    def __init__(self, message: Mapping[str, Any], body: bytes) -> None:
+        listed = message["files"]
+        if not listed or len(listed) > MOST_FILES:
+            raise InputError(f"{len(listed)} files dropped: from 1 to {MOST_FILES} at once")
+        if len(body) > MOST_UPLOAD_BYTES:
+            raise InputError(f"the files have {len(body)} bytes, at most {MOST_UPLOAD_BYTES}: drop fewer at once")
+        if sum(int(size) for _, size in listed) != len(body):
+            raise InputError("the files did not arrive whole: drop them again")
+        columns = [each.strip() for each in str(message.get("columns") or "").split(",") if each.strip()]
+        self._reading: dict[str, Any] = {"columns": columns} if columns else {}
+        if message.get("speed_m_s") is not None:
+            self._reading["speed_m_s"] = float(message["speed_m_s"])
+        if message.get("accept"):
+            self._reading["implausible"] = "accept"
+        self.names: list[str] = []
+        for name, _ in listed:
+            self.names.append(safe_name(str(name), self.names))
+        self._folder = tempfile.TemporaryDirectory()
+        at = 0
+        for name, (_, size) in zip(self.names, listed, strict=True):
+            (Path(self._folder.name) / name).write_bytes(body[at : at + int(size)])
+            at += int(size)
+
+    def service(self, of: Service) -> Service:
+        """The service of a scene with these taps in place of its recordings.
+
+        Raises
+        ------
+        InputError : files that are no taps of this scene.
+        """
+        try:
+            return own_taps(of, Path(self._folder.name), self.names, self._reading)
+        except InputError as error:
+            raise InputError(str(error).replace(f"{self._folder.name}/", "")) from None
+
+    def close(self) -> None:
+        """Delete the files."""
+        self._folder.cleanup()
+
+
+def safe_name(name: str, taken: list[str]) -> str:
+    """A file's name of letters, digits, dashes and underscores, with one of the suffixes that are read.
+
+    Raises
+    ------
+    InputError : another suffix.
+    """
+    stem, dot, suffix = name.rpartition(".")
+    suffix = f"{dot}{suffix}".lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{name[:80]}: no recording: files of taps end in {', '.join(SUFFIXES)}")
+    safe = re.sub(r"[^A-Za-z0-9_-]", "_", stem)[:60] or "tap"
+    while f"{safe}{suffix}" in taken:
+        safe += "_"
+    return f"{safe}{suffix}"
