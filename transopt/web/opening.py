@@ -81,7 +81,7 @@ def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[s
             nodes.append(speed)
     speeds = {"grid.speeds_m_s": nodes}
     text = edited(of.source, {"recordings": {**table, "folder": "."}, **speeds}) or ""
-    return Service(with_values(taken, speeds), text=text)
+    return Service(with_values(taken, speeds), text=text, dropped=True)
 
 
 def gallery() -> list[dict[str, str]]:

@@ -41,16 +41,14 @@ class Mover:
 
     Attributes
     ----------
-    key, label, unit : of its control.
-    best : least tap error at the two ends of its slider.
-    at : the end that has it.
+    key, label : of its control.
+    best, worst : least and greatest tap error of its value now and at the two ends of its slider.
     """
 
     key: str
     label: str
-    unit: str
     best: float
-    at: float
+    worst: float
 
 
 def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: False) -> list[Mover] | None:
@@ -65,15 +63,14 @@ def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: 
     for control in service.controls:
         if control.choices or control.value is None:
             continue
-        errors = {}
+        errors = [now]
         for value in (control.low, control.high):
             if given_up():
                 return None
-            errors[value] = _tap_error(service, index, {control.key: value})[0]
-        at = min(errors, key=lambda value: np.nan_to_num(errors[value], nan=np.inf))
-        moved = [error for error in errors.values() if not abs(error - now) <= LEAST_MOVE and np.isfinite(error)]
-        if moved:
-            found.append(Mover(control.key, control.label, control.unit, errors[at], at))
+            errors.append(_tap_error(service, index, {control.key: value})[0])
+        known = [error for error in errors if np.isfinite(error)]
+        if known and max(known) - min(known) > LEAST_MOVE:
+            found.append(Mover(control.key, control.label, min(known), max(known)))
     return sorted(found, key=lambda mover: mover.best)
 
 

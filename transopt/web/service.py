@@ -68,6 +68,7 @@ class Service:
     library : of which it is the scene: then its references serve as long as the time axis stays, and no recording
         need be there.
     text : of the scene's file, whose comments a scene that is saved keeps; empty where there is none.
+    dropped : whether its recordings lie in a folder that is soon gone: a scene that is saved has them beside itself.
 
     Raises
     ------
@@ -80,8 +81,10 @@ class Service:
         recordings: Sequence[Recording] | None = None,
         library: Library | None = None,
         text: str = "",
+        dropped: bool = False,
     ) -> None:
-        self.opened, self.of_library, self._given, self.source = scene, library, recordings, text
+        self.opened, self.of_library, self._given = scene, library, recordings
+        self.source, self._dropped = text, dropped
         self.changes: dict[str, Value] = {}
         self.options = SolverOptions()
         self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
@@ -308,7 +311,7 @@ class Service:
             changes |= {IN_PLACE_OF[path]: None, path: value} if path in IN_PLACE_OF else {path: value}
         if scene.implausible == "accept":
             changes["implausible"] = "accept"
-        return edited(self.source, changes) or scene_text(_portable(scene))
+        return edited(self.source, changes) or scene_text(_portable(scene, self._dropped))
 
     def accelerations(self, index: int) -> dict[str, FloatArray]:
         """What a tap sounds like: (N + M,) of recorded, clipped and, if certified, optimum [m/s^2]."""
@@ -346,10 +349,10 @@ class Service:
         return made.library
 
 
-def _portable(scene: Scene) -> Scene:
+def _portable(scene: Scene, beside: bool) -> Scene:
     """The scene with a folder of recordings that names no place of an installation."""
     folder = Path(scene.recordings.folder)
-    if not scene.recordings.files:
+    if beside or not scene.recordings.files:
         folder = Path()
     elif folder.is_relative_to(FOLDER):
         folder = folder.relative_to(FOLDER)

@@ -161,20 +161,15 @@ class Session:
     def _change(self, message: Message) -> None:
         service, number = self._service(), message["id"]
         probe, winding = message.get("probe"), message.get("winding_C")
-        before = service.places
         service.change(
             message["changes"],
             None if probe is None else (float(probe[0]), float(probe[1])),
             None if winding is None else float(winding),
         )
-        head = {"type": "curves", "id": number}
-        if service.places != before:
-            head["places"] = [vars(place) for place in service.places]
         order = service.order(int(message["selected"]))
-        # All taps in one frame: whatever shows a result shows one of the same numbers.
-        self._send(
-            curves({"type": "curves", "id": number}, list(self._crew.quick(self._service_name, service, order)))
-        )
+        head = {"type": "curves", "id": number, "places": [vars(place) for place in service.places]}
+        # All taps in one frame: whatever shows a result shows one of the same number.
+        self._send(curves(head, list(self._crew.quick(self._service_name, service, order))))
         if message.get("final"):
             self._settle(service, order, number)
 

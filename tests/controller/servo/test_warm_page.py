@@ -10,7 +10,8 @@ from controller.servo.settings import Settings
 from controller.waveforms.bank import bank
 from transopt.base.errors import InputError
 from transopt.proof.replay import replay
-from transopt.web.service import Service, plain
+from transopt.web.service import Service
+from transopt.web.shown import plain
 
 ONE = {"grid.speeds_m_s": [0.3], "grid.grips_N": [3.0], "grid.cool_share": 0.36}
 BRIDGE = {

@@ -12,7 +12,7 @@ import pytest
 from tests.benches.commands import Run, assert_refused
 from transopt.web.server import MISSING
 
-EXTRA = ("starlette", "uvicorn", "websockets", "plotly")
+EXTRA = ("starlette", "uvicorn", "websockets")
 ENDS_S = 5.0  # a second, on a machine that is busy with other things too
 
 

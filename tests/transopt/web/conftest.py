@@ -26,7 +26,7 @@ def service(small: Scene) -> Service:
 @pytest.fixture
 def address(small: Scene) -> Iterator[str]:
     """Yield the address of a page that is served while the test runs."""
-    for name in ("starlette", "uvicorn", "websockets", "plotly"):
+    for name in ("starlette", "uvicorn", "websockets"):
         pytest.importorskip(name, reason=MISSING)
     from transopt.web.serve import Page
 

@@ -11,7 +11,7 @@ from tests.transopt.web.conftest import MISSING
 from transopt.base.errors import InputError
 from transopt.scene.scene import Scene
 
-for _name in ("starlette", "uvicorn", "websockets", "plotly"):
+for _name in ("starlette", "uvicorn", "websockets"):
     pytest.importorskip(_name, reason=MISSING)
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
@@ -34,7 +34,7 @@ def asked(address: str, path: str, **headers: str) -> tuple[int, http.client.HTT
 
 def test_the_pages_files_come_with_a_policy_that_allows_nothing_from_elsewhere(address: str) -> None:
     root = urlsplit(address).path
-    for name in ("", *(path.name for path in STATIC.iterdir()), "plotly.min.js"):
+    for name in ("", *(path.name for path in STATIC.iterdir())):
         status, headers, body = asked(address, root + name)
         assert status == 200, name
         assert body
@@ -101,8 +101,7 @@ def test_two_windows_do_not_see_each_others_changes(address: str) -> None:
             limits.append(json.loads(head[4 : 4 + int.from_bytes(head[:4], "little")])["taps"][0]["input_limit"])
         assert limits == pytest.approx([2.0, 5.0])
         one.send("no JSON")
-        said = [one.recv(timeout=60) for _ in range(2)]  # the other tap, and the complaint
-        assert any(isinstance(each, str) and "refused" in each for each in said)
+        assert "refused" in str(one.recv(timeout=60))
 
 
 def test_a_busy_port_is_one_clear_line(small: Scene, address: str) -> None:
@@ -117,8 +116,7 @@ def test_from_python_a_page_is_an_address_and_a_figure(small: Scene) -> None:
     try:
         assert asked(served.address, urlsplit(served.address).path)[0] == 200
         drawn = served.plot()
-        assert {trace.name for trace in drawn.data} == {"recorded", "optimum", "clipped", "limit"}
-        assert any("0.4 m/s, 3 N" in note.text for note in drawn.layout.annotations)
+        assert len(drawn.axes) >= 4  # acceleration and current of both taps
         shown = served._repr_html_()
         assert "data:image/png;base64," in shown
         assert "0.4" in shown

@@ -10,11 +10,14 @@ import transopt as to
 from tests.benches.nonlinear_scene import stated
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
+from transopt.library.columns import EntryTable
 from transopt.problem.answer import Status
 from transopt.scene.recordings import recordings_of
 from transopt.web.controls import controls
-from transopt.web.question import asked
-from transopt.web.service import Service, Shown, described, opened, own_taps, plain
+from transopt.web.opening import described, opened, own_taps
+from transopt.web.question import asked, movers
+from transopt.web.service import Service
+from transopt.web.shown import FIGURES, Shown, plain
 
 RECORDINGS = Path(__file__).parents[3] / "problems/recordings"
 
@@ -39,7 +42,7 @@ def test_the_table_is_the_librarys(name: str) -> None:
             assert shown.binds == entry.binding
         assert settled.replayed
         assert settled.verdict == entry.verdict
-        assert settled.price == (entry.prices[0].sentence if entry.prices else "")
+        assert [price.sentence for price in settled.prices] == [price.sentence for price in entry.prices]
 
 
 def test_a_nonlinear_plant_is_refused(tmp_path: Path) -> None:
@@ -114,18 +117,53 @@ def test_the_inverse_question_finds_the_limit_that_an_error_needs(service: Servi
     none = asked(service, 1, control, 1e-4)
     assert none.value is None
     assert "met by no" in none.words
+    assert "no limit at all leaves" in none.words
+
+
+def test_nothing_need_be_done_for_an_error_that_is_met(service: Service) -> None:
+    (control,) = [each for each in controls(service.scene) if each.key == "limits.current_A"]
+    found = asked(service, 0, control, 0.5)
+    assert not found.needed
+    assert "Nothing need be done" in found.words
+    assert isinstance(found.value, float)
+    assert found.value < 4.0
+
+
+def test_what_moves_an_error_does_so_by_the_library_of_the_changed_scene(service: Service) -> None:
+    found = {mover.key: mover for mover in movers(service, 1) or []}
+    control = {each.key: each for each in service.controls}["limits.current_A"]
+    service.change({"limits.current_A": control.high})
+    assert found["limits.current_A"].best == pytest.approx(_tap_error(service.quick(1)), rel=1e-8)
+    assert movers(service, 1, lambda: True) is None
+
+
+def test_every_point_of_a_price_is_the_error_under_that_limit(service: Service) -> None:
+    (price, *_) = [each for each in service.settled(1).prices if each.label == "current"]
+    assert len(price.points) > 4
+    bounds = [bound for bound, _ in price.points]
+    assert bounds == sorted(bounds)
+    for bound, error in (price.points[0], price.points[2], price.points[-1]):
+        service.change({"limits.current_A": bound})
+        assert _tap_error(service.quick(1)) == pytest.approx(error, rel=1e-4)
+
+
+def test_the_cells_are_those_of_every_other_table(service: Service) -> None:
+    entry = service.entry(1)
+    row = EntryTable((), FIGURES, (entry,)).figures(entry)
+    assert [service.settled(1).cells[name] for name in FIGURES] == row
+    assert service.quick(1).cells["tap"] == row[0]
 
 
 def test_own_taps_take_the_place_of_the_scenes(tmp_path: Path, small: to.Scene) -> None:
     text = (RECORDINGS / "tap_0.3_m_s.csv").read_text()
     (tmp_path / "mine.csv").write_text(text)
-    service = own_taps(small, tmp_path, ["mine.csv"], None)
+    service = own_taps(Service(small), tmp_path, ["mine.csv"], {})
     assert len(service.places) == 1
     assert service.places[0].speed_m_s == pytest.approx(0.3)
     assert service.quick(0).certified
     (tmp_path / "none.csv").write_text("a,b\n1,2\n")
     with pytest.raises(to.InputError, match=r"none\.csv"):
-        own_taps(small, tmp_path, ["none.csv"], None)
+        own_taps(Service(small), tmp_path, ["none.csv"], {})
 
 
 def test_a_library_opens_without_its_recordings(tmp_path: Path) -> None:

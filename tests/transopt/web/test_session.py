@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 
 from transopt.base.errors import InputError
+from transopt.scene.builtin import FOLDER, load_scene
 from transopt.scene.file import read_scene
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.web.frames import frame, parted
+from transopt.web.opening import opened as opened_scene
 from transopt.web.service import Service
-from transopt.web.session import Session, safe_name
+from transopt.web.session import Session
+from transopt.web.upload import safe_name
 
 RECORDINGS = Path(__file__).parents[3] / "problems/recordings"
 WAIT_S = 60.0
@@ -23,9 +27,9 @@ WAIT_S = 60.0
 class Window:
     """A session and what it has said."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, text: str = "") -> None:
         self.said: queue.Queue[str | bytes] = queue.Queue()
-        self.session = Session(lambda: Service(scene), self.said.put)
+        self.session = Session(lambda: Service(scene, text=text), self.said.put)
         self.session.start()
 
     def until(self, kind: str, **having: Any) -> tuple[dict[str, Any], bytes]:
@@ -52,40 +56,35 @@ def change(number: int, final: bool = False, **changes: float) -> dict[str, Any]
     return {"type": "change", "id": number, "changes": values, "selected": 1, "probe": None, "final": final}
 
 
-def test_the_selected_tap_comes_first_and_the_curves_with_it(window: Window) -> None:
+def test_all_taps_come_in_one_frame_the_selected_first(window: Window) -> None:
     window.session.put(change(1, current_A=3.0))
-    first, body = window.until("curves", id=1)
-    assert [tap["index"] for tap in first["taps"]] == [1]
-    names = [name for name, _ in first["arrays"]]
+    found, body = window.until("curves", id=1)
+    assert [tap["index"] for tap in found["taps"]] == [1, 0]
+    assert [place["speed_m_s"] for place in found["places"]] == [0.2, 0.4]
+    names = [name for name, _ in found["arrays"]]
     assert names[:2] == ["times_s", "1.recorded_m_s2"]
-    sizes = dict(first["arrays"])
+    sizes = dict(found["arrays"])
     values = np.frombuffer(body, dtype="<f4")
     assert values.size == sum(sizes.values())
     before = sum(sizes[name] for name in names[: names.index("1.input")])
     assert np.abs(values[before : before + sizes["1.input"]]).max() == pytest.approx(3.0, abs=1e-4)
-    rest, _ = window.until("curves", id=1)
-    assert rest["last"]
-    assert [tap["index"] for tap in rest["taps"]] == [0]
 
 
-def test_the_newest_change_wins_and_no_value_is_lost(small: Scene) -> None:
+def test_the_newest_change_wins_and_is_all_there_is(small: Scene) -> None:
     # Everything is put before the session begins to look.
     said: queue.Queue[str | bytes] = queue.Queue()
     session = Session(lambda: Service(small), said.put)
-    session.put(change(1, current_A=2.0))
-    session.put(change(2, velocity_m_s=3.0))
-    session.put(change(3, current_A=3.5))
+    session.put(change(1, current_A=2.0, velocity_m_s=3.0))
+    session.put(change(2, current_A=2.5, stroke_m=0.01))
+    session.put(change(3, current_A=3.5, velocity_m_s=3.0))
     session.start()
-    numbers = []
-    while not numbers or not numbers[-1][1]:
+    message: str | bytes = ""
+    while not isinstance(message, bytes):
         message = said.get(timeout=WAIT_S)
-        if isinstance(message, bytes):
-            head, _ = parted(message)
-            numbers.append((head["id"], head["last"]))
-    assert {number for number, _ in numbers} == {3}
+    assert parted(message)[0]["id"] == 3
     assert session.service is not None
-    assert session.service.scene.limits.current_A == pytest.approx(3.5)
-    assert session.service.scene.limits.velocity_m_s == pytest.approx(3.0)
+    limits = session.service.scene.limits
+    assert (limits.current_A, limits.velocity_m_s, limits.stroke_m) == (3.5, 3.0, None)
     session.end()
     session.thread.join(WAIT_S)
 
@@ -94,7 +93,9 @@ def test_at_rest_every_tap_is_replayed_and_the_sliders_are_told(window: Window) 
     window.session.put(change(1, final=True, current_A=3.0))
     settled = [window.until("settled")[0]["tap"] for _ in range(2)]
     assert all(tap["replayed"] for tap in settled)
-    assert "current 3 A" in settled[0]["price"]
+    (dearest, *_) = settled[0]["prices"]
+    assert "current 3 A" in dearest["sentence"]
+    assert dearest["now"] in [bound for bound, _ in dearest["points"]]
     rested, _ = window.until("rested")
     assert {"limits.current_A", "weights.rho"} <= {control["key"] for control in rested["controls"]}
 
@@ -111,16 +112,26 @@ def test_a_refusal_says_why_and_the_window_goes_on(window: Window) -> None:
     assert window.until("curves", id=3)
 
 
-def test_the_saved_scene_is_the_one_on_the_page(window: Window, tmp_path: Path) -> None:
+@pytest.mark.parametrize("written", [True, False], ids=["as its file has it", "without a file"])
+def test_the_saved_scene_is_the_one_on_the_page_and_keeps_its_comments(tmp_path: Path, written: bool) -> None:
+    opened = opened_scene("own_taps" if written else load_scene("own_taps"))
+    window = Window(opened.opened, opened.source)
+    window.until("scene")
     window.session.put(change(1, current_A=3.25))
-    window.until("curves", last=True)
+    window.until("curves")
     window.session.put({"type": "save", "what": "scene"})
     head, body = window.until("file")
-    (tmp_path / "saved.toml").write_bytes(body)
-    saved = read_scene(tmp_path / "saved.toml")
+    text = body.decode()
+    (tmp_path / "saved.toml").write_text(text)
+    saved = read_scene(tmp_path / "saved.toml", search=[FOLDER])
     assert head["name"] == f"{saved.name}.toml"
     assert window.session.service is not None
-    assert saved == window.session.service.scene
+    beside = with_values(window.session.service.scene, {"recordings.folder": str(tmp_path / "recordings")})
+    assert saved == beside
+    assert str(FOLDER) not in text
+    assert ("# servo period" in text) is written
+    assert ("# beta = 3.2" in text) is written
+    window.session.end()
 
 
 def test_the_saved_library_is_whole(window: Window, tmp_path: Path) -> None:
@@ -143,9 +154,9 @@ def test_all_three_sounds_have_one_gain(window: Window) -> None:
     assert not np.allclose(clipped, optimum)
 
 
-def drop(*files: tuple[str, bytes]) -> tuple[dict[str, Any], bytes]:
+def drop(*files: tuple[str, bytes], **fields: Any) -> tuple[dict[str, Any], bytes]:
     listed = [[name, len(content)] for name, content in files]
-    return parted(frame({"type": "drop", "files": listed, "speed_m_s": None}, b"".join(c for _, c in files)))
+    return parted(frame({"type": "drop", "files": listed, **fields}, b"".join(c for _, c in files)))
 
 
 def test_dropped_taps_are_designed_for_and_the_scenes_own_come_back(window: Window) -> None:
@@ -177,6 +188,59 @@ def test_a_file_that_is_no_tap_is_refused_by_its_name(window: Window, name: str,
     assert "/tmp" not in said
     window.session.put(change(1, current_A=3.0))
     assert window.until("curves", id=1)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words", "key"),
+    [
+        ({"current_A": -1.0}, "current = -1", "limits.current_A"),
+        ({"current_A": 1e3}, "lower one of the two sliders", ""),
+        ({"supply_V": 0.0}, "supply = 0", "limits.supply_V"),
+    ],
+)
+def test_a_refusal_calls_things_as_the_page_does(
+    window: Window, asked: dict[str, float], words: str, key: str
+) -> None:
+    window.session.put(change(1, **asked))
+    refused, _ = window.until("refused")
+    assert words in refused["words"]
+    assert refused["key"] == key
+    assert "limits." not in refused["words"]
+    assert "_A" not in refused["words"].replace("i_peak_A", "")
+
+
+def test_a_recording_is_read_as_the_fields_of_the_page_say(window: Window) -> None:
+    times = np.arange(-0.02, 0.09, 1e-4)
+    pulse = np.where((times > 0) & (times < 3e-3), 160 * np.sin(np.pi * times / 3e-3), 0.0)
+    text = "a,b\n" + "\n".join(f"{t:.4f},{a:.3f}" for t, a in zip(times, pulse, strict=True))
+    window.session.put(*drop(("odd.csv", text.encode())))
+    assert "columns in their order" in window.until("refused")[0]["words"]
+    window.session.put(*drop(("odd.csv", text.encode()), columns="time [s], acc [m/s^2]"))
+    assert "speed where a file states none" in window.until("refused")[0]["words"]
+    window.session.put(*drop(("odd.csv", text.encode()), columns="time [s], acc [m/s^2]", speed_m_s=0.01))
+    assert 'tick "take numbers as they are"' in window.until("refused")[0]["words"]
+    window.session.put(*drop(("odd.csv", text.encode()), columns="time [s], acc [m/s^2]", speed_m_s=0.3))
+    assert window.until("scene")[0]["places"][0]["speed_m_s"] == pytest.approx(0.3)
+
+
+def test_other_scenes_are_looked_at_and_chosen(window: Window) -> None:
+    window.session.put({"type": "gallery"})
+    listed = window.until("gallery")[0]["scenes"]
+    assert {"name": "lra_click", "description": load_scene("lra_click").description} in listed
+    window.session.put({"type": "glimpse", "name": "lra_click"})
+    head, _ = window.until("glimpse")
+    assert head["taps"][0]["certified"]
+    window.session.put({"type": "choose", "name": "lra_click"})
+    assert window.until("scene")[0]["name"] == "lra_click"
+    window.session.put({"type": "choose", "name": "../lra_click"})
+    assert "no built-in scene" in window.until("refused")[0]["words"]
+
+
+def test_what_can_move_an_error_is_told(window: Window) -> None:
+    window.session.put({"type": "movers", "tap": 1})
+    movers = {each["key"]: each for each in window.until("movers")[0]["movers"]}
+    assert movers["limits.current_A"]["best"] < movers["limits.current_A"]["worst"]
+    assert "thermal.ambient_C" not in movers
 
 
 def test_names_are_made_safe_and_stay_apart() -> None:

@@ -27,7 +27,8 @@ export class Sliders {
 
   row(control) {
     const { key } = control;
-    const id = `of-${key}`, tip = `${control.about} ${key}${control.unit ? `, ${control.unit}` : ""}: ${control.bounds}`.trim();
+    const id = `of-${key}`, bounds = control.bounds && ` ${control.bounds} ${control.unit}`;
+    const tip = `${control.about.replaceAll("`", "")}\n${key}${bounds}`.trim();
     const field = control.choices.length ? this.choice(control, id, tip)
       : new Field({ ...control, id, tip }, (value, how) => this.changed(key, value, how));
     field.element.dataset.key = key;

@@ -137,7 +137,7 @@ export class Detail {
 
   // Ends of a panel's axis, with room above what is shown.
   range(name, curves, kept) {
-    const own = (names) => curves.filter(([curve]) => names.includes(curve)).map(([, , values]) => largest(values ?? []));
+    const own = (names) => curves.filter(([curve]) => names.includes(curve) && !this.hidden.has(curve)).map(([, , values]) => largest(values ?? []));
     if (name === "temperature") {
       const values = curves[0][2];
       let low = Infinity, high = -Infinity;
@@ -147,7 +147,8 @@ export class Detail {
       }
       return Number.isFinite(low) ? [low - 0.02 * (high - low) - 1e-3, high + 0.1 * (high - low) + 1e-3] : [0, 1];
     }
-    const most = Math.max(...own(name === "input" ? ["limit"] : ["recorded", "optimum"]), 1e-6) * (name === "input" ? 1.32 : 1.12);
+    const decide = { acceleration: ["recorded", "optimum"], input: ["limit", "start"], error: ["optimum", "clipped"] }[name];
+    const most = Math.max(...own(decide), 1e-6) * (name === "input" ? 1.32 : 1.12);
     const before = this.ranges?.[name]?.[1];
     const stays = kept && before && most <= 1.3 * before && (name !== "input" || this.tap.input_limit < 0.98 * before);
     const end = stays ? before : most;
@@ -201,7 +202,8 @@ export class Detail {
         parts.push(`<path d="${d}" stroke="${colour[curve]}" stroke-width="${WIDTHS[curve]}" ${dashes}/>`);
       }
       parts.push("</g>");
-      text(right - 4, top + 13, titles[each],
+      // The limit's handle lies at the upper right of the input.
+      text(right - 4, each === "input" ? (y(0) + y(-this.tap.input_limit)) / 2 + 5 : top + 13, titles[each],
         `text-anchor="end" paint-order="stroke" stroke="${colour.ground}" stroke-width="4" stroke-linejoin="round"`);
       top = bottom + ROOM.between;
     }

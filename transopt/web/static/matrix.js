@@ -5,10 +5,9 @@ import { largest, made, write } from "./words.js";
 
 const LIMITED = 1.05; // times the floor: above, a limit holds the tap back
 
-export function came(tap) {
-  if (!tap) return "...";
+export function came(tap, limited = " *") {
   if (!tap.certified) return "refused";
-  return `${tap.cells.tap} %${isLimited(tap) ? " limited" : ""}`;
+  return `${tap.cells.tap} %${isLimited(tap) ? limited : ""}`;
 }
 
 export function isLimited(tap) {
@@ -88,7 +87,7 @@ export class Matrix {
     cell.classList.toggle("refused", !tap.certified);
     cell.classList.toggle("limited", isLimited(tap));
     write(cell.querySelector(".came"), came(tap));
-    cell.setAttribute("aria-label", `${this.places[tap.index].title}: ${came(tap)}`);
+    cell.setAttribute("aria-label", `${this.places[tap.index].title}: ${came(tap, ", held back by a limit")}`);
     const percent = (share) => `${Math.min(100 * share / this.full, 100)}%`;
     cell.querySelector("i").style.width = percent(tap.figures?.tap_error ?? 0);
     cell.querySelector("b").style.left = percent(tap.floor);

@@ -80,6 +80,7 @@ function restore(asked) {
   state.asked = asked;
   state.moving = false;
   showAsked();
+  write(by("state"), "solving ...");
   asking.want();
   asking.rest(0);
 }
@@ -203,7 +204,7 @@ function drawn(message, arrays) {
   for (const number of sentAsked.keys()) if (number <= message.id) sentAsked.delete(number);
   const opened = JSON.stringify(state.accepted) === JSON.stringify(NOTHING);
   if (opened) state.start = frame;
-  if (message.places) placed(message.places);
+  if (JSON.stringify(message.places) !== JSON.stringify(state.places)) placed(message.places);
   sound.forget();
   show(state.moving);
   const began = asking.done(message.id);
@@ -348,8 +349,8 @@ function about(tap) {
   by("reason").hidden = tap.certified;
   write(by("reason"), tap.certified ? "" : `Not shown: ${tap.reason}`);
   by("detail").classList.toggle("refused", !tap.certified);
-  const price = tap.prices[0]?.sentence;
-  write(by("binds"), tap.certified ? [`What binds: ${cells.binding}.`, price && `${price}.`, tap.verdict && `${tap.verdict}.`].filter(Boolean).join(" ") : "");
+  const sentences = [tap.verdict, `binding: ${cells.binding}`, tap.prices[0]?.sentence].filter(Boolean);
+  write(by("binds"), tap.certified ? sentences.map((words) => `${words[0].toUpperCase()}${words.slice(1)}.`).join(" ") : "");
 }
 
 // ---- curves that are shown, time that is looked at, saving

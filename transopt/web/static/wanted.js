@@ -2,7 +2,7 @@
 
 import { Field } from "./field.js";
 import { isLimited } from "./matrix.js";
-import { by, percent, said, write } from "./words.js";
+import { by, percent, write } from "./words.js";
 
 export class Wanted {
   // `sets(key, value)` takes an answer into the scene.
@@ -20,11 +20,13 @@ export class Wanted {
   // What can move it is looked for when the page is at rest.
   look(tap, title) {
     if (!tap) return;
-    if (tap !== this.tap) {
-      Object.assign(this, { tap, title });
+    this.tap = tap;
+    if (title !== this.title) {
+      this.title = title;
       by("error-key").replaceChildren(new Option("looking for what can move it ...", ""));
       write(by("answer"), "");
       by("error-set").hidden = true;
+      if (tap.certified) this.field.set(Number((100 * tap.figures.tap_error).toPrecision(3)));
     }
     this.link.say({ type: "movers", tap: tap.index });
   }
@@ -33,7 +35,7 @@ export class Wanted {
     if (tap !== this.tap?.index) return;
     const choice = by("error-key"), before = choice.value;
     choice.replaceChildren(...movers.map((mover) => new Option(
-      `${mover.label}: ${percent(mover.best)} % at ${said(mover.at, mover.unit)}`, mover.key)));
+      `${mover.label}: ${percent(mover.best)} to ${percent(mover.worst)} %`, mover.key)));
     if (!movers.length) choice.append(new Option("nothing on this page moves it", ""));
     if (movers.some((mover) => mover.key === before)) choice.value = before;
     this.field.range.disabled = this.field.number.disabled = !movers.length;
