@@ -12,7 +12,6 @@ from transopt.report.transients import entries_figure
 from transopt.scene.scene import Scene
 from transopt.web.opening import opened
 from transopt.web.server import Server, check_extra
-from transopt.web.service import Service
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,9 +48,7 @@ class Page:
     ) -> None:
         check_extra()
         self.service = opened(source, recordings, accept=accept)
-        library = source if isinstance(source, Library) else self.service.of_library
-        scene, text = self.service.opened, self.service.source
-        self._server = Server(lambda: Service(scene, library=library, text=text), port, token)
+        self._server = Server(self.service.another, port, token)
 
     @property
     def name(self) -> str:

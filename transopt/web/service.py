@@ -106,6 +106,13 @@ class Service:
         # For another process: it makes the devices itself, and needs no library beside the references.
         return {**vars(self), "_stages": Kept(KEPT_STAGES), "_context": None, "of_library": None}
 
+    def another(self) -> "Service":
+        """The same scene as it was opened for another window: what is known of its recordings is shared."""
+        found = object.__new__(Service)
+        vars(found).update(vars(self) | {"_stages": Kept(KEPT_STAGES), "_context": None})
+        found.scene, found.changes, found.probe, found.winding_C = self.opened, {}, None, None
+        return found
+
     @property
     def axis(self) -> str:
         """What its references were made for, as text: as long as it stays, so do they."""
