@@ -11,14 +11,15 @@ import math
 import shutil
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 from common.command import at_least, run
 from common.page import PageFile, write_part
+from playwright.sync_api import Browser, expect, sync_playwright
 from playwright.sync_api import Page as Tab
-from playwright.sync_api import expect, sync_playwright
 
 from transopt.base.writing import table
 from transopt.scene.builtin import load_scene
@@ -86,6 +87,16 @@ def measured(tab: Tab, address: str, taps: int, events: int) -> Came:
     return Came(taps, first, single, dragged, per_s)
 
 
+def pictured(browser: Browser, address: str, picture: Path) -> None:
+    """Write a picture of a page at rest."""
+    tab = browser.new_page(viewport={"width": 1280, "height": 960})
+    tab.goto(address)
+    expect(tab.locator("#state")).to_contain_text("replayed", timeout=SETTLED_MS)
+    expect(tab.locator("#error-key option").first).to_contain_text("%")
+    tab.screenshot(path=picture)
+    tab.close()
+
+
 def row(came: Came) -> list[str]:
     p50, p95 = np.percentile(came.single_ms, [50, 95])
     q50, q95 = np.percentile(came.dragged_ms, [50, 95])
@@ -95,6 +106,7 @@ def row(came: Came) -> list[str]:
 
 def script(
     page: PageFile = None,
+    picture: Annotated[Path | None, typer.Option(help="where the page of twelve taps is pictured, a PNG")] = None,
     events: Annotated[int, at_least(20, "of each drag")] = 100,
     chromium: Annotated[str, typer.Option(help="the browser")] = "chromium",
 ) -> None:
@@ -107,6 +119,8 @@ def script(
             with Page(scene) as served:
                 tab = browser.new_page(viewport={"width": 1280, "height": 800})
                 rows.append(row(measured(tab, served.address, taps, events)))
+                if picture is not None:
+                    pictured(browser, served.address, picture)
                 tab.close()
         version = browser.version
         browser.close()

@@ -11,7 +11,9 @@ ELSEWHERE = (
     (r"--columns \S+ \(in a scene recordings\.columns\)", 'the field "columns in their order"'),
     (r"--accept takes it, or recordings\.implausible = \"accept\" in the scene", 'tick "take numbers as they are"'),
     (r"(state |give |--|recordings\.)speed(_m_s)?\b", 'the field "speed where a file states none"'),
-    (r"lower beta or current_A", "lower one of the two sliders"),
+    (r"^limits: transient", "transient"),
+    (r"the motor's i_peak_A = ", "the motor's peak current of "),
+    (r"lower beta or current_A", 'lower "current" or "transient limit over the steady one"'),
     (r"--recordings( FOLDER)?", "the option --recordings of transopt page"),
 )
 

@@ -52,7 +52,9 @@ class Mover:
 
 
 def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: False) -> list[Mover] | None:
-    """What can move the error of one tap, the strongest first: every stated number, solved at the ends of its slider.
+    """What can move the error of one tap: every stated number, solved at the ends of its slider.
+
+    Limits come before weights, those that bring it lowest first.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: 
         known = [error for error in errors if np.isfinite(error)]
         if known and max(known) - min(known) > LEAST_MOVE:
             found.append(Mover(control.key, control.label, min(known), max(known)))
-    return sorted(found, key=lambda mover: mover.best)
+    return sorted(found, key=lambda mover: (mover.key.startswith("weights."), mover.best))
 
 
 def asked(service: Service, index: int, control: Control, tap_error: float) -> Found:

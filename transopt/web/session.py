@@ -206,7 +206,8 @@ class Session:
 
     def _choose(self, message: Message) -> None:
         """Go on with another built-in scene."""
-        self._opener = partial(opened, str(message["name"]))
+        chosen = opened(str(message["name"]))
+        self._opener = chosen.another
         self._open()
 
     def _glimpse(self, message: Message) -> None:

@@ -230,7 +230,7 @@ def test_numbers_are_typed_and_steps_undone_and_done_again(window: Window) -> No
 
 
 def test_what_is_refused_is_said_at_its_field_and_the_scene_stays(window: Window) -> None:
-    for text, words in (("-1", "current = -1"), ("1e3", "lower one of the two sliders"), ("four", "is no number")):
+    for text, words in (("-1", "current = -1"), ("1e3", "peak current of 10 A"), ("four", "is no number")):
         typed(window, text)
         window.says("[data-key='limits.current_A'] .note", words)
         assert window.limit() == pytest.approx(4.0)

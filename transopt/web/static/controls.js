@@ -44,7 +44,8 @@ export class Sliders {
       made("label", { htmlFor: id, textContent: control.label }), choice);
     choice.onchange = () => this.changed(control.key, /^\d+$/.test(choice.value) ? Number(choice.value) : choice.value,
       { resting: true, step: "typed" });
-    return { element, spec: control, set: (value) => { choice.value = String(value); }, complain: () => undefined };
+    return { element, spec: control, set: (value) => { choice.value = String(value); },
+      take: (value) => { choice.value = String(value); }, complain: () => undefined };
   }
 
   get(key) {
@@ -60,7 +61,7 @@ export class Sliders {
   follow(controls) {
     for (const control of controls) {
       const field = this.fields.get(control.key);
-      if (field && field.value !== control.value && document.activeElement !== field.number) field.set(control.value);
+      if (field && document.activeElement !== field.range) field.take(control.value);
     }
   }
 }

@@ -186,7 +186,7 @@ export class Detail {
       const y = (value) => bottom - ((value - low) / (high - low)) * size;
       this.panels[each] = { top, bottom, low, high, y };
       for (const t of across) along(this.timeX(t / 1e3), top, this.timeX(t / 1e3), bottom, colour.grid);
-      for (const value of ticks(low, high, Math.max(size / 26, 2))) {
+      for (const value of ticks(low, high, Math.max(size / 24, 3))) {
         along(left, y(value), right, y(value), value === 0 ? colour.line : colour.grid);
         text(left - 6, y(value) + 4, String(Number(value.toPrecision(6))), 'text-anchor="end"');
       }

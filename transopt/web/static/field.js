@@ -60,18 +60,18 @@ export class Field {
     this.moved(value, how);
   }
 
-  // Ends of the slider stay under the hand, and make room for a number that is typed beyond them.
-  scale(low, high) {
-    this.spec = { ...this.spec, low, high };
+  // What the scene has taken: the slider makes room for a number that was typed beyond its ends.
+  take(value) {
+    const { low, high, log } = this.spec;
+    if (Number.isFinite(value) && low < high && (value > 0 || !log)) {
+      this.spec = { ...this.spec, low: Math.min(low, value), high: Math.max(high, value) };
+    }
+    this.set(value);
   }
 
   set(value) {
     this.value = value;
     const off = value === null || value === undefined;
-    if (!off && !this.spec.at && this.spec.low < this.spec.high) {
-      if (value < this.spec.low && (!this.spec.log || value > 0)) this.scale(value, this.spec.high);
-      if (value > this.spec.high) this.scale(this.spec.low, value);
-    }
     const shown = off ? this.spec.start ?? this.spec.low : value;
     if (document.activeElement !== this.range || Math.abs(this.sliderValue - shown) > 1e-3 * Math.abs(shown)) {
       this.range.value = Math.round(STEPS * shareOf(this.spec, shown));

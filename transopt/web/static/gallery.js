@@ -43,7 +43,8 @@ export class Gallery {
       drawSmall(scene.card.querySelector("canvas"), times, tap, scale);
       write(scene.card.querySelector(".came"), came(tap));
     } else {
-      write(scene.card.querySelector(".came"), message.words);
+      write(scene.card.querySelector(".came"), "needs recordings that are not here");
+      scene.card.dataset.tip = message.words;
     }
     this.next();
   }

@@ -35,7 +35,7 @@ export class Matrix {
     this.element.replaceChildren();
     this.element.classList.toggle("named", !this.grips.length);
     if (this.grips.length) {
-      this.element.style.gridTemplateColumns = `max-content repeat(${speeds.length}, minmax(5.2rem, 1fr))`;
+      this.element.style.gridTemplateColumns = `max-content repeat(${speeds.length}, minmax(5.2rem, 18rem))`;
       speeds.forEach((speed, j) => this.element.append(head(`${Number(speed.toPrecision(4))} m/s`, 1, j + 2)));
       this.grips.forEach((grip, k) => this.element.append(head(`${Number(grip.toPrecision(4))} N`, k + 2, 1)));
       places.forEach((place, index) => {

@@ -40,7 +40,7 @@ const taps = new Taps(link, tell, complain);
 const gallery = new Gallery(link, choose);
 const wanted = new Wanted(link, (key, value) => {
   sliders.get(key)?.set(value);
-  change(key, value, { resting: true, step: "typed" });
+  change(key, value, { resting: true, step: "typed", answers: true });
 });
 const history = new History(({ past, future }) => {
   by("undo").disabled = !past.length;
@@ -69,7 +69,8 @@ function ask(what, of, how = {}) {
   state.last = of;
   state.moving = !how.resting;
   if (how.step) history.note(state.asked, of, how.step);
-  write(by("state"), "solving ...");
+  if (!how.answers) wanted.forget();
+  solving();
   warm.state(state.asked.winding_C);
   asking.want(how.began);
   if (how.resting) asking.rest(0);
@@ -80,7 +81,8 @@ function restore(asked) {
   state.asked = asked;
   state.moving = false;
   showAsked();
-  write(by("state"), "solving ...");
+  wanted.forget();
+  solving();
   asking.want();
   asking.rest(0);
 }
@@ -283,6 +285,7 @@ function refused(message) {
     complain(words);
   }
   if (of === "open") write(by("description"), words);
+  if (of === "choose") state.chosen = "";
   if (of === "ask") write(by("answer"), words);
   tell("refused");
 }
@@ -299,6 +302,10 @@ function save(blob, name) {
 }
 
 // ---- words
+
+function solving() {
+  if (by("state").textContent.includes("replayed")) tell("solving ...");
+}
 
 function tell(words) {
   write(by("state"), words);

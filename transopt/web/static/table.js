@@ -6,7 +6,7 @@ const PRICE = { width: 96, height: 26, edge: 3 };
 
 // Words of what binds without when: "current +4 A at 1 to 2 ms; supply ..." is "current, supply".
 function brief(binding) {
-  return binding.split("; ").map((each) => each.replace(/ [-+]?[0-9.e]+ .*/, "")).join(", ");
+  return [...new Set(binding.split("; ").map((each) => each.replace(/ [-+]?[0-9.e]+ .*/, "")))].join(", ");
 }
 
 // A small curve of the tap error over the limit that is dearest, its present place marked.

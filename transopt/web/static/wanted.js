@@ -17,17 +17,22 @@ export class Wanted {
     by("error-set").onclick = () => this.take();
   }
 
+  // Something else was changed: what was said of the error is not true any more.
+  forget() {
+    this.found = null;
+    write(by("answer"), "");
+    by("error-set").hidden = true;
+  }
+
   // What can move it is looked for when the page is at rest.
   look(tap, title) {
     if (!tap) return;
-    this.tap = tap;
     if (title !== this.title) {
-      this.title = title;
       by("error-key").replaceChildren(new Option("looking for what can move it ...", ""));
-      write(by("answer"), "");
-      by("error-set").hidden = true;
-      if (tap.certified) this.field.set(Number((100 * tap.figures.tap_error).toPrecision(3)));
+      this.forget();
     }
+    Object.assign(this, { tap, title });
+    if (!this.found && tap.certified) this.field.set(Number((100 * tap.figures.tap_error).toPrecision(3)));
     this.link.say({ type: "movers", tap: tap.index });
   }
 
@@ -39,7 +44,7 @@ export class Wanted {
     if (!movers.length) choice.append(new Option("nothing on this page moves it", ""));
     if (movers.some((mover) => mover.key === before)) choice.value = before;
     this.field.range.disabled = this.field.number.disabled = !movers.length;
-    if (this.tap.certified && !isLimited(this.tap)) {
+    if (!this.found && this.tap.certified && !isLimited(this.tap)) {
       write(by("answer"), `Nothing need be done: ${this.title} is at its floor of ${percent(this.tap.floor)} %, and no limit holds it back.`);
     }
   }
@@ -47,8 +52,8 @@ export class Wanted {
   ask(value) {
     const key = by("error-key").value;
     if (!key || !this.tap) return;
+    this.forget();
     write(by("answer"), "searching ...");
-    by("error-set").hidden = true;
     this.link.say({ type: "ask", tap: this.tap.index, key, tap_error: value / 100 });
   }
 
