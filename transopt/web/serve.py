@@ -1,5 +1,6 @@
 """A scene or a library on its page: for the command, for Python, for a notebook."""
 
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -81,7 +82,7 @@ class Page:
     def __repr__(self) -> str:
         return f"Page({self.name}: {self.address})"
 
-    @property
+    @cached_property
     def _entries(self) -> list[list[Entry]]:
         """Every tap as a library would hold it: rows of speeds or targets."""
         width = len(self.service.scene.axes.grips_N)

@@ -107,7 +107,7 @@ class Service:
         return {**vars(self), "_stages": Kept(KEPT_STAGES), "_context": None, "of_library": None}
 
     def another(self) -> "Service":
-        """Give another window its own service of the scene as it was opened; what is known of its recordings is shared."""
+        """Give another window a service of the scene as it was opened; what is known of its recordings is shared."""
         found = object.__new__(Service)
         vars(found).update(vars(self) | {"_stages": Kept(KEPT_STAGES), "_context": None})
         found.scene, found.changes, found.probe, found.winding_C = self.opened, {}, None, None

@@ -23,9 +23,9 @@ def service(small: Scene) -> Service:
     return Service(small)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def address(small: Scene) -> Iterator[str]:
-    """Yield the address of a page that is served while the test runs."""
+    """Yield the address of a page that is served to all tests of a file; each window has its own sliders."""
     for name in ("starlette", "uvicorn", "websockets"):
         pytest.importorskip(name, reason=MISSING)
     from transopt.web.serve import Page
