@@ -10,7 +10,8 @@ from transopt.web.service import Service
 ELSEWHERE = (
     (r"--columns \S+ \(in a scene recordings\.columns\)", 'the field "columns in their order"'),
     (r"--accept takes it, or recordings\.implausible = \"accept\" in the scene", 'tick "take numbers as they are"'),
-    (r"(state |give |--|recordings\.)speed(_m_s)?\b", 'the field "speed where a file states none"'),
+    (r"name it: recordings\.speed_by_file_m_s = .*\)$", 'fill in the field "speed where a file states none"'),
+    (r"(--|recordings\.)speed(_m_s)?\b", 'the field "speed where a file states none"'),
     (r"^limits: transient", "transient"),
     (r"the motor's i_peak_A = ", "the motor's peak current of "),
     (r"lower beta or current_A", 'lower "current" or "transient limit over the steady one"'),
@@ -40,7 +41,9 @@ def in_words(words: str, service: Service | None) -> Said:
         for control in sorted(controls(service.opened), key=lambda each: -len(each.key)):
             if control.key in words:
                 key = key or control.key
-                words = re.sub(rf"{re.escape(control.key)}( = '?[^:,; ]*'?)?", rf"{control.label}\1", words)
+                stated = f"{control.label} = \\1 {control.unit}".rstrip()
+                words = re.sub(rf"{re.escape(control.key)} = (-?[0-9.e+]+)", stated, words)
+                words = words.replace(control.key, control.label)
     for pattern, instead in ELSEWHERE:
         words = re.sub(pattern, instead, words)
     return Said(words, key)

@@ -363,4 +363,6 @@ def _portable(scene: Scene, beside: bool) -> Scene:
         folder = Path()
     elif folder.is_relative_to(FOLDER):
         folder = folder.relative_to(FOLDER)
+    elif not folder.is_dir():
+        folder = Path(folder.name)  # of a library that was built elsewhere
     return scene.model_copy(update={"recordings": scene.recordings.model_copy(update={"folder": folder.as_posix()})})

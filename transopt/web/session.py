@@ -200,9 +200,11 @@ class Session:
     def _movers(self, message: Message) -> None:
         """Tell what can move the error of a tap, unless the page has something newer to do."""
         service, index = self._service(), self._index(message)
-        found = movers(service, index, lambda: self._superseded)
+        found = movers(service, index, lambda: self._superseded or bool(self._others))
         if found is not None:
             self._say({"type": "movers", "tap": index, "movers": [vars(each) for each in found]})
+        elif not self._superseded and all(other["type"] != "movers" for other, _ in list(self._others)):
+            self.put(message)  # once what came meanwhile is answered
 
     def _choose(self, message: Message) -> None:
         """Go on with another built-in scene."""

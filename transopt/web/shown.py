@@ -112,7 +112,7 @@ class Shown:
             values |= {"tap": f.tap_error, "felt": f.felt_error, "felt_dB": f.felt_dB, "speed": f.speed}
             values |= {"bump": f.bump_m_s2, "heat": self.heat_A2_ms / 1e3}
         found = {name: COLUMNS[name].show(values.get(name, NAN)) for name in FIGURES}
-        return {**found, "clipped": percent(self.clipped), "binding": self.binds or ("none" if f else UNKNOWN)}
+        return {**found, "clipped": percent(self.clipped), "binding": self.binds or UNKNOWN}
 
 
 def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:

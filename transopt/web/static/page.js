@@ -279,6 +279,9 @@ function refused(message) {
     if (state.frame) {
       large();
       certified();
+    } else {
+      asking.want();
+      asking.rest(0);
     }
     return;
   } else {

@@ -70,10 +70,11 @@ export class Taps {
 
   drop(files) {
     if (!files.length || !this.scene) return;
-    const said = this.refusal(files);
+    const speed = by("speed").value.trim().replace(",", ".");
+    const said = this.refusal(files) || (Number.isNaN(Number(speed)) ? `speed where a file states none: "${speed}" is no number: type one in m/s` : "");
     write(by("taps-answer"), said);
     if (said) this.complain(`Nothing was sent, and the page stays as it is. ${said}.`);
-    else this.send({ files, speed_m_s: Number(by("speed").value.replace(",", ".")) || null, columns: by("columns").value, accept: by("accept").checked });
+    else this.send({ files, speed_m_s: Number(speed) || null, columns: by("columns").value, accept: by("accept").checked });
   }
 
   async send(taps) {
