@@ -68,10 +68,11 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
 
     from controller.device.stated import grip_in_words
     from controller.host import library_names
-    from controller.host.payload import Payload, fitted
+    from controller.host.payload import Payload, fitted, need_hardware
     from controller.protocol.events import capacity_of
     from controller.protocol.image import sha256
 
+    need_hardware(given.settings, device.hello)
     given, cost = fitted(given, capacity_of(device.hello))
     before, after = device.hello.library_sha256, sha256(given.image)
     if isinstance(given, Payload) and not device.harmless:
@@ -167,12 +168,12 @@ def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool
 
 def ports() -> None:
     """List the serial ports there are."""
-    from controller.host.transport import port_names
+    from controller.host.transport import listed_ports
 
-    found = port_names()
+    found = listed_ports()
     console = terminal.console()
-    for name, description in found:
-        console.print(f"{name}  {description}".rstrip(), highlight=False)
+    for port in found:
+        console.print(f"{port.name}  {port.description}".rstrip(), highlight=False)
     if not found:
         console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
 
@@ -204,7 +205,7 @@ def monitor(
     encoder = described(device).device.encoder
     with connected(port) as opened:
         hello = opened.hello
-        console.print(_who(port, hello), highlight=False, soft_wrap=True)
+        console.print(who(port, hello), highlight=False, soft_wrap=True)
         with Monitor(console, port, hello.dt_s, encoder.count_m, encoder.surface_counts) as shown:
             shown.take(Changed(opened.state, opened.fault))
             opened.listeners.append(shown.take)
@@ -215,7 +216,7 @@ def monitor(
                 console.print(shown.table())
 
 
-def _who(port: str, hello: "HelloReply") -> str:
+def who(port: str, hello: "HelloReply") -> str:
     """One line about a device."""
     version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
     from controller.host.library_names import in_words
@@ -408,7 +409,7 @@ def check(
 
         def take_measured(acceleration_m_s2: float) -> Settings:
             remember(opened.hello.boot, acceleration_m_s2)
-            anew = trial_sweep(opened.hello, None, found.device)
+            anew = trial_sweep(opened.hello, None, found.device, acceleration_m_s2)
             load(opened, anew, terminal.console())
             return anew.settings
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.device.stated import assumed_grip_N, library_numbers, servo_numbers
-from controller.host.measured_pulse import recall
 from controller.host.pulses import measured_numbers, pulse_numbers
 from controller.protocol.capacity import LONGEST_S, Capacity
 from controller.protocol.configuration import configuration_of
@@ -24,11 +23,13 @@ from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_down
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
+from transopt.plant.coil import CoilModel
 from transopt.problem.warm_coil import currents, norms
 from transopt.scene.scene import Scene
 
-EXCITATION_LIMIT_A = 1.25  # without a library: what the built-in motor bears continuously
+EXCITATION_LIMIT_A = 1.25  # of a device that knows no coil: what the built-in motor bears continuously
 TRIAL_HZ, TRIAL_S, TRIAL_A = (20.0, 500.0), 0.5, 0.5  # of the bring-up check, at its gain
+ROUNDED = 1e-9  # of a limit
 # A blocked rotor stands still, and a held stylus moves less than a count at high frequencies.
 NEVER_STUCK: dict[str, Any] = {"stuck_A_s": 1e3, "stuck_s": LONGEST_S}
 
@@ -111,17 +112,20 @@ def _with_tail(table: Bank, samples: int) -> Bank:
     return replace(table, command_A=np.pad(table.command_A, room), cool_command_A=cool)
 
 
-def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN) -> Settings:
+def excitation_settings(
+    hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN, pushed: float | None = None
+) -> Settings:
     """Settings under which the host starts what plays.
 
     They say nothing of the excitation, so that a configuration that has passed the check is good for all of them.
-    Without a library the test pulse's prediction is what the check has measured since the device's start, if it has.
 
     Parameters
     ----------
     hello : of the device; asked for nothing beyond its hardware.
-    library : whose limits, amplifier and coil hold; the built-in device's without, and 1.25 A.
+    library : whose limits, amplifier and coil hold. Without one those that the device says it has: its own limit
+        where it knows its coil, else 1.25 A and the built-in coil; the built-in pole as far as the hardware has it.
     device : its encoder and sensors.
+    pushed : what a test pulse was measured to do [m/s^2 per A], its prediction where no library has one.
 
     Raises
     ------
@@ -131,19 +135,72 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
         loaded = load_proven(library)
         numbers = {**library_numbers(device, loaded), **pulse_numbers(device, loaded), **NEVER_STUCK}
         return Settings.of(loaded, **{**numbers, "lead_s": 0.0, "wall": None, "host_starts": True})
-    pushed = recall(hello.boot)
+    part = device.amplifier.part
+    pole_Hz = min(max(AMPLIFIER.pole_Hz, hello.pole_least_Hz), hello.pole_most_Hz)
+    command_A = min(AMPLIFIER.command_limit, hello.command_A * part)
     return Settings(
         dt_s=hello.dt_s,
         lead_s=0.0,
-        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_A * device.amplifier.part),
-        amplifier=replace(
-            AMPLIFIER, command_limit=min(AMPLIFIER.command_limit, hello.command_A * device.amplifier.part)
-        ),
-        coil=RE_25,
+        current_limit_A=_excitation_limit_A(hello, device),
+        amplifier=replace(AMPLIFIER, pole_Hz=pole_Hz, command_limit=command_A),
+        coil=_coil(hello),
         host_starts=True,
         assumed_grip_N=assumed_grip_N(device, ()),
         **({} if pushed is None else measured_numbers(device, hello.dt_s, pushed)),
         **{**servo_numbers(device, hello.dt_s), **NEVER_STUCK},
+    )
+
+
+def need_hardware(settings: Settings, hello: HelloReply) -> None:
+    """Name the first number that the device refuses as beyond its hardware, which it says by its value alone.
+
+    Raises
+    ------
+    InputError : there is one.
+    """
+    s, amplifier = settings, settings.amplifier
+    scale, monitor = (min(abs(part), 1.0) for part in (s.amplifier_scale, s.monitor_scale))
+    asked = [
+        ("limits.current_A", s.current_limit_A / scale, 0.0, hello.current_A, "A"),
+        ("amplifier.command_limit_A", s.command_limit_A / scale, 0.0, hello.command_A, "A"),
+        ("measured current", s.over_current * s.current_limit_A / monitor, 0.0, hello.over_current_A, "A"),
+    ]
+    if amplifier is not None:
+        for off in (-s.amplifier_tolerance, s.amplifier_tolerance):
+            pole_Hz = amplifier.pole_Hz * (1 + off)
+            asked.append(("amplifier.pole_Hz", pole_Hz, hello.pole_least_Hz, hello.pole_most_Hz, "Hz"))
+    for name, value, low, high, unit in asked:
+        if not low <= value <= high * (1 + ROUNDED):
+            allowed = f"up to {high:g}" if low == 0 else f"{low:g} to {high:g}"
+            raise InputError(
+                f"{name} = {value:g} {unit}: more than the hardware allows, {allowed} {unit} by the port's "
+                "hardware.h: lower it in the scene, or state it in the circuit file and flash the new hardware.h"
+            )
+
+
+def _excitation_limit_A(hello: HelloReply, device: DeviceFile) -> float:
+    """Most current without a library: the hardware's where a known coil stops the heat, else a careful one."""
+    if not hello.has_coil:
+        return min(EXCITATION_LIMIT_A, hello.current_A * device.amplifier.part)
+    read_A = hello.over_current_A * min(abs(device.amplifier.monitor_scale), 1.0) / Settings.over_current
+    return min(hello.current_A * device.amplifier.part, read_A)
+
+
+def _coil(hello: HelloReply) -> CoilModel:
+    """The coil that the device says it has, at its warmest surroundings; the built-in one where it says nothing."""
+    if not hello.has_coil:
+        return RE_25
+    warm_C = hello.ambient_C
+    return CoilModel(
+        hello.R_ohm,
+        hello.R_wh_K_W,
+        hello.R_ha_K_W,
+        hello.tau_w_s,
+        hello.tau_h_s,
+        hello.limit_C,
+        ambient_C=warm_C,
+        start_winding_C=warm_C,
+        start_housing_C=warm_C,
     )
 
 
@@ -163,14 +220,16 @@ def excitation_settings_of(scene: Scene, amplifier_tolerance: float, device: Dev
     )
 
 
-def trial_sweep(hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN) -> Load:
-    """A short one for the bring-up check, under the settings of all others.
+def trial_sweep(
+    hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN, pushed: float | None = None
+) -> Load:
+    """A short one for the bring-up check, under the settings of all others; see `excitation_settings`.
 
     Raises
     ------
     InputError : no library.
     """
-    settings = excitation_settings(hello, library, device)
+    settings = excitation_settings(hello, library, device, pushed)
     size_A = min(TRIAL_A, 0.5 * settings.current_limit_A)
     return excitation(settings, sweep_command(*TRIAL_HZ, TRIAL_S, size_A, settings.dt_s), hello)
 

@@ -1,8 +1,9 @@
 """A serial port as a stream of bytes: the one file that knows pyserial.
 
-Names are those of `serial.serial_for_url`: a device (`/dev/ttyACM0`, `COM3`, a pseudo-terminal), `socket://HOST:PORT`,
-`loop://`. A thread of its own reads into a bounded queue, because what is not fetched in time is lost in the driver's
-buffer. What pyserial and the system throw, and where they throw nothing, becomes one of four errors of one line.
+Names are those of `serial.serial_for_url`: a device (`/dev/ttyACM0`, `COM3`, a pseudo-terminal), `loop://`,
+`socket://HOST:PORT`; a device may have its rate behind it, as in `/dev/ttyUSB0@4000000`. A thread of its own reads
+into a bounded queue, because what is not fetched in time is lost in the driver's buffer. What pyserial and the system
+throw, and where they throw nothing, becomes one of four errors of one line.
 
 Thread-safety: `read` by one thread and `write` by one (the same or another); `close` by any, any number of times.
 """
@@ -11,9 +12,11 @@ import contextlib
 import errno
 import os
 import queue
+import re
 import select
 import threading
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import serial
@@ -22,6 +25,8 @@ from serial.tools import list_ports
 from controller.host.connection import PortError, UnpluggedError
 
 BAUD = 115_200  # of a real UART only; over USB it means nothing
+WINDOWS = re.compile(r"^(\\\\\.\\)?COM\d+$", re.IGNORECASE)
+MOST_BAUD = 12_000_000
 POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
 WRITE_TIMEOUT_S = 1.0
 CLOSE_S = 1.0
@@ -29,13 +34,37 @@ BLOCK_BYTES = 4096
 QUEUE_BLOCKS = 1024
 
 
-def port_names() -> list[tuple[str, str]]:
-    """(name, description) of the serial ports there are, in the system's order."""
-    return sorted((port.device, port.description or "") for port in list_ports.comports())
+@dataclass(frozen=True, order=True)
+class Listed:
+    """A serial port as the system lists it; vendor : of a USB device, None of any other."""
+
+    name: str
+    description: str
+    vendor: int | None = None
+
+
+def listed_ports() -> list[Listed]:
+    """The serial ports there are, by their names."""
+    return sorted(Listed(port.device, port.description or "", port.vid) for port in list_ports.comports())
+
+
+def without_rate(name: str) -> tuple[str, int]:
+    """Name of a port and its rate, from `NAME@RATE`.
+
+    Raises
+    ------
+    PortError : a rate that is none.
+    """
+    port, at, rate = name.rpartition("@")
+    if not at or "://" in name:
+        return name, BAUD
+    if not rate.isdecimal() or not 0 < int(rate) <= MOST_BAUD:
+        raise PortError(f"{name}: behind @ stands the rate in baud, up to {MOST_BAUD}, like {port}@4000000")
+    return port, int(rate)
 
 
 def _ports_in_words() -> str:
-    names = [name for name, _ in port_names()]
+    names = [port.name for port in listed_ports()]
     return f"there are {', '.join(names)}" if names else "there is no serial port at all: plug the device in"
 
 
@@ -46,6 +75,8 @@ def _refusal(name: str, error: Exception) -> PortError:
     if number is None and isinstance(cause, OSError):
         number = cause.errno
     text = str(error)
+    if WINDOWS.match(name) and "PermissionError" in text:
+        return PortError(f"{name}: busy: another program has it open; close that one")
     if number in (errno.EACCES, errno.EPERM) or isinstance(error, PermissionError) or "Permission" in text:
         group = "add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again"
         return PortError(f"{name}: no permission: {group}")
@@ -80,10 +111,11 @@ class Transport:
         self._queue: queue.Queue[bytes] = queue.Queue(QUEUE_BLOCKS)
         # Not every kind of port knows the word.
         exclusive: dict[str, Any] = {} if "://" in name else {"exclusive": True}
+        path, baud = without_rate(name)
         try:
-            self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
+            self._port = serial.serial_for_url(path, baud, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
         except (OSError, ValueError) as error:  # SerialException is an OSError
-            raise _refusal(name, error) from None
+            raise _refusal(path, error) from None
         # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
         # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
         self._descriptor = self._descriptor_of_port()

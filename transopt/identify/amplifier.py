@@ -127,7 +127,8 @@ class AmplifierFit:
             misfit = f"{self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg"
             limit = f"must be within {MISFIT_dB:g} dB and {MISFIT_deg:g} deg"
             remedy = (
-                "the amplifier has further dynamics, or the sweep drove it into its supply: sweep with less current"
+                "the amplifier has further dynamics, the sweep drove it into its supply (sweep with less current), "
+                "or its loop is too slow for the motor's own voltage (raise its gain)"
             )
             found.append(f"one pole and a delay miss the response by up to {misfit}, {limit}: {remedy}")
         if not abs(self.gain - 1) <= GAIN_WANTED:

@@ -6,6 +6,7 @@ import pytest
 
 from controller.cli import port as port_commands
 from controller.host.payload import payload
+from controller.host.transport import Listed
 from controller.protocol import messages
 from controller.protocol.capacity import Hardware
 from controller.protocol.image import sha256
@@ -28,7 +29,13 @@ def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: p
         "a grid of 2 speeds x 1 grips or 250 samples (25 ms, or 3.12 kHz) would fit",
     )
     Desk(library, hardware=Hardware(current_A=2.0)).put(monkeypatch)
-    assert_refused(play("upload", "library.npz", *PORT), "more than the hardware allows", "(device saw 4)")
+    assert_refused(
+        play("upload", "library.npz", *PORT), "limits.current_A = 4 A: more than the hardware allows, up to 2 A"
+    )
+    Desk(library, hardware=Hardware(pole_most_Hz=900.0)).put(monkeypatch)
+    assert_refused(
+        play("upload", "library.npz", *PORT), "amplifier.pole_Hz = 1050 Hz: more than the hardware allows, 50 to 900"
+    )
     Desk(library, hardware=Hardware(dt_s=2e-4)).put(monkeypatch)
     assert_refused(play("upload", "library.npz", *PORT), "servo period or lead differ", "(device saw 0.0001)")
 
@@ -94,9 +101,11 @@ def test_a_port_that_may_not_be_opened(
 
 
 def test_ports(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("controller.host.transport.port_names", lambda: [("/dev/ttyACM0", "Teensy"), ("COM3", "")])
+    monkeypatch.setattr(
+        "controller.host.transport.listed_ports", lambda: [Listed("/dev/ttyACM0", "Teensy"), Listed("COM3", "")]
+    )
     assert play("ports").out.splitlines() == ["/dev/ttyACM0  Teensy", "COM3"]
-    monkeypatch.setattr("controller.host.transport.port_names", list)
+    monkeypatch.setattr("controller.host.transport.listed_ports", list)
     assert "no serial port" in play("ports").out
 
 

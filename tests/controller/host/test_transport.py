@@ -152,10 +152,10 @@ def test_busy(pty: tuple[int, str]) -> None:
 
 
 def test_no_such_port_lists_those_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(t, "port_names", lambda: [("/dev/ttyACM7", "Teensy")])
+    monkeypatch.setattr(t, "listed_ports", lambda: [t.Listed("/dev/ttyACM7", "Teensy")])
     with pytest.raises(PortError, match=r"/dev/ttyNONE: no such port; there are /dev/ttyACM7"):
         Transport("/dev/ttyNONE")
-    monkeypatch.setattr(t, "port_names", list)
+    monkeypatch.setattr(t, "listed_ports", list)
     with pytest.raises(PortError, match="there is no serial port at all"):
         Transport("/dev/ttyNONE")
 
@@ -192,3 +192,36 @@ def test_nobody_listens() -> None:
 def test_messages_are_one_line() -> None:
     for error in (OSError(errno.EBUSY, "busy"), ValueError("odd"), PermissionError(errno.EPERM, "no")):
         assert "\n" not in str(t._refusal("/dev/x", error))
+
+
+@pytest.mark.parametrize(
+    ("name", "port", "baud"),
+    [
+        ("/dev/ttyUSB0@4000000", "/dev/ttyUSB0", 4_000_000),
+        ("COM12@921600", "COM12", 921_600),
+        ("/dev/ttyACM0", "/dev/ttyACM0", t.BAUD),
+        ("socket://me@host:1", "socket://me@host:1", t.BAUD),
+    ],
+)
+def test_a_name_may_have_its_rate_behind_it(name: str, port: str, baud: int) -> None:
+    assert t.without_rate(name) == (port, baud)
+
+
+@pytest.mark.parametrize("name", ["/dev/ttyUSB0@", "/dev/ttyUSB0@fast", "/dev/ttyUSB0@0", "/dev/ttyUSB0@99000000"])
+def test_a_rate_that_is_none(name: str) -> None:
+    with pytest.raises(PortError, match="behind @ stands the rate in baud"):
+        Transport(name)
+
+
+@pytest.mark.parametrize("name", ["COM3", r"\\.\COM12"])
+def test_a_port_of_windows_that_is_open_elsewhere_is_busy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows calls that a lack of permission, and has no group that would help."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise t.serial.SerialException(
+            f"could not open port {name!r}: PermissionError(13, 'Access is denied.', None, 5)"
+        )
+
+    monkeypatch.setattr(t.serial, "serial_for_url", refused)
+    with pytest.raises(PortError, match="busy: another program has it open"):
+        Transport(name)
