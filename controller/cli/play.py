@@ -10,6 +10,7 @@ from controller.cli import port as port_commands
 from controller.cli import record as record_commands
 from controller.cli.calibrate import calibrate
 from controller.cli.describe import device_app
+from controller.cli.doctor import doctor
 from controller.cli.refine import refine
 from controller.cli.tap import tap
 from controller.cli.zero import zero
@@ -19,7 +20,7 @@ LIBRARY = "out/wood_on_foam/library.npz"  # of the examples: where `transopt sol
 PORT = "/dev/ttyACM0"
 FIRST = f"""\
 transopt-play tap {LIBRARY} --simulate   plays on a simulated device (`transopt solve` makes it)
-transopt-play check {LIBRARY} --port PORT   before your own device is armed; `ports` lists them
+transopt-play doctor --port PORT   what is installed, which ports there are, what answers
 transopt-play --help   all commands; each has a --help of its own with an example"""
 
 app = typer.Typer(
@@ -29,6 +30,7 @@ app = typer.Typer(
     help="Play a library of transients.",
 )
 app.command(epilog="Example: transopt-play ports")(port_commands.ports)
+app.command(epilog=f"Example: transopt-play doctor --port {PORT}")(doctor)
 app.command(epilog=f"Example: transopt-play upload {LIBRARY} --port {PORT}")(port_commands.upload)
 app.command(epilog=f"Example: transopt-play monitor --port {PORT} --for 10")(port_commands.monitor)
 app.command(epilog=f"Example: transopt-play check {LIBRARY} --port {PORT}")(port_commands.check)

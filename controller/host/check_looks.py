@@ -9,11 +9,13 @@ import numpy as np
 from controller.host.check_state import WINDOW_S, Check
 from controller.host.diagnosis import off, sound
 from controller.host.motion import Shaken, shaken
+from controller.host.rates import remedy
 from controller.protocol.messages import STOP_PRESSED
 from controller.servo.interface import Fault, State
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 LINK_S, LINK_ERROR_S, CLOCK_OFF = 1.0, 0.05, 0.01
+LATE_S = 0.1  # of records in that time: a batch, an adapter's latency and a host's pause
 WAY_M = 10e-3  # that the person measures
 LEAST_WAY = 0.1  # of it that has to be seen, or the stylus was not moved
 UNSTEADY = 0.15  # of what was moved: an encoder of another scale makes more counts of a hand's tremor
@@ -29,14 +31,21 @@ Verdict = tuple[str, bool]
 def link(check: Check) -> Verdict:
     """Heartbeats there and back, and the device's clock against the host's."""
     session = check.device.session
+    check.wait(lambda: bool(check.records), LINK_S)
     before, missed = session.decoder.bad_frames, check.missed
+    first = check.records[-1][0] if check.records else 0
     check.device.listen(LINK_S)
     clock = session.clock
     if clock is None or not check.records:
         return "no heartbeat or no telemetry", False
     damaged, lost = session.decoder.bad_frames - before, check.missed - missed
+    # A device keeps records that wait; those of a slow line are late before one is missing.
+    late = check.ticks(LINK_S) - (check.records[-1][0] - first)
+    lost += late if late > check.ticks(LATE_S) else 0
     seen = f"clock {100 * clock.drift:+.2f} %, known to {1e3 * clock.error_s:.1f} ms"
     seen += f", {lost} records lost, {damaged} frames damaged"
+    if lost:
+        seen += f"; {remedy(check.dt_s, 1 - lost * check.dt_s / LINK_S)}"
     return seen, abs(clock.drift) <= CLOCK_OFF and clock.error_s <= LINK_ERROR_S and lost == 0 and damaged == 0
 
 

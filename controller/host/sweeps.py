@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.host.rates import remedy
 from controller.protocol.capacity import TRIAL_GAIN
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened, News, Samples
@@ -278,10 +279,8 @@ class Sweeps:
         rows = [(tick, record) for tick, record in self._ears.records if first - before <= tick <= end + after]
         lost = before + self._samples + after + 1 - len(rows)
         if lost > 0:
-            raise _AgainError(
-                f"{lost} of {len(rows) + lost} records of telemetry were lost; every tick takes "
-                f"{1e-3 * Record.FORMAT.size / dt_s:.0f} kB/s, which a slow port never carries"
-            )
+            carried = len(rows) / (len(rows) + lost)
+            raise _AgainError(f"{lost} of {len(rows) + lost} records of telemetry were lost; {remedy(dt_s, carried)}")
         return self._kept(rows, first, negative)
 
     def _kept(self, rows: Sequence[tuple[int, Record]], first: int, negative: bool) -> Trial:

@@ -1,0 +1,36 @@
+"""What telemetry asks of a line, and what to do about one that is too slow for it."""
+
+from controller.protocol.messages import Record
+
+UART_BITS = 10  # of a byte with start and stop
+FRAMING = 1.08  # on the records alone: heads, check sums, stuffing, events and heartbeats beside them
+BAUDS = (
+    115_200,
+    230_400,
+    460_800,
+    921_600,
+    1_000_000,
+    2_000_000,
+    3_000_000,
+    4_000_000,
+    6_000_000,
+    8_000_000,
+    12_000_000,
+)
+
+
+def remedy(dt_s: float, carried: float) -> str:
+    """What a line lacks that brought only a part of the records of every tick.
+
+    Parameters
+    ----------
+    carried : that part.
+    """
+    needed_B_s = Record.FORMAT.size / dt_s
+    baud = next((baud for baud in BAUDS if baud >= UART_BITS * FRAMING * needed_B_s), None)
+    uart = "" if baud is None else f" or over a UART as PORT@{baud}, its firmware at that rate"
+    every = max(round(1 / carried + 0.5), 2) if carried > 0 else 100
+    return (
+        f"every tick takes {1e-3 * needed_B_s:.0f} kB/s, this line carried {1e-3 * carried * needed_B_s:.0f} kB/s: "
+        f"connect it by USB without an adapter{uart}; `transopt-play monitor --every {every}` looks at it as it is"
+    )
