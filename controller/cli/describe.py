@@ -1,4 +1,4 @@
-"""`transopt-play device new|show`: what a device is, asked for step by step and written to its file.
+"""`transopt-play device new|show|circuit`: what a device is, asked for step by step and written to its file.
 
 Also how every other command finds the device that it is about.
 """
@@ -89,6 +89,45 @@ def show(
     console.print(table)
     if file is None:
         console.print(f"built-in examples: {', '.join(examples())}", highlight=False)
+
+
+@device_app.command("circuit", epilog="Example: transopt-play device circuit circuit.toml")
+def circuit(
+    file: Annotated[Path | None, typer.Argument(help="Circuit file: datasheets of what is wired.")] = None,
+    example: Annotated[
+        str | None, typer.Option(help="Print a built-in circuit file to start from: escon_re25 or bridge_re40.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
+) -> None:
+    """Resistors and scales of a circuit; hardware.h, scene.toml and offered.toml are written beside its file."""
+    from controller.cli.options import one_of
+    from controller.device.circuit_file import CIRCUITS, load_circuit, rows_of, write_files
+    from transopt.base.tables import Table
+
+    if (file is None) == (example is None):
+        raise InputError("device circuit: give a circuit FILE, or --example escon_re25 > circuit.toml to start from")
+    if example is not None:
+        one_of("example", example, CIRCUITS)
+        typer.echo(CIRCUITS[example].read_text(encoding="utf-8"), nl=False)
+        return
+    assert file is not None
+    built, scene = load_circuit(file)
+    written = write_files(built, scene, file, force=force)
+    table = Table(title=built.circuit.name)
+    for name in ("what", "value", "remark"):
+        table.add_column(name, overflow="fold")
+    for row in rows_of(built):
+        table.add_row(*row)
+    console = terminal.console()
+    console.print(table)
+    header, _, offered = written
+    console.print(
+        f"written: {', '.join(map(str, written))}\n"
+        f"next: put {header.name} beside the sketch and flash it, then "
+        f"transopt-play device new {file.with_name('device.toml')} --from {offered}",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 def _asked(offered: Any) -> dict[str, Any]:

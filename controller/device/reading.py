@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 
@@ -13,6 +13,7 @@ from controller.device.device_file import BUILT_IN, LEAST_SCALE, TABLES, DeviceF
 from transopt.base.errors import InputError
 from transopt.base.files import check_depth, is_file, read_file, whole_file
 from transopt.base.nearest import did_you_mean
+from transopt.base.section import Section
 from transopt.base.shown import cut
 from transopt.base.sizes import MOST_TEXT_BYTES
 
@@ -20,6 +21,7 @@ BESIDE = "device.toml"  # looked for in the folder of a library
 EXAMPLES = Path(__file__).parent / "examples"
 ADVICE = "a device file is TOML; `transopt-play device new FILE` writes one"
 SCALES = ("grip.scale", "accelerometer.scale", "amplifier.scale", "amplifier.monitor_scale")
+Read = TypeVar("Read", bound=Section)
 _TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
 
 
@@ -106,11 +108,7 @@ def read_device(path: Path) -> Described:
 
 
 def _described(path: Path, kept: Path | None, source: str) -> Described:
-    content = _toml(_text(path), path)
-    try:
-        device = DeviceFile.model_validate(content)
-    except ValidationError as error:
-        raise InputError(_complaint(path, error)) from None
+    device, content = read_section(path, DeviceFile, ADVICE)
     for key in SCALES:
         value = value_of(device, key)
         if abs(value) < LEAST_SCALE:
@@ -119,23 +117,37 @@ def _described(path: Path, kept: Path | None, source: str) -> Described:
     return Described(device, kept, source, stated)
 
 
-def _text(path: Path) -> str:
+def read_section(path: Path, kind: type[Read], advice: str) -> tuple[Read, dict[str, Any]]:
+    """A TOML file as a table of a settings file, and what the file states of it.
+
+    Raises
+    ------
+    InputError : it cannot be read, or says what no such table can say; `advice` is the next step.
+    """
+    content = _toml(_text(path, advice), path, advice)
     try:
-        return read_file(path, MOST_TEXT_BYTES, ADVICE).decode("utf-8").replace("\r\n", "\n")
+        return kind.model_validate(content), content
+    except ValidationError as error:
+        raise InputError(_complaint(path, error, kind)) from None
+
+
+def _text(path: Path, advice: str = ADVICE) -> str:
+    try:
+        return read_file(path, MOST_TEXT_BYTES, advice).decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: cannot be read as text ({error}); {ADVICE}") from None
+        raise InputError(f"{path}: cannot be read as text ({error}); {advice}") from None
 
 
-def _toml(text: str, path: Path) -> dict[str, Any]:
+def _toml(text: str, path: Path, advice: str = ADVICE) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
         check_depth(content)
         return content
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}; {ADVICE}") from None
+        raise InputError(f"{path}: not valid TOML: {error}; {advice}") from None
 
 
-def _complaint(path: Path, error: ValidationError) -> str:
+def _complaint(path: Path, error: ValidationError, kind: type[Section]) -> str:
     """The first complaint in one line: a misspelt key before a wrong value."""
     complaints = error.errors()
     first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
@@ -143,11 +155,19 @@ def _complaint(path: Path, error: ValidationError) -> str:
     where = ".".join(keys)
     more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
     if first["type"] == "extra_forbidden":
-        known = list(DeviceFile.model_fields if len(keys) == 1 else TABLES[keys[0]].model_fields)
+        known = list(_table_at(kind, keys[:-1]).model_fields)
         text = f"unknown key{did_you_mean(keys[-1], known)}; known here: {', '.join(known)}"
         return f"{path}: {where}: {text}{more}"
     message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     return f"{path}: {where} = {cut(repr(first['input']))}: {message}{more}"
+
+
+def _table_at(kind: type[Section], keys: list[str]) -> type[Section]:
+    """The table under these keys; one that may be left out has None beside it in its type."""
+    for key in keys:
+        said = kind.model_fields[key].annotation
+        kind = next(one for one in (*get_args(said), said) if isinstance(one, type) and issubclass(one, Section))
+    return kind
 
 
 def as_text(device: DeviceFile, head: str = "") -> str:

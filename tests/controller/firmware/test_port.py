@@ -4,14 +4,16 @@ import ctypes
 import json
 import shutil
 import subprocess
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
 
+from controller.device.circuit_file import CIRCUITS, block_text, load_circuit
 from controller.firmware.build import CORE, FIRMWARE, NoCompilerError, compiler, sources
 from controller.host.session import Session
 from controller.protocol import events as t
+from controller.protocol.capacity import Hardware
 from controller.protocol.codes import LinkNotice, Reason
 from controller.protocol.configuration import configuration_of
 from controller.servo.interface import Fault, State
@@ -25,7 +27,9 @@ ARDUINO = "-DARDUINO=10819"
 CPP = (ARDUINO, "-std=gnu++17", "-fno-exceptions", "-fno-rtti", "-Wall", "-Wextra", "-Werror", "-D__IMXRT1062__")
 STOP, ENABLE, ALIVE, ACCELEROMETER, GRIP, CURRENT = 9, 6, 8, 14, 15, 16
 SAFE_TICKS = 1000
-ZERO = 2048  # counts of no current, in and out
+BUILT = load_circuit(CIRCUITS["escon_re25"])[0]
+ZERO = 2048  # counts of the sensors at rest
+NO_COMMAND = round(BUILT.scales.output_zero)
 OUTPUTS = (0, 1)  # COMMAND_BY_DAC
 
 
@@ -46,6 +50,11 @@ def test_the_manifests_agree_and_name_what_is_there() -> None:
         assert (FIRMWARE / example["base"] / example["files"][0]).exists()
     for name in manifest["export"]["include"]:
         assert (FIRMWARE / name).exists()
+
+
+def test_the_hardware_block_of_the_sketch_is_that_of_the_built_in_circuit() -> None:
+    text = block_text(BUILT, CIRCUITS["escon_re25"].name)
+    assert (SKETCH.parent / "hardware.h").read_text() == text, "run transopt-play device circuit on it again"
 
 
 @pytest.mark.parametrize("by_dac", OUTPUTS)
@@ -173,10 +182,10 @@ def test_nothing_comes_out_before_the_first_tick_and_no_power_before_it_is_armed
     assert not teensy.c.stub_enable_rose_early()
     assert teensy.c.stub_pin_mode(ENABLE) == 1
     assert not teensy.enabled()
-    assert teensy.output() == ZERO
+    assert teensy.output() == NO_COMMAND
     teensy.step(2 * SAFE_TICKS)
     assert not teensy.enabled()
-    assert teensy.output() == ZERO
+    assert teensy.output() == NO_COMMAND
 
 
 def test_power_is_there_only_while_it_is_armed_or_pulses(teensy: Teensy) -> None:
@@ -209,8 +218,8 @@ def test_what_it_says_of_itself_is_what_the_block_of_the_sketch_says(teensy: Tee
     device = connected(teensy).device
     assert device is not None
     assert device.real_bytes == 8
-    assert (device.current_A, device.command_A, device.has_coil, device.limit_C) == (4.5, 6.0, 1, 100.0)
-    assert device.dt_s == pytest.approx(1e-4, rel=1e-6)
+    said = [float(getattr(device, name)) for name in Hardware.__dataclass_fields__]
+    assert said == pytest.approx([float(value) for value in astuple(BUILT.hardware)], rel=1e-6)
     assert device.dt_s == pytest.approx(1e-6 * teensy.c.stub_period_us(), rel=1e-6)
     assert device.capacity_samples == 94208
     assert device.firmware == 0x20000
@@ -236,8 +245,8 @@ def test_a_pulse_goes_out_with_its_size_and_sign(teensy: Teensy) -> None:
     for _ in range(120):
         teensy.exchange(session, 10)
         seen.append(teensy.output())
-    assert set(seen) == {ZERO, ZERO + 10}  # 0.05 A of 204.8 counts each
-    assert seen[-1] == ZERO
+    assert set(seen) == {NO_COMMAND, round(BUILT.scales.output_zero + 0.05 * BUILT.scales.output_per_A)}
+    assert seen[-1] == NO_COMMAND
 
 
 def test_armed_it_answers_and_without_a_host_it_goes_safe(teensy: Teensy) -> None:
@@ -262,7 +271,7 @@ def test_a_sensor_at_the_rail_is_a_fault_and_takes_the_power_away(
         teensy.exchange(session, 100)
     assert session.fault is fault
     assert not teensy.enabled()
-    assert teensy.output() == ZERO
+    assert teensy.output() == NO_COMMAND
 
 
 def test_the_stop_takes_the_power_away_in_its_tick(teensy: Teensy) -> None:
@@ -270,7 +279,7 @@ def test_the_stop_takes_the_power_away_in_its_tick(teensy: Teensy) -> None:
     teensy.c.stub_set_pin(STOP, 1)
     teensy.step()
     assert not teensy.enabled()
-    assert teensy.output() == ZERO
+    assert teensy.output() == NO_COMMAND
     teensy.exchange(session, 2000)
     assert session.fault is Fault.EMERGENCY_STOP
     assert Fault.EMERGENCY_STOP in teensy.happened()

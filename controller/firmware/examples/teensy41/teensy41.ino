@@ -1,7 +1,7 @@
 /* transopt on a Teensy 4.1: one motor with a current amplifier, an encoder, an accelerometer, a grip sensor.
  *
  * No silicon has run this sketch yet; it is compiled and run against stubs of what it uses. Bring a device up as
- * port/BRINGUP.md says, motor power off first.
+ * docs/howto/road.md says, motor power off first.
  *
  * The timer's interrupt runs once per servo period: readings, td_device_step, and in it the command before anything is
  * booked. Everything else happens outside of it: bytes from and to the host, hashing and checking of libraries.
@@ -16,41 +16,15 @@
 #include <string.h>
 #include <transopt_device.h>
 
-/* ==================================== the one block to change: wiring, scales, limits =========================== */
+/* Everything that follows from datasheets: period, limits, coil, scales. `transopt-play device circuit` writes it. */
+#include "hardware.h"
 
-#ifndef COMMAND_BY_DAC
-#define COMMAND_BY_DAC 1 /* 1: MCP4921 on SPI, which follows at once. 0: PWM, which follows one PWM period later */
-#endif
+/* ========================================== the one block to change: the pins ================================== */
 
 #ifndef NOTHING_IS_WIRED
 #define NOTHING_IS_WIRED 0 /* 1: a board without a motor, which arms without having seen a test pulse of its own */
 #endif
 
-const double PERIOD_S = 1e-4; /* servo period; a library of another is refused */
-
-/* What amplifier and motor are good for: a host may only ask for less. The poles are the slowest and the fastest that the
- * amplifier may have; current and command limits hold for every one between them. */
-const double MOST_COMMAND_A = 6.0;
-const td_hardware HARDWARE = {
-    PERIOD_S,
-    4.5, /* true current [A] */
-    MOST_COMMAND_A,
-    0.1,   /* test pulse [A] */
-    0.02,  /* and its length [s] */
-    700.0, /* slowest and fastest pole [Hz] */
-    1600.0,
-    6.0, /* measured current that is a fault [A] */
-    true, /* the motor's coil is known: Maxon RE 25, 118743 */
-    2.18, /* winding at 25 C [ohm] */
-    3.1,  /* thermal resistance winding to housing, housing to ambient [K/W] */
-    14.0,
-    12.0, /* their time constants [s] */
-    612.0,
-    100.0, /* limit of the winding, warmest surroundings [C] */
-    35.0,
-};
-
-/* Digital pins. */
 const uint8_t PIN_ENCODER_A = 0; /* of the hardware decoder: 0 to 5, 7, 30, 31, 33 */
 const uint8_t PIN_ENCODER_B = 1;
 const uint8_t PIN_STOP = 9;    /* emergency stop: contact to ground, opens when pressed; a broken wire is a stop */
@@ -58,34 +32,13 @@ const uint8_t PIN_ENABLE = 6;  /* the amplifier's enable, high: on; wants 10 kOh
 const uint8_t PIN_ALIVE = 8;   /* changes every tick: for a retriggerable monostable of 1 ms in the enable's line */
 const uint8_t PIN_DAC_CS = 10; /* SPI: 11 data, 13 clock; its LDAC to ground */
 const uint8_t PIN_PWM = 22;    /* if COMMAND_BY_DAC is 0 */
-
-/* +1, or -1 where counts fall while the stylus moves out of the object. */
-const int32_t ENCODER_SIGN = +1;
-
-/* An analogue input, 12 bits of 3.3 V: value = (counts - zero_counts) * per_count; outside least..most counts there is
- * no number, since a sensor at the rail is a broken wire or a short. A negative per_count turns the sign. */
-struct Input {
-    uint8_t pin;
-    float per_count, zero_counts;
-    int least, most;
-};
-/* ADXL321 at 3.3 V: 63 mV per g about half the supply; + out of the object. */
-const Input ACCELERATION_M_S2 = {A0, 0.1254f, 2048.0f, 8, 4087};
-/* Grip sensor with an amplifier that shows 200 counts at 0 N, so that an open wire reads below -1 N: a fault. */
-const Input GRIP_N = {A1, 0.015f, 200.0f, 0, 4087};
-/* The amplifier's current monitor, +-10 A over the range; + pushes the stylus out. */
-const Input CURRENT_A = {A2, 0.00488f, 2048.0f, 8, 4087};
-
-/* The command as 12 bits: counts = OUTPUT_ZERO + A * OUTPUT_PER_A. Polarity: `transopt-play check`. */
-const float OUTPUT_ZERO = 2048.0f;
-const float OUTPUT_PER_A = 204.8f; /* +-10 A over the range */
+const uint8_t PIN_ACCELERATION = A0, PIN_GRIP = A1, PIN_CURRENT = A2; /* + pushes out of the object, all three */
 
 /* ============================================================================================================== */
 
 const uint32_t SAFE_TICKS = 1000;  /* from the first tick until the amplifier may be enabled */
 const float WATCHDOG_S = 0.5f;     /* its shortest */
 const uint8_t TIMER_PRIORITY = 16; /* above USB and everything else but faults */
-const float PWM_HZ = 36621.09f;    /* 12 bits at 150 MHz */
 
 DMAMEM static td_device device; /* RAM2: td_device_start sets every byte */
 static QuadEncoder encoder(1, PIN_ENCODER_A, PIN_ENCODER_B, 1);
@@ -107,7 +60,7 @@ const uint32_t KEPT_MARK = 0x74656D70u;
 
 static void put_counts(float counts)
 {
-    const uint16_t whole = (uint16_t)(counts < 0.0f ? 0.0f : (counts > 4095.0f ? 4095.0f : counts + 0.5f));
+    const uint16_t whole = (uint16_t)(counts < 0.0f ? 0.0f : (counts > (float)OUTPUT_MOST ? (float)OUTPUT_MOST : counts + 0.5f));
 #if COMMAND_BY_DAC
     digitalWriteFast(PIN_DAC_CS, LOW);
     SPI.transfer16(0x3000 | whole); /* gain 1, on */
@@ -169,11 +122,11 @@ static double kept_heat(int which)
     return sound ? (double)float_of(KEPT[which]) : (double)NAN;
 }
 
-static float value_of(const Input &input)
+static float value_of(uint8_t pin, const td_scale &scale)
 {
-    const int counts = analogRead(input.pin);
+    const int counts = analogRead(pin);
 
-    return counts < input.least || counts > input.most ? NAN : ((float)counts - input.zero_counts) * input.per_count;
+    return counts < scale.least || counts > scale.most ? NAN : ((float)counts - scale.zero_counts) * scale.per_count;
 }
 
 /* The servo period. */
@@ -190,10 +143,14 @@ static void tick()
     readings.host_stop = false;
     tick_began = now;
     readings.tick = ticks++;
-    readings.encoder_counts = ENCODER_SIGN * encoder.read();
-    readings.current_A = value_of(CURRENT_A);
-    readings.grip_N = value_of(GRIP_N);
-    readings.acceleration_m_s2 = value_of(ACCELERATION_M_S2);
+    readings.encoder_counts = encoder.read();
+    readings.current_A = value_of(PIN_CURRENT, CURRENT_A);
+#if HAS_GRIP
+    readings.grip_N = value_of(PIN_GRIP, GRIP_N);
+#else
+    readings.grip_N = NAN;
+#endif
+    readings.acceleration_m_s2 = value_of(PIN_ACCELERATION, ACCELERATION_M_S2);
     readings.emergency_stop = digitalReadFast(PIN_STOP) == HIGH;
     td_device_step(&device, &readings, &output);
 }
@@ -264,12 +221,12 @@ void setup()
 
     td_device_start(&device, &port);
     Serial.begin(115200); /* USB: as fast as it goes, whatever is asked for */
-    late_cycles = (uint32_t)(1.5 * PERIOD_S * F_CPU_ACTUAL);
+    late_cycles = (uint32_t)(1.5 * HARDWARE.dt_s * F_CPU_ACTUAL);
     timings.timeout = WATCHDOG_S;
     timings.trigger = 0;
     watchdog.begin(timings);
     timer.priority(TIMER_PRIORITY);
-    if (!timer.begin(tick, (float)(1e6 * PERIOD_S)))
+    if (!timer.begin(tick, (float)(1e6 * HARDWARE.dt_s)))
         give_up();
 }
 
