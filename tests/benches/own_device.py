@@ -11,6 +11,7 @@ holds quite still.
 """
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -278,7 +279,7 @@ class Person:
             "move": lambda: self.go(self.here() + self.way_part * 10e-3, 0.4),
             "shake": self.shake,
             "let go": self.let_go,
-            "hold": self.hold,
+            "hold": lambda: self.hold(what),
             "put the weight": lambda: self.weigh(float(what.split()[4])),
             "tap": lambda: self.tap(self.speed_m_s),
         }
@@ -305,7 +306,11 @@ class Person:
     def let_go(self) -> None:
         self.world.grip_N = 0.0
 
-    def hold(self) -> None:
+    def hold(self, what: str) -> None:
+        """At the grip that is asked for, as before where none is."""
+        asked = re.search(r"at ([\d.]+) N", what)
+        if asked:
+            self.world.held_N = float(asked[1])
         self.world.weight_N, self.world.grip_N = 0.0, self.world.held_N
         here = float(self.world._x[Z2])
         begin_s = self.world.now_s

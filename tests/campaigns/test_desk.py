@@ -13,7 +13,7 @@ floor.
 import re
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict, dataclass
 from io import StringIO
@@ -37,6 +37,7 @@ from tests.benches.own_device import OwnWorld, Sensing
 from tests.campaigns.harness import JsonFile, LibraryFile, Seed, library_of, long_form, show, write_json
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.cli import main as transopt_command
 from transopt.library.library import Library
 
 DT_S = 1e-4
@@ -84,35 +85,34 @@ class Desk(SimulatedPort):
 
 
 @contextmanager
-def desk(seed: int) -> Iterator[Tapping]:
-    """The commands find this device behind any port, and this person at the terminal."""
-    world = Tapping(seed)
-    port = Desk(CoreDevice(1, simulated=False), world, DT_S)
+def at_the_desk(world: OwnWorld, connect: Callable[[str | Connection], Device]) -> Iterator[None]:
+    """The commands find what `connect` opens behind any port, and the world's person at the terminal."""
     before = port_commands.open_device, port_commands.ConsolePerson
-    port_commands.open_device, port_commands.ConsolePerson = port.connect, lambda: world  # type: ignore
+    port_commands.open_device, port_commands.ConsolePerson = connect, lambda: world  # type: ignore
     try:
-        yield world
+        yield
     finally:
         port_commands.open_device, port_commands.ConsolePerson = before  # type: ignore[misc]
 
 
 def typed(*words: object) -> None:
-    """`transopt-play` with these words.
+    """A command line; its first word is `transopt` or `transopt-play`.
 
     Raises
     ------
     InputError : it ended with another exit code than 0.
     """
-    before, sys.argv = sys.argv, ["transopt-play", *map(str, words)]
+    line = [str(word) for word in words]
+    before, sys.argv = sys.argv, line
     code: object = 0
     try:
-        play.main()
+        {"transopt": transopt_command.main, "transopt-play": play.main}[line[0]]()
     except SystemExit as end:
         code = end.code
     finally:
         sys.argv = before
     if code:
-        raise InputError(f"transopt-play {' '.join(map(str, words))}: exit code {code}")
+        raise InputError(f"{' '.join(line)}: exit code {code}")
 
 
 @dataclass(frozen=True)
@@ -148,14 +148,16 @@ def taps_in(text: str, library: Library) -> list[Tap]:
 
 
 def _run(library: Path, folder: Path, seed: int) -> None:
-    device, port = folder / "device.toml", ("--port", "desk")
+    device, world = folder / "device.toml", Tapping(seed)
     write_device(device, DESK)
-    with desk(seed) as world:
-        typed("check", library, *port, "--device", device, "--patience", 3)
+    where = ("--port", "desk", "--device", device)
+    tap = ("transopt-play", "tap", library, *where, "--taps")
+    with at_the_desk(world, Desk(CoreDevice(1, simulated=False), world, DT_S).connect):
+        typed("transopt-play", "check", library, *where, "--patience", 3)
         world.planned, world.free_s = iter((0.2,)), 0.0
-        typed("tap", library, *port, "--device", device, "--taps", 1, "--gain", 0.1)
+        typed(*tap, 1, "--gain", 0.1)
         world.planned, world.free_s = iter(SPEEDS_M_S * EACH), 0.0
-        typed("tap", library, *port, "--device", device, "--taps", len(SPEEDS_M_S) * EACH, "--out", folder / "taps")
+        typed(*tap, len(SPEEDS_M_S) * EACH, "--out", folder / "taps")
 
 
 def predicted_error(library: Library, speed_m_s: float, grip_N: float) -> float:

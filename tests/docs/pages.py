@@ -10,7 +10,6 @@ DOCS = ROOT / "docs"
 GENERATED = DOCS / "reference/generated"
 PAGES = [
     ROOT / "README.md",
-    ROOT / "controller/firmware/port/BRINGUP.md",
     *(page for page in sorted(DOCS.rglob("*.md")) if page.parent != GENERATED),
 ]
 FENCED = re.compile(

@@ -1,7 +1,7 @@
 /* transopt on a bare processor: what every board has in common. Registers are in the board's own file, see board.h;
  * limits and scales in hardware.h.
  *
- * No silicon has run this yet. Bring a device up as BRINGUP.md says, motor power off first.
+ * No silicon has run this yet. Bring a device up as docs/howto/road.md says, motor power off first.
  */
 #include "board.h"
 #include "hardware.h"
