@@ -51,7 +51,7 @@ E24 = (
 E96 = tuple(round(10 ** (k / 96), 2) for k in range(96))
 BASE_OHM = 10e3  # of the resistors: little noise, and a load that any operational amplifier drives
 RAIL_COUNTS = 8  # so near to an end of the converter's range there is no number
-HEADROOM = 0.97  # of the converter's range that a command may take
+HEADROOM = 0.97  # of a converter's range that command and over-current may take
 OVER_CURRENT = 1.3  # on the largest current: above what a check and a tap overshoot by, below what harms
 POLE_ROOM = 1.5  # by which the amplifier's pole may differ from the stated one, up and down
 NOISE_HZ = 10e3  # of the filter before a converter that is read every 100 us
@@ -309,7 +309,10 @@ def scales(circuit: Circuit, motor: Motor, ratio_1_m: float) -> Scales:
     V_per_count, over_A = supply_V / counts, OVER_CURRENT * circuit.power.current_A
     if circuit.servo is not None:
         servo = circuit.servo
-        there, back = shift(supply_V, servo.input_V, off), divider(supply_V, over_A * servo.monitor_V_A, off)
+        there, back = (
+            shift(supply_V, servo.input_V, off),
+            divider(supply_V, over_A * servo.monitor_V_A / HEADROOM, off),
+        )
         A_per_V, V_per_A = there.gain / servo.input_V_A, back.gain * servo.monitor_V_A
         offs = (there.gain_off, there.zero_off_V * A_per_V, back.gain_off, back.zero_off_V / V_per_A)
         zero_V, monitor_zero_V, closed = there.zero_V, back.zero_V, None

@@ -245,6 +245,26 @@ def test_a_wire_that_is_off_is_told_from_a_current() -> None:
     assert built.scales.current.most < 4095
 
 
+def test_a_monitor_of_more_volts_is_made_narrower_and_its_open_wire_reads_a_current(tmp_path: Path) -> None:
+    text = CIRCUITS["escon_re25"].read_text(encoding="utf-8")
+    path = tmp_path / "circuit.toml"
+    path.write_text(
+        text.replace("monitor_V_A = 0.3", "monitor_V_A = 1.0").replace('output = "dac"', 'output = "pwm"')
+    )
+    built, _ = load_circuit(path)
+    s = built.scales
+    assert s.monitor is not None
+    assert "R6" in s.monitor.parts
+    # Nothing comes by R4 of a wire that is off.
+    off_V = nodal(
+        [("pin", "ref", s.monitor.parts["R5"]), ("pin", GROUND, s.monitor.parts["R6"])], {"ref": SUPPLY_V}, {}
+    )
+    read = (off_V["pin"].real / SUPPLY_V * 4096 - s.current.zero_counts) * s.current.per_count
+    assert s.open_A == pytest.approx(read, rel=1e-9)
+    said = {what for what, _, _ in rows_of(built)}
+    assert {"R6", "R10, R11", "C2, C3"} <= said
+
+
 def test_the_scene_is_one_and_takes_what_the_block_takes(tmp_path: Path) -> None:
     """The sketch is compiled with the block in `test_port.py`."""
     for path in CIRCUITS.values():
