@@ -34,7 +34,7 @@ BLOCK_BYTES = 4096
 QUEUE_BLOCKS = 1024
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Listed:
     """A serial port as the system lists it; vendor : of a USB device, None of any other."""
 
@@ -45,7 +45,8 @@ class Listed:
 
 def listed_ports() -> list[Listed]:
     """The serial ports there are, by their names."""
-    return sorted(Listed(port.device, port.description or "", port.vid) for port in list_ports.comports())
+    found = [Listed(port.device, port.description or "", port.vid) for port in list_ports.comports()]
+    return sorted(found, key=lambda port: port.name)
 
 
 def without_rate(name: str) -> tuple[str, int]:

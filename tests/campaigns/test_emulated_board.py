@@ -69,14 +69,27 @@ def through_the_commands(ear: Ear, library: Library, folder: Path, short: bool) 
     port = ("--port", board.port, "--device", device)
     skipped = [word for name in DONE_BY_A_PERSON if short for word in ("--skip", name)]
     with redirect_stdout(ear):
-        typed("device", "new", device, "--defaults")
-        typed("zero", *port)
-        typed("check", path, *port, "--patience", 10, *skipped)
-        typed("upload", path, *port)
+        typed("transopt-play", "device", "new", device, "--defaults")
+        typed("transopt-play", "zero", *port)
+        typed("transopt-play", "check", path, *port, "--patience", 10, *skipped)
+        typed("transopt-play", "upload", path, *port)
         board.ask(f"please taps {' '.join(map(str, TAPPED_M_S))}")
-        typed("tap", path, *port, "--taps", TAPS, "--for", 60)
+        typed("transopt-play", "tap", path, *port, "--taps", TAPS, "--for", 60)
         taps = taps_in(ear.text, library)
-        typed("refine", path, *port, "--taps", 2, "--rounds", 1, "--for", 60, "--out", folder / "refined")
+        typed(
+            "transopt-play",
+            "refine",
+            path,
+            *port,
+            "--taps",
+            2,
+            "--rounds",
+            1,
+            "--for",
+            60,
+            "--out",
+            folder / "refined",
+        )
     return taps
 
 
