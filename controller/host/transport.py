@@ -29,6 +29,7 @@ WINDOWS = re.compile(r"^(\\\\\.\\)?COM\d+$", re.IGNORECASE)
 MOST_BAUD = 12_000_000
 POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
 WRITE_TIMEOUT_S = 1.0
+WRITE_BYTES = 1024  # handed over at once, for which the slowest line needs a tenth of that time
 CLOSE_S = 1.0
 BLOCK_BYTES = 4096
 QUEUE_BLOCKS = 1024
@@ -152,7 +153,8 @@ class Transport:
         if not data:
             return
         try:
-            self._port.write(data)
+            for at in range(0, len(data), WRITE_BYTES):
+                self._port.write(data[at : at + WRITE_BYTES])
         except serial.SerialTimeoutException:
             self._fail("it has taken no data for a second")
         # A port that another thread is closing, or that is gone, fails in any of these ways.

@@ -144,6 +144,18 @@ def test_a_port_that_takes_nothing_is_told(pty: tuple[int, str], monkeypatch: py
         port.write(bytes(1_000_000))
 
 
+def test_the_time_for_writing_is_that_of_a_piece(pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An upload's window of 17 kB takes 1.5 s at 115200 baud, and nobody may call that silence."""
+    _, name = pty
+    pieces: list[bytes] = []
+    with Transport(name) as port:
+        monkeypatch.setattr(port._port, "write", pieces.append)
+        data = bytes(range(256)) * 66
+        port.write(data)
+    assert b"".join(pieces) == data
+    assert max(map(len, pieces)) * 10 / 115_200 < t.WRITE_TIMEOUT_S / 4
+
+
 def test_busy(pty: tuple[int, str]) -> None:
     _, name = pty
     with Transport(name), pytest.raises(PortError, match="busy: another program has it open"):
