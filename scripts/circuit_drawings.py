@@ -100,8 +100,8 @@ def enable(d: Drawing, y: float) -> None:
     d.dots((180, y + 45))
     d.down(180, y + 45, "10k", ends="ground")
     d.box(420, y, 90, 56, "74HC08", "and")
-    d.wire((510, y + 28), (570, y + 28), (598, y + 14))
-    d.wire((600, y + 28), (660, y + 28))
+    d.wire((510, y + 28), (570, y + 28), (606, y + 20))  # the lever rests on its contact
+    d.wire((600, y + 15), (600, y + 28), (660, y + 28))
     d.text(585, y + 50, "stop, normally closed", "m s")
     d.box(660, y + 6, 90, 44, "enable", "amplifier")
 
