@@ -27,13 +27,14 @@ from transopt.problem.heat import Budget
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import layout, linear_stage
 from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
 from transopt.report.markdown import build_markdown
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
-from transopt.solvers import choose, riccati
+from transopt.solvers import choose, riccati, stage_data
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
@@ -220,6 +221,41 @@ class TestTheLastInstant:
         assert answer.objective == pytest.approx(other.objective, rel=1e-7)
         np.testing.assert_allclose(found.command, again.command[:N], rtol=0, atol=1e-5)
         assert found.upper[N, -1] == pytest.approx(again.upper[N, -1], rel=1e-4)
+
+
+class TestModes:
+    """The method works in the modes of a device, where a device has them, and in its states elsewhere."""
+
+    @pytest.mark.parametrize(
+        "name", ["wood_on_foam", "hot_coil", "free_stylus", "ideal_amplifier", "voice_coil_thud"]
+    )
+    def test_are_the_same_dynamics(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        problem = hardest(name)
+        stage, given = linear_stage(problem), stages(problem)
+        A, B, n = given.arrays["A"], stage.A, given.sizes["states"]
+        there = np.abs(A) > 0
+        there[:, -1] = False
+        assert all(i == j or i ^ 1 == j for i, j in np.argwhere(there))
+        command, z, x = np.random.default_rng(0).standard_normal(60), np.zeros(n), np.zeros(n)
+        C = given.arrays["C"]
+        for movement in np.diff(command, prepend=0.0):
+            z, x = A @ z + A[:, -1] * movement, B @ x + B[:, -1] * movement
+            np.testing.assert_allclose(C @ z, stage.C @ x, rtol=1e-9, atol=1e-10 * np.abs(stage.C).max())
+            if given.sizes["current"] >= 0:
+                assert z[given.sizes["current"]] == pytest.approx(x[layout(problem).current], abs=1e-12)
+
+    def test_a_delay_line_has_none(self, hardest: Callable[[str], TransientProblem]) -> None:
+        problem = hardest("walled")
+        np.testing.assert_array_equal(stages(problem).arrays["A"], linear_stage(problem).A)
+
+    @pytest.mark.parametrize("name", ["wood_on_foam", "hot_coil", "low_supply"])
+    def test_have_the_same_optimum_as_the_states(
+        self, hardest: Callable[[str], TransientProblem], monkeypatch: pytest.MonkeyPatch, name: str
+    ) -> None:
+        in_modes = solve(hardest(name), OWN)
+        monkeypatch.setattr(stage_data, "MOST_CONDITION", 0.0)
+        in_states = solve(hardest(name), OWN)
+        np.testing.assert_allclose(in_states.command, in_modes.command, rtol=0, atol=1e-6)
 
 
 class TestMemory:

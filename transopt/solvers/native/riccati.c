@@ -11,8 +11,9 @@
  *
  * The movement u and the size e of the mean current are the controls; x_(n-1) is the command held before. Predictor and
  * corrector follow Mehrotra (SIAM J. Optim. 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings,
- * J. Optim. Theory Appl. 99, 1998), in which the size is eliminated before the movement. Every iterate obeys the
- * dynamics exactly: states are rolled out, the reduced gradient comes from the adjoint recursion, so rounding in a
+ * J. Optim. Theory Appl. 99, 1998), in which the size is eliminated before the movement. Where the states stand in pairs
+ * that only the held command couples to others, as the modes of a device do, products with A have no more terms than
+ * that: they are taken pair by pair. Every iterate obeys the dynamics exactly: states are rolled out, the reduced gradient comes from the adjoint recursion, so rounding in a
  * factorisation costs a step's quality and never the answer's.
  *
  * C99 without dependencies, no global state, no allocation: the caller gives the workspace. Compile with contraction of
@@ -178,6 +179,11 @@ static void eliminate(int count, const double *matrix, double *right)
 #define workspace OF_WIDTH(workspace, WIDTH)
 #define prepare OF_WIDTH(prepare, WIDTH)
 #define combine OF_WIDTH(combine, WIDTH)
+#define swapped OF_WIDTH(swapped, WIDTH)
+#define pair_up OF_WIDTH(pair_up, WIDTH)
+#define flow OF_WIDTH(flow, WIDTH)
+#define flow_back OF_WIDTH(flow_back, WIDTH)
+#define congruence OF_WIDTH(congruence, WIDTH)
 #define dot OF_WIDTH(dot, WIDTH)
 #define add OF_WIDTH(add, WIDTH)
 #define add_product OF_WIDTH(add_product, WIDTH)
@@ -307,8 +313,29 @@ ALWAYS_INLINE void raise_to(lanes *most, const lanes *than)
     const choice above = *than > *most;
     *most = (lanes)((above & (choice)*than) | (~above & (choice)*most));
 }
+
+/* Neighbours 2 i and 2 i + 1 with their places exchanged, of block j. */
+ALWAYS_INLINE lanes swapped(const lanes *v, int j)
+{
+#if WIDTH == 8
+    const choice other = {1, 0, 3, 2, 5, 4, 7, 6};
+#elif WIDTH == 4
+    const choice other = {1, 0, 3, 2};
+#else
+    const choice other = {1, 0};
+#endif
+#if defined(__clang__)
+    lanes found;
+    for (int i = 0; i < WIDTH; i++) found[i] = v[j][other[i]];
+    return found;
+#else
+    return __builtin_shuffle(v[j], other);
+#endif
+}
 #else
 typedef double lanes;
+
+ALWAYS_INLINE lanes swapped(const lanes *v, int j) { return v[j ^ 1]; }
 
 ALWAYS_INLINE void raise_to(lanes *most, const lanes *than) { *most = *than > *most ? *than : *most; }
 #endif
@@ -342,6 +369,9 @@ typedef struct {
     int ld;                              /* length of a row of states, padded with zeros */
     int blocks;                          /* of all values of the rows */
     lanes *A, *At, *C, *G, *Z;          /* padded A, its transpose, C, G and Z */
+    int paired;                          /* A couples states 2 i and 2 i + 1, and the held command to all */
+    lanes own[MOST_BLOCKS], from_pair[MOST_BLOCKS], to_pair[MOST_BLOCKS]; /* its diagonal, A[j][j ^ 1] and A[j ^ 1][j] */
+    lanes push[MOST_BLOCKS], held[MOST_BLOCKS];                           /* its last column; one at the held command */
     lanes *K, *Ke;
     double *Kth, *pivot;             /* gains of u by states and by nodes, inverse pivots */
     double *Keth, *Ke_u, *pivot_e;  /* the same of e, its gain by u */
@@ -418,6 +448,24 @@ static size_t workspace(const tr_problem *q)
     return lay_out(&w, q, NULL, &kept) + WIDTH - 1;
 }
 
+/* Whether the states stand in pairs, and what couples them. */
+static void pair_up(tr_work *w)
+{
+    const int n = w->q->states, last = n - 1;
+    const double *A = w->q->A;
+    w->paired = A[last * n + last] == 1.0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < last; j++)
+            if (j != i && (j != (i ^ 1) || i == last) && A[i * n + j] != 0.0) w->paired = 0;
+    for (int i = 0; i < last; i++) {
+        const int other = i ^ 1;
+        AT(w->own, i) = A[i * n + i];
+        if (other < last) AT(w->from_pair, i) = A[i * n + other], AT(w->to_pair, i) = A[other * n + i];
+        AT(w->push, i) = A[i * n + last];
+    }
+    AT(w->push, last) = AT(w->held, last) = 1.0;
+}
+
 /* The workspace, all zero but what the problem says; with `keep_gains`, what stands in front is left alone. */
 static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains, tr_watch *watch)
 {
@@ -438,6 +486,7 @@ static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gai
         for (size_t i = 0; i < rows; i++)
             if (limit[i] > -INFINITY && limit[i] < INFINITY) AT(z->there, i) = 1.0, AT(z->bound, i) = limit[i];
     }
+    pair_up(w);
     for (int j = 0; j < q->rows; j++) {
         const double *c = q->G + (size_t)j * n;
         w->from[j] = 0, w->to[j] = q->states;
@@ -480,6 +529,57 @@ ALWAYS_INLINE void add(const int blocks, const double by, const lanes *restrict 
     for (int j = 0; j < blocks; j++) to[j] += by * c[j];
 }
 
+/* out = A x + A[:, n-1] u. */
+ALWAYS_INLINE void flow(const int last, const int blocks, const tr_work *w, const lanes *restrict x, const double u,
+                        lanes *restrict out)
+{
+    if (!w->paired) {
+        combine(blocks, w->At, (const double *)x, out);
+        add(blocks, u, w->At + last * blocks, out);
+        return;
+    }
+    const double command = AT(x, last) + u;
+    for (int j = 0; j < blocks; j++)
+        out[j] = (w->own[j] * x[j] + w->from_pair[j] * swapped(x, j)) + command * w->push[j];
+}
+
+/* out = A' p. */
+ALWAYS_INLINE void flow_back(const int blocks, const tr_work *w, const lanes *restrict p, lanes *restrict out)
+{
+    if (!w->paired) {
+        combine(blocks, w->A, (const double *)p, out);
+        return;
+    }
+    const double command = dot(blocks, w->push, p);
+    for (int j = 0; j < blocks; j++)
+        out[j] = (w->own[j] * p[j] + w->to_pair[j] * swapped(p, j)) + command * w->held[j];
+}
+
+/* H = A' P A of a symmetric P; PA is scratch. */
+ALWAYS_INLINE void congruence(const int n, const int blocks, const tr_work *w, const lanes *restrict P,
+                              lanes *restrict PA, lanes *restrict H)
+{
+    const int last = n - 1, ld = blocks * WIDTH;
+    if (!w->paired) {
+        for (int i = 0; i < ld; i++) combine(blocks, w->A, (const double *)(P + i * blocks), PA + i * blocks);
+        for (int i = 0; i < ld; i++) combine(blocks, PA, (const double *)(w->At + i * blocks), H + i * blocks);
+        return;
+    }
+    lanes pushed[MOST_BLOCKS];
+    memset(pushed, 0, (size_t)ld * sizeof(double));
+    for (int i = 0; i < n; i++) add(blocks, AT(w->push, i), P + i * blocks, pushed);
+    flow_back(blocks, w, pushed, H + last * blocks);
+    for (int i = 0; i < n; i++) /* of the last column the last row is enough */
+        for (int j = 0; j < blocks; j++)
+            PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * swapped(P + i * blocks, j);
+    for (int i = 0; i < last; i++) {
+        const int other = (i ^ 1) < last ? i ^ 1 : i;
+        const double own = AT(w->own, i), pair = AT(w->to_pair, i), command = AT(H + last * blocks, i);
+        for (int j = 0; j < blocks; j++)
+            H[i * blocks + j] = (own * PA[i * blocks + j] + pair * PA[other * blocks + j]) + command * w->held[j];
+    }
+}
+
 /* Add c d' to H. */
 ALWAYS_INLINE void add_product(const int blocks, const lanes *restrict c, const lanes *restrict d, lanes *restrict H)
 {
@@ -505,7 +605,7 @@ ALWAYS_INLINE double add_nodes(const int t, const int blocks, const tr_work *w, 
         double Rb = 0.0;
         for (int j = 0; j < t; j++) Rb += R[i * t + j] * q->b[j];
         bRb += q->b[i] * Rb;
-        combine(blocks, w->A, (const double *)(Q + i * blocks), U + i * blocks);
+        flow_back(blocks, w, Q + i * blocks, U + i * blocks);
         add(blocks, Rb, by_x, U + i * blocks);
         for (int j = 0; j < t; j++) {
             RM[i * t + j] = 0.0;
@@ -579,7 +679,7 @@ ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, con
             add(blocks, y[j], w->G + j * blocks, drive);
         }
     }
-    combine(blocks, w->A, (const double *)c->p, a);
+    flow_back(blocks, w, c->p, a);
     if (t) {
         const double *heat = w->heat + 4 * k;
         double beta = 0.0;
@@ -643,6 +743,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
     tr_costate costate;
     if (end) backward_begin(blocks, w, t, end, 1, &costate);
     memset(P, 0, (size_t)(ld * ld) * sizeof(double));
+    memset(H, 0, (size_t)(ld * ld) * sizeof(double));
     memset(by_x, 0, sizeof by_x);
     memset(bend_a, 0, sizeof bend_a);
     memset(bend_c, 0, sizeof bend_c);
@@ -664,8 +765,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
         const double *heat = w->heat + 4 * k, *sigma = &AT(w->sigma, k * m);
         double r = q->movement_weight, hee = 0.0, heu = 0.0;
         lanes *gain = w->K + k * blocks;
-        for (int i = 0; i < ld; i++) combine(blocks, w->A, (const double *)(P + i * blocks), PA + i * blocks);
-        for (int i = 0; i < ld; i++) combine(blocks, PA, (const double *)(w->At + i * blocks), H + i * blocks);
+        congruence(n, blocks, w, P, PA, H);
         if (t) {
             /* e moves the nodes only: column 2 ripple resistance b. */
             const double by = 2.0 * q->ripple * heat[2];
@@ -805,8 +905,8 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
             }
             for (int i = 0; i < t; i++) th[i] = th_next[i];
         }
-        combine(blocks, w->At, (const double *)x, next);
-        for (int j = 0; j < blocks; j++) x[j] = next[j] + u * w->At[last * blocks + j];
+        flow(last, blocks, w, x, u, next);
+        for (int j = 0; j < blocks; j++) x[j] = next[j];
     }
     for (int j = 0; full && j < q->ends; j++) w->d_end_error[j] = dot(blocks, w->Z + j * blocks, x);
     if (full && t) AT(w->dV, N * m) = th[0];
