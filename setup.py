@@ -16,7 +16,7 @@ FIRMWARE = Path("controller/firmware")
 CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 # By name: Windows exports nothing else, and elsewhere everything is exported.
-SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear"]
+SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
     *("tr_outputs", "tr_bilinear", "tr_spline", "tr_struck"),

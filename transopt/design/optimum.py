@@ -15,13 +15,15 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.admit import stated_wall, unstable_wall
-from transopt.proof.certify import Effect, certify, gradient_rounding, in_whole, inside
+from transopt.proof.certify import Effect, certify, gradient_rounding, inside
 from transopt.proof.designed import Designed
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, solve, solve_certified
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.prove import certified
 
 NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
+KEPT = 1e-6  # of what is tolerated of a limit: less is rounding
 ROUNDED = 0.2  # of a gap: what the last bits make of it, and no method that computes so gets far below it
 MOST_MASKS = 12  # solves until the wall pushes exactly where it was assumed to
 STEADIER = 1e-3  # weight of the movement, that of a scene which states none, under which a flat J may have an optimum
@@ -245,16 +247,14 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
             proof = prove(problem, answer.command, answer.multipliers, options, effect=effect)
         return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, solved, remarks)
 
-    free_proof = None
-    if inside(problem, free.command, effect=effect):
-        free_proof = certify(problem, free.command, free.multipliers, effect=effect)
+    judged = certified(problem, free.command, free.multipliers, effect=effect)
+    free_proof = judged if judged.excess <= KEPT else None
     if free_proof is not None and not free_proof.is_stationary:
         # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
         other = unlimited.solve_apart(small)
         its_effect = Effect(problem, other.command)
-        its_proof = certify(problem, other.command, other.multipliers, effect=its_effect)
-        is_inside = inside(problem, other.command, effect=its_effect)
-        if is_inside and its_proof.relative_gap < free_proof.relative_gap:
+        its_proof = certified(problem, other.command, other.multipliers, effect=its_effect)
+        if its_proof.excess <= KEPT and its_proof.relative_gap < free_proof.relative_gap:
             free, free_proof, effect = other, its_proof, its_effect
     if free_proof is not None and free.status is Status.OPTIMAL and free_proof.is_stationary:
         unit = problem.driven_by.unit
@@ -281,7 +281,7 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
             answer = replace(answer, solve_time_s=spent)
-            return designed(answer, cold, [], whole, _in_whole(proof, its_effect, whole, answer))
+            return designed(answer, cold, [], whole)
         # What no command can do in the cold, none can with the temperature on top.
         if answer.status is not Status.INFEASIBLE:
             answer, proof, its_effect = solve_certified(small, options)
@@ -296,12 +296,4 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
     too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), small, [too_deep], whole)
-    return designed(answer, small, [], whole, _in_whole(proof, its_effect, whole, answer))
-
-
-def _in_whole(part: Certificate, effect: Effect, whole: Effect, answer: Solution) -> Certificate | None:
-    """The certificate in the whole problem from that of the part that was solved; None where it says too little."""
-    own, problem = effect.problem, whole.problem
-    alike = own.stage is problem.stage and own.wall is problem.wall
-    known = alike and part.is_stationary and np.isfinite(part.lower_bound)
-    return in_whole(part, whole, answer.multipliers) if known else None
+    return designed(answer, small, [], whole)

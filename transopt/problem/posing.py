@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,17 @@ class Posing:
         ------
         InputError : neither of the two is left.
         """
+        key = wanted.ends_s, wanted.slow_part_known
+        if key not in self._terms:
+            self._terms[key] = self._terms_of(wanted)
+        return self._terms[key]
+
+    @cached_property
+    def _terms(self) -> dict[tuple[float, bool], tuple[ErrorTerm, ...]]:
+        """Those of the taps so far: by them the parts that taps share are known again."""
+        return {}
+
+    def _terms_of(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
         if np.isfinite(wanted.ends_s):
             term = plain(1.0, self.grid, np.inf)
             over = self.grid.switching_times_s > wanted.ends_s

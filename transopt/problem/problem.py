@@ -91,8 +91,7 @@ class TransientProblem:
         if not self.terms:
             raise InputError("weights: no term of the error: give weights.plain or weights.rapid")
         for term in self.terms:
-            weights = term.all_weights(1, 1)
-            if not (np.isfinite(weights).all() and weights.min() >= 0):
+            if not term.is_sound:
                 raise InputError(f"weights of the {term.name} term: must be >= 0 and finite")
         for name, value in (("rho", self.rho), ("heat_price", self.heat_price)):
             if not 0 <= value < np.inf:

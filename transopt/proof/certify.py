@@ -311,10 +311,7 @@ def certify(
     lower_bound : of the optimum, from elsewhere; not needed while no temperature multiplier is positive.
     effect : of this command in this problem, where it is known already.
     """
-    N = problem.grid.stages
-    arrays = [command, *multipliers.arrays()]
-    shapes = [(N,)] * (len(arrays) - 2) + [(problem.hand_over_samples,), (N,)]
-    if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
+    if not is_stated(problem, command, multipliers):
         return Certificate.nothing()
 
     effect, clipped = effect or Effect(problem, command), admissible(problem, multipliers)
@@ -335,7 +332,8 @@ def certify(
         return replace(Certificate.nothing(), objective=objective, merit=merit)
 
     tail = hand_over.residual(problem, command, effect.motion)
-    violations, excess = _left(problem, limits, tail)
+    outside = [(box.limit, float(box.excess.max())) for box in limits]
+    violations, excess = left_over(problem, outside, float(np.abs(tail).max()))
     found = Certificate(
         objective=objective,
         merit=merit,
@@ -375,31 +373,29 @@ def certify(
     )
 
 
-def _left(problem: TransientProblem, limits: Sequence[Box], tail: FloatArray) -> tuple[dict[str, float], float]:
-    """Excess over limits and hand-over, by unit, and the most of it in units of what is tolerated."""
-    off = float(np.abs(tail).max())
-    violations, excess = {"A": max(off, 0.0)}, [off / tolerated(problem.limits.input_limit), 0.0]
-    for box in limits:
-        by, unit = float(box.excess.max()), box.limit.base_unit()
-        violations[unit] = max(violations.get(unit, 0.0), by)
-        excess.append(by / box.limit.tolerance)
-    return violations, max(excess)
+def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> bool:
+    """Whether command and multipliers have the problem's shapes, and are numbers everywhere."""
+    N, arrays = problem.grid.stages, [command, *multipliers.arrays()]
+    shapes = [(N,)] * (len(arrays) - 2) + [(problem.hand_over_samples,), (N,)]
+    return [a.shape for a in arrays] == shapes and bool(np.isfinite(np.concatenate(arrays)).all())
 
 
-def in_whole(part: Certificate, effect: Effect, multipliers: Multipliers) -> Certificate:
-    """The certificate of a command, from that of the problem without some limits, which bear no multipliers.
-
-    Neither J nor the Lagrangian's gradient knows of such limits: all that is left to see is whether they are kept.
+def left_over(
+    problem: TransientProblem, outside: Sequence[tuple[Limit, float]], off: float
+) -> tuple[dict[str, float], float]:
+    """Excess over limits and hand-over, by unit, and the most of it in units of what is tolerated.
 
     Parameters
     ----------
-    part : of the same command and multipliers in a problem that differs in nothing but those limits.
-    effect : of the command in the whole problem.
+    outside : limits, each with how far it is left at most, negative where it is kept.
+    off : by how much the hand-over is missed at most [A].
     """
-    problem = effect.problem
-    tail = hand_over.residual(problem, effect.command, effect.motion)
-    violations, excess = _left(problem, list(boxes_of(effect, multipliers)), tail)
-    return replace(part, violations=violations, excess=excess)
+    violations, excess = {"A": max(off, 0.0)}, [off / tolerated(problem.limits.input_limit), 0.0]
+    for limit, by in outside:
+        unit = limit.base_unit()
+        violations[unit] = max(violations.get(unit, 0.0), by)
+        excess.append(by / limit.tolerance)
+    return violations, max(excess)
 
 
 def movement_bound(problem: TransientProblem, gradient: FloatArray) -> float:

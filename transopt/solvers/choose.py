@@ -14,10 +14,11 @@ from transopt.base.threads import one_blas_thread
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, certify
+from transopt.proof.certify import Effect
 from transopt.solvers import casadi_ipopt, casadi_piqp, riccati
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
+from transopt.solvers.prove import certified
 
 __all__ = [
     "SOLVERS",
@@ -130,7 +131,7 @@ def prove(
     ----------
     effect : of this command in this problem, where it is known already.
     """
-    certificate = certify(problem, command, multipliers, effect=effect)
+    certificate = certified(problem, command, multipliers, effect=effect)
     if np.isfinite(certificate.lower_bound) or not certificate.finite or not problem.nonlinear:
         return certificate
     return replace(certificate, lower_bound=global_bound(problem, options))
@@ -161,7 +162,7 @@ class Certified(NamedTuple):
 
 def _certified(problem: TransientProblem, answer: Solution) -> Certified:
     effect = Effect(problem, answer.command)
-    return Certified(answer, certify(problem, answer.command, answer.multipliers, effect=effect), effect)
+    return Certified(answer, certified(problem, answer.command, answer.multipliers, effect=effect), effect)
 
 
 def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Certified]:

@@ -4,7 +4,9 @@ They come from the linear stage and from the rows of the limits, as those of the
 (`solvers.program`), and need no CasADi: the runtime solves a tap with them.
 """
 
-from dataclasses import dataclass
+import operator
+import threading
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -14,13 +16,15 @@ from transopt.problem.heat import mean_current
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, layout, linear_stage
 
 SIZE_BOUND = 2.0  # of the limit current
+MOST_KEPT = 2  # problems of one thread: that without the temperature, and the whole
 # Condition of the modes up to which the method works in them. The built-in scenes have up to 330, a wall's delay line
-# has no modes; whatever rounding does is seen by the certificate, which knows of none.
+# has no modes. What rounding does in them is seen by `proof.certify`, which knows of none.
 MOST_CONDITION = 1e4
 WINDING = "winding"  # row of the recursion's first state
 
@@ -39,24 +43,31 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
     What each output is led to and its weight (N, outputs) within the window, the movement's weight (1,), what is led
     from x_N where to after it (`objective.tail`), and the constant (1,) beside all this.
     """
-    term, after = problem.tracking, tail(problem, stage)
-    S = len(problem.devices)
-    # One column a device and term, the terms of one device side by side.
-    wanted = np.tile(term.solved_wanted.T, (1, S))
-    weights = np.ascontiguousarray(np.hstack([share * term.solved_weights.T for share in problem.shared]))
-    if problem.heat_price > 0:
-        price = problem.heat_price * stage.input_scale**2
-        wanted, weights = (
-            np.pad(a, ((0, 0), (0, 1)), constant_values=v) for a, v in ((wanted, 0.0), (weights, price))
-        )
+    after = tail(problem, stage)
     return {
-        "r": wanted,
-        "w": weights,
+        "r": _wanted(problem),
+        "w": _weights(problem, stage),
         "rho": np.array([problem.movement.weight * stage.input_scale**2]),
         "end_gain": after.gain,
         "end_target": after.target,
-        "constant": np.array([term.constant + after.rest]),
+        "constant": np.array([problem.tracking.constant + after.rest]),
     }
+
+
+def _wanted(problem: TransientProblem) -> FloatArray:
+    """(N, outputs) what each output is led to: one a device and term, those of one device side by side, and heat."""
+    wanted = problem.tracking.solved_wanted.T
+    zeros = [np.zeros((wanted.shape[0], 1))] if problem.heat_price > 0 else []
+    return np.concatenate([wanted] * len(problem.devices) + zeros, axis=1)
+
+
+def _weights(problem: TransientProblem, stage: LinearStage) -> FloatArray:
+    """(N, outputs) weights of the squares of what remains."""
+    by_term = problem.tracking.solved_weights.T
+    price = (
+        [np.full((by_term.shape[0], 1), problem.heat_price * stage.input_scale**2)] if problem.heat_price > 0 else []
+    )
+    return np.concatenate([*(share * by_term for share in problem.shared), *price], axis=1)
 
 
 def heat_values(problem: TransientProblem, input_scale: float) -> dict[str, FloatArray]:
@@ -93,7 +104,8 @@ class StatedRow:
     Attributes
     ----------
     G, d : (n,), scalar of the value by x_k and by dc_k.
-    lower, upper : (N,) less the offset, infinite where the row asks for nothing that is not decided already.
+    asked : (2, N) lower and upper bounds less the offset.
+    lower, upper : (N,) of them, infinite where the row asks for nothing that is not decided already.
     single : the variable that the row alone bounds, "current", "command" or "movement"; empty for a sum of several.
     """
 
@@ -101,6 +113,7 @@ class StatedRow:
     unit: float
     G: FloatArray
     d: float
+    asked: FloatArray
     lower: FloatArray
     upper: FloatArray
     single: str
@@ -116,19 +129,21 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
         if not row.linear:
             continue
         G, d = stage.row(row)
-        lower, upper = np.full(N, -np.inf), np.full(N, np.inf)
+        asked = (np.stack(row.bounds(N)) - row.offset) / limit.stated
+        lower, upper = asked.copy()
         # At tau_0 the device rests and nothing is held. A plain hand-over's commands are zero.
-        first = 1 if row.waits else 0
-        last = problem.free_stages if problem.wall is None and tuple(row.outputs) == (COMMAND,) else N
-        at = slice(first, last)
-        for asked, bound in zip((lower, upper), row.bounds(N), strict=True):
-            asked[at] = ((bound - row.offset) / limit.stated)[at]
+        decided = [slice(1 if row.waits else 0)]
+        if problem.wall is None and tuple(row.outputs) == (COMMAND,):
+            decided.append(slice(problem.free_stages, N))
+        for at in decided:
+            lower[at], upper[at] = -np.inf, np.inf
         single = SINGLE.get(tuple(row.outputs), "")
         if single == "movement" and row.outputs[HELD] != -row.outputs[COMMAND]:
             single = ""
         # One variable has one box, and so one multiplier on either side.
         single = "" if any(other.single == single for other in found) else single
-        found.append(StatedRow(row.name, limit.stated, G / limit.stated, d / limit.stated, lower, upper, single))
+        by = limit.stated
+        found.append(StatedRow(row.name, by, G / by, d / by, asked, lower, upper, single))
     return found
 
 
@@ -140,6 +155,8 @@ class Rows:
     ----------
     kinds : their names, the winding's first where there is one.
     G : (rows, n). d, d_size : (rows,). lower, upper : (N + 1, rows), infinite where there is no limit.
+    asked : (2, N, rows) what a command is held to, at the instants too at which no command has a say; of problems
+        without temperature.
     unit : (rows,) of a row, in units of the program: the largest of its bounds, so that limits are of order one.
     """
 
@@ -149,6 +166,7 @@ class Rows:
     d_size: FloatArray
     lower: FloatArray
     upper: FloatArray
+    asked: FloatArray
     unit: FloatArray
 
 
@@ -178,7 +196,8 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
         if thermal.model.closure is not None:
             # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.
             found[-1][3][0] = 0.0
-    for stated in stated_rows(problem, stage):
+    every_row = stated_rows(problem, stage)
+    for stated in every_row:
         row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every)
     if thermal is not None:
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
@@ -196,12 +215,10 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
     # The winding's row is a state of the recursion, whose unit is the largest headroom already.
     unit = np.where((unit > 0) & (np.array(kinds) != WINDING), unit, 1.0)
     by = unit[:, None]
-    return Rows(tuple(kinds), G / by, d / unit, d_size / unit, (lower / by).T, (upper / by).T, unit)
-
-
-def _no_rows(n: int) -> Rows:
-    none = np.zeros(0)
-    return Rows((), np.zeros((0, n)), none, none, np.zeros((0, 0)), np.zeros((0, 0)), none)
+    whole = np.zeros((2, N, 0))
+    if thermal is None:
+        whole = np.ascontiguousarray(np.stack([stated.asked for stated in every_row], axis=-1) / unit)
+    return Rows(tuple(kinds), G / by, d / unit, d_size / unit, (lower / by).T, (upper / by).T, whole, unit)
 
 
 @dataclass(frozen=True)
@@ -306,61 +323,146 @@ def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
     return np.asarray((above - below) / np.maximum(above + below, np.finfo(float).tiny))
 
 
-def stages(problem: TransientProblem, *, limited: bool = True) -> Stages:
-    """Stage data of a problem; not `limited`, without any row."""
-    stage, where = linear_stage(problem), layout(problem)
+_memory = threading.local()
+
+
+def stages(problem: TransientProblem) -> Stages:
+    """Stage data of a problem; those made last are kept, for a problem is solved, proven and solved again."""
+    kept: list[Stages] = vars(_memory).setdefault("kept", [])
+    found = next((each for each in kept if _alike(each.problem, problem)), None)
+    if found is None:
+        found = _stages(problem)
+        kept[:] = [found, *kept[: MOST_KEPT - 1]]
+    return found if found.problem is problem else replace(found, problem=problem)
+
+
+PARTS = operator.attrgetter(*(field.name for field in fields(TransientProblem) if field.name != "limits"))
+
+
+def _alike(one: TransientProblem, other: TransientProblem) -> bool:
+    """Whether two problems are the same, part by part, whoever has put them together."""
+    if one is other:
+        return True
+    mine, its = (*one.limits, *PARTS(one)), (*other.limits, *PARTS(other))
+    return len(mine) == len(its) and all(map(operator.is_, mine, its))
+
+
+@dataclass(frozen=True)
+class _Template:
+    """What all problems of one grip share that differ in nothing but the target.
+
+    Attributes
+    ----------
+    A, terms : of the linear stage and of the problem. others : the rest of what it depends on; None where a wall or a
+        limit goes by the tap itself, so that it serves no other problem.
+    modes, limits, kelvin, sizes : as of `Stages`.
+    numbers, arrays : those of `Stages` in which the target has no say.
+    """
+
+    A: FloatArray
+    terms: tuple[ErrorTerm, ...]
+    others: tuple[object, ...] | None
+    modes: _Modes
+    limits: Rows
+    kelvin: float
+    sizes: dict[str, int]
+    numbers: dict[str, float]
+    arrays: dict[str, FloatArray]
+
+    def serves(self, A: FloatArray, terms: tuple[ErrorTerm, ...], others: tuple[object, ...] | None) -> bool:
+        return self.A is A and self.terms is terms and others is not None and self.others == others
+
+
+def _template(problem: TransientProblem, stage: LinearStage) -> _Template:
+    """The template of a problem, kept with the device for the next one."""
+    derived, others = problem.stage.derived, _others(problem)
+    found = derived.get(_Template)
+    if isinstance(found, _Template) and found.serves(stage.A, problem.terms, others):
+        return found
+    found = derived[_Template] = _template_of(problem, stage, others)
+    return found
+
+
+def _others(problem: TransientProblem) -> tuple[object, ...] | None:
+    limits, shares = problem.limits, problem.shares
+    try:
+        hash(limits)  # which a limit that holds courses has not
+    except TypeError:
+        return None
+    if problem.wall is not None or shares is not None:
+        return None
+    return (limits, problem.rho, problem.intensity, problem.heat_price, problem.hand_over_samples)
+
+
+def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[object, ...] | None) -> _Template:
+    where, modes, limits = layout(problem), _modes(problem, stage), _rows(problem, stage)
     m = 0 if problem.thermal is None else problem.thermal.model.nodes
-    values = tracking_values(problem, stage)
-    limits = _rows(problem, stage) if limited else _no_rows(where.states)
     gains, offsets = hand_over.rows(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
-    nothing = np.zeros(4)
     heat = (
-        dict.fromkeys(("M", "b", "gain", "square", "F", "f"), nothing)
+        dict.fromkeys(("M", "b", "gain", "square", "F", "f"), np.zeros(4))
         if m == 0
         else heat_values(problem, stage.input_scale)
     )
-    modes = _modes(problem, stage)
     arrays = {
         "A": modes.A,
-        "C": stage.C @ modes.T,
-        "E": np.zeros_like(stage.E) if where.amplifier else stage.E,
-        "weight": values["w"] * (2 / OBJECTIVE_SCALE),
-        "reference": values["r"],
+        "weight": _weights(problem, stage) * (2 / OBJECTIVE_SCALE),
         "rule_gain": gains @ modes.T,
         "rule_offset": offsets,
-        "end_gain": values["end_gain"] @ modes.T * np.sqrt(2 / OBJECTIVE_SCALE),
-        "end_target": values["end_target"] * np.sqrt(2 / OBJECTIVE_SCALE),
         "G": limits.G @ modes.T,
         **{name: getattr(limits, name) for name in ("d", "d_size", "lower", "upper")},
         **{name: heat[name] for name in ("M", "b", "gain", "square", "F", "f")},
     }
-    return Stages(
-        problem=problem,
-        input_scale=stage.input_scale,
-        kelvin=kelvin(problem),
+    return _Template(
+        A=stage.A,
+        terms=problem.terms,
+        others=others,
+        modes=modes,
         limits=limits,
+        kelvin=kelvin(problem),
         sizes={
             "stages": problem.grid.stages,
             "free_stages": problem.free_stages,
             "states": where.states,
             "outputs": where.outputs,
-            "ends": values["end_target"].size,
             "rows": limits.d.size,
             "nodes": m,
             "current": modes.current,
             "repeated": int(m > 0 and problem.thermal is not None and problem.thermal.model.closure is not None),
         },
         numbers={
-            "movement_weight": 2 * float(values["rho"][0]) / OBJECTIVE_SCALE,
+            "movement_weight": 2 * problem.movement.weight * stage.input_scale**2 / OBJECTIVE_SCALE,
             "command_bound": problem.command_bound / stage.input_scale,
-            "constant": float(values["constant"][0]) / OBJECTIVE_SCALE,
             **{name: float(heat[name][0]) if m else 0.0 for name in ("decay", "ripple", "copper")},
         },
         arrays={name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()},
     )
 
 
+def _stages(problem: TransientProblem) -> Stages:
+    stage = linear_stage(problem)
+    shared, after, by = _template(problem, stage), tail(problem, stage), np.sqrt(2 / OBJECTIVE_SCALE)
+    directly = np.zeros_like(stage.E) if shared.sizes["current"] >= 0 else stage.E
+    arrays = {
+        "C": stage.C @ shared.modes.T,
+        "E": directly,
+        "reference": _wanted(problem),
+        "end_gain": after.gain @ shared.modes.T * by,
+        "end_target": after.target * by,
+    }
+    return Stages(
+        problem=problem,
+        input_scale=stage.input_scale,
+        kelvin=shared.kelvin,
+        limits=shared.limits,
+        sizes=shared.sizes | {"ends": after.target.size},
+        numbers=shared.numbers | {"constant": (problem.tracking.constant + after.rest) / OBJECTIVE_SCALE},
+        arrays=shared.arrays | {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()},
+    )
+
+
 def without_limits(problem: TransientProblem) -> Stages:
     """Stage data of the same problem without rows and temperature: what a linear pass takes."""
-    return stages(problem.without(TemperatureLimit.name), limited=False)
+    found = stages(problem.without(TemperatureLimit.name))
+    none = dict.fromkeys(("G", "d", "d_size", "lower", "upper"), np.zeros(0))
+    return replace(found, sizes=found.sizes | {"rows": 0}, arrays=found.arrays | none)

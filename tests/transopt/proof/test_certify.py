@@ -9,7 +9,7 @@ import pytest
 
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
-from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.objective.error_term import ErrorTerm
@@ -19,8 +19,10 @@ from transopt.solvers import unlimited
 from transopt.solvers.choose import check_name, solve
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
+from transopt.solvers.prove import certified
 from transopt.solvers.statement import state
 
+Judge = Callable[[TransientProblem, np.ndarray, Multipliers], Certificate]
 VARIANTS = [
     {"speed_m_s": 0.2, "grip_N": 1.0},
     {"speed_m_s": 0.4, "grip_N": 3.0},
@@ -173,6 +175,7 @@ def with_multipliers(m: Multipliers, part: str, array: np.ndarray) -> Multiplier
     return m.with_pair(row, *((array, m.upper(row)) if side == "lower" else (m.lower(row), array)))
 
 
+@pytest.mark.parametrize("judge", [certify, certified], ids=["python", "compiled"])
 class TestTampering:
     """What the certificate is for: answers that are not what they claim to be."""
 
@@ -189,50 +192,50 @@ class TestTampering:
         ids=["early", "late", "one tick late", "flipped", "nan", "too short"],
     )
     def test_another_command(
-        self, saturated: tuple[TransientProblem, Solution], change: Callable[[np.ndarray], np.ndarray]
+        self, judge: Judge, saturated: tuple[TransientProblem, Solution], change: Callable[[np.ndarray], np.ndarray]
     ) -> None:
         problem, solution = saturated
-        assert certify(problem, solution.command, solution.multipliers).accepted
-        assert not certify(problem, change(solution.command), solution.multipliers).accepted
+        assert judge(problem, solution.command, solution.multipliers).accepted
+        assert not judge(problem, change(solution.command), solution.multipliers).accepted
 
     @pytest.mark.parametrize("part", PARTS)
-    def test_missing_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
+    def test_missing_multiplier(self, judge: Judge, saturated: tuple[TransientProblem, Solution], part: str) -> None:
         problem, solution = saturated
         array = multipliers_at(solution.multipliers, part)
         assert np.any(array != 0), "the limit does not bind: the test shows nothing"
         missing = with_multipliers(solution.multipliers, part, np.zeros_like(array))
-        assert not certify(problem, solution.command, missing).accepted
+        assert not judge(problem, solution.command, missing).accepted
 
     @pytest.mark.parametrize("part", ["current upper", "command upper", "hand_over"])
-    def test_negated_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
+    def test_negated_multiplier(self, judge: Judge, saturated: tuple[TransientProblem, Solution], part: str) -> None:
         problem, solution = saturated
         negated = with_multipliers(solution.multipliers, part, -multipliers_at(solution.multipliers, part))
-        assert not certify(problem, solution.command, negated).accepted
+        assert not judge(problem, solution.command, negated).accepted
 
-    def test_swapped_multipliers(self, saturated: tuple[TransientProblem, Solution]) -> None:
+    def test_swapped_multipliers(self, judge: Judge, saturated: tuple[TransientProblem, Solution]) -> None:
         problem, solution = saturated
         m = solution.multipliers
         swapped = m.with_pair("current", m.upper("current"), m.lower("current"))
-        assert not certify(problem, solution.command, swapped).accepted
+        assert not judge(problem, solution.command, swapped).accepted
 
     @pytest.mark.parametrize("part", ALL_PARTS)
-    def test_nan_in_a_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
+    def test_nan_in_a_multiplier(self, judge: Judge, saturated: tuple[TransientProblem, Solution], part: str) -> None:
         problem, solution = saturated
         array = multipliers_at(solution.multipliers, part).copy()
         array[-1] = np.nan
         wrong = with_multipliers(solution.multipliers, part, array)
-        assert not certify(problem, solution.command, wrong).accepted
+        assert not judge(problem, solution.command, wrong).accepted
 
-    def test_clipped_unlimited_optimum(self, make_problem: ProblemMaker) -> None:
+    def test_clipped_unlimited_optimum(self, judge: Judge, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.4, 5.0)
         clipped = np.clip(unlimited.solve(problem).command, -4, 4)
-        assert not certify(problem, clipped, Multipliers.zero(problem)).accepted
+        assert not judge(problem, clipped, Multipliers.zero(problem)).accepted
 
-    def test_command_that_does_not_end(self, saturated: tuple[TransientProblem, Solution]) -> None:
+    def test_command_that_does_not_end(self, judge: Judge, saturated: tuple[TransientProblem, Solution]) -> None:
         problem, solution = saturated
         command = solution.command.copy()
         command[-3] = 1e-3
-        certificate = certify(problem, command, solution.multipliers)
+        certificate = judge(problem, command, solution.multipliers)
         assert certificate.violation("A") >= 1e-3
         assert not certificate.accepted
 

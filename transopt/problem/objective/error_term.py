@@ -1,6 +1,7 @@
 """One term of the tracking error: by what filter and with what weights it counts."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,6 +32,12 @@ class ErrorTerm:
     error_filter: ErrorFilter | None = None
 
     __repr__ = brief
+
+    @cached_property
+    def is_sound(self) -> bool:
+        """Whether all weights are numbers >= 0."""
+        weights = self.all_weights(1, 1)
+        return bool(np.isfinite(weights).all() and weights.min() >= 0)
 
     def filtered(self, courses: FloatArray) -> FloatArray:
         """(..., K) F of courses (..., K) that are at rest before their first sample."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import powers
 from transopt.problem.limits import hand_over
+from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage
 
@@ -40,50 +41,61 @@ class _Free:
 
     Attributes
     ----------
-    A : of the linear stage, by which it is known again.
-    roots : (M S T,) roots of the weights.
+    A, terms, shared : of the linear stage and of the problem, by which it is known again.
+    counting : rows of the outputs that count, among those of all devices and terms.
+    roots : (M counting,) roots of their weights.
     Q, R : with Q R x_N the weighted outputs, one row an instant and output.
     """
 
     A: FloatArray
+    terms: tuple[ErrorTerm, ...]
+    shared: FloatArray
+    counting: NDArray[np.intp]
     roots: FloatArray
     Q: FloatArray
     R: FloatArray
+
+    def serves(self, problem: TransientProblem, stage: LinearStage) -> bool:
+        shared, own = self.shared, problem.shared
+        return self.A is stage.A and self.terms is problem.terms and (shared is own or np.array_equal(shared, own))
 
 
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
     """The tail of a problem, for the states of its linear stage."""
     M, n = problem.grid.after_stages, stage.units.size
-    # The roots of the weights: output (device, term) at each of the M instants.
-    after = np.sqrt([term.after for term in problem.terms])
-    counting = np.flatnonzero(np.tile(after, len(problem.devices)) > 0)
-    if M == 0 or counting.size == 0:
+    if M == 0 or not any(term.after > 0 for term in problem.terms):
         return Tail(np.zeros((0, n)), np.zeros(0), 0.0)
-    roots = np.tile(np.outer(np.sqrt(problem.shared), after).ravel()[counting], M)
+    free = _free(problem, stage)
     wanted = problem.tracking.unit_wanted[:, problem.grid.stages :]
-    asked = np.tile(wanted, (len(problem.devices), 1))[counting].T.ravel()
+    asked = wanted[free.counting % len(problem.terms)].T.ravel()
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
         if problem.wall is None:
-            free = _kept(problem, stage, counting, roots)
             Q, gain = free.Q, free.R * (stage.input_scale / stage.unit_m_s2)
         else:
-            by_state, offset = _walled(problem, stage, counting)
-            Q, gain = np.linalg.qr(by_state * roots[:, None])
+            by_state, offset = _walled(problem, stage, free.counting)
+            Q, gain = np.linalg.qr(by_state * free.roots[:, None])
             asked = asked - offset
-        asked = asked * roots
+        asked = asked * free.roots
         target = asked @ Q
         rest = max(float(asked @ asked - target @ target), 0.0)
     return Tail(gain, target, rest)
 
 
-def _kept(problem: TransientProblem, stage: LinearStage, counting: NDArray[np.intp], roots: FloatArray) -> _Free:
+def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
     """The factors of the free motion: all taps of one grip share them, so they are kept with the device."""
-    derived = problem.stage.derived
+    derived, M = problem.stage.derived, problem.grid.after_stages
     found = derived.get(_Free)
-    if isinstance(found, _Free) and found.A is stage.A and np.array_equal(found.roots, roots):
+    if isinstance(found, _Free) and found.serves(problem, stage):
         return found
-    Q, R = np.linalg.qr(_fixed(stage, problem.grid.after_stages, counting) * roots[:, None])
-    found = _Free(stage.A, roots, Q, R * (stage.unit_m_s2 / stage.input_scale))
+    # The roots of the weights: output (device, term) at each of the M instants.
+    after = np.sqrt([term.after for term in problem.terms])
+    counting = np.flatnonzero(np.tile(after, len(problem.devices)) > 0)
+    roots = np.tile(np.outer(np.sqrt(problem.shared), after).ravel()[counting], M)
+    Q, R = np.zeros((0, 0)), np.zeros((0, 0))
+    if problem.wall is None:
+        Q, R = np.linalg.qr(_fixed(stage, M, counting) * roots[:, None])
+        R *= stage.unit_m_s2 / stage.input_scale
+    found = _Free(stage.A, problem.terms, problem.shared, counting, roots, Q, R)
     derived[_Free] = found
     return found
 

@@ -22,7 +22,7 @@ from transopt.solvers.stage_data import Stages
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_ROWS = 96, 128  # of riccati.c
-INTERFACE = 6  # as `tr_interface` of riccati.c: both change with what arguments and results mean
+INTERFACE = 7  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 
 
@@ -58,6 +58,14 @@ class _Result(ct.Structure):
     )
 
 
+class _Proof(ct.Structure):
+    _fields_ = (
+        *[(name, DOUBLES) for name in ("command", "by_lower", "by_upper", "by_rule", "lower", "upper", "excess")],
+        *[(name, ct.c_double) for name in ("objective", "slack", "residual")],
+        *[(name, ct.c_double) for name in ("dual_residual", "by_command", "by_movement")],
+    )
+
+
 def _library() -> ct.CDLL | None:
     file = Path(__file__).with_name(EXTENSION)
     if not file.exists():
@@ -70,6 +78,7 @@ def _library() -> ct.CDLL | None:
     library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (problem,)
     library.tr_solve.argtypes = (problem, ct.POINTER(_Options), DOUBLES, result)
     library.tr_linear.argtypes = (problem, ct.POINTER(_Options), ct.c_int, DOUBLES, result)
+    library.tr_prove.argtypes = (problem, DOUBLES, ct.POINTER(_Proof))
     return library
 
 
@@ -150,8 +159,12 @@ class Answer(NamedTuple):
 
 
 def _stated(stages: Stages) -> _Problem:
-    arrays = {name: address(array) for name, array in stages.arrays.items()}
-    return _Problem(**stages.sizes, **stages.numbers, **arrays)
+    """A problem as C takes it, kept with its stage data, which keeps the arrays."""
+    if "stated" not in vars(stages):
+        arrays = {name: address(array) for name, array in stages.arrays.items()}
+        vars(stages)["stated"] = _Problem(**stages.sizes, **stages.numbers, **arrays)
+    found: _Problem = vars(stages)["stated"]
+    return found
 
 
 def _answer(code: int, result: _Result) -> Answer:
@@ -179,6 +192,49 @@ def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_it
     return _answer(code, buffers.result)
 
 
+class Proof(NamedTuple):
+    """What a command and multipliers prove (`tr_proof` of riccati.c), in the statement's units.
+
+    Attributes
+    ----------
+    excess : (rows,) how far each row is outside at most, negative inside.
+    slack : multipliers times the sizes of their slacks, those of the hand-over too. residual : of the hand-over.
+    dual_residual : largest size of the Lagrangian's gradient g by the commands.
+    by_command : sum |g_k| (c_max + |c_k|). by_movement : `certify.movement_bound` of g.
+    """
+
+    excess: FloatArray
+    objective: float
+    slack: float
+    residual: float
+    dual_residual: float
+    by_command: float
+    by_movement: float
+
+
+def prove(
+    stages: Stages, command: FloatArray, by_row: tuple[FloatArray, FloatArray] | None, by_rule: FloatArray
+) -> Proof | None:
+    """Judge a command of a problem without temperature; None where the problem is too large.
+
+    Parameters
+    ----------
+    command : (N,).
+    by_row : (N, rows) multipliers >= 0 of lower and of upper bounds, contiguous; None for none.
+    by_rule : (h,) of the hand-over.
+    """
+    assert _LIBRARY is not None
+    buffers, excess = buffers_of(stages.sizes), np.empty(stages.sizes["rows"])
+    multipliers = (None, None) if by_row is None else map(address, by_row)
+    bounds = map(address, stages.limits.asked)
+    proof = _Proof(address(command), *multipliers, address(by_rule), *bounds, address(excess))
+    stated = _stated(stages)
+    buffers.gains_of = None
+    if _LIBRARY.tr_prove(ct.byref(stated), address(buffers.workspace), ct.byref(proof)) != SOLVED:
+        return None
+    return Proof(excess, *(getattr(proof, name) for name in Proof._fields[1:]))
+
+
 class LinearPass:
     """The optimum without limits for one device and one weight, its gains factored once and used for any reference.
 
@@ -198,7 +254,7 @@ class LinearPass:
         self.stages = stages
         self.buffers = Buffers(stages.sizes) if buffers is None else buffers
         self.reference = stages.arrays["reference"].copy()
-        self._stated = _stated(stages)
+        self._stated = _Problem.from_buffer_copy(_stated(stages))
         self._stated.reference = address(self.reference)
         self._arguments = (address(self.buffers.workspace), ct.byref(self.buffers.result))
         self._problem, self._token = ct.byref(self._stated), object()

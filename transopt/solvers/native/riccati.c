@@ -70,6 +70,21 @@ typedef struct {
     double objective, gap, residual;
 } tr_result;
 
+/* What a command and multipliers prove in a problem without nodes: the Lagrangian's tangent bounds the optimum by
+ * objective - slack - by_command, and by objective - slack - by_movement, from below. */
+typedef struct {
+    const double *command;             /* (N) */
+    const double *by_lower, *by_upper; /* (N, rows) multipliers >= 0; NULL for none */
+    const double *by_rule;             /* (N - free) multipliers of the hand-over */
+    const double *lower, *upper;       /* (N, rows) what the rows are held to, in place of the problem's own bounds */
+    double *excess;                    /* (rows) how far a row is outside at most, negative inside */
+    double objective, slack;           /* multipliers times sizes of slacks, those of the hand-over too */
+    double residual;                   /* largest of the hand-over */
+    double dual_residual;              /* largest size of the Lagrangian's gradient by the commands */
+    double by_command;                 /* that gradient times how far a command may be away */
+    double by_movement;                /* the same gradient against the movement's own curvature */
+} tr_proof;
+
 enum {
     TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN,
     TR_TOO_LARGE,   /* or no problem at all */
@@ -214,6 +229,10 @@ static void eliminate(int count, const double *matrix, double *right)
 #define keep OF_WIDTH(keep, WIDTH)
 #define solve OF_WIDTH(solve, WIDTH)
 #define linear OF_WIDTH(linear, WIDTH)
+#define prove OF_WIDTH(prove, WIDTH)
+#define pad OF_WIDTH(pad, WIDTH)
+#define paired_with OF_WIDTH(paired_with, WIDTH)
+#define largest_of OF_WIDTH(largest_of, WIDTH)
 
 #if !defined(ONLY_WIDTH) && !defined(__GNUC__)
 #define ONLY_WIDTH 1
@@ -250,7 +269,7 @@ static int fits_eight(const tr_problem *q)
 #endif
 
 /* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
-int tr_interface(void) { return 6; }
+int tr_interface(void) { return 7; }
 
 /* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
 size_t tr_workspace(const tr_problem *q)
@@ -299,6 +318,14 @@ int tr_linear(const tr_problem *q, const tr_options *options, int factored, doub
     const int code = BY_WIDTH(linear)(q, options->tolerance, factored, space, r, &watch);
     acquired(&watch);
     return code;
+}
+
+/* Certify: what `proof` states of a problem without nodes. The solver has no say in it. */
+int tr_prove(const tr_problem *q, double *space, tr_proof *proof)
+{
+    if (!tr_workspace(q) || q->nodes) return TR_TOO_LARGE;
+    BY_WIDTH(prove)(q, space, proof);
+    return TR_SOLVED;
 }
 
 #else
@@ -463,14 +490,34 @@ static void pair_up(tr_work *w)
         if (other < last) AT(w->from_pair, i) = A[i * n + other], AT(w->to_pair, i) = A[other * n + i];
         AT(w->push, i) = A[i * n + last];
     }
-    AT(w->push, last) = AT(w->held, last) = 1.0;
+    AT(w->push, last) = A[last * n + last];
+    AT(w->held, last) = 1.0;
+}
+
+/* The matrices, their rows padded with zeros. */
+static void pad(tr_work *w)
+{
+    const tr_problem *q = w->q;
+    const size_t n = (size_t)q->states, ld = (size_t)w->ld, in_one = n * sizeof(double);
+    memset(w->A, 0, (size_t)((char *)w->d_end_error - (char *)w->A));
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) AT(w->A, i * ld + j) = AT(w->At, j * ld + i) = q->A[i * n + j];
+    for (size_t s = 0; s < (size_t)q->outputs; s++) memcpy(&AT(w->C, s * ld), q->C + s * n, in_one);
+    for (size_t j = 0; j < (size_t)q->rows; j++) memcpy(&AT(w->G, j * ld), q->G + j * n, in_one);
+    for (size_t j = 0; j < (size_t)q->ends; j++) memcpy(&AT(w->Z, j * ld), q->end_gain + j * n, in_one);
+    for (int j = 0; j < q->rows; j++) {
+        const double *c = q->G + (size_t)j * n;
+        w->from[j] = 0, w->to[j] = q->states;
+        while (w->to[j] > 0 && c[w->to[j] - 1] == 0.0) w->to[j]--;
+        while (w->from[j] < w->to[j] && c[w->from[j]] == 0.0) w->from[j]++;
+    }
+    pair_up(w);
 }
 
 /* The workspace, all zero but what the problem says; with `keep_gains`, what stands in front is left alone. */
 static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains, tr_watch *watch)
 {
-    const size_t n = (size_t)q->states, ny = (size_t)q->outputs;
-    const size_t ld = BLOCKS(n) * WIDTH, rows = (size_t)((q->stages + 1) * q->rows);
+    const size_t n = (size_t)q->states, ld = BLOCKS(n) * WIDTH, rows = (size_t)((q->stages + 1) * q->rows);
     size_t kept;
     while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
     memset(w, 0, sizeof *w);
@@ -486,21 +533,10 @@ static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gai
         for (size_t i = 0; i < rows; i++)
             if (limit[i] > -INFINITY && limit[i] < INFINITY) AT(z->there, i) = 1.0, AT(z->bound, i) = limit[i];
     }
-    pair_up(w);
-    for (int j = 0; j < q->rows; j++) {
-        const double *c = q->G + (size_t)j * n;
-        w->from[j] = 0, w->to[j] = q->states;
-        while (w->to[j] > 0 && c[w->to[j] - 1] == 0.0) w->to[j]--;
-        while (w->from[j] < w->to[j] && c[w->from[j]] == 0.0) w->from[j]++;
-    }
+    pad(w);
     if (keep_gains) return;
     for (size_t k = (size_t)q->free_stages; k < (size_t)q->stages; k++)
         memcpy(&AT(w->K, k * ld), q->rule_gain + (k - (size_t)q->free_stages) * n, n * sizeof(double));
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < n; j++) AT(w->A, i * ld + j) = AT(w->At, j * ld + i) = q->A[i * n + j];
-    for (size_t s = 0; s < ny; s++) memcpy(&AT(w->C, s * ld), q->C + s * n, n * sizeof(double));
-    for (size_t j = 0; j < (size_t)q->rows; j++) memcpy(&AT(w->G, j * ld), q->G + j * n, n * sizeof(double));
-    for (size_t j = 0; j < (size_t)q->ends; j++) memcpy(&AT(w->Z, j * ld), q->end_gain + j * n, n * sizeof(double));
 }
 
 /* out = M' v, four rows of M at a time: short chains of additions. */
@@ -1312,5 +1348,90 @@ static int linear(const tr_problem *q, double tolerance, int factored, double *s
         if (best <= tolerance * fmax(now.objective, 1.0)) return TR_SOLVED;
         if (!better || r->iterations > REFINEMENTS) return best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN;
     }
+}
+
+/* A multiplier times the size of its slack; nothing where there is no bound. */
+ALWAYS_INLINE double paired_with(const double multiplier, const double slack)
+{
+    return multiplier != 0.0 && fabs(slack) < INFINITY ? multiplier * fabs(slack) : 0.0;
+}
+
+/* The larger of both; what is no number stays none. */
+ALWAYS_INLINE double largest_of(const double so_far, const double next)
+{
+    return next > so_far || next != next ? next : so_far;
+}
+
+static void prove(const tr_problem *q, double *space, tr_proof *proof)
+{
+    tr_work work, *w = &work;
+    const int N = q->stages, m = q->rows, ny = q->outputs, n = q->states, last = n - 1, blocks = BLOCKS(n);
+    lanes x[MOST_BLOCKS], next[MOST_BLOCKS], p[MOST_BLOCKS], rule[MOST_BLOCKS];
+    size_t taken;
+    while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
+    memset(w, 0, sizeof *w);
+    lay_out(w, q, space, &taken);
+    pad(w);
+    memset(rule, 0, sizeof rule);
+    memset(x, 0, sizeof x);
+    memset(p, 0, sizeof p);
+    proof->slack = proof->residual = proof->dual_residual = proof->by_command = proof->by_movement = 0.0;
+    for (int i = 0; i < m; i++) proof->excess[i] = -INFINITY;
+    for (int k = 0; k < N; k++) {
+        const double u = w->u[k] = proof->command[k] - (k ? proof->command[k - 1] : 0.0);
+        for (int o = 0; o < ny; o++)
+            w->error[k * ny + o] = q->E[o] * u + dot(blocks, w->C + o * blocks, x) - q->reference[k * ny + o];
+        for (int i = 0; i < m; i++) {
+            const int at = k * m + i;
+            double v = q->d[i] * u;
+            for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
+            const double above = v - proof->upper[at], below = proof->lower[at] - v;
+            proof->excess[i] = largest_of(largest_of(proof->excess[i], above), below);
+            if (!proof->by_upper) continue;
+            proof->slack += paired_with(proof->by_upper[at], above) + paired_with(proof->by_lower[at], below);
+        }
+        if (k >= q->free_stages) {
+            memcpy(rule, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
+            const double left = fabs(u - dot(blocks, rule, x) - q->rule_offset[k - q->free_stages]);
+            proof->residual = largest_of(proof->residual, left);
+            proof->slack += fabs(proof->by_rule[k - q->free_stages]) * left;
+        }
+        flow(last, blocks, w, x, u, next);
+        memcpy(x, next, sizeof x);
+    }
+    for (int j = 0; j < q->ends; j++) {
+        w->end_error[j] = dot(blocks, w->Z + j * blocks, x) - q->end_target[j];
+        add(blocks, w->end_error[j], w->Z + j * blocks, p);
+    }
+    proof->objective = cost(w);
+    double later = 0.0;
+    for (int k = N - 1; k >= 0; k--) {
+        double by_movement = dot(blocks, w->push, p) + q->movement_weight * w->u[k];
+        flow_back(blocks, w, p, next);
+        for (int o = 0; o < ny; o++) {
+            const double by_error = q->weight[k * ny + o] * w->error[k * ny + o];
+            by_movement += q->E[o] * by_error;
+            add(blocks, by_error, w->C + o * blocks, next);
+        }
+        for (int i = 0; proof->by_upper && i < m; i++) {
+            const double by_row = proof->by_upper[k * m + i] - proof->by_lower[k * m + i];
+            by_movement += q->d[i] * by_row;
+            add(blocks, by_row, w->G + i * blocks, next);
+        }
+        if (k >= q->free_stages) {
+            const double by_rule = proof->by_rule[k - q->free_stages];
+            memcpy(rule, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
+            by_movement += by_rule;
+            add(blocks, -by_rule, rule, next);
+        }
+        memcpy(p, next, sizeof p);
+        /* A command moves by its own movement and against the next. */
+        const double by_command = fabs(by_movement - later);
+        proof->dual_residual = largest_of(proof->dual_residual, by_command);
+        proof->by_command += by_command * (q->command_bound + fabs(proof->command[k]));
+        proof->by_movement += by_movement * by_movement;
+        later = by_movement;
+    }
+    proof->by_movement /= 2.0 * q->movement_weight;
 }
 #endif

@@ -1,0 +1,84 @@
+"""Certificates in one compiled call, for all problems but those of a binding temperature, a law or a worst device.
+
+It states what `proof.certify` states, from the stage data on which the own method works. `proof.certify`, which knows
+of no stage data, is the judge of both in the tests and of every library in `verify`.
+"""
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import TEMPERATURE, Effect, boxes_of, certify, is_stated, left_over
+from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, available, prove
+from transopt.solvers.stage_data import stages
+
+
+def certified(
+    problem: TransientProblem, command: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
+) -> Certificate:
+    """Certificate of a command (N,), as `proof.certify.certify` states it.
+
+    Parameters
+    ----------
+    effect : of this command in this problem, where it is known already.
+    """
+    effect = effect or Effect(problem, command)
+    found = _compiled(effect, multipliers) if _is_known(effect, multipliers) else None
+    return certify(problem, command, multipliers, effect=effect) if found is None else found
+
+
+def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
+    """Whether the compiled call knows all of a problem, its command and its multipliers."""
+    problem, command = effect.problem, effect.command
+    if (
+        not available
+        or problem.worst
+        or problem.reference_is_zero
+        or set(problem.nonlinear) - {TemperatureLimit.name}
+    ):
+        return False
+    # Extended precision, and what is no number at all, are left to the other certificate.
+    if not command.dtype == problem.stage.A.dtype == np.float64 or multipliers.upper(TEMPERATURE).any():
+        return False
+    return is_stated(problem, command, multipliers)
+
+
+def _compiled(effect: Effect, multipliers: Multipliers) -> Certificate | None:
+    """The certificate by the compiled call; None where the problem is too large, or a number is not finite."""
+    problem, m = effect.problem, multipliers.clipped()
+    given = stages(problem.without(TemperatureLimit.name))
+    if given.sizes["rows"] > MOST_ROWS or given.sizes["states"] > MOST_STATES:
+        return None
+    unit = given.input_scale
+    units = given.limits.unit * [limit.stated for limit, _ in problem.rows()]
+    by_row = None
+    if any(side.any() for name, pair in m.pairs.items() if name != TEMPERATURE for side in pair):
+        names, by = [row.name for _, row in problem.rows()], units / OBJECTIVE_SCALE
+        by_row = (
+            np.stack([m.lower(name) for name in names], -1) * by,
+            np.stack([m.upper(name) for name in names], -1) * by,
+        )
+    found = prove(given, effect.command / unit, by_row, m.hand_over * (unit / OBJECTIVE_SCALE))
+    hot = list(boxes_of(effect, m, only=TemperatureLimit.name))
+    if found is None or not np.isfinite([*found[1:6], *found.excess, *(box.value.max() for box in hot)]).all():
+        return None
+    merit = found.objective * OBJECTIVE_SCALE
+    reward = problem.tracking.reward(effect.accelerations_m_s2) if problem.intensity > 0 else 0.0
+    outside = [(limit, off) for (limit, _), off in zip(problem.rows(), (found.excess * units).tolist(), strict=True)]
+    outside += [(box.limit, float(box.excess.max())) for box in hot]
+    violations, excess = left_over(problem, outside, found.residual * unit)
+    gap = (found.by_command + found.slack) * OBJECTIVE_SCALE
+    if gap > Certificate.GAP_TOLERANCE * max(merit + reward, OBJECTIVE_SCALE) and problem.movement.weight > 0:
+        gap = float(np.fmin(gap, (found.by_movement + found.slack) * OBJECTIVE_SCALE))
+    return Certificate(
+        objective=merit + reward,
+        merit=merit,
+        violations=violations,
+        excess=excess,
+        dual_residual=found.dual_residual * OBJECTIVE_SCALE / unit,
+        duality_gap=gap,
+        lower_bound=merit - gap,
+        finite=True,
+    )
