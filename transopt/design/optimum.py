@@ -247,8 +247,10 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
             proof = prove(problem, answer.command, answer.multipliers, options, effect=effect)
         return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, solved, remarks)
 
-    judged = certified(problem, free.command, free.multipliers, effect=effect)
-    free_proof = judged if judged.excess <= KEPT else None
+    free_proof = None
+    if peak <= problem.limits.input_limit * (1 + KEPT):
+        judged = certified(problem, free.command, free.multipliers, effect=effect)
+        free_proof = judged if judged.excess <= KEPT else None
     if free_proof is not None and not free_proof.is_stationary:
         # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
         other = unlimited.solve_apart(small)

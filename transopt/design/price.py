@@ -18,9 +18,10 @@ from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, boxes_of, certify, inside
+from transopt.proof.certify import Effect, boxes_of, inside
 from transopt.solvers.choose import Certified, solve_certified
 from transopt.solvers.options import SolverOptions, TrialOptions
+from transopt.solvers.prove import certified
 from transopt.solvers.unlimited import solve as solve_unlimited
 
 BINDS = 1e-8  # of J: what all of a limit would buy along its multipliers; below, rounding
@@ -193,7 +194,7 @@ def _without_limits(problem: TransientProblem) -> Certified | None:
     effect = Effect(problem, answer.command)
     if answer.status is not Status.OPTIMAL or not inside(problem, answer.command, effect=effect):
         return None
-    proof = certify(problem, answer.command, answer.multipliers, effect=effect)
+    proof = certified(problem, answer.command, answer.multipliers, effect=effect)
     return Certified(answer, proof, effect) if proof.is_stationary else None
 
 
@@ -253,7 +254,7 @@ class _Pricing:
         if limit.scales_movement:
             return False
         raised = without.effect.of(self.problem.replaced(limit.raised(by)))
-        proof = certify(raised.problem, raised.command, without.multipliers, effect=raised)
+        proof = certified(raised.problem, raised.command, without.multipliers, effect=raised)
         return proof.accepted and inside(raised.problem, raised.command, only=limit.name, effect=raised)
 
     def _out_of_the_way(self, limit: Limit) -> tuple[_Answer | None, float]:

@@ -41,6 +41,7 @@ from transopt.solvers.native.extension import (
     available,
     interior_point,
 )
+from transopt.solvers.prove import certified
 from transopt.solvers.stage_data import Stages, stages, without_limits
 
 if TYPE_CHECKING:  # which loads pydantic
@@ -311,7 +312,7 @@ class Online:
     def _proven(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
         problem, command = effect.problem, effect.command
-        proof = certify(problem, command, multipliers, effect=effect)
+        proof = certified(problem, command, multipliers, effect=effect)
         if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
             proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
             if not proof.accepted:
