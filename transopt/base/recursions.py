@@ -9,6 +9,7 @@ optional, and both round differently in the last bits.
 from __future__ import annotations
 
 import ctypes as ct
+import math
 import os
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +30,7 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_spline"):
+    if not hasattr(library, "tr_courses"):
         return None  # left behind by another version: as good as none
     if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
         return None
@@ -38,7 +39,7 @@ def _library() -> ct.CDLL | None:
         "tr_run": (size, count, array, array),
         "tr_forwards": (size, count, array, array),
         "tr_backwards": (size, count, array, array),
-        "tr_outputs": (size, *(count,) * 4, *(array,) * 3, count),
+        "tr_courses": (size, size, *(count,) * 4, *(array,) * 3, count),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
         "tr_spline": (size, size, array, size, *(array,) * 3),
         "tr_struck": (size, count, count, size, *(array,) * 4),
@@ -104,11 +105,11 @@ class LinearSystem:
         self._dtype = np.result_type(A, B, C, D)
 
     def outputs(self, inputs: FloatArray) -> FloatArray:
-        """(q, N) for the inputs (p, N)."""
+        """(..., q, N) for the inputs (..., p, N), course by course."""
         return self._along(inputs, back=False)
 
     def transposed(self, by_outputs: FloatArray) -> FloatArray:
-        """(p, N) gradient by the inputs of a function whose gradients by the outputs are given, (q, N)."""
+        """(..., p, N) gradient by the inputs of a function whose gradients by the outputs are given, (..., q, N)."""
         return self._mirror._along(by_outputs, back=True)
 
     @cached_property
@@ -117,12 +118,19 @@ class LinearSystem:
         return LinearSystem(self._A.T, self._C.T, self._B.T, self._D.T)
 
     def _along(self, inputs: FloatArray, *, back: bool) -> FloatArray:
-        (p, N), (q, m), dtype = inputs.shape, self._C.shape, np.result_type(self._dtype, inputs)
+        (*courses, p, N), (q, m), dtype = inputs.shape, self._C.shape, np.result_type(self._dtype, inputs)
+        found = np.empty((*courses, q, N), dtype=dtype)
         if dtype == np.float64 and COMPILED is not None and max(self._matrix.shape[1], p) <= MOST_WIDTH:
-            inputs, found, matrix = np.ascontiguousarray(inputs, dtype=float), np.empty((q, N)), self._matrix
-            width = matrix.shape[1]
-            COMPILED.tr_outputs(N, m, p, q, width, address(matrix), address(inputs), address(found), back)
+            inputs, matrix = np.ascontiguousarray(inputs, dtype=float), self._matrix
+            width, given = matrix.shape[1], map(address, (matrix, inputs, found))
+            COMPILED.tr_courses(math.prod(courses), N, m, p, q, width, *given, back)
             return found
+        for each in np.ndindex(*courses):
+            found[each] = self._one_along(inputs[each], dtype, back=back)
+        return found
+
+    def _one_along(self, inputs: FloatArray, dtype: np.dtype, *, back: bool) -> FloatArray:
+        N, m = inputs.shape[1], self._C.shape[1]
         along = inputs[:, ::-1] if back else inputs
         states = np.zeros((N, m), dtype=dtype)
         states[1:] = along.T[:-1] @ self._B.T

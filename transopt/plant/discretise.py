@@ -292,10 +292,7 @@ class StageModel:
         ----------
         command : (..., N).
         """
-        found = np.stack(
-            [self._system.outputs(each[None]) for each in command.reshape(-1, command.shape[-1])], axis=1
-        )
-        values = found.reshape(-1, *command.shape)
+        values = np.moveaxis(self._system.outputs(command[..., None, :]), -2, 0)
         acceleration, current, velocity = values[:3]
         encoder = np.zeros(command.shape) if self.Cp is None else values[3]
         names = self.output_names

@@ -100,18 +100,20 @@ ALWAYS_INLINE void outputs_of(const size_t count, const int m, const int inputs,
 /* The widest row of a linear system that there is room for. */
 int tr_most_width(void) { return MOST_WIDTH; }
 
-/* As `outputs_of`; width >= m + outputs, and neither it nor the number of inputs above MOST_WIDTH. */
-void tr_outputs(size_t count, int m, int inputs, int outputs, int width, const double *S, const double *u, double *y,
-                int back)
+/* As `outputs_of`, course after course: u (courses, inputs, count), y (courses, outputs, count); width >= m + outputs,
+ * and neither it nor the number of inputs above MOST_WIDTH. */
+void tr_courses(size_t courses, size_t count, int m, int inputs, int outputs, int width, const double *S,
+                const double *u, double *y, int back)
 {
-    /* Widths that are known when compiled keep the sums in registers. */
-    switch (width) {
-    case 4: outputs_of(count, m, inputs, outputs, 4, S, u, y, back); break;
-    case 8: outputs_of(count, m, inputs, outputs, 8, S, u, y, back); break;
-    case 12: outputs_of(count, m, inputs, outputs, 12, S, u, y, back); break;
-    case 16: outputs_of(count, m, inputs, outputs, 16, S, u, y, back); break;
-    default: outputs_of(count, m, inputs, outputs, width, S, u, y, back);
-    }
+    for (; courses > 0; courses--, u += (size_t)inputs * count, y += (size_t)outputs * count)
+        /* Widths that are known when compiled keep the sums in registers. */
+        switch (width) {
+        case 4: outputs_of(count, m, inputs, outputs, 4, S, u, y, back); break;
+        case 8: outputs_of(count, m, inputs, outputs, 8, S, u, y, back); break;
+        case 12: outputs_of(count, m, inputs, outputs, 12, S, u, y, back); break;
+        case 16: outputs_of(count, m, inputs, outputs, 16, S, u, y, back); break;
+        default: outputs_of(count, m, inputs, outputs, width, S, u, y, back);
+        }
 }
 
 /* x_(k+1) = M x_k + b (gain_k + by_first x_k[0]) h_k for k = 0..count-1, from x_0 on: x (count + 1, m), M (m, m). */

@@ -107,7 +107,7 @@ class Yardstick:
         first = self._first(lost, off.size)
         tail = off[lost + target.window_m_s2.size :]
         size = float(np.linalg.norm(recorded[first]))
-        heard_off, heard_made, heard = (_through(self._felt, each) for each in (off, made, recorded))
+        heard_off, heard_made, heard = _through(self._felt, np.stack([off, made, recorded]))
         later = tau >= self.intention_s - ROUNDING_s
         change, swept = float(np.sum(recorded[first])), float(np.sum(np.abs(recorded[first])))
         return Figures(

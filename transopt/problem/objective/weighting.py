@@ -1,6 +1,5 @@
 """Weighting of the tracking error by what the hand feels."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal
@@ -29,17 +28,11 @@ class ErrorFilter:
 
     def apply(self, error: FloatArray) -> FloatArray:
         """(..., N) filtered along the last axis."""
-        return self._each(self._system.outputs, error)
+        return self._system.outputs(error[..., None, :])[..., 0, :]
 
     def transpose(self, by_filtered: FloatArray) -> FloatArray:
         """(..., N) gradient by the error for a gradient by the filtered error."""
-        return self._each(self._system.transposed, by_filtered)
-
-    @staticmethod
-    def _each(along: Callable[[FloatArray], FloatArray], courses: FloatArray) -> FloatArray:
-        """(..., N) of one course after the other."""
-        found = [along(course[None])[0] for course in courses.reshape(-1, courses.shape[-1])]
-        return np.stack(found).reshape(courses.shape)
+        return self._system.transposed(by_filtered[..., None, :])[..., 0, :]
 
     @cached_property
     def _system(self) -> LinearSystem:
