@@ -175,18 +175,18 @@ class CoilModel:
         start = np.array([self.start_winding_C, self.start_housing_C])
         start = np.broadcast_to(start if start_C is None else start_C, (M, 2))
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall lets the current grow without bound
-            p, s = self._steps(effective_square_A2, steps_s)
-            change, forced = np.stack(p, axis=-1).reshape(M, K, 2, 2), np.stack(s, axis=-1)
+            (p11, p12, p21, p22), (s1, s2) = self._steps(effective_square_A2, steps_s)
             # The rise d above the start, d+ = (1 + p) d + (p T_0 + s), keeps what is small from drowning.
-            forcing = np.zeros((M, K + 1, 2))
-            forcing[:, 1:] = (change @ start[:, None, :, None])[..., 0] + forced
-            growth = np.eye(2) + change
-            rises = np.empty((M, K + 1, 2))
-            for rise, P, f in zip(rises, growth, forcing, strict=True):
+            growth, forcing, (winding, housing) = np.empty((M, K, 4)), np.zeros((M, K + 1, 2)), start.T[..., None]
+            growth[..., 0], growth[..., 1], growth[..., 2], growth[..., 3] = 1 + p11, p12, p21, 1 + p22
+            forcing[:, 1:, 0] = p11 * winding + p12 * housing + s1
+            forcing[:, 1:, 1] = p21 * winding + p22 * housing + s2
+            rises = np.empty_like(forcing)
+            for rise, P, f in zip(rises, growth.reshape(M, K, 2, 2), forcing, strict=True):
                 rise[:] = forwards(P, f)
         # In a banded system an infinity spoils all that comes after it.
-        temperatures = np.where(np.isfinite(rises), start[:, None] + rises, np.inf)
-        return temperatures[..., 0], temperatures[..., 1]
+        rises[~np.isfinite(rises)] = np.inf
+        return rises[..., 0] + winding, rises[..., 1] + housing
 
     def _steps(
         self, effective_square_A2: FloatArray, steps_s: FloatArray

@@ -114,7 +114,7 @@ class Trajectory:
     acceleration_m_s2 : (M, K) y'' of the stylus.
     plant_input : (M, K) in the motor.
     felt : (M, K) command that the amplifier follows.
-    velocity_m_s : (M, K) dy/dt of the motor mass.
+    velocity_m_s : (M, K) dy/dt of the motor mass; (M, 0) where nobody asks for it.
     outputs : name -> (M, K) of a further output of the stage.
     at_switching : (N,) indices of the samples just after each switching instant.
     segment_starts : (S,) indices of the first sample of each segment.
@@ -402,11 +402,16 @@ def after_s(grid: TimeGrid) -> float:
     return max(AFTER_S, grid.after_stages * grid.dt_s)
 
 
-def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
-    """All kept samples of a course: `SAMPLES_PER_PERIOD` a period, and the start of each segment besides."""
+def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> Trajectory:
+    """All kept samples of a course: `SAMPLES_PER_PERIOD` a period, and the start of each segment besides.
+
+    Parameters
+    ----------
+    moving : whether anybody asks for the velocity of the motor mass, or for a further output.
+    """
     M, periods, _ = course.states[0].shape
     period, samples = course.period, course.period.segments[0].offsets_s.size
-    n, outputs = flow.encoder.size, flow.direct.size
+    n, outputs = flow.encoder.size, flow.direct.size if moving else 2
     # Segment after segment within each period, all of it along one axis in the end: one product an output, of what
     # stands at the starts of both segments and what is felt in them.
     begun = np.concatenate(
@@ -420,13 +425,15 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
     felt, times = np.empty((M, periods, 2, samples)), np.empty((periods, 2, samples))
     ticks = grid.dt_s * np.arange(periods) - grid.lead_s
     for j, (segment, command) in enumerate(zip(period.segments, course.felt, strict=True)):
-        maps[:, j, :n, j] = np.moveaxis(flow.rows @ segment.P, 0, -1)
-        maps[:, j, n, j] = (flow.rows @ segment.Q[..., 0].T) + flow.direct[:, None]
+        rows, direct = flow.rows[:outputs], flow.direct[:outputs]
+        maps[:, j, :n, j] = np.moveaxis(rows @ segment.P, 0, -1)
+        maps[:, j, n, j] = (rows @ segment.Q[..., 0].T) + direct[:, None]
         felt[:, :, j] = command[..., None]
         times[:, j] = ticks[:, None] + segment.offsets_s
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
         values = begun.reshape(M * periods, -1) @ maps.reshape(outputs, 2 * (n + 1), -1)
-    acceleration, current, velocity, *further = values.reshape(outputs, M, -1)
+    acceleration, current, *others = values.reshape(outputs, M, -1)
+    velocity, *further = others or [np.empty((M, 0))]
     starts = samples * np.arange(2 * periods)
     at = period.at_switching
     return Trajectory(
@@ -435,7 +442,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
         plant_input=current,
         felt=felt.reshape(M, -1),
         velocity_m_s=velocity,
-        outputs=dict(zip(flow.names, further, strict=True)),
+        outputs=dict(zip(flow.names, further, strict=moving)),
         at_switching=starts[period.arriving :: 2][at][: grid.stages],
         segment_starts=starts,
     )

@@ -17,7 +17,7 @@ from transopt.plant.coil import CoilModel, effective_square, following_square_me
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
-from transopt.problem.limits.limit import Limit, Limits, tolerated
+from transopt.problem.limits.limit import COMMAND, INPUT, Limit, Limits, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures, Yardstick
 from transopt.problem.objective.target import Target
@@ -179,6 +179,12 @@ class _Posed:
         return self.devices[0]
 
 
+def _moves(posed: _Posed) -> bool:
+    """Whether a limit watches anything but current and command."""
+    rows = [row for limit in posed.limits for row in limit.watched(posed)]
+    return any(not row.linear or set(row.outputs) - {INPUT, COMMAND} for row in rows)
+
+
 def _temperatures(
     run: Trajectory, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
 ) -> tuple[FloatArray, FloatArray]:
@@ -240,7 +246,9 @@ def replay(
         loop = None if walls is None else Loop(walls, count_m)
         simulated = accurate(stage, grid, commands, loop)
     found, course = simulated, simulated.course()
-    run, command, rounding = fine(course, found.flow, grid), course.command, course.rounding(found.flow)
+    moving = limits is not None and any(_moves(_Posed((stage, *spread), grid, of_entry)) for of_entry in limits)
+    run, command = fine(course, found.flow, grid, moving=moving), course.command
+    rounding = course.rounding(found.flow)
     acceleration, later = np.split(found.acceleration_m_s2, [grid.stages], axis=1)
     current = run.plant_input[:, run.at_switching]
     M, after = commands.shape[0], run.times_s > grid.end_s
