@@ -1,7 +1,8 @@
 /* Runs the interior point on problems from a file, every array in memory of its exact size: for sanitizers and valgrind.
  *
  * Written by solver_memory.py: count, then per problem the integers and numbers of tr_problem in its order, the lengths
- * of its arrays, the arrays. Prints per problem and entry point: code, iterations, objective, sum of the commands.
+ * of its arrays, the arrays. Prints per problem and entry point: code, iterations, objective, sum of the commands; of a
+ * proof, without and with multipliers, the sum of what it bounds in place of the commands.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -32,6 +33,29 @@ static void tell(const char *what, int code, const tr_result *r, int stages)
     printf("%s %d %d %.17g %.17g\n", what, code, r->iterations, code < TR_ITERATION_LIMIT ? r->objective : 0.0, sum);
 }
 
+/* What the answer and its multipliers prove: of each kind of number the first. */
+static void tell_proof(const tr_problem *q, const tr_result *r)
+{
+    const size_t N = (size_t)q->stages, rows = N * (size_t)q->rows;
+    double *workspace = doubles(tr_workspace(q)), *excess = doubles((size_t)q->rows), most = 0.0;
+    double *by_lower = doubles(rows), *by_upper = doubles(rows), *by_rule = doubles(N - (size_t)q->free_stages);
+    double *lower = doubles(rows), *upper = doubles(rows);
+    for (size_t i = 0; i < rows; i++) {
+        by_lower[i] = r->lower[i], by_upper[i] = r->upper[i];
+        lower[i] = q->lower[i], upper[i] = q->upper[i];
+    }
+    for (int k = q->free_stages; k < q->stages; k++) by_rule[k - q->free_stages] = -r->gradient[k];
+    for (int with = 0; with < 2; with++) {
+        tr_proof proof = {r->command, with ? by_lower : NULL, with ? by_upper : NULL, by_rule, lower, upper, excess,
+                          0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+        const int code = tr_prove(q, workspace, &proof);
+        for (int i = 0; i < q->rows; i++) most = excess[i] > most ? excess[i] : most;
+        printf("%s %d 0 %.17g %.17g\n", with ? "proof" : "bare", code, code ? 0.0 : proof.objective,
+               code ? 0.0 : proof.slack + proof.residual + proof.by_command + proof.by_movement + most);
+    }
+    free(workspace), free(excess), free(by_lower), free(by_upper), free(by_rule), free(lower), free(upper);
+}
+
 static void run(FILE *file)
 {
     int of[INTEGERS];
@@ -59,6 +83,7 @@ static void run(FILE *file)
     const int code = tr_solve(&q, &options, workspace, &r);
     tell("solve", code, &r, q.stages);
     free(workspace);
+    if (!q.nodes && code <= TR_ACCURACY) tell_proof(&q, &r);
     if (!q.rows && !q.nodes) {
         workspace = doubles(tr_workspace(&q));
         for (int factored = 0; factored < 2; factored++) {
