@@ -24,6 +24,8 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
 
+AT_ONCE = 5  # commands whose samples stay in a processor's cache: those of many take several times as long
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -245,13 +247,30 @@ def replay(
     if simulated is None:
         loop = None if walls is None else Loop(walls, count_m)
         simulated = accurate(stage, grid, commands, loop)
+    M = commands.shape[0]
+    if simulated.loop is None and M > AT_ONCE:
+        replays = list[Replay]()
+        for part in (slice(first, first + AT_ONCE) for first in range(0, M, AT_ONCE)):
+            replays += replay(
+                stage,
+                grid,
+                commands[part],
+                targets[part],
+                coil,
+                limits=None if limits is None else limits[part],
+                budgets=None if budgets is None else budgets[part],
+                simulated=simulated.of(part),
+                spread=spread,
+                yardstick=yardstick,
+            )
+        return replays
     found, course = simulated, simulated.course()
     moving = limits is not None and any(_moves(_Posed((stage, *spread), grid, of_entry)) for of_entry in limits)
     run, command = fine(course, found.flow, grid, moving=moving), course.command
     rounding = course.rounding(found.flow)
     acceleration, later = np.split(found.acceleration_m_s2, [grid.stages], axis=1)
     current = run.plant_input[:, run.at_switching]
-    M, after = commands.shape[0], run.times_s > grid.end_s
+    after = int(np.searchsorted(run.times_s, grid.end_s, side="right"))
     unknown = np.full(M, np.nan)
     winding, housing = (
         (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
@@ -272,7 +291,7 @@ def replay(
             after_m_s2=later[m],
             peak_input=float(np.abs(run.plant_input[m]).max()),
             peak_command=float(np.abs(command[m]).max()),
-            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after:]).max()),
             reached=reached[m][0],
             reached_while_stated=reached[m][1],
             winding_C=float(winding[m]),

@@ -16,7 +16,7 @@ from transopt.plant.discretise import Motion, TimeGrid, discretise, state_scale
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import accurate, fine
-from transopt.proof.replay import replay
+from transopt.proof.replay import AT_ONCE, replay
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
 
@@ -110,6 +110,20 @@ def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
     assert np.all(np.diff(run.times_s) >= -1e-15)
     at_switching = run.acceleration_m_s2[:, run.at_switching]
     np.testing.assert_allclose(at_switching, found.acceleration_m_s2, rtol=1e-12, atol=1e-12)
+
+
+def test_many_commands_are_replayed_as_each_alone(make_problem: ProblemMaker) -> None:
+    problem = make_problem(stages=40)
+    M = AT_ONCE + 2
+    commands, targets = np.random.default_rng(1).uniform(-4, 4, (M, 40)), [problem.target] * M
+    limits = [problem.limits] * M
+    together = replay(problem.stage, problem.grid, commands, targets, None, limits=limits)
+    for command, found in zip(commands, together, strict=True):
+        (alone,) = replay(problem.stage, problem.grid, command[None], targets[:1], None, limits=limits[:1])
+        np.testing.assert_allclose(found.acceleration_m_s2, alone.acceleration_m_s2, rtol=1e-9, atol=1e-9)
+        assert found.reached == pytest.approx(alone.reached, rel=1e-9)
+        assert found.after_peak_m_s2 == pytest.approx(alone.after_peak_m_s2, rel=1e-9)
+        np.testing.assert_array_equal(found.command, command)
 
 
 def test_a_box_at_the_switching_instants_bounds_the_current_for_all_times(make_problem: ProblemMaker) -> None:

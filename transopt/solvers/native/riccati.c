@@ -194,7 +194,6 @@ static void eliminate(int count, const double *matrix, double *right)
 #define workspace OF_WIDTH(workspace, WIDTH)
 #define prepare OF_WIDTH(prepare, WIDTH)
 #define combine OF_WIDTH(combine, WIDTH)
-#define swapped OF_WIDTH(swapped, WIDTH)
 #define pair_up OF_WIDTH(pair_up, WIDTH)
 #define flow OF_WIDTH(flow, WIDTH)
 #define flow_back OF_WIDTH(flow_back, WIDTH)
@@ -341,28 +340,24 @@ ALWAYS_INLINE void raise_to(lanes *most, const lanes *than)
     *most = (lanes)((above & (choice)*than) | (~above & (choice)*most));
 }
 
-/* Neighbours 2 i and 2 i + 1 with their places exchanged, of block j. */
-ALWAYS_INLINE lanes swapped(const lanes *v, int j)
-{
+/* Block j of v with neighbours 2 i and 2 i + 1 in each other's place. */
+#undef SWAPPED
+#undef PAIRS
 #if WIDTH == 8
-    const choice other = {1, 0, 3, 2, 5, 4, 7, 6};
+#define PAIRS 1, 0, 3, 2, 5, 4, 7, 6
 #elif WIDTH == 4
-    const choice other = {1, 0, 3, 2};
+#define PAIRS 1, 0, 3, 2
 #else
-    const choice other = {1, 0};
+#define PAIRS 1, 0
 #endif
 #if defined(__clang__)
-    lanes found;
-    for (int i = 0; i < WIDTH; i++) found[i] = v[j][other[i]];
-    return found;
+#define SWAPPED(v, j) __builtin_shufflevector((v)[j], (v)[j], PAIRS)
 #else
-    return __builtin_shuffle(v[j], other);
+#define SWAPPED(v, j) __builtin_shuffle((v)[j], (choice){PAIRS})
 #endif
-}
 #else
 typedef double lanes;
-
-ALWAYS_INLINE lanes swapped(const lanes *v, int j) { return v[j ^ 1]; }
+#define SWAPPED(v, j) (v)[(j) ^ 1]
 
 ALWAYS_INLINE void raise_to(lanes *most, const lanes *than) { *most = *than > *most ? *than : *most; }
 #endif
@@ -576,7 +571,7 @@ ALWAYS_INLINE void flow(const int last, const int blocks, const tr_work *w, cons
     }
     const double command = AT(x, last) + u;
     for (int j = 0; j < blocks; j++)
-        out[j] = (w->own[j] * x[j] + w->from_pair[j] * swapped(x, j)) + command * w->push[j];
+        out[j] = (w->own[j] * x[j] + w->from_pair[j] * SWAPPED(x, j)) + command * w->push[j];
 }
 
 /* out = A' p. */
@@ -588,7 +583,7 @@ ALWAYS_INLINE void flow_back(const int blocks, const tr_work *w, const lanes *re
     }
     const double command = dot(blocks, w->push, p);
     for (int j = 0; j < blocks; j++)
-        out[j] = (w->own[j] * p[j] + w->to_pair[j] * swapped(p, j)) + command * w->held[j];
+        out[j] = (w->own[j] * p[j] + w->to_pair[j] * SWAPPED(p, j)) + command * w->held[j];
 }
 
 /* H = A' P A of a symmetric P; PA is scratch. */
@@ -607,7 +602,7 @@ ALWAYS_INLINE void congruence(const int n, const int blocks, const tr_work *w, c
     flow_back(blocks, w, pushed, H + last * blocks);
     for (int i = 0; i < n; i++) /* of the last column the last row is enough */
         for (int j = 0; j < blocks; j++)
-            PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * swapped(P + i * blocks, j);
+            PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * SWAPPED(P + i * blocks, j);
     for (int i = 0; i < last; i++) {
         const int other = (i ^ 1) < last ? i ^ 1 : i;
         const double own = AT(w->own, i), pair = AT(w->to_pair, i), command = AT(H + last * blocks, i);
