@@ -11,6 +11,7 @@ from transopt.design.within import finer, said_of_instants
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import leave_out
+from transopt.problem.limits.limit import tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
@@ -23,7 +24,7 @@ from transopt.solvers.options import SolverOptions
 from transopt.solvers.prove import certified
 
 NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
-KEPT = 1e-6  # of what is tolerated of a limit: less is rounding
+KEPT = 1e-3  # of what is tolerated of limits and hand-over: less is rounding
 ROUNDED = 0.2  # of a gap: what the last bits make of it, and no method that computes so gets far below it
 MOST_MASKS = 12  # solves until the wall pushes exactly where it was assumed to
 STEADIER = 1e-3  # weight of the movement, that of a scene which states none, under which a flat J may have an optimum
@@ -248,7 +249,7 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
         return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, solved, remarks)
 
     free_proof = None
-    if peak <= problem.limits.input_limit * (1 + KEPT):
+    if peak <= problem.limits.input_limit + tolerated(problem.limits.input_limit):
         judged = certified(problem, free.command, free.multipliers, effect=effect)
         free_proof = judged if judged.excess <= KEPT else None
     if free_proof is not None and not free_proof.is_stationary:

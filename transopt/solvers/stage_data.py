@@ -20,12 +20,10 @@ from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, layout, linear_stage
+from transopt.solvers.modes import Modes, modes_of
 
 SIZE_BOUND = 2.0  # of the limit current
 MOST_KEPT = 2  # problems of one thread: that without the temperature, and the whole
-# Condition of the modes up to which the method works in them. The built-in scenes have up to 330, a wall's delay line
-# has no modes. What rounding does in them is seen by `proof.certify`, which knows of none.
-MOST_CONDITION = 1e4
 WINDING = "winding"  # row of the recursion's first state
 
 
@@ -261,59 +259,6 @@ class Stages:
         return Multipliers(N, pairs, tail, slope).clipped()
 
 
-@dataclass(frozen=True)
-class _Modes:
-    """States as sums of modes, x = T z, for all problems of one linear stage.
-
-    Attributes
-    ----------
-    of : A of the linear stage, by which it is known again.
-    T : (n, n); the identity where modes are ill conditioned.
-    A : (n, n) of z: complex modes in pairs, then the real ones, each driven by the held command, the last state.
-    current : which of them is the current; -1 without an amplifier.
-    """
-
-    of: FloatArray
-    T: FloatArray
-    A: FloatArray
-    current: int
-
-
-def _modes(problem: TransientProblem, stage: LinearStage) -> _Modes:
-    """The modes of a linear stage, kept with the device for the next problem."""
-    derived = problem.stage.derived
-    found = derived.get(_Modes)
-    if not (isinstance(found, _Modes) and found.of is stage.A):
-        where = layout(problem)
-        found = derived[_Modes] = _modes_of(stage.A, where.current if where.amplifier else -1)
-    return found
-
-
-def _modes_of(A: FloatArray, current: int) -> _Modes:
-    n, dense = A.shape[0], _Modes(A, np.eye(A.shape[0]), A, current)
-    values, vectors = np.linalg.eig(A[:-1, :-1])
-    columns, pattern = list[FloatArray](), np.eye(n, dtype=bool)
-    pattern[:, -1] = True
-    for vector in vectors.T[values.imag > 0]:
-        # Real and imaginary part stand at right angles in one of the phases that a complex vector may have.
-        turned = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
-        at = len(columns)
-        pattern[at : at + 2, at : at + 2] = True
-        columns += [turned.real, turned.imag]
-    columns += list(vectors.T[values.imag == 0].real)
-    T = np.eye(n)
-    T[:-1, :-1] = np.array(columns).T
-    T /= np.maximum(np.linalg.norm(T, axis=0), np.finfo(float).tiny)
-    if current >= 0:
-        # Nothing but the command acts on the current, which is one of the modes, and keeps its unit.
-        own = int(np.abs(T[current]).argmax())
-        T[:, own] /= T[current, own] or 1.0
-        T[current] = np.arange(n) == own
-    if not np.linalg.cond(T) <= MOST_CONDITION:
-        return dense
-    return _Modes(A, T, np.where(pattern, np.linalg.solve(T, A @ T), 0.0), own if current >= 0 else -1)
-
-
 def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
     """(N,) slope of |mean i| by the multipliers (N,) of size >= mean i and of size >= -mean i.
 
@@ -362,7 +307,7 @@ class _Template:
     A: FloatArray
     terms: tuple[ErrorTerm, ...]
     others: tuple[object, ...] | None
-    modes: _Modes
+    modes: Modes
     limits: Rows
     kelvin: float
     sizes: dict[str, int]
@@ -395,7 +340,7 @@ def _others(problem: TransientProblem) -> tuple[object, ...] | None:
 
 
 def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[object, ...] | None) -> _Template:
-    where, modes, limits = layout(problem), _modes(problem, stage), _rows(problem, stage)
+    where, modes, limits = layout(problem), modes_of(problem, stage), _rows(problem, stage)
     m = 0 if problem.thermal is None else problem.thermal.model.nodes
     gains, offsets = hand_over.rows(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)

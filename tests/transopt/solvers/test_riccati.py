@@ -34,7 +34,7 @@ from transopt.proof.farkas import is_infeasible
 from transopt.report.markdown import build_markdown
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
-from transopt.solvers import choose, riccati, stage_data
+from transopt.solvers import choose, modes, riccati
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
@@ -253,7 +253,7 @@ class TestModes:
         self, hardest: Callable[[str], TransientProblem], monkeypatch: pytest.MonkeyPatch, name: str
     ) -> None:
         in_modes = solve(hardest(name), OWN)
-        monkeypatch.setattr(stage_data, "MOST_CONDITION", 0.0)
+        monkeypatch.setattr(modes, "MOST_CONDITION", 0.0)
         in_states = solve(hardest(name), OWN)
         np.testing.assert_allclose(in_states.command, in_modes.command, rtol=0, atol=1e-6)
 

@@ -56,8 +56,8 @@ class _Free:
     R: FloatArray
 
     def serves(self, problem: TransientProblem, stage: LinearStage) -> bool:
-        shared, own = self.shared, problem.shared
-        return self.A is stage.A and self.terms is problem.terms and (shared is own or np.array_equal(shared, own))
+        alike = self.A is stage.A and self.terms is problem.terms and np.array_equal(self.shared, problem.shared)
+        return alike and self.roots.size == self.counting.size * problem.grid.after_stages
 
 
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
