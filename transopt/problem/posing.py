@@ -130,7 +130,7 @@ class Posing:
 
     @cached_property
     def _terms(self) -> dict[tuple[float, bool], tuple[ErrorTerm, ...]]:
-        """Those of the taps so far: by them the parts that taps share are known again."""
+        """Terms made so far; taps that share them are known to share what depends on them."""
         return {}
 
     def _terms_of(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
