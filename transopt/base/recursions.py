@@ -148,7 +148,7 @@ class LinearSystem:
 
     @cached_property
     def _matrix(self) -> FloatArray:
-        """(m + p, width) as `tr_outputs` takes it, the width a multiple of four."""
+        """(m + p, width) as `tr_courses` takes it, the width a multiple of four."""
         whole = np.block([[self._A.T, self._C.T], [self._B.T, self._D.T]])
         return np.ascontiguousarray(np.pad(whole, ((0, 0), (0, -whole.shape[1] % 4))))
 
