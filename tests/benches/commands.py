@@ -1,8 +1,10 @@
 """Command lines run as a user runs them, in this process."""
 
 import importlib
+import io
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 
 import pytest
@@ -42,6 +44,18 @@ class Terminal:
             code = int(stop.code or 0)
         captured = self._capsys.readouterr()
         return Outcome(code, captured.out, captured.err)
+
+
+def captured(program: str, *arguments: object) -> Outcome:
+    """Run a command in this process without the fixtures of a test."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", [program, *map(str, arguments)])
+        try:
+            importlib.import_module(MAINS[program]).main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+    return Outcome(code, out.getvalue(), err.getvalue())
 
 
 def assert_refused(outcome: Outcome, *words: str) -> None:

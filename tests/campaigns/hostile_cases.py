@@ -6,6 +6,7 @@ Each generator yields cases: the files that it put into a folder, the command, a
 import io
 import json
 import random
+import shlex
 import struct
 import zipfile
 import zlib
@@ -18,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat, wavfile
 
+from tests.benches.brought_files import FILES
 from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.plant.coil import CoilModel
+from transopt.recordings.unclear import options
 
 REFUSED, DONE = (2,), (0,)
 Arrays = dict[str, NDArray[Any]]
@@ -232,17 +235,23 @@ def _change_meta(arrays: Arrays, chance: random.Random) -> str:
 
 def recordings(folder: Path, count: int, chance: random.Random) -> Iterator[Case]:
     """Recordings in every format with bytes changed, cut, doubled or exchanged: read or refused, never more."""
-    sound, bombs = _sound_recordings(), _bombs()
+    sound = [(suffix, data, "") for suffix, data in _sound_recordings().items()]
+    sound += [(Path(each.name).suffix, each.data, options(each.right)) for each in FILES]
+    bombs = _bombs()
     for j in range(count):
         if j < len(bombs):
             suffix, data = bombs[j]
-            codes = REFUSED
+            codes, right = REFUSED, ""
         else:
-            suffix = chance.choice(sorted(sound))
-            data, codes = _fuzzed(sound[suffix], chance), (0, 1, 2)  # 1: read, and no tap in these units
+            suffix, whole, right = chance.choice(sound)
+            data, codes = _fuzzed(whole, chance), (0, 1, 2)  # 1: read, and no tap in these units
         (folder / f"tap{suffix}").write_bytes(data)
-        columns = ("--columns", "time_s,acceleration_m_s2") if suffix in (".txt", ".dat") else ()
-        command = ("transopt", "taps", f"tap{suffix}", "--speed", "0.05", "--full-scale", "100", *columns)
+        stated = shlex.split(right)
+        if not stated and suffix in (".txt", ".dat") and chance.random() < 0.5:
+            stated = ["--columns", "time_s,acceleration_m_s2"]
+        if suffix == ".wav" and "--full-scale" not in stated:
+            stated += ["--full-scale", "100"]
+        command = ("transopt", "taps", f"tap{suffix}", "--speed", "0.2", *stated)
         yield Case(f"recording {j}{suffix}", command, codes)
 
 

@@ -138,11 +138,13 @@ LOADED = (
     "controller.cli.tap",
     "controller.cli.bench",
     "transopt.cli.main",
+    "transopt.cli.questions",
     "transopt.library.export",
     "transopt.library.proven",
     "transopt.recordings.tap",
     "transopt.report.tables",
     "transopt.report.taps",
+    "transopt.report.tried",
     "transopt.report.write",
     "transopt.scene.file",
 )

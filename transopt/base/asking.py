@@ -10,8 +10,8 @@ from transopt.base.errors import InputError
 
 
 def on_a_terminal() -> bool:
-    """Whether a person can be asked."""
-    return sys.stdin.isatty()
+    """Whether a person can be asked, and reads the question."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def offered(default: object) -> str:

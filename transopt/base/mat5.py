@@ -19,11 +19,13 @@ _COMPRESSED = 15
 _NUMERIC_CLASSES = range(6, 16)  # mxDOUBLE_CLASS to mxUINT64_CLASS
 _COMPLEX = 0x800
 _STRUCTURE = 2
+_CHARACTERS = 4
+LONGEST_TEXT = 200  # characters: of a unit or a remark
 _DEEPEST = 4  # structures in structures
 
 
 def variables(data: bytes) -> dict[str, object]:
-    """Every variable of a file by name, a field of a structure as `log.acc`; None for text, cells and the like.
+    """Every variable of a file by name, text too, a field of a structure as `log.acc`; None for cells and the like.
 
     Parameters
     ----------
@@ -62,6 +64,10 @@ def _put(found: dict[str, object], name: str, matrix: bytes, order: str, deepest
         for k, (_, field) in enumerate(fields):
             own = names[k * size : (k + 1) * size].split(b"\0")[0].decode("latin-1")
             _put(found, f"{name}.{own}", field, order, deepest - 1)
+    elif flag_bits & 0xFF == _CHARACTERS:
+        kind, content = elements[0]
+        codes = np.frombuffer(content, order + _TYPES.get(kind, "u1"))
+        found[name] = "".join(map(chr, codes[:LONGEST_TEXT]))
     elif flag_bits & 0xFF in _NUMERIC_CLASSES:
         parts = [
             np.frombuffer(part, order + _TYPES[kind]) for kind, part in elements[: 1 + bool(flag_bits & _COMPLEX)]

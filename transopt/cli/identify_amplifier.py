@@ -7,7 +7,7 @@ import typer
 
 from transopt.base import terminal
 from transopt.cli.identified_file import check_place, finish, tell
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz
 
 
 def identify_amplifier(
@@ -22,15 +22,15 @@ def identify_amplifier(
     Exit 1: what was found is not fit to design with.
     """
     from transopt.base.plotting import save_figure
+    from transopt.cli.questions import measurements
     from transopt.identify.amplifier import fit_amplifier, trials_of
-    from transopt.identify.measurement import load_measurements
     from transopt.report import amplifier_fit
     from transopt.scene.model_file import save_part
 
     check_place(out)
+    runs = measurements(files, columns, units, rate_Hz)
     with terminal.progress() as bar:
         bar.add_task("fitting", total=None)
-        runs = load_measurements(files, layout(columns, units, rate_Hz))
         trials, findings = trials_of(runs)
         fit = fit_amplifier(trials)
     part = fit.part(runs)

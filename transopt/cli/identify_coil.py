@@ -8,7 +8,7 @@ import typer
 
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, finish, tell
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -37,14 +37,14 @@ def identify_coil(
     Exit 1: what was found is not fit to design with.
     """
     from transopt.base.plotting import save_figure
+    from transopt.cli.questions import measurements
     from transopt.identify.coil import coil_part, fit_coil, heat_record
-    from transopt.identify.measurement import load_measurement
     from transopt.report import coil_fit
     from transopt.scene.model_file import save_part
 
     check_place(out)
     nominal = _coil_of(scene)
-    run = load_measurement(file, layout(columns, units, rate_Hz))
+    (run,) = measurements([file], columns, units, rate_Hz)
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
     fit = fit_coil(heat_record(run, R_ohm, ripple_A), limit_C=nominal.limit_C)
     figure = out.with_name(f"{out.stem}_coil.png")

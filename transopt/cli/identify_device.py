@@ -11,7 +11,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step, tell
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -53,19 +53,17 @@ def identify_device(
     Exit 1: what was found is not fit to design with.
     """
     from transopt.base.plotting import save_figure
+    from transopt.cli.questions import measurements
     from transopt.identify.device.identify import identify
     from transopt.identify.device.result import Kind, device_part
-    from transopt.identify.measurement import load_measurements
     from transopt.report import device_fit
     from transopt.scene.model_file import save_part
 
     console = terminal.console()
     check_place(out)
     settings = _settings(out, scene, force_per_current, order, kind)
+    read = measurements((*files, *(validate or [])), columns, units, rate_Hz)
     with _progress() as step:
-        read = load_measurements(
-            (*files, *(validate or [])), layout(columns, units, rate_Hz), read=lambda: step("reading")
-        )
         runs, transients = read[: len(files)], read[len(files) :]
         result = identify(runs, transients, settings, tick=step)
         part = device_part(result)

@@ -8,7 +8,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, finish, tell
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz, layout
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz
 
 
 def identify_hand(
@@ -31,10 +31,11 @@ def identify_hand(
     from pydantic import ValidationError
 
     from transopt.base.plotting import save_figure
+    from transopt.cli.questions import measurements
     from transopt.identify.hand.chain import fit_chain, hand_part
     from transopt.identify.hand.lines import fit_hand
     from transopt.identify.hand.tap import usable_taps
-    from transopt.identify.measurement import load_measurements, split_taps
+    from transopt.identify.measurement import split_taps
     from transopt.report import hand_fit
     from transopt.scene.fitted import complaint
     from transopt.scene.model_file import save_part
@@ -42,9 +43,9 @@ def identify_hand(
     if not 0.01 <= window <= 0.1:
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
     check_place(out)
+    runs = split_taps(measurements(files, columns, units, rate_Hz), tap or ())
     with terminal.progress() as bar:
         bar.add_task("fitting", total=None)
-        runs = split_taps(load_measurements(files, layout(columns, units, rate_Hz)), tap or ())
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)
         chain = fit_chain(taps, fit)

@@ -6,6 +6,7 @@ import typer
 
 if TYPE_CHECKING:
     from transopt.recordings.names import Layout
+    from transopt.recordings.unclear import Answer
 
 LEAST_RATE_HZ = 0.01  # a logger's reading every hundred seconds
 COLUMNS_HELP = 'Names of the files\' columns, in order, "-" skips one: time_s,-,acceleration_g or time,force,acc.'
@@ -19,13 +20,15 @@ def split_columns(columns: str) -> list[str]:
     return [name.strip() for name in columns.split(",") if name.strip()]
 
 
-def layout(columns: str, units: str, rate_Hz: float | None = None) -> "Layout":
-    """How the files of a command are to be read.
+def layout(columns: str, units: str, rate_Hz: float | None = None, answer: "Answer | None" = None) -> "Layout":
+    """How the files of a command are to be read, by its options and by what a person answers.
 
     Raises
     ------
     InputError : units that are none.
     """
     from transopt.recordings.names import Layout, stated_units
+    from transopt.recordings.unclear import joined
 
-    return Layout(split_columns(columns), stated_units(units), rate_Hz=rate_Hz)
+    stated = {"columns": split_columns(columns), "units": stated_units(units), "rate_Hz": rate_Hz}
+    return Layout(**joined(stated, answer or {}))

@@ -12,6 +12,7 @@ from transopt.cli.layout import RateHz, layout
 
 if TYPE_CHECKING:
     from transopt.identify.response_fit import ResponseFit
+    from transopt.recordings.response import MeasuredResponse
 
 COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: frequency_Hz,magnitude_dB,phase_deg.'
 UNITS_HELP = "Units of columns that state none: magnitude=g/V,phase=deg."
@@ -57,6 +58,9 @@ def plant_fit(
     rms_A: RatedA = None,
     rms_g: RatedG = None,
     accept: Accept = False,
+    channel: Annotated[
+        int | None, typer.Option(help="Which response of a universal file with several, counted from 1.", min=1)
+    ] = None,
 ) -> None:
     """Fit a stable real state space to a measured response, say how far off it is, and write it if it may be used.
 
@@ -65,15 +69,22 @@ def plant_fit(
     import numpy as np
 
     from transopt.base.sizes import LONGEST_DELAY_S
+    from transopt.cli.questions import answered
     from transopt.identify.response_fit import fit_response
     from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
-    from transopt.recordings.response import read_response
+    from transopt.recordings.response import WORDS, MeasuredResponse, read_response
+    from transopt.recordings.unclear import Answer
 
     inputs = {each.name: each for each in (CURRENT_INPUT, VOLTAGE_INPUT)}
     _check_options(driven_by, out)
     if not 0 <= delay_s <= LONGEST_DELAY_S:
         raise InputError(f"--delay-s {delay_s:g}: must be 0 to {LONGEST_DELAY_S:g} s")
-    measured = read_response(response, layout(columns, units), scale=scale, driven_by=driven_by or "")
+
+    def read(answer: Answer) -> MeasuredResponse:
+        how = layout(columns, units, answer=answer if channel is None else {"channel": channel, **answer})
+        return read_response(response, how, scale=scale, driven_by=driven_by or "")
+
+    measured = answered(read, WORDS, summary)
     driven_by = measured.driven_by or CURRENT_INPUT.name
     f = measured.frequencies_Hz
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)
@@ -196,6 +207,13 @@ def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Pa
     save_plant(fit.plant, out)
     line(f"{out}, {picture.name}")
     line(f'fit to design with; next, in a scene: [model] with kind = "state_space" and file = "{out.name}"')
+
+
+def summary(found: "MeasuredResponse") -> str:
+    """What was read, in a few words."""
+    f = found.frequencies_Hz
+    peak = abs(found.response).max()
+    return f"{f.size} points, {f[0]:.4g} to {f[-1]:.4g} Hz, at most {peak:.3g} m/s^2 per A or V"
 
 
 def unfit_advice(misfit: float, order: int) -> str:

@@ -14,13 +14,8 @@ from transopt.cli.scene import ACCEPT_HELP
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-OPTIONS = {
-    "speed_m_s": "speed",
-    "grip_N": "grip",
-    "full_scale_m_s2": "full-scale",
-    "rate_Hz": "rate-Hz",
-    "taps_by_file": "tap",
-}  # where the option's name is not the setting's
+    from transopt.recordings.unclear import Answer
+    from transopt.report.tried import Taps
 
 
 def taps(
@@ -76,9 +71,13 @@ def taps(
         raise InputError("no recording named: name files, or write one to fill in by --template tap.csv")
     from pydantic import ValidationError
 
+    from transopt.cli.questions import answered
     from transopt.recordings.names import stated_units
+    from transopt.recordings.recording import VOCABULARY
     from transopt.recordings.settings import Recordings
-    from transopt.recordings.tap import check_speed, prepare, read_recordings
+    from transopt.recordings.speed import UNKNOWN
+    from transopt.recordings.unclear import joined
+    from transopt.report import tried
     from transopt.report.taps import (
         cells_table,
         hints,
@@ -89,26 +88,32 @@ def taps(
     )
     from transopt.scene.builtin import scene_path
 
-    try:
-        settings = Recordings(
-            files=[str(file.absolute()) for file in files],
-            columns=split_columns(columns),
-            units=stated_units(units),
-            channel=channel,
-            rate_Hz=rate_Hz,
-            axis=axis or None,
-            taps_by_file={"*": tap} if tap else {},
-            speed_m_s=speed,
-            grip_N=grip,
-            trusted_from_Hz=trusted_from_Hz,
-            full_scale_m_s2=full_scale,
-            time_scale=time_scale,
-            amplitude_scale=amplitude_scale,
-            implausible="accept" if accept else "refuse",
-        )
-    except ValidationError as error:
-        raise InputError(_refusal(error)) from None
-    prepared = [prepare(recording, settings) for recording in read_recordings(settings)]
+    stated = {
+        "files": [str(file.absolute()) for file in files],
+        "columns": split_columns(columns),
+        "units": stated_units(units),
+        "channel": channel,
+        "rate_Hz": rate_Hz,
+        "axis": axis or None,
+        "taps_by_file": {"*": tap} if tap else {},
+        "speed_m_s": speed,
+        "grip_N": grip,
+        "trusted_from_Hz": trusted_from_Hz,
+        "full_scale_m_s2": full_scale,
+        "time_scale": time_scale,
+        "amplitude_scale": amplitude_scale,
+        "implausible": "accept" if accept else "refuse",
+    }
+
+    def read(answer: "Answer") -> "Taps":
+        try:
+            settings = Recordings(**joined(stated, answer))
+        except ValidationError as error:
+            raise InputError(_refusal(error)) from None
+        return tried.prepared(settings)
+
+    found = answered(read, VOCABULARY, tried.summary, tried.doubt, tried.oddness)
+    prepared, settings = found
     console = terminal.console()
     console.print(taps_table(prepared))
     cells = cells_table(prepared)
@@ -126,20 +131,21 @@ def taps(
     wrong = implausible_lines(prepared)
     for line in wrong:
         console.print(line, style="red", highlight=False, soft_wrap=True)
-    for one in prepared:
-        check_speed(one)  # a scene needs it
+    refusal = tried.refusal(found, read)
+    if refusal is not None and any(tap.speed_source == UNKNOWN for tap in prepared):
+        raise refusal  # a scene needs a speed
     if scene is not None:
         text = scene_path("own_taps").read_text(encoding="utf-8")
         write_new(scene, scene_of_taps(text, prepared, files, settings, scene.parent), force=force)
         after = f"next: transopt solve {shlex.quote(str(scene))}"
-        if wrong and not accept:
+        if refusal is not None:
             after = "solve refuses it until that is put right or accepted (--accept)"
         typer.echo(f"{scene} written; {after}")
     else:
         console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
         typer.echo(scene_lines(prepared, files, settings))
-    if wrong and not accept:
-        raise typer.Exit(2)
+    if refusal is not None:
+        raise refusal
 
 
 def _write_template(file: Path, *, force: bool) -> None:
@@ -153,7 +159,7 @@ def _write_template(file: Path, *, force: bool) -> None:
 
 def _refusal(error: "ValidationError") -> str:
     """One line: the option, its value, and what it must be."""
+    from transopt.recordings.unclear import option_of
+
     first = error.errors()[0]
-    setting = str(first["loc"][0])
-    option = OPTIONS.get(setting, setting).replace("_", "-")
-    return f"--{option} {first['input']}: {first['msg'].replace('Input should be', 'must be')}"
+    return f"{option_of(str(first['loc'][0]))} {first['input']}: {first['msg'].replace('Input should be', 'must be')}"

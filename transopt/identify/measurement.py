@@ -108,15 +108,12 @@ class Measurement:
         return replace(self, **made)
 
 
-def load_measurements(
-    paths: Sequence[Path], layout: Layout | None = None, *, read: Callable[[], None] = lambda: None
-) -> list[Measurement]:
+def load_measurements(paths: Sequence[Path], layout: Layout | None = None) -> list[Measurement]:
     """Several runs. One given twice would count twice, and one kept for validation would be no validation.
 
     Parameters
     ----------
     layout : see `load_measurement`.
-    read : called after each file.
 
     Raises
     ------
@@ -130,7 +127,6 @@ def load_measurements(
             raise InputError(f"{path}: {same}; give every record once, and none of the fit to validate with")
         sources[run.sha256] = str(path)
         runs.append(run)
-        read()
     return runs
 
 

@@ -5,9 +5,51 @@ from collections.abc import Mapping
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
+BLOCK_S = 0.05  # over which the earth's field is averaged
+APPROACH_S, RINGING_S = 0.03, 0.1  # before and after a tap, which tell nothing of the field
+LOUD = 0.1  # of the largest deviation from rest: a tap, or what rings behind it
+FIELD = 0.1  # of its size, that a sensor at rest may read the earth's field off
+TURNED_DEG = 2.0  # less is a sensor's noise
 STRONG = 0.5  # of the largest deviation from rest: samples of at least so much show the direction of a tap
+
+
+def without_turning(axes: Mapping[str, FloatArray], step_s: float) -> tuple[dict[str, FloatArray], str]:
+    """Axes of a sensor that turned in the earth's field, with its change taken off, and a sentence that says so.
+
+    Gravity is averaged over what is quiet, interpolated across the taps, and kept at the size that it has: a hand
+    that speeds up along it is left in the signal. A sensor that does not read gravity, or was not quiet before and
+    after, is left as it is.
+
+    Parameters
+    ----------
+    axes : name of an axis -> (n,) [m/s^2].
+    """
+    table = np.array(list(axes.values()))
+    away = np.linalg.norm(table - np.median(table, axis=1, keepdims=True), axis=0)
+    loud = np.flatnonzero(away >= LOUD * away.max())
+    size = table.shape[1]
+    edges = np.zeros(size + 1, dtype=int)
+    np.add.at(edges, np.maximum(loud - round(APPROACH_S / step_s), 0), 1)
+    np.add.at(edges, np.minimum(loud + round(RINGING_S / step_s), size), -1)
+    quiet = np.cumsum(edges)[:-1] == 0
+    blocks = [at for at in np.array_split(np.arange(size), max(int(size * step_s / BLOCK_S), 1)) if quiet[at].all()]
+    if len(axes) < len("xyz") or len(blocks) < 2 or not blocks[0][0] < loud[0] < blocks[-1][0]:
+        return dict(axes), ""
+    means = np.array([table[:, at].mean(axis=1) for at in blocks])
+    sizes = np.linalg.norm(means, axis=1)
+    if np.abs(sizes / STANDARD_GRAVITY_M_S2 - 1).max() > FIELD:
+        return dict(axes), ""
+    turned = np.degrees(np.arccos(np.clip(means @ means[0] / (sizes * sizes[0]), -1, 1))).max()
+    if turned < TURNED_DEG:
+        return dict(axes), ""
+    middles = [at.mean() for at in blocks]
+    field = np.array([np.interp(np.arange(size), middles, mean) for mean in means.T])
+    field *= sizes.mean() / np.linalg.norm(field, axis=0)
+    kept = table - field + field[:, loud[:1]]
+    said = f"the sensor turned by {turned:.0f} degrees in the earth's field, whose change is taken off"
+    return dict(zip(axes, kept, strict=True)), said
 
 
 def joined(axes: Mapping[str, FloatArray], way: str) -> tuple[FloatArray, str]:

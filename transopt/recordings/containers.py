@@ -10,7 +10,7 @@ import subprocess
 import sys
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -36,11 +36,13 @@ class Channels:
     ----------
     values : name, with its unit in brackets where the file states it -> array, read when it is asked for.
     step_s, start_s : of the samples, where the file states them.
+    place : where a user finds the sample of an index.
     """
 
     values: Mapping[str, Any]
     step_s: float | None = None
     start_s: float = 0.0
+    place: Callable[[int], str] = "sample {}".format
 
 
 @contextmanager

@@ -8,7 +8,9 @@ checks and converts all of them alike.
 import io
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,28 +19,38 @@ from numpy.typing import NDArray
 
 from transopt.base import mat5
 from transopt.base.errors import InputError
+from transopt.base.files import read_file
 from transopt.base.npz import Archive
-from transopt.base.signals import FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.sizes import MOST_RECORD_BYTES
 from transopt.recordings.containers import HDF5, Channels, guarded, hdf5_datasets, sheet_as_text, tdms_channels
+from transopt.recordings.meanings import meanings
 from transopt.recordings.names import (
+    MOST_CHOICES,
     SKIPPED,
     Layout,
     Meaning,
     Vocabulary,
     apart,
     looks_known,
-    meanings,
     means_acceleration,
     means_time,
     quote,
     stated_for,
 )
 from transopt.recordings.raw_table import LARGEST, RawTable, check_size, without_times
-from transopt.recordings.text import read_text, untimed
+from transopt.recordings.text import rate_of, read_text, start_of, text_columns, untimed
+from transopt.recordings.unclear import Answer, UnclearError, options
+from transopt.recordings.units import is_unit, known_units
+from transopt.recordings.universal_file import read_universal_file
 
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
+UNIVERSAL = (".uff", ".unv", ".u58")
 _AXES = "xyz"
+# Fields of a structure in which programs note the unit of the others; the last is that of Simcenter Testlab.
+UNIT_FIELDS = ("unit", "units", "quantity.label")
+FULL_SCALES_G = (50.0, 10.0, 5.0, 100.0, 16.0, 2.0, 500.0, 1.0)  # of usual sensors and their recorders
 
 
 def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
@@ -63,22 +75,44 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
 
 def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     match suffix.lower():
-        case ".csv" | ".txt" | ".dat" | ".tsv" | ".lvm":
-            return read_text(data, layout, words)
-        case ".xlsx" | ".xlsm" | ".xls" | ".ods":
-            return read_text(sheet_as_text(data), layout, words)
-        case ".tdms":
-            return _from_channels(tdms_channels(data), layout, words)
-        case ".h5" | ".hdf5":
-            return _from_channels(hdf5_datasets(data), layout, words)
-        case ".npz":
-            return _read_npz(data, layout, words)
-        case ".mat":
-            return _read_mat(data, layout, words)
         case ".wav":
             return _read_wav(data, layout)
-    known = ".csv, .tsv, .txt, .dat, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .wav"
+        case kind if kind in UNIVERSAL:
+            return read_universal_file(data, layout, words)
+    opened = _opened(suffix, data)
+    return read_text(opened, layout, words) if isinstance(opened, bytes) else _from_variables(opened, layout, words)
+
+
+def _opened(suffix: str, data: bytes) -> bytes | Channels:
+    """The text of a file, or its variables."""
+    match suffix.lower():
+        case ".csv" | ".txt" | ".dat" | ".tsv" | ".lvm":
+            return data
+        case ".xlsx" | ".xlsm" | ".xls" | ".ods":
+            return sheet_as_text(data)
+        case ".tdms":
+            return tdms_channels(data)
+        case ".npz":
+            with guarded("not a readable NPZ file", _SAVE_NPZ):
+                return Channels(Archive(data), place=lambda k: f"element [{k}]")
+        case ".mat" if data[512:520] != HDF5:
+            with guarded("not a readable MAT file", _SAVE_MAT):
+                return Channels(mat5.variables(data), place=lambda k: f"element ({k + 1})")
+        case ".h5" | ".hdf5" | ".mat":  # -v7.3 is HDF5
+            return hdf5_datasets(data)
+    known = ".csv, .tsv, .txt, .dat, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .uff, .wav"
     raise InputError(f"unknown format {quote(suffix)}; known: {known}; export it as CSV")
+
+
+def columns_of(path: Path, words: Vocabulary) -> dict[str, FloatArray]:
+    """The columns of a file as far as they are numbers, whatever they mean; nothing of a file that has none."""
+    with suppress(InputError):
+        data = read_file(path, MOST_RECORD_BYTES, "")
+        if path.suffix.lower() == ".wav":
+            return {f"channel {k + 1}": each for k, each in enumerate(_sound(data)[1].T)}
+        opened = _opened(path.suffix, data)
+        return text_columns(opened, words) if isinstance(opened, bytes) else numeric(_parted(opened.values, words))
+    return {}
 
 
 def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
@@ -92,77 +126,52 @@ def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
     ------
     InputError : one line that names the option and what to do instead.
     """
-    sounds = [suffix.lower() == ".wav" for suffix in suffixes]
-    if sounds and all(sounds):
-        if layout.columns:
-            raise InputError(
-                f"--columns {','.join(layout.columns)} (in a scene recordings.columns): a WAV file has channels, no "
-                "columns; leave it out and choose one, --channel 1"
-            )
-        if layout.units:
-            name, unit = next(iter(layout.units.items()))
-            raise InputError(
-                f"--units {name}={unit} (in a scene recordings.units): a WAV file has no units; leave it out and "
-                "state the acceleration of full scale in m/s^2, --full-scale 490.3"
-            )
-        if layout.rate_Hz is not None:
-            raise InputError(
-                f"--rate-Hz {layout.rate_Hz:g} (in a scene recordings.rate_Hz): a WAV file states its "
-                "own; leave it out, or correct the file's"
-            )
-    if not any(sounds):
-        if layout.channel is not None:
-            raise InputError(
-                f"--channel {layout.channel} (in a scene recordings.channel): only a WAV file has channels; leave it "
-                "out and choose columns, --columns time_s,-,acceleration_g"
-            )
-        if layout.full_scale_m_s2 is not None:
-            raise InputError(
-                f"--full-scale {layout.full_scale_m_s2:g} (in a scene recordings.full_scale_m_s2): only a WAV file "
-                "has a full scale; leave it out and state units, --units acceleration=g"
-            )
+    kinds = {suffix.lower() for suffix in suffixes}
+    of_sounds, of_others = kinds == {".wav"}, bool(kinds) and ".wav" not in kinds
+    idle = {
+        "columns": (of_sounds, "a WAV file has channels, no columns; leave it out and choose one, --channel 1"),
+        "units": (of_sounds, "a WAV file has no units; leave it out and state its full scale, --full-scale 490.3"),
+        "rate_Hz": (of_sounds, "a WAV file states its own; leave it out, or correct the file's"),
+        "channel": (
+            of_others and not kinds & set(UNIVERSAL),
+            "only WAV and universal files have channels; leave it out and choose columns, --columns time_s,-,acc_g",
+        ),
+        "full_scale_m_s2": (of_others, "only a WAV file has a full scale; leave it out, --units acceleration=g"),
+    }
+    for key, (is_idle, why) in idle.items():
+        if is_idle and (value := getattr(layout, key)):
+            raise InputError(f"{options({key: value})} (in a scene recordings.{key}): {why}")
 
 
-def _read_npz(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
-    with guarded("not a readable NPZ file", _SAVE_NPZ):
-        archive = Archive(data)
-    return _from_variables(archive, layout, words, lambda k: f"element [{k}]")
-
-
-def _read_mat(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
-    if data[512:520] == HDF5:  # what -v7.3 writes
-        return _from_channels(hdf5_datasets(data), layout, words)
-    with guarded("not a readable MAT file", _SAVE_MAT):
-        variables = mat5.variables(data)
-    return _from_variables(variables, layout, words, lambda k: f"element ({k + 1})")
-
-
-def _from_channels(found: Channels, layout: Layout, words: Vocabulary) -> RawTable:
-    """Variables of a logger's file, whose step stands in for times that it does not have."""
-    has_times = any(means_time(name, words) for name in found.values)
-    if found.step_s is None or layout.rate_Hz or has_times:
-        return _from_variables(found.values, layout, words, lambda k: f"sample {k}")
-    raw = _from_variables(found.values, layout, without_times(words), lambda k: f"sample {k}")
-    return raw.timed(found.step_s, found.start_s)
-
-
-def _from_variables(
-    named: Mapping[str, object], layout: Layout, words: Vocabulary, place: Callable[[int], str]
-) -> RawTable:
+def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTable:
     """The chosen columns among the variables; without a choice, all whose names end in a unit or are given one."""
-    units, reads = layout.units or {}, _parted(named, words)
+    units, reads = layout.units or {}, _parted(found.values, words)
+    if words.lacks(reads):
+        words = words.labelled(list(numeric(reads)))
     candidates = [name for name in reads if name not in words.header]
+    if "time" in words.required and layout.rate_Hz is None and not any(means_time(name, words) for name in reads):
+        step_s, start_s = found.step_s, found.start_s
+        if step_s is None:
+            notes = [f"{apart(name)[0]} = {value:.17g}" for name, value in _scalars(reads).items()]
+            rate = rate_of(notes)
+            step_s = None if rate is None else 1 / rate[0]
+            start_s = start_of(notes)
+        if step_s is not None:
+            return _from_variables(found, layout, without_times(words)).timed(step_s, start_s)
     chosen = layout.columns or [
         name
         for name in candidates
         if words.unit_suffix.search(name) or apart(name)[1] or stated_for(name, words, units)
     ]
+    if not layout.columns and not all(looks_known(name, words) for name in chosen):
+        vectors = numeric(reads)
+        chosen = [name for name in chosen if looks_known(name, words) or name in vectors]
     if "magnitude" in words.quantities and not layout.columns:
         _refuse_unstated(reads, [name for name in candidates if name not in chosen], units)
     # Names that mean something are asked about where none has a unit.
-    chosen = chosen or [name for name in candidates if looks_known(name, words)]
+    chosen = chosen or [name for name in candidates if looks_known(name, words)] or candidates
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
-    known = meanings(wanted, words, units, list(reads))
+    known = meanings(wanted, words, units, list(reads), lambda: numeric(reads))
     columns = dict[str, FloatArray]()
     for name in wanted:
         values = _column(reads[name], name, is_complex=known[name].quantity == "magnitude")
@@ -174,7 +183,28 @@ def _from_variables(
         else:
             columns[name] = values
     header = {name: _column(reads[name], name) for name in words.header if name in reads}
-    return RawTable(columns, known, header, place)
+    return RawTable(columns, known, header, found.place)
+
+
+def _scalars(reads: Mapping[str, Callable[[], object]]) -> dict[str, float]:
+    """The variables that are one number."""
+    found = dict[str, float]()
+    for name in reads:
+        with suppress(InputError):
+            values = _column(reads[name], name).real
+            if values.size == 1:
+                found[name] = float(values[0])
+    return found
+
+
+def numeric(reads: Mapping[str, Callable[[], object]]) -> dict[str, FloatArray]:
+    """The variables that are rows or columns of real numbers, as long as most of them are."""
+    found = dict[str, FloatArray]()
+    for name in reads:
+        with suppress(InputError):
+            found[name] = _column(reads[name], name).real
+    longest = max((values.size for values in found.values()), default=0)
+    return {name: values for name, values in found.items() if values.size == longest}
 
 
 def _refuse_unstated(
@@ -190,10 +220,9 @@ def _refuse_unstated(
         with guarded(f"variable {name} is not readable", _SAVE_NPZ):
             found = np.iscomplexobj(np.asarray(reads[name]()))
         if found:
-            stated = ",".join(f"{key}={unit}" for key, unit in {"frequency": "Hz", **units, name: "m/s^2/V"}.items())
-            raise InputError(
-                f"variable {name} is complex, as a response is, and nothing states its unit: --units {stated}, or "
-                "what else it is"
+            raise UnclearError(
+                f"variable {name} is complex, as a response is, and nothing states its unit",
+                [{"units": {"frequency": "Hz", **units, name: unit}} for unit in known_units("real")],
             )
 
 
@@ -202,8 +231,11 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
     short = Counter(name.rpartition(".")[2] for name in named)
     found: dict[str, Callable[[], object]] = {}
     for name in named:
-        last = name.rpartition(".")[2]
+        above, _, last = name.rpartition(".")
         key = last if short[last] == 1 else name
+        unit = next((named[at] for of in UNIT_FIELDS if (at := f"{above}.{of}".strip(".")) in named), "")
+        if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None:
+            key = f"{key} [{unit}]"
         found[key] = partial(named.__getitem__, name)
         if means_acceleration(key, words):
             with guarded(f"variable {name} is not readable", _SAVE_NPZ):
@@ -227,26 +259,40 @@ def _column(read: Callable[[], object], name: str, *, is_complex: bool = False) 
     return np.asarray(values.ravel(), dtype=complex if values.dtype.kind == "c" else float)
 
 
+def full_scales() -> list[Answer]:
+    """What the full scale of a WAV file may be."""
+    return [{"full_scale_m_s2": float(f"{g * STANDARD_GRAVITY_M_S2:.4g}")} for g in FULL_SCALES_G]
+
+
 def _read_wav(data: bytes, layout: Layout) -> RawTable:
     full_scale_m_s2, channel = layout.full_scale_m_s2, layout.channel
-    if full_scale_m_s2 is None or not 0 < full_scale_m_s2 <= LARGEST:
-        need = "WAV needs the acceleration of full scale, > 0 m/s^2; state it, here or by --full-scale 490.3"
-        raise InputError(f"recordings.full_scale_m_s2 = {full_scale_m_s2}: {need}")
-    with guarded("not a readable WAV file", "export it again as PCM or float WAV"):
-        rate_Hz, samples = scipy.io.wavfile.read(io.BytesIO(data))
-    count = 1 if samples.ndim == 1 else samples.shape[1]
+    if full_scale_m_s2 is None:
+        raise UnclearError("the acceleration of a WAV file's full scale is not stated, in m/s^2", full_scales())
+    if not 0 < full_scale_m_s2 <= LARGEST:
+        raise InputError(f"recordings.full_scale_m_s2 = {full_scale_m_s2:g}: must be above 0 m/s^2 and finite")
+    rate_Hz, values = _sound(data)
+    count = values.shape[1]
     if channel is None and count > 1:
-        choice = "--channel 1 (in a scene recordings.channel = 1)"
-        raise InputError(f"{count} channels, and which is the accelerometer's is not stated; choose one: {choice}")
+        raise UnclearError(
+            f"{count} channels, and which is the accelerometer's is not stated",
+            [{"channel": each + 1} for each in range(min(count, MOST_CHOICES))],
+        )
     if channel is not None and not 1 <= channel <= count:
         raise InputError(f"--channel {channel}: the file has {count}; choose 1 to {count}")
-    samples = samples.reshape(-1, count)[:, (channel or 1) - 1]
-    check_size(samples.size)
-    values = np.asarray(samples, dtype=float)
+    values = values[:, (channel or 1) - 1]
+    known = {"acceleration_m_s2": Meaning("acceleration", 1.0)}
+    raw = RawTable({"acceleration_m_s2": full_scale_m_s2 * values}, known, {}, lambda k: f"sample {k}")
+    return raw.timed(float(np.divide(1.0, rate_Hz)))
+
+
+def _sound(data: bytes) -> tuple[float, FloatArray]:
+    """Sample rate [Hz] and (n, channels) samples of a WAV file, full scale 1."""
+    with guarded("not a readable WAV file", "export it again as PCM or float WAV"):
+        rate_Hz, samples = scipy.io.wavfile.read(io.BytesIO(data))
+    check_size(samples.shape[0])
+    values = np.asarray(samples.reshape(samples.shape[0], -1), dtype=float)
     if samples.dtype.kind == "u":  # 8 bits and less are stored with an offset
         values = (values - 128.0) / 128.0
     elif samples.dtype.kind == "i":
         values = values / 2.0 ** (8 * samples.dtype.itemsize - 1)
-    known = {"acceleration_m_s2": Meaning("acceleration", 1.0)}
-    raw = RawTable({"acceleration_m_s2": full_scale_m_s2 * values}, known, {}, lambda k: f"sample {k}")
-    return raw.timed(float(np.divide(1.0, rate_Hz)))
+    return float(rate_Hz), values

@@ -33,6 +33,7 @@ from transopt.recordings.settings import Recordings
 PULSE_S = (30e-6, 0.1)  # at half its height
 SPEED_CHANGE = (0.25, 5.0)  # over the incoming speed
 THROWN_BACK = 2.0  # over the incoming speed, what an object can give at most: above it the height is looked at too
+USUAL_SPEED_CHANGE = 1.2
 CHANGE_WITHIN_S = 0.05  # of contact; later the hand lifts the stylus
 PEAK_G = (0.3, 60.0)  # of taps by hand: the built-in ones have up to 19
 HAND_M_S = (0.01, 3.0)  # speeds that a hand taps with
@@ -88,6 +89,13 @@ def implausible_time(x: Signal) -> str:
     )
 
 
+def speed_changes_m_s(x: Signal, onset_s: float) -> tuple[float, float]:
+    """The most by which an acceleration raises and lowers the speed soon after contact."""
+    during = (x.times_s >= onset_s) & (x.times_s <= onset_s + CHANGE_WITHIN_S)
+    change = np.cumsum(x.values[during]) * x.dt_s
+    return float(change.max(initial=0.0)), float(-change.min(initial=0.0))
+
+
 def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Recordings, *, fitted: bool) -> str:
     """Why acceleration and speed cannot be those of one tap, and which unit to check; empty if they can.
 
@@ -103,9 +111,7 @@ def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Re
     height = _height(float(x.values.max()) / STANDARD_GRAVITY_M_S2) if by_hand else ""
     if np.isnan(speed_m_s):
         return height
-    during = (x.times_s >= onset_s) & (x.times_s <= onset_s + CHANGE_WITHIN_S)
-    change = np.cumsum(x.values[during]) * x.dt_s
-    up, down = float(change.max(initial=0.0)), float(-change.min(initial=0.0))
+    up, down = speed_changes_m_s(x, onset_s)
     ratio = up / speed_m_s
     column = "of the position that the speed is fitted to" if fitted else "of the speed"
     if SPEED_CHANGE[0] <= ratio <= SPEED_CHANGE[1]:

@@ -18,13 +18,12 @@ from transopt.base.files import read_file
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.formats import read_raw, refuse_idle
+from transopt.recordings.formats import UNIVERSAL, read_raw, refuse_idle
 from transopt.recordings.names import Layout, Meaning, Vocabulary, quote
 from transopt.recordings.raw_table import MIN_SAMPLES, RawTable
+from transopt.recordings.unclear import located
 from transopt.recordings.units import INPUTS, LEVEL, RATIOS, parts
-from transopt.recordings.universal_file import read_universal_file
 
-UFF_SUFFIXES = (".unv", ".uff", ".u58")
 LARGEST = 1e9  # m/s^2 per A or V: far above every actuator, and its square still fits
 WORDS = Vocabulary(
     columns={
@@ -87,7 +86,7 @@ def read_response(
     """
     data = read_file(path, MOST_RECORD_BYTES, "name a file with a measured frequency response")
     layout = layout or Layout()
-    is_universal = path.suffix.lower() in UFF_SUFFIXES
+    is_universal = path.suffix.lower() in UNIVERSAL
     try:
         if not (math.isfinite(scale) and scale != 0):
             raise InputError(f"--scale {scale}: must be a number other than 0")
@@ -97,13 +96,12 @@ def read_response(
             raise InputError(f"--rate-Hz {layout.rate_Hz:g}: a response has frequencies and no times; leave it out")
         refuse_idle(layout, [path.suffix])
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the check
-            raw = read_universal_file(data, layout) if is_universal else read_raw(path.suffix, data, layout, WORDS)
+            raw = read_raw(path.suffix, data, layout, WORDS)
             frequencies_Hz, response, said = _of_table(raw)
             found = _checked(frequencies_Hz, scale * response)
         _agreeing(said, ["magnitude"] if is_universal else [each.quantity for each in said.values()], driven_by)
     except InputError as error:
-        file = str(path) if str(path).isprintable() else repr(str(path))
-        raise InputError(f"{file}: {error}") from error
+        raise located(error, path) from error
     notes = [each.note for each in raw.meanings.values()]
     # A level in dB has no unit that is converted: there the scale states what 0 dB stands for.
     stated = next((each.stated for each in said.values() if each.stated and not math.isnan(each.factor)), "")

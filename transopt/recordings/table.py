@@ -7,7 +7,7 @@ front of all of them.
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +18,12 @@ from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.axes import joined
+from transopt.recordings.axes import joined, without_turning
 from transopt.recordings.containers import guarded
 from transopt.recordings.formats import read_raw
 from transopt.recordings.names import Layout, Vocabulary, axis_of, quote
 from transopt.recordings.raw_table import LARGEST, MIN_SAMPLES, RawTable
+from transopt.recordings.unclear import UnclearError, located
 
 _UNIFORM = 0.01  # steps: stamps nearer than that to the uniform grid are taken as on it
 _ASTRAY = 0.45  # steps: a stamp farther off the grid than this says nothing; its sample counts as missing
@@ -108,9 +109,7 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
                 if value is not None:
                     scalars[quantity] = value
     except InputError as error:
-        # A message is one line, a file's name need not be.
-        file = str(path) if str(path).isprintable() else repr(str(path))
-        raise InputError(f"{file}: {error}") from error
+        raise located(error, path) from error
     notes = (*joining, *(each.note for each in raw.meanings.values() if each.note))
     return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
 
@@ -130,12 +129,19 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
         raise InputError(f"columns differ in length ({listed} samples); save them equally long")
     if size < MIN_SAMPLES:
         raise InputError(f"{size} samples, at least {MIN_SAMPLES} are needed; record a longer piece")
+    empty = np.any([np.isnan(values) for values in table.columns.values()], axis=0)
+    kept = size - int(np.argmin(empty[::-1])) if not empty.all() else size
+    if size / 2 < kept < size:
+        joining.append(f"the last {size - kept} rows hold what is no number (NaN), and are left out")
+        table = replace(table, columns={name: values[:kept] for name, values in table.columns.items()})
     converted = {name: _to_si(name, values, table) for name, values in table.columns.items()}
     si = {table.meanings[name].quantity: values for name, values in converted.items()}
     axes = {axis: values for name, values in converted.items() if (axis := axis_of(name))}
     if len(axes) > 1:
+        step_s = float(np.median(np.diff(si["time"])))
+        axes, turned = without_turning(axes, step_s) if step_s > 0 else (axes, "")
         si["acceleration"], said = joined(axes, way or "main")
-        joining.append(said)
+        joining += [said, *([turned] if turned else [])]
     elif way:
         raise InputError(f"--axis {way} (in a scene recordings.axis): the file has one acceleration; leave it out")
     times = si.pop("time")
@@ -199,10 +205,10 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
         if many and (steps >= 0).all() and begins.size > 1:
             # The first and the last group may be cut short; between them every group has its full length.
             rate_Hz = (begins[-1] - begins[0]) / (times[begins[-1]] - times[begins[0]])
-            raise InputError(
+            raise UnclearError(
                 f"{place(at + 1)}: the times repeat, in groups of {np.diff(begins).mean():.3g} rows, as of a "
-                f"sensor's buffer; state the sample rate, --rate-Hz {rate_Hz:.5g} by the times of the groups (in a "
-                "scene recordings.rate_Hz)"
+                "sensor's buffer, and the sample rate is not stated",
+                [{"rate_Hz": float(f"{rate_Hz:.5g}")}],
             )
         remedy = "is another column the time's?" if many else "sort the rows and remove repeated ones"
         raise InputError(f"{place(at + 1)}: {order}; {remedy}")

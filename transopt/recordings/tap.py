@@ -27,12 +27,14 @@ from transopt.recordings.second_hit import second_hit
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
 from transopt.recordings.split import SLOWEST_HZ, split
+from transopt.recordings.unclear import UnclearError
 
 AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
 BASELINE_SAMPLES = 8  # fewer are no baseline
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
 NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
+USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # that a hand taps with
 TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of the error: contact is then put where the pulse begins
 TOE_LEVEL = 5e-3  # of the peak, from which on it has begun; below it lies no energy to speak of
 TOE_TO_NOISE = 3.0  # nor is it told from noise below this
@@ -370,14 +372,15 @@ def check_speed(tap: PreparedTap) -> None:
 
     Raises
     ------
-    InputError : it is such a one.
+    UnclearError : it is such a one.
     """
     if tap.speed_source == UNKNOWN:
         name = tap.recording.name
-        raise InputError(
-            f"{name}: no incoming speed: state it in the file (`# speed_m_s: ...`), record a position_m "
-            f'column, or name it: recordings.speed_by_file_m_s = {{ "{name}" = 0.2 }} (`transopt taps`: '
-            "--speed 0.2)"
+        raise UnclearError(
+            "no incoming speed: the file neither states it (`# speed_m_s: ...`) nor has a position_m column, and no "
+            f'scene does, recordings.speed_by_file_m_s = {{ "{name}" = 0.2 }}',
+            [{"speed_m_s": speed} for speed in USUAL_SPEEDS_M_S],
+            Path(tap.recording.source),
         )
 
 

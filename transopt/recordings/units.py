@@ -24,7 +24,6 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "acceleration": {
         "m/s^2": 1.0,
         "g": STANDARD_GRAVITY_M_S2,
-        "gn": STANDARD_GRAVITY_M_S2,
         "mg": 1e-3 * STANDARD_GRAVITY_M_S2,
         "mm/s^2": 1e-3,
         "cm/s^2": 1e-2,
@@ -45,6 +44,10 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
 RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
+MOST_LIKELY = {"time": 3, "acceleration": 4}  # units that are usual for these
+SENSITIVITIES = ("100 mV/g", "10 mV/g", "500 mV/g", "1000 mV/g", "300 mV/g", "50 mV/g", "1 mV/g")
+# Converters of 16 bits with ranges of 2, 4, 8 and 16 g; ADXL345 and ADXL375.
+RESOLUTIONS = ("16384 LSB/g", "8192 LSB/g", "4096 LSB/g", "2048 LSB/g", "3.9 mg/LSB", "49 mg/LSB")
 _COUNTS = ("count", "counts", "LSB", "digit", "digits")  # of a converter
 _AMOUNT = re.compile(r"\s*(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)?\s*(?P<unit>\S.*?)\s*")
 _SIGNS = str.maketrans({"²": "2", "⁻": "-", "µ": "u", "μ": "u", "·": " ", "*": " ", "^": None})
@@ -54,6 +57,7 @@ _WORD = re.compile(
     re.IGNORECASE,
 )
 _SYMBOLS = {"sec": "s", "volt": "V", "amp": "A", "hertz": "Hz", "newton": "N", "met": "m"}
+_SPELT = {"gn": "g", "g0": "g"}
 _PER_SECOND_TWICE = re.compile(r"(/s/s|[ _]?s-2|_s2)$", re.IGNORECASE)
 
 
@@ -98,7 +102,7 @@ def _factor(unit: str, quantity: str) -> float | None:
     """What makes SI of a unit; None for one that this quantity does not have."""
     if "@" in unit:
         return _sensed(unit, quantity)
-    plain, exact = _plain(unit), _EXACT[quantity]
+    plain, exact = _SPELT.get(_plain(unit), _plain(unit)), _EXACT[quantity]
     if plain in exact:
         return exact[plain]
     if plain[:1] == "M" and plain[1:] in exact:
@@ -126,6 +130,11 @@ def _electrical(unit: str) -> tuple[str, float] | None:
         return "counts", 1.0
     factor = _factor(unit.strip(), "voltage")
     return None if factor is None else ("voltage", factor)
+
+
+def sensed(unit: str) -> list[str]:
+    """A unit of volts or counts with the sensitivities of usual sensors."""
+    return [f"{unit} @ {by}" for by in (RESOLUTIONS if unit in _COUNTS else SENSITIVITIES)]
 
 
 def is_electrical(unit: str) -> bool:
@@ -181,8 +190,6 @@ def is_unit(text: str) -> bool:
 def remedy_of(unit: str) -> str:
     """What to do with a column in a unit of another quantity than the wanted one; empty where that is not known."""
     above = parts(unit)[0]
-    if _factor(unit, "voltage") is not None:
-        return f"; state the sensor's sensitivity with it, '{unit} @ 100 mV/g' for 100 mV/g"
     if _factor(above, "velocity") is not None:
         return "; that is a velocity: name the column so, velocity for example"
     return ""
@@ -192,3 +199,9 @@ def known_units(quantity: str) -> list[str]:
     """Units of a quantity, for messages; the first is that in SI."""
     ratios = [f"{unit}/{per}" for unit in ("m/s^2", "g", "mm/s^2") for per in INPUTS.values()]
     return (ratios if quantity in RATIOS else []) + list(UNITS[quantity])
+
+
+def likely_units(quantity: str) -> list[str]:
+    """Units that a column without one is likely in; of an acceleration also volts and counts of usual sensors."""
+    sensors = [*sensed("V")[:3], *sensed("mV")[:3], *sensed("LSB")] if quantity == "acceleration" else []
+    return [*known_units(quantity)[: MOST_LIKELY.get(quantity, 6)], *sensors]

@@ -1,26 +1,36 @@
-"""A frequency response in dataset 58 of a universal file, read in SI by the labels of its axes.
+"""Functions in dataset 58 of a universal file, over frequency or over time, read in SI by the labels of their axes.
 
 SDRC, "Universal File Format", dataset 58: Function at Nodal DOF. Records 8 to 10 describe abscissa, ordinate and
 denominator: a type, three exponents, the axis' label and the label of its unit. Software for measurements writes a
-response in g per V as often as one in SI, and says so there alone. Of many kinds of function a response is one, which
-is read here with messages that name the field.
+response in g per V as often as one in SI, and says so there alone. A binary dataset, 58b, has these
+records as text too.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.recordings.names import Layout, Meaning, quote, settled
+from transopt.recordings.meanings import settled
+from transopt.recordings.names import MOST_CHOICES, Layout, Meaning, Vocabulary, quote
 from transopt.recordings.raw_table import RawTable
-from transopt.recordings.text import encoding_of
-from transopt.recordings.units import input_unit, parts, read_unit, remedy_of
+from transopt.recordings.unclear import UnclearError
+from transopt.recordings.units import (
+    input_unit,
+    is_electrical,
+    likely_units,
+    parts,
+    read_unit,
+    remedy_of,
+    sensed,
+)
 
-FREQUENCY_RESPONSE = 4  # function type of record 6
+TIME_RESPONSE, FREQUENCY_RESPONSE = 1, 4  # function types of record 6
 # Specific data types of records 8 to 10. Of a general quantity exponents of length, force and temperature are stated.
-UNKNOWN, GENERAL, ACCELERATION, FREQUENCY = 0, 1, 12, 18
+UNKNOWN, GENERAL, ACCELERATION, TIME, FREQUENCY = 0, 1, 12, 17, 18
 TYPES = {
     UNKNOWN: "",
     2: "a stress",
@@ -34,15 +44,17 @@ TYPES = {
     13: "an excitation force",
     15: "a pressure",
     16: "a mass",
-    17: "a time",
+    TIME: "a time",
     FREQUENCY: "a frequency",
     19: "a speed of rotation",
     20: "an order",
 }
 MAY_ACCELERATE = ("", TYPES[ACCELERATION], "length^1 force^0 temperature^0")
 SI, EXAMPLE = "m/s^2", "--units magnitude=g/V"
-MARK = "    -1"
-WIDTHS = {5: 13, 6: 20}  # ordinate type, complex of single or double precision -> characters of each number
+MARK = b"    -1"
+# Ordinate type of record 7 -> parts of a number, and type in a binary dataset; single or double precision.
+ORDINATES = {2: (1, "f4"), 4: (1, "f8"), 5: (2, "f4"), 6: (2, "f8")}
+WIDTHS = {"f4": 13, "f8": 20}  # characters of a number
 ABSCISSA_WIDTH = 13
 LINE_WIDTH = 80
 HEAD_LINES = 11  # of the dataset, before its numbers
@@ -50,52 +62,120 @@ UNIT_LABEL = slice(47, 67)  # columns of the unit's label in records 8 to 11
 NOT_STATED = ("", "NONE")
 
 
-def read_universal_file(data: bytes, layout: Layout) -> RawTable:
-    """The one frequency response among the datasets of a universal file: columns frequency, real, imaginary.
+class _Dataset(NamedTuple):
+    """One dataset: its number, its lines, and for a binary one the bytes and their order behind eleven lines."""
+
+    kind: str
+    lines: list[str]
+    packed: bytes = b""
+    order: str = "<"
+
+
+def read_universal_file(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
+    """One function among the datasets 58 of a universal file, in ASCII or binary, by the labels of its axes.
+
+    Where frequencies are looked for it is a frequency response, in columns frequency, real and imaginary; else what
+    was recorded over time, in columns time and acceleration.
 
     Parameters
     ----------
-    layout : `units` of the magnitude, as "g/V", and of the frequency go before the labels in the file.
+    layout : `units` of the columns go before the labels in the file; `channel` is which of several functions.
 
     Raises
     ------
-    InputError : a file that holds none or several, is binary, or states units that are not known; an option that says
-        nothing about such a file.
+    InputError : a file that holds none, or units that are not known; an option that says nothing about such a file.
+    UnclearError : several functions, or an axis without a label.
     """
+    is_response = "frequency" in words.required
+    abscissa, ordinate = ("frequency", "magnitude") if is_response else ("time", "acceleration")
     units = dict(layout.units or {})
-    other = [name for name in units if name not in ("magnitude", "frequency")]
     if layout.columns:
         raise InputError("--columns: a universal file has no columns; leave it out")
-    if other:
+    if other := [name for name in units if name not in (abscissa, ordinate)]:
+        a_unit = "magnitude=g/V,frequency=Hz" if is_response else "acceleration=g,time=s"
         raise InputError(
-            f"--units {other[0]}={units[other[0]]}: a universal file has a magnitude and a frequency; write --units "
-            "magnitude=g/V,frequency=Hz"
+            f"--units {other[0]}={units[other[0]]}: a universal file has here {abscissa} and {ordinate}; write "
+            f"--units {a_unit}"
         )
-    if b"\0" in data:
-        raise InputError("holds binary datasets; export dataset 58 in ASCII")
-    lines = data.decode(encoding_of(data)).splitlines()
-    found = [block for kind, block in _datasets(lines) if kind == "58"]
-    if any(kind.startswith("58b") for kind, _ in _datasets(lines)):
-        raise InputError("holds a binary dataset 58b; export dataset 58 in ASCII")
-    code = next((block for kind, block in _datasets(lines) if kind == "164"), None)
-    if code is not None and _whole(code, 0, 0, 10, "units code of dataset 164") != 1:
+    datasets = _datasets(data)
+    code = next((each for each in datasets if each.kind == "164"), None)
+    if code is not None and _whole(code.lines, 0, 0, 10, "units code of dataset 164") != 1:
         raise InputError("dataset 164: units other than SI; export in SI, units code 1")
-    responses = [block for block in found if _whole(block, 5, 0, 5, "function type") == FREQUENCY_RESPONSE]
-    if len(responses) != 1:
-        raise InputError(
-            f"{len(responses)} frequency responses in {len(found)} datasets 58, must be one; export the one that "
-            "leads from the input to the acceleration"
+    chosen = _chosen(
+        [each for each in datasets if each.kind in ("58", "58b")], layout.channel, is_response=is_response
+    )
+    is_si = code is not None
+    of_abscissa = _abscissa(chosen.lines, units.get(abscissa, ""), abscissa, is_si=is_si)
+    of_ordinate = _ordinate(chosen.lines, units.get(ordinate, ""), is_response=is_response, is_si=is_si)
+    if of_abscissa is None or of_ordinate is None:
+        below = _axis(chosen.lines, 9, "denominator")[1] if is_response else ""
+        likely = [f"{unit}/{below}" for unit in ("m/s^2", "g", "mm/s^2")] if below else likely_units(ordinate)
+        known = {} if of_abscissa else {abscissa: "Hz" if is_response else "s"}
+        raise UnclearError(
+            f"dataset 58: no label says the unit of its {abscissa if of_ordinate else ordinate}",
+            [{"units": {**known, ordinate: unit}} for unit in likely] if of_ordinate is None else [{"units": known}],
         )
-    return _of_dataset(responses[0], units)
+    parts_of = {"real": of_ordinate, "imaginary": of_ordinate._replace(quantity="imaginary")}
+    named = {abscissa: of_abscissa, **(parts_of if is_response else {ordinate: of_ordinate})}
+    cells = _numbers(chosen, len(named) - 1)
+    columns = {name: cells[:, at] for at, name in enumerate(named)}
+    if layout.rate_Hz:  # goes before what the file says of its times
+        del columns["time"], named["time"]
+    return RawTable(columns, named, {}, lambda k: f"point {k + 1}")
 
 
-def _datasets(lines: list[str]) -> list[tuple[str, list[str]]]:
-    """Number and lines of every dataset: they stand between two lines of -1."""
-    marks = [k for k, line in enumerate(lines) if line.rstrip() == MARK]
-    inside = [lines[a + 1 : b] for a, b in zip(marks[::2], marks[1::2], strict=False)]
-    if not inside:
-        raise InputError("no dataset between two lines of -1; export it as a universal file in ASCII")
-    return [(block[0].split()[0] if block and block[0].split() else "", block[1:]) for block in inside]
+def _chosen(functions: Sequence[_Dataset], channel: int | None, *, is_response: bool) -> _Dataset:
+    """The frequency or time response that is wanted, counted from 1 among those of its kind."""
+    wanted, what = (FREQUENCY_RESPONSE, "frequency") if is_response else (TIME_RESPONSE, "time")
+    found = [each for each in functions if _whole(each.lines, 5, 0, 5, "function type") == wanted]
+    if not found:
+        raise InputError(f"0 {what} responses in {len(functions)} datasets 58; export one of the acceleration")
+    if channel is None and len(found) > 1:
+        listed = ", ".join(f"{k} {quote(each.lines[0])}" for k, each in enumerate(found[:MOST_CHOICES], 1))
+        raise UnclearError(
+            f"{len(found)} {what} responses, and which is the acceleration's is not stated: {listed}",
+            [{"channel": k + 1} for k in range(min(len(found), MOST_CHOICES))],
+        )
+    if channel is not None and channel > len(found):
+        raise InputError(f"--channel {channel}: the file has {len(found)} {what} responses; choose 1 to {len(found)}")
+    return found[(channel or 1) - 1]
+
+
+def _datasets(data: bytes) -> list[_Dataset]:
+    """Every dataset: they stand between two lines of -1, and a binary one states how long it is."""
+    found, at = list[_Dataset](), 0
+
+    def line() -> bytes | None:
+        nonlocal at
+        if at >= len(data):
+            return None
+        end = data.find(b"\n", at)
+        start, at = at, len(data) if end < 0 else end + 1
+        return data[start:at].rstrip(b"\r\n")
+
+    while (begin := line()) is not None:
+        if begin.rstrip() != MARK:
+            continue
+        words = (line() or b"").decode("latin-1").split()
+        kind, lines, packed, order = words[0] if words else "", list[str](), b"", "<"
+        if kind == "58b":
+            lines = [_decoded(line() or b"") for _ in range(HEAD_LINES)]
+            size = int(words[4]) if len(words) > 4 and words[4].isdecimal() else 0
+            packed, order, at = data[at : at + size], ">" if words[1:2] == ["2"] else "<", at + size
+        while (each := line()) is not None and each.rstrip() != MARK:
+            lines.append(_decoded(each))
+        found.append(_Dataset(kind, lines, packed, order))
+    if not found:
+        raise InputError("no dataset between two lines of -1; export it as a universal file")
+    return found
+
+
+def _decoded(line: bytes) -> str:
+    """A line in UTF-8, or where it is none in the code page of Windows, which lacks few bytes."""
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("cp1252", "replace")
 
 
 def _whole(block: Sequence[str], line: int, start: int, end: int, what: str, empty: int | None = None) -> int:
@@ -111,25 +191,32 @@ def _whole(block: Sequence[str], line: int, start: int, end: int, what: str, emp
         ) from None
 
 
-def _of_dataset(block: Sequence[str], units: Mapping[str, str]) -> RawTable:
-    """One frequency response, its units by the labels of its axes or by the user's word."""
+def _numbers(dataset: _Dataset, parts_of: int) -> FloatArray:
+    """(points, 1 + parts) abscissa and so many parts of the ordinate."""
+    block = dataset.lines
     kind = _whole(block, 6, 0, 10, "ordinate type")
     points = _whole(block, 6, 10, 20, "number of points")
     even = _whole(block, 6, 20, 30, "spacing of the abscissa") == 1
-    if kind not in WIDTHS:
-        raise InputError(f"dataset 58: ordinate type {kind}, must be 5 or 6, complex: export real and imaginary part")
+    if ORDINATES.get(kind, (0, ""))[0] != parts_of:
+        wanted = "2 or 4, real" if parts_of == 1 else "5 or 6, complex: export real and imaginary part"
+        raise InputError(f"dataset 58: ordinate type {kind}, must be {wanted}")
     if not 0 < points <= MOST_ROWS:
         raise InputError(f"dataset 58: {points} points, must be 1 to {MOST_ROWS}")
-    frequency, ratio = _frequency(block, units.get("frequency", "")), _ratio(block, units.get("magnitude", ""))
-    widths = [*([] if even else [ABSCISSA_WIDTH]), WIDTHS[kind], WIDTHS[kind]]
-    per_line = max(LINE_WIDTH // sum(widths), 1)
-    cells = _cells(block[HEAD_LINES:], widths * per_line, points * len(widths)).reshape(points, -1)
+    kept = ORDINATES[kind][1]
+    columns = parts_of + (not even)
+    if dataset.kind == "58b":
+        room = len(dataset.packed) // np.dtype(kept).itemsize
+        cells = np.frombuffer(dataset.packed, dataset.order + kept, min(room, points * columns)).astype(float)
+    else:
+        widths = [*([] if even else [ABSCISSA_WIDTH]), *[WIDTHS[kept]] * parts_of]
+        cells = _cells(block[HEAD_LINES:], widths * max(LINE_WIDTH // sum(widths), 1), points * columns)
+    if cells.size < points * columns:
+        raise InputError(f"dataset 58: {cells.size} numbers, its head promises {points * columns}; it is cut short")
+    cells = cells.reshape(points, columns)
     if even:
         start, step = (_number(block[6][at : at + 13], 7) for at in (30, 43))
         cells = np.column_stack([start + step * np.arange(points), cells])
-    meanings = {"frequency": frequency, "real": ratio, "imaginary": ratio._replace(quantity="imaginary")}
-    columns = {name: cells[:, at] for at, name in enumerate(meanings)}
-    return RawTable(columns, meanings, {}, lambda k: f"point {k + 1}")
+    return cells
 
 
 def _axis(block: Sequence[str], line: int, what: str) -> tuple[int, str, str]:
@@ -150,49 +237,69 @@ def _axis(block: Sequence[str], line: int, what: str) -> tuple[int, str, str]:
     return kind, "" if label.upper() in NOT_STATED else label, meaning
 
 
-def _frequency(block: Sequence[str], user: str) -> Meaning:
-    """What the abscissa means, by the user's word or by its label."""
+def _abscissa(block: Sequence[str], user: str, quantity: str, *, is_si: bool) -> Meaning | None:
+    """What the abscissa means, by the user's word or by its label; None where nothing says it."""
     kind, label, _ = _axis(block, 7, "abscissa")
-    if kind not in (UNKNOWN, FREQUENCY):
-        raise InputError("dataset 58: its abscissa is no frequency; export a frequency response")
-    stated = user or label or "Hz"
-    if read_unit(stated, "frequency") is None:
+    if kind not in (UNKNOWN, FREQUENCY if quantity == "frequency" else TIME):
+        raise InputError(f"dataset 58: its abscissa is no {quantity}; export a function of {quantity}")
+    stated = user or label or ({"frequency": "Hz", "time": "s"}[quantity] if is_si else "")
+    if not stated:
+        return None
+    if read_unit(stated, quantity) is None:
+        unit = f"{quantity}={'Hz' if quantity == 'frequency' else 's'}"
         raise InputError(
-            f"dataset 58: its abscissa is in {quote(stated)}, which is not known; state it by --units frequency=Hz"
+            f"dataset 58: its abscissa is in {quote(stated)}, which is not known; state it by --units {unit}"
         )
     said = f"label says {label} for the abscissa" if label else ""
-    return settled("frequency", stated, read_unit(label, "frequency"), said)
+    return settled(quantity, stated, read_unit(label, quantity), said)
 
 
-def _ratio(block: Sequence[str], user: str) -> Meaning:
+def _ordinate(block: Sequence[str], user: str, *, is_response: bool, is_si: bool) -> Meaning | None:
     """What ordinate over denominator means: the user's word goes before the labels, and these before the types.
+
+    Returns
+    -------
+    None where nothing says the unit.
 
     Raises
     ------
     InputError : units that are not known, an ordinate that is no acceleration, or a denominator that is no input.
+    UnclearError : volts without the sensitivity of their sensor.
     """
     kind, above, ordinate = _axis(block, 8, "ordinate")
-    _, below, denominator = _axis(block, 9, "denominator")
-    acceleration, of_input = parts(user)[0] or parts(above)[0], parts(user)[1] or parts(above)[1] or below
-    if kind not in (UNKNOWN, GENERAL, ACCELERATION) or not (acceleration or ordinate in MAY_ACCELERATE):
+    _, below, denominator = _axis(block, 9, "denominator") if is_response else (UNKNOWN, "", "")
+    acceleration, of_input = (user, "") if not is_response else (parts(user)[0] or parts(above)[0], "")
+    if is_response:
+        of_input = parts(user)[1] or parts(above)[1] or below
+    acceleration = acceleration or above
+    is_known = kind in (UNKNOWN, GENERAL, ACCELERATION) and (acceleration or ordinate in MAY_ACCELERATE)
+    if not (is_known or user):
         raise InputError(f"dataset 58: its ordinate is {ordinate}, no acceleration (type 12); export the accelerance")
-    acceleration = acceleration or SI
-    if read_unit(acceleration, "real") is None:
-        remedy = remedy_of(acceleration) or f"; state it by {EXAMPLE}"
+    acceleration = acceleration or (SI if is_si else "")
+    quantity = "real" if is_response else "acceleration"
+    if acceleration and read_unit(acceleration, quantity) is None:
+        if not is_response and is_electrical(acceleration):
+            raise UnclearError(
+                f"dataset 58: its ordinate is in {quote(acceleration)}, and the sensor's sensitivity is not stated",
+                [{"units": {"acceleration": each}} for each in sensed(acceleration)],
+            )
+        remedy = remedy_of(acceleration) or f"; state it by {EXAMPLE if is_response else '--units acceleration=g'}"
         raise InputError(f"dataset 58: its ordinate is in {quote(acceleration)}, which is not known{remedy}")
-    if input_unit(of_input) is None and (of_input or denominator):
+    if is_response and input_unit(of_input) is None and (of_input or denominator):
         found = f"in {quote(of_input)}" if of_input else f"{denominator} by its type"
         raise InputError(
             f"dataset 58: its denominator is {found}, neither a current nor a voltage; export the acceleration over "
             f"the command, or state what it is by {EXAMPLE}"
         )
+    if not acceleration:
+        return None
     label = f"{above or SI}/{below}" if below and not parts(above)[1] else above
     stated = f"{acceleration}/{of_input}" if of_input else acceleration
-    return settled("real", stated, read_unit(label, "real"), f"labels say {label}" if label and user else "")
+    return settled(quantity, stated, read_unit(label, quantity), f"labels say {label}" if label and user else "")
 
 
 def _cells(lines: Sequence[str], widths: Sequence[int], wanted: int) -> FloatArray:
-    """(wanted,) numbers of fixed width: neighbours may touch."""
+    """(n,) numbers of fixed width, at most as many as wanted: neighbours may touch."""
     ends = np.cumsum(widths)
     numbers: list[float] = []
     for k, line in enumerate(lines):
@@ -200,8 +307,6 @@ def _cells(lines: Sequence[str], widths: Sequence[int], wanted: int) -> FloatArr
             cell = line[end - width : end]
             if len(numbers) < wanted and cell.strip():
                 numbers.append(_number(cell, HEAD_LINES + k + 1))
-    if len(numbers) < wanted:
-        raise InputError(f"dataset 58: {len(numbers)} numbers, its head promises {wanted}; it is cut short")
     return np.array(numbers)
 
 

@@ -17,6 +17,7 @@ from transopt.recordings.references import COST, grip_groups
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import UNKNOWN
 from transopt.recordings.tap import PreparedTap
+from transopt.recordings.unclear import toml
 
 NO_GRAVITY_M_S2 = 0.5  # a smaller offset is that of a sensor within 3 degrees of level, or that reads none
 MOST_LINES = 3  # of one kind; a whole folder is wrong in the same way
@@ -155,14 +156,7 @@ def _lines(
             folder = Path(os.path.relpath(folder, home.resolve()))
     # Strings, numbers and lists are spelt alike in JSON and TOML.
     lines = [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
-    return grid, [*lines, *(f"{key} = {_toml(value)}" for key, value in stated.items())]
-
-
-def _toml(value: object) -> str:
-    """A value as TOML spells it: as JSON, but for the pairs of a table."""
-    if isinstance(value, dict):
-        return f"{{ {', '.join(f'{json.dumps(key)} = {_toml(one)}' for key, one in value.items())} }}"
-    return json.dumps(value)
+    return grid, [*lines, *(f"{key} = {toml(value)}" for key, value in stated.items())]
 
 
 def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings) -> str:

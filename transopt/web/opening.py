@@ -9,7 +9,8 @@ from transopt.base.errors import InputError
 from transopt.library.columns import COLUMNS, EntryTable
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
-from transopt.recordings.tap import check_usable, prepare, read_recordings
+from transopt.recordings.unclear import Answer, joined
+from transopt.report.tried import Taps, prepared, usable
 from transopt.scene.builtin import load_scene, scene_names, scene_path
 from transopt.scene.keys import IN_PLACE_OF, with_values
 from transopt.scene.scene import Scene
@@ -72,10 +73,13 @@ def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[s
     stated = scene.recordings.model_dump(include={"lowpass_Hz", "trusted_from_Hz", "speed_tolerance"})
     table = {**stated, **reading, "files": list(files)}
     taken = with_values(scene, {"recordings": {**table, "folder": str(folder)}})
-    settings, nodes = taken.recordings, list[float]()
-    taps = [prepare(recording, settings) for recording in read_recordings(settings)]
+
+    def read(answer: Answer) -> Taps:
+        return prepared(with_values(taken, {"recordings": joined(taken.recordings.model_dump(), answer)}).recordings)
+
+    taps, settings = usable(read, after="; options of `transopt taps`, whose --scene `transopt page` opens")
+    nodes = list[float]()
     for tap in sorted(taps, key=lambda tap: tap.speed_m_s):
-        check_usable(tap, settings)
         speed = float(f"{tap.speed_m_s:.3g}")
         if not nodes or abs(nodes[-1] / tap.speed_m_s - 1) > settings.speed_tolerance:
             nodes.append(speed)

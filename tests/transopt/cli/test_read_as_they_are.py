@@ -59,7 +59,7 @@ class TestTaps:
         pulse = 60 * np.sin(np.pi * np.clip(times - 0.1, 0, 4e-3) / 4e-3)
         Path("two.wav").write_bytes(wav(np.stack([0 * pulse, pulse / 100], axis=1)))
         options = ("--full-scale", 100, "--speed", 0.2)
-        assert_refused(run("taps", "two.wav", *options), "2 channels", "--channel 1")
+        assert_refused(run("taps", "two.wav", *options), "2 channels", "--channel 2")
         assert run("taps", "two.wav", *options, "--channel", 2).code == 0
         assert_refused(run("taps", "two.wav", *options, "--channel", 3), "choose 1 to 2")
 
@@ -89,7 +89,11 @@ class TestIdleOptions:
             ),
             ("x.wav", ("--units", "acc=g"), ("--units acc=g", "no units; leave it out", "--full-scale 490.3")),
             ("x.wav", ("--rate-Hz", 10000), ("--rate-Hz 10000", "a WAV file states its own; leave it out")),
-            ("x.csv", ("--channel", 2), ("--channel 2", "recordings.channel", "only a WAV file has channels; leave")),
+            (
+                "x.csv",
+                ("--channel", 2),
+                ("--channel 2", "recordings.channel", "only WAV and universal files have channels; leave"),
+            ),
             ("x.csv", ("--full-scale", 490.3), ("--full-scale 490.3", "only a WAV file has a full scale; leave it")),
         ],
     )

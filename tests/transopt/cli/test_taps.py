@@ -96,7 +96,7 @@ class TestTaps:
         assert accepted.code == 0
         assert 'implausible = "accept"' in Path("mine.toml").read_text()
         assert run("taps", *files, "--units", "acceleration=g", "--scene", "mine.toml", "--force").code == 0
-        assert 'units = { "acceleration" = "g" }' in Path("mine.toml").read_text()
+        assert 'units = { acceleration = "g" }' in Path("mine.toml").read_text()
 
     def test_many_files_of_one_fault_are_a_few_lines(self, run: Run) -> None:
         text = (EXAMPLES / "tap_0.2_m_s.csv").read_text().replace("acceleration_g", "acceleration_m_s2")

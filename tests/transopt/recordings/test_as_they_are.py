@@ -92,8 +92,8 @@ def test_every_quantity_has_usual_names(tmp_path: Path) -> None:
 def test_a_hammers_text_needs_only_its_units(tmp_path: Path) -> None:
     content = "time force acc\n" + text(TIMES_S, TAP_M_S2, TAP_M_S2 / G, delimiter=" ")
     message = refusal(tmp_path, content, ".txt")
-    assert message.startswith("no unit stated in the columns 'time, force, acc'; state it, for example --units ")
-    proposed = message.split("--units ")[1].split(" ")[0]
+    assert message.startswith("no unit stated in the columns 'time, force, acc'; known: time in s, ms")
+    proposed = message.split("--units '")[1].split("'")[0]
     assert proposed == "time=s,force=N,acceleration=m/s^2"
     recording = load(tmp_path, content, ".txt", units={**stated_units(proposed), "acc": "g"})
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
@@ -102,7 +102,7 @@ def test_a_hammers_text_needs_only_its_units(tmp_path: Path) -> None:
 
 def test_columns_and_units_of_bare_numbers(tmp_path: Path) -> None:
     content = text(1e3 * TIMES_S, np.ones(TIMES_S.size), TAP_M_S2 / G)
-    assert "name them: --columns" in refusal(tmp_path, content)
+    assert "has no row of names above it; state it, for example --columns" in refusal(tmp_path, content)
     recording = load(tmp_path, content, columns=["time", "-", "acc"], units={"time": "ms", "acc": "g"})
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
     assert "state it" in refusal(tmp_path, content, columns=["time_ms", "-", "acc"])
@@ -115,21 +115,24 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
     recording = load(tmp_path, content, suffix, units={"time": "ms", "acc": "g"})
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
     said = refusal(tmp_path, content, suffix)
-    assert said.startswith(
-        "no unit stated in the columns 't, acc'; state it, for example --units time=s,acceleration="
-    )
+    assert said.startswith("no unit stated in the columns 't, acc'; known: time in s, ms")
+    assert "state it, for example --units 'time=s,acceleration=m/s^2' (in a scene recordings.units = " in said
 
 
 @pytest.mark.parametrize(
     ("header", "options", "words"),
     [
         ("time [s],a [furlong]", {}, "column 'a [furlong]': 'furlong' is no unit of acceleration; known: m/s^2"),
-        ("time [s],a [mV]", {}, "column 'a [mV]': 'mV' is no unit of acceleration; known: m/s^2"),
+        ("time [s],a [mV]", {}, "column 'a [mV]': 'mV' is no unit of acceleration without the sens"),
         ("time [s],Temp [C]", {}, "unknown column 'Temp [C]'; known: time_s"),
         ("time [s],a [g]", {"units": {"accel": "g"}}, "--units accel: no column of that name; the file has"),
         ("time [s],acc", {"units": {"acc": "g", "time": "V"}}, "column 'time [s]': 'V' is no unit of time"),
         ("force [N],acc [g]", {}, "0 time columns"),
-        ("a [g],acc [g]", {}, "2 acceleration columns in 'a [g], acc [g]': must be 1; choose one: --columns"),
+        (
+            "a [g],acc [g]",
+            {},
+            "2 acceleration columns in 'a [g], acc [g]': must be 1; choose one; state it, for example --columns",
+        ),
     ],
 )
 def test_names_and_units_that_cannot_be(tmp_path: Path, header: str, options: dict[str, object], words: str) -> None:
@@ -157,8 +160,12 @@ def test_a_misspelt_quantity_is_no_column_of_ones_own(tmp_path: Path) -> None:
 
 ROWS = [row.partition(",")[2] for row in IN_G.split()]
 FIFO = "time [s],acc [g]\n" + "".join(f"{(k // 32) * 32 * DT_S:.6f},{row}\n" for k, row in enumerate(ROWS))
-DATES = "Time,Acc (g)\n" + "".join(f"2024-03-05 14:11:02.{k:06d},{row}\n" for k, row in enumerate(ROWS))
-CLOCK = "Time;Acc (g)\n" + "".join(f"14:11:02,{k:06d};{row}\n".replace(".", ",") for k, row in enumerate(ROWS))
+DATES = {
+    "2024-03-05 23:59:59.{0:06d}": 1e-6,
+    "03/05/2024 11:59:59.{0:06d} PM": 1e-6,
+    "23:59:59:{0:06d}": 1e-6,
+    "5.3.24 23:59:{1:02d}.{2:04d}": 1e-4,
+}
 
 
 @pytest.mark.parametrize(
@@ -168,9 +175,7 @@ CLOCK = "Time;Acc (g)\n" + "".join(f"14:11:02,{k:06d};{row}\n".replace(".", ",")
             "acc [g]\n" + "\n".join(ROWS) + "\n",
             "0 time columns in 'acc[g]': must be 1; name one time_s or time_ms, or",
         ),
-        (FIFO, "row 3: the times repeat, in groups of 32 rows, as of a sensor's buffer; state the sample rate"),
-        (DATES, "row 2, column Time: '2024-03-05 14:11:02.000000' is a date or a time of day, no number; state"),
-        (CLOCK, "row 2, column Time: '14:11:02,000000' is a date or a time of day, no number; state the sample rate"),
+        (FIFO, "row 3: the times repeat, in groups of 32 rows, as of a sensor's buffer, and the sample rate is"),
     ],
 )
 def test_a_rate_stands_for_times_that_say_nothing(tmp_path: Path, content: str, said: str) -> None:
@@ -221,6 +226,23 @@ def test_variables_without_times_have_a_rate(tmp_path: Path, pack: object) -> No
     assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-12)
 
 
+@pytest.mark.parametrize("form", DATES)
+@pytest.mark.parametrize("name", ["Time", "rtcTime", "time [ms]"])
+def test_dates_and_times_of_day_are_times(tmp_path: Path, form: str, name: str) -> None:
+    stamps = [form.format(k, 50 + k // 10_000, k % 10_000) for k in range(len(ROWS))]
+    rows = "".join(f"{stamp},{row}\n" for stamp, row in zip(stamps, ROWS, strict=True))
+    recording = load(tmp_path, f"{name},Acc (g)\n{rows}")
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
+    assert recording.acceleration.dt_s == pytest.approx(DATES[form], rel=1e-6)
+
+
+def test_midnight_and_noon_are_no_steps_back(tmp_path: Path) -> None:
+    for before, after in (("23:59:59.9{:03d}", "00:00:00.0{:03d}"), ("12:59:59.9{:03d} AM", "01:00:00.0{:03d} AM")):
+        stamps = [*(before.format(k) for k in range(900, 1000)), *(after.format(k) for k in range(100))]
+        content = "Time,Acc (g)\n" + "".join(f"{s},{row}\n" for s, row in zip(stamps, ROWS, strict=True))
+        assert load(tmp_path, content).acceleration.dt_s == pytest.approx(1e-4, rel=1e-6)
+
+
 def test_few_rows_that_stand_there_twice_are_no_buffers(tmp_path: Path) -> None:
     rows = IN_G.splitlines()
     assert "sort the rows and remove repeated ones" in refusal(
@@ -245,6 +267,15 @@ def test_a_slower_channel_leaves_blanks_that_are_filled(tmp_path: Path, delimite
     assert recording.notes == ("pos [mm] stands in one row of 10 only, and is interpolated between them",)
 
 
+@pytest.mark.parametrize("pack", [npz, mat])
+def test_a_tail_of_nan_is_left_out_and_said_so(tmp_path: Path, pack: object) -> None:
+    values = np.where(np.arange(TIMES_S.size) < 190, TAP_M_S2, np.nan)
+    content = pack(time_s=TIMES_S, acc_m_s2=values)  # type: ignore[operator]
+    recording = load(tmp_path, content, ".npz" if pack is npz else ".mat")
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2[:190], atol=1e-9)
+    assert recording.notes == ("the last 10 rows hold what is no number (NaN), and are left out",)
+
+
 @pytest.mark.parametrize("blank", [{5}, {5, 6, 7}, set(range(100, 200)), set(range(1, 200))])
 def test_blanks_that_are_not_regular_are_named(tmp_path: Path, blank: set[int]) -> None:
     rows = [row.partition(",")[0] + "," if k in blank else row for k, row in enumerate(IN_G.split())]
@@ -254,7 +285,7 @@ def test_blanks_that_are_not_regular_are_named(tmp_path: Path, blank: set[int]) 
 
 def test_columns_that_are_proposed_hold_all_that_is_needed(tmp_path: Path) -> None:
     said = refusal(tmp_path, f"x,y\n{IN_G}")
-    assert "name the columns in their order, - for one to skip: --columns time,acceleration,-" in said
+    assert "for example --units 'x=s,y=m/s^2'" in said
 
 
 def test_columns_in_the_wrong_order(tmp_path: Path) -> None:

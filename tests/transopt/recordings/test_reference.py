@@ -107,7 +107,7 @@ class TestPrepare:
         assert tap.speed_source == "position"
 
     def test_no_speed_is_refused(self) -> None:
-        with pytest.raises(InputError, match=r"tap: no incoming speed: state it in the file \(`# speed_m_s"):
+        with pytest.raises(InputError, match=r"test: no incoming speed: the file neither states it \(`# speed_m_s"):
             assign([prepare(pulse(speed=None), SETTINGS)], [0.2], SETTINGS)
 
     def test_receding_position_is_refused(self) -> None:

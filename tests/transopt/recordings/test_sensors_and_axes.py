@@ -1,23 +1,20 @@
 """What sensors, loggers and analysers hand over: volts, counts, three axes, velocities, structures, sheets."""
 
-import io
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
-from nptdms import ChannelObject, TdmsWriter
 
+from tests.benches.brought_files import hdf5, tdms, universal, workbook
 from tests.benches.places import CASES
 from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
 from transopt.recordings import containers
-from transopt.recordings.axes import joined
+from transopt.recordings.axes import joined, without_turning
 from transopt.recordings.names import Layout, stated_units
 from transopt.recordings.recording import load_recording
 from transopt.recordings.response import read_response
@@ -75,12 +72,14 @@ def test_a_scopes_channel_is_asked_for_its_sensitivity(tmp_path: Path, head: str
     mark = ";" if ";" in head else ","
     rows = text(size[0] * TIMES_S, size[1] * TAP_M_S2, 0 * TIMES_S, delimiter=mark)
     said = refusal(tmp_path, head + rows)
-    assert "is what a sensor gives: state its quantity with the sensor's sensitivity" in said
+    assert "is what a sensor gives, and its sensitivity is not stated; state it" in said
     stated = proposed(said, "units")
     assert stated.startswith("Channel A=")
     # What is proposed reads the file; the sensitivity itself is the user's to know.
     own = {
-        "Channel A": stated.partition("=")[2].replace("100 mV/g", "0.1 g/count" if "counts" in head else "0.1 V/g")
+        "Channel A": "counts @ 0.1 g/count"
+        if "counts" in head
+        else stated.partition("=")[2].replace("100 mV", "0.1 V")
     }
     for units in (stated_units(stated), own):
         recording = load(tmp_path, head + rows, units=units) if "counts" not in head or units is own else None
@@ -202,7 +201,7 @@ def test_fields_of_a_structure(tmp_path: Path, compressed: bool) -> None:
     log = {"rig": "A7", "sensor": {"time": TIMES_S, "acc": TAP_M_S2 / G}}
     content = mat(log=log, do_compression=compressed)
     said = refusal(tmp_path, content, ".mat")
-    assert said.startswith("no unit stated in the columns 'time, acc'; state it, for example --units time=s")
+    assert said.startswith("no unit stated in the columns 'time, acc'; known: time in s, ms")
     recording = load(tmp_path, content, ".mat", units={"time": "s", "acc": "g"})
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
 
@@ -246,61 +245,20 @@ def test_the_slope_of_a_velocity_is_an_acceleration(tmp_path: Path) -> None:
 # ---- files of other programs ------------------------------------------------------------------------------
 
 
-def workbook(rows: list[tuple[object, ...]]) -> bytes:
-    """A workbook of one sheet: the least that the format demands (ECMA-376)."""
-    head, kind = '<?xml version="1.0"?>', "http://schemas.openxmlformats.org"
-    office = f"{kind}/officeDocument/2006/relationships"
-    cells = "".join(
-        "<row>"
-        + "".join(
-            f"<c><v>{cell!r}</v></c>" if isinstance(cell, float) else f'<c t="inlineStr"><is><t>{cell}</t></is></c>'
-            for cell in row
-        )
-        + "</row>"
-        for row in rows
-    )
-    parts = {
-        "[Content_Types].xml": f'<Types xmlns="{kind}/package/2006/content-types">'
-        '<Default Extension="xml" ContentType="application/xml"/></Types>',
-        "_rels/.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
-        f'<Relationship Id="r1" Type="{office}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
-        "xl/workbook.xml": f'<workbook xmlns="{kind}/spreadsheetml/2006/main" xmlns:r="{office}">'
-        '<sheets><sheet name="tap" sheetId="1" r:id="r1"/></sheets></workbook>',
-        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
-        f'<Relationship Id="r1" Type="{office}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
-        "xl/worksheets/sheet1.xml": f'<worksheet xmlns="{kind}/spreadsheetml/2006/main">'
-        f"<sheetData>{cells}</sheetData></worksheet>",
-    }
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, part in parts.items():
-            archive.writestr(name, head + part)
-    return stream.getvalue()
-
-
 def sheet() -> bytes:
     numbers = [(float(t), float(a)) for t, a in zip(1e3 * TIMES_S, TAP_M_S2 / G, strict=True)]
     return workbook([("Logger X7", ""), ("Time [ms]", "Acc [g]"), *numbers])
 
 
-def hdf5(user_block: int = 0) -> bytes:
-    stream = io.BytesIO()
-    with h5py.File(stream, "w", userblock_size=user_block) as file:
-        file["log/time_s"] = TIMES_S[None]
-        file.create_dataset("log/acc", data=TAP_M_S2[None] / G).attrs["units"] = "g"
-    return stream.getvalue()
+def logger(user_block: int = 0) -> bytes:
+    return hdf5({"log/time_s": (TIMES_S[None], ""), "log/acc": (TAP_M_S2[None] / G, "g")}, user_block)
 
 
-def tdms(**more: object) -> bytes:
-    stream = io.BytesIO()
-    with TdmsWriter(stream) as writer:
-        writer.write_segment(
-            [ChannelObject("taps", "acc", TAP_M_S2 / G, {"unit_string": "g", "wf_increment": DT_S, **more})]
-        )
-    return stream.getvalue()
+def waveform(**more: object) -> bytes:
+    return tdms({"acc": (TAP_M_S2 / G, "g")}, {"wf_increment": DT_S, **more})
 
 
-FILES = {".xlsx": sheet, ".h5": hdf5, ".tdms": tdms, ".mat": lambda: hdf5(512)}
+FILES = {".xlsx": sheet, ".h5": logger, ".tdms": waveform, ".mat": lambda: logger(512)}
 
 
 @pytest.mark.parametrize("suffix", FILES)
@@ -311,7 +269,7 @@ def test_files_of_other_programs(tmp_path: Path, suffix: str) -> None:
 
 
 def test_a_waveform_keeps_its_start(tmp_path: Path) -> None:
-    recording = load(tmp_path, tdms(wf_start_offset=-3e-3), ".tdms")
+    recording = load(tmp_path, waveform(wf_start_offset=-3e-3), ".tdms")
     assert recording.acceleration.start_s == pytest.approx(-3e-3)
 
 
@@ -387,3 +345,50 @@ def test_brought_responses_are_the_same(name: str, units: dict[str, str]) -> Non
     found = read_response(CASES / name, Layout(units=units))
     gain = np.interp(150.0, found.frequencies_Hz, np.abs(found.response))
     assert gain == pytest.approx(32.0, rel=0.01)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_time_responses_of_universal_files(tmp_path: Path, binary: bool) -> None:
+    content = universal(("g", "12"), values=TAP_M_S2 / G, binary=binary)
+    for rate_Hz in (None, 5000.0):
+        recording = load(tmp_path, content, ".uff", rate_Hz=rate_Hz)
+        np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+        assert recording.acceleration.rate_Hz == pytest.approx(rate_Hz or 10_000.0)
+    two = content + universal(("V", "0"), values=TAP_M_S2, binary=binary)
+    assert "1 'tap 1', 2 'tap 1'" in refusal(tmp_path, two, ".uff")
+    loud = load(tmp_path, two, ".uff", channel=2, units={"acceleration": "V @ 1 V/g"})
+    np.testing.assert_allclose(loud.acceleration.values, G * TAP_M_S2, atol=1e-9)
+    assert "choose 1 to 2" in refusal(tmp_path, two, ".uff", channel=3)
+
+
+# ---- a sensor that turns --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("axis", ["main", "z", "dft321"])
+def test_gravity_of_a_sensor_that_turns_is_taken_off(seed: int, axis: str, tmp_path: Path) -> None:
+    """A sensor that turns by 25 degrees while it records reads the same tap as one that stays."""
+    random = np.random.default_rng(seed)
+    t = np.arange(6000) * 1e-4
+    hit = np.where((t > 0.25) & (t < 0.254), 80 * np.sin(np.pi * (t - 0.25) / 4e-3), 0.0)
+    start = random.uniform(-1, 1)
+    angle = start + np.radians(25) * t / t[-1]
+    noise = 0.02 * random.standard_normal((3, t.size))
+    field = G * np.array([np.sin(angle) * np.cos(1.0), np.sin(angle) * np.sin(1.0), np.cos(angle)])
+    still = field[:, 2500:2501] + 0 * field
+    found = []
+    for each in (field, still):
+        rows = text(t, *(np.array([[0.0], [0.0], [1.0]]) * hit + each + noise))
+        recording = load(tmp_path, f"t_s,ax_m_s2,ay_m_s2,az_m_s2\n{rows}", axis="" if axis == "main" else axis)
+        values = recording.acceleration.values
+        found.append(values - np.median(values))
+        assert any("turned by" in note for note in recording.notes) == (each is field)
+    away = found[0] - found[1]
+    assert np.abs(away - np.median(away)).max() < (0.4 if axis != "dft321" else 1.5)  # 3.7 as it is
+
+
+def test_a_sensor_that_reads_no_gravity_is_left_alone() -> None:
+    values = {axis: np.sin(20 * np.arange(5000) * 1e-4 + k) for k, axis in enumerate("xyz")}
+    kept, said = without_turning(values, 1e-4)
+    assert said == ""
+    assert all(np.array_equal(kept[axis], values[axis]) for axis in "xyz")

@@ -1,0 +1,199 @@
+"""What the columns of a file mean, by their names and by the units that file or user state; what is open is asked.
+
+Nothing here reads a file: a reader hands over the names that it found, and gets a meaning for each or an error that
+says what is missing, with answers that may be tried.
+"""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.recordings.names import (
+    MOST_CHOICES,
+    SKIPPED,
+    Meaning,
+    Vocabulary,
+    apart,
+    axis_of,
+    called_quantity,
+    keys_of,
+    lacking,
+    lacks_unit,
+    looks_known,
+    quantity_of,
+    quote,
+    stated_unit,
+)
+from transopt.recordings.unclear import RATES_HZ, UnclearError, guesses
+from transopt.recordings.units import (
+    Unit,
+    is_electrical,
+    is_sensed,
+    known_units,
+    likely_units,
+    parts,
+    read_unit,
+    remedy_of,
+    sensed,
+    with_input,
+)
+
+MOST_ANSWERS = 40
+Seen = Callable[[], Mapping[str, FloatArray]]
+
+
+def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
+    """Quantity and unit of a column whose name means something.
+
+    Parameters
+    ----------
+    units : as a user states them, see `Layout`; they take the place of the unit in the file.
+
+    Raises
+    ------
+    InputError : a unit that is none of the quantity.
+    """
+    quantity = quantity_of(name, words)
+    assert quantity is not None
+    user, label = stated_unit(name, quantity, units), apart(name)[1] or ""
+    own: Unit | None
+    if name in words.columns:
+        own = Unit(words.columns[name][1])
+        label = label if called_quantity(name, words) else name  # a name of the project's own, which has its unit
+    else:
+        own = read_unit(label, quantity)
+    if user is None and own is not None:
+        return Meaning(quantity, own.factor, own.per, label, slopes=own.slopes)
+    stated = with_input(user, label) if user else label
+    if read_unit(stated, quantity) is None:
+        problem = f"column {quote(name)}: {quote(stated)} is no unit of {quantity}"
+        if is_electrical(stated):
+            answers = [{"units": {apart(name)[0]: each}} for each in sensed(stated)]
+            raise UnclearError(f"{problem} without the sensitivity of the sensor", answers)
+        raise InputError(f"{problem}; known: {', '.join(known_units(quantity))}{remedy_of(stated)}")
+    said = "" if is_sensed(stated, label) else label and f"column is {quote(name)}"
+    return settled(quantity, stated, own, said)
+
+
+def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearError:
+    """Columns that mean nothing here, or a quantity that is not there, with what they may be."""
+    unknown = [name for name in names if name != SKIPPED and not looks_known(name, words)]
+    electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
+    acceleration = "acceleration" in words.quantities
+    if electrical and acceleration:
+        first = next(name for name in unknown if apart(name)[0] in electrical)
+        problem = f"column {quote(first)} is what a sensor gives, and its sensitivity is not stated"
+        return UnclearError(
+            problem, [{"units": {base: each}} for base, unit in electrical.items() for each in sensed(unit)]
+        )
+    present = {quantity_of(name, words) for name in names}
+    problem = (
+        f"unknown column {quote(unknown[0])}; known: {', '.join(words.columns)}, or time [s], acc [g] and the like"
+    )
+    absent = lacking(present, words)
+    if not absent:
+        return UnclearError(problem, [{"columns": [SKIPPED if name in unknown else name for name in names]}])
+    if acceleration:
+        table = {apart(name)[0]: values for name, values in seen().items() if name in unknown}
+        likely = likely_units("acceleration") if "acceleration" in absent else []
+        if answers := guesses(table, likely, is_named=True, needs_time="time" in absent):
+            return UnclearError(problem, answers)
+    if absent == ["time"]:
+        return _untimed(names, words)
+    return UnclearError(problem, [{"columns": [*words.required, SKIPPED]}])
+
+
+def _untimed(names: Sequence[str], words: Vocabulary) -> UnclearError:
+    """The question for the sample rate of a file that has no times."""
+    choice = " or ".join(name for name, (of, _) in words.columns.items() if of == "time")
+    problem = f"0 time columns in {quote(', '.join(names))}: must be 1; name one {choice}, or state the sample rate"
+    return UnclearError(problem, [{"rate_Hz": rate} for rate in RATES_HZ])
+
+
+def settled(quantity: str, stated: str, own: Unit | None, said: str) -> Meaning:
+    """What a column means by the unit that a user states, and a note where the file states another.
+
+    Parameters
+    ----------
+    stated : a unit of the quantity.
+    own, said : the file's unit, None where it is not known, and what the file says; empty where it says nothing.
+    """
+    unit = read_unit(stated, quantity)
+    assert unit is not None
+    # A file that states an acceleration alone says nothing against any input.
+    compared = unit if own is None or own.per else read_unit(parts(stated)[0], quantity)
+    agrees = own is not None and compared is not None and compared.means(own)
+    note = f"the file's {said}, --units says {stated}, which is taken" if said and not agrees else ""
+    return Meaning(quantity, unit.factor, unit.per, stated, note, unit.slopes)
+
+
+def meanings(
+    names: Sequence[str],
+    words: Vocabulary,
+    units: Mapping[str, str],
+    found: Sequence[str] = (),
+    seen: Seen = dict,
+) -> dict[str, Meaning]:
+    """What all columns but the skipped ones mean.
+
+    Parameters
+    ----------
+    found : the variables that a file has, where the columns are chosen from them.
+    seen : reads the columns as numbers, for what may be proposed.
+
+    Raises
+    ------
+    InputError : see `meaning`; a name that means nothing here; a quantity twice, or a required one not at all.
+    """
+    present = quote(", ".join(found or names))
+    used = [name for name in names if name != SKIPPED]
+    _refuse_rivals(used, names, present, words)
+    if any(not looks_known(name, words) for name in used):
+        raise _unknown(used if found else names, words, seen)
+    for quantity in lacking({quantity_of(name, words) for name in used}, words):
+        if quantity == "time":
+            raise _untimed(found or names, words)
+        choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
+        raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}")
+    _refuse_unstated([name for name in used if lacks_unit(name, words, units)], words)
+    said = {}
+    for name in used:
+        said[name] = meaning(name, words, units)
+        if found and name not in found:
+            raise InputError(f"no variable {name}; found: {present}; correct the name")
+    own = {*words.quantities, *(key for name in said for key in keys_of(name))}
+    unused = [key for key in units if key not in own]
+    if unused:
+        raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
+    return said
+
+
+def _refuse_unstated(without: Sequence[str], words: Vocabulary) -> None:
+    """Ask for the units of columns, by their quantities.
+
+    Raises
+    ------
+    UnclearError : there are such columns.
+    """
+    wanted = list(dict.fromkeys(quantity_of(name, words) or name for name in without))
+    if wanted:
+        known = "; ".join(f"{quantity} in {', '.join(known_units(quantity))}" for quantity in wanted)
+        combined = itertools.product(*(likely_units(quantity) for quantity in wanted))
+        raise UnclearError(
+            f"no unit stated in the column{'s' * (len(without) > 1)} {quote(', '.join(without))}; known: {known}",
+            [{"units": dict(zip(wanted, units, strict=True))} for units in itertools.islice(combined, MOST_ANSWERS)],
+        )
+
+
+def _refuse_rivals(used: Sequence[str], names: Sequence[str], present: str, words: Vocabulary) -> None:
+    """Refuse several columns of one quantity but for the axes of a sensor, with the choices that there are."""
+    for quantity in words.quantities:
+        rivals = [at for at, name in enumerate(names) if name in used and quantity_of(name, words) == quantity]
+        several = {axis_of(names[at]) for at in rivals}
+        if len(rivals) > 1 and ("" in several or len(several) < len(rivals)):
+            kept = [
+                [SKIPPED if at in rivals and at != one else name for at, name in enumerate(names)] for one in rivals
+            ]
+            problem = f"{len(rivals)} {quantity} columns in {present}: must be 1; choose one"
+            raise UnclearError(problem, [{"columns": columns} for columns in kept[:MOST_CHOICES]])

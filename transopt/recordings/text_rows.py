@@ -1,0 +1,263 @@
+"""A text parted into what stands above the numbers, their names and units, and rows of cells.
+
+Instruments and loggers put names below remarks, units into a row of their own or among their notes, notes beside the
+numbers, and a label before each of them.
+"""
+
+import io
+import re
+from array import array
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from transopt.base.errors import InputError
+from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW
+from transopt.recordings.encoding import HEAD, encoding_of
+from transopt.recordings.names import SKIPPED, Vocabulary, apart, looks_known, quote, split_names, with_axes
+from transopt.recordings.raw_table import MIN_SAMPLES, check_size
+from transopt.recordings.units import is_unit
+
+_REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
+_HEADER_LINE = re.compile(r"(?:[#*%]|//)\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
+_UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
+_METADATA = re.compile(r"([A-Za-z]\w*)\s*[:=,;\t]\s*(.*)")
+_QUOTED = re.compile(r'"([^"]*)"')
+_LAST_ROWS = 20  # of a file, which show how its rows are divided
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
+_NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
+_STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
+_STATED = re.compile(r"[A-Za-z]\w*\s*=\s*[-+.\d]\S*")
+_LABELLED = re.compile(r"([A-Za-z]\w*)\s*[:=]\s*[-+.\d]\S*")
+_LABEL = re.compile(r"[A-Za-z]\w*\s*[:=]\s*")
+_SERIAL_STAMP = re.compile(r"\d+:\d+:\d+[.,]\d+ -> ")  # that the serial monitor of Arduino puts before a line
+_NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
+
+
+class Text(NamedTuple):
+    """A text parted into its pieces.
+
+    Attributes
+    ----------
+    rows, numbers : lines of numbers, and where each stands in the file.
+    names : of the columns with their units, as the file has them; empty where it has none.
+    header : what remarks state.
+    head, told : lines above the numbers; what cells beside names and numbers state.
+    """
+
+    rows: list[str]
+    numbers: "array[int]"
+    names: list[str]
+    header: dict[str, object]
+    head: list[str]
+    told: list[str]
+
+
+def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
+    """The pieces of a text, of which a user names so many columns.
+
+    Raises
+    ------
+    InputError : no rows, or more columns than there may be.
+    """
+    header: dict[str, object] = {}
+    rows, numbers, remark = _lines(data, header, words)
+    if not rows:
+        raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
+    names, told = _labelled(rows), _beside(rows)
+    start = _first_of_numbers(rows)
+    above, first = rows[:start], rows[min(start, len(rows) - 1)]
+    if max(columns, *(len(row.split(mark)) for row in (first, *above[-2:]) for mark in ";,\t")) > MOST_COLUMNS:
+        raise InputError(f"row {numbers[0]}: more than {MOST_COLUMNS} columns; export the ones that are needed")
+    head = (
+        data[:HEAD].decode(encoding_of(data), errors="ignore").splitlines()[: numbers[min(start, len(rows) - 1)] - 1]
+    )
+    if above:
+        names = _names_above(above, header, words, told)
+    elif not names:
+        names = split_names(remark.lstrip("".join(_REMARKS) + "; "))
+        if names[:1] and names[0].lower() in ("headers", "columns") and len(names) == len(cells_of(first)) + 1:
+            del names[0]
+        if len(names) != len(cells_of(first)) or not any(looks_known(name, words) for name in names):
+            names = []
+    names = with_axes(described(names, [*told, *above]))
+    del rows[:start], numbers[:start]
+    return Text(rows, numbers, names, header, head, told)
+
+
+def _labelled(rows: list[str]) -> list[str]:
+    """Names that stand before each number of every row, as a serial plotter's; they are taken out of the rows."""
+    names = [found[1] for cell in cells_of(rows[-1]) if (found := _LABELLED.fullmatch(cell))]
+    if names and len(names) == len(cells_of(rows[-1])):
+        rows[:] = [_LABEL.sub("", row) for row in rows]
+        return names
+    return []
+
+
+def _beside(rows: list[str]) -> list[str]:
+    """What an oscilloscope (Tektronix TDS) notes in the cells before the numbers of its first rows.
+
+    Parameters
+    ----------
+    rows : lose these cells.
+    """
+    cells = [row.split(",") for row in (rows[0], rows[-1])]
+    notes = next((at for at, cell in enumerate(cells[-1]) if cell.strip()), 0)
+    if notes < 2 or not cells[0][0].strip() or len(cells[0]) != len(cells[1]):
+        return []
+    if not all(_NUMBER.fullmatch(cell.strip()) for cell in cells[0][notes:]):
+        return []
+    parted = [row.split(",", notes) for row in rows]
+    rows[:] = [cells[-1].rstrip(", ") for cells in parted]
+    return [",".join(cells[:-1]).rstrip(",") for cells in parted if cells[0].strip()]
+
+
+def described(names: Sequence[str], notes: Sequence[str]) -> list[str]:
+    """The names of columns with sources and units that an instrument notes elsewhere in the file.
+
+    Parameters
+    ----------
+    notes : lines, `Vertical Units,V` for example.
+    """
+    stated = {cells[0].lower().replace("_", " "): cells[1:] for cells in map(cells_of, notes) if len(cells) > 1}
+    units = next((stated[key] for key in ("vertical units", "y unit label", "units") if key in stated), [])
+    sources = stated.get("source", [])
+    of_times = stated.get("horizontal units", [""])[0]
+    if not names and sources and of_times:
+        names = ["TIME", *sources]
+    found, used = list[str](), 0
+    for at, name in enumerate(names):
+        unit = of_times if at == 0 else ""
+        if at > 0 and used < len(units):
+            unit, used = units[used].rpartition(":")[2], used + 1
+        called = sources[at - 1] if name == "Value" and 0 < at <= len(sources) else name
+        found.append(f"{called} [{unit}]" if unit and is_unit(unit) and not apart(called)[1] else called)
+    return found
+
+
+def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[list[str], "array[int]", str]:
+    """Lines that are neither empty nor remarks, their numbers in the file, and the last remark above them.
+
+    Parameters
+    ----------
+    header : takes what remarks state.
+    """
+    remark, marks = "", _REMARKS
+    rows, numbers = list[str](), array("l")  # by the million: no object more than there must be
+    check_size(max(data.count(b"\n"), data.count(b"\r")))
+    for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), encoding_of(data), newline=None), 1):
+        if len(line) > MOST_IN_A_ROW:
+            remedy = "put one sample in a row, and only the columns that are needed; shorten a remark"
+            raise InputError(f"row {number}: {len(line)} characters, at most {MOST_IN_A_ROW}; {remedy}")
+        content = (_QUOTED.sub(_unquoted, line).replace('"', "") if '"' in line else line).strip(" \r\n\0\f\v")
+        content = content if content.strip() else ""  # a tab that begins a row is the end of an empty cell
+        if number == 1:
+            # A logger that parts its cells by commas may begin its remarks with semicolons.
+            marks = _REMARKS + (";",) * (content[:1] == ";" and "," in content)
+            if content.lower().startswith("sep="):
+                continue  # a spreadsheet's own note about its delimiter
+        content = _SERIAL_STAMP.sub("", content, count=1) if " -> " in content else content
+        if content.startswith(marks):
+            _read_header_line(number, content, header, words)
+            remark = remark if rows else content
+        elif content:
+            rows.append(content)
+            numbers.append(number)
+    return rows, numbers, remark
+
+
+def _unquoted(cell: re.Match[str]) -> str:
+    """What a spreadsheet has put in quotes; a comma in a cell is a decimal one, or part of a name."""
+    inside = cell[1].strip()
+    if cell[0] == cell.string.strip():
+        return inside  # a whole row
+    return inside.replace(",", "." if _DECIMAL_COMMA.fullmatch(inside) else " ")
+
+
+def cells_of(row: str) -> list[str]:
+    return [cell.strip() for cell in row.split(delimiter_of(row), MOST_COLUMNS)]
+
+
+def _first_of_numbers(rows: Sequence[str]) -> int:
+    """Place of the first row of numbers: it begins with one, and is divided as the last rows are or has no words.
+
+    Names, units and what an instrument notes about a record stand above it. Where no row is such a one, the first
+    that has a number anywhere counts.
+    """
+    usual = Counter((delimiter_of(row), len(cells_of(row))) for row in rows[-_LAST_ROWS:]).most_common(1)[0][0]
+
+    def is_first(row: str) -> bool:
+        cells = cells_of(row)
+        wordless = len(cells) > 1 and all(map(_NUMBER.fullmatch, cells))
+        return wordless or ((delimiter_of(row), len(cells)) == usual and bool(_STAMP.fullmatch(cells[0])))
+
+    has_number = (k for k, row in enumerate(rows) if any(map(_NUMBER_START.match, cells_of(row))))
+    begins = (k for k, row in enumerate(rows) if _NUMBER_START.match(row.lstrip()) and is_first(row))
+    return next(begins, next(has_number, len(rows)))
+
+
+def _names_above(above: list[str], header: dict[str, object], words: Vocabulary, told: list[str]) -> list[str]:
+    """Names and units of the columns, which end what stands above the numbers.
+
+    Parameters
+    ----------
+    header : takes what the other rows state, as `speed_m_s,0.21`; an instrument states much else there.
+    told : takes what a row of units states as a number below a name, `Increment: 1e-4`; such a column has no rows.
+    """
+    names, rest = split_names(above[-1]), above[:-1]
+    heads = split_names(rest[-1]) if rest else []
+    for at, name in enumerate(names):
+        if _STATED.fullmatch(name):  # t0 = -0.06, tInc = 1e-4
+            told.append(name.replace("=", ":"))
+            names[at] = SKIPPED
+    if len(heads) == len(names) and any(cell and _NUMBER.fullmatch(cell) for cell in names):
+        told += [f"{name}: {cell}" for name, cell in zip(heads, names, strict=True) if _NUMBER.fullmatch(cell)]
+        units = [cell if is_unit(cell) else "" for cell in names]
+        names = [SKIPPED if _NUMBER.fullmatch(cell) else name for name, cell in zip(heads, names, strict=True)]
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+        rest.pop()
+    elif rest and (units := _units_of(names, len(heads))):
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(heads, units, strict=True)]
+        rest.pop()
+    for row in rest:
+        found = _METADATA.fullmatch(row)
+        if found and found[1] in words.header:
+            header[found[1]] = _scalar(found[2])
+    return names
+
+
+def _units_of(cells: Sequence[str], columns: int) -> list[str]:
+    """The units of a row below the names, in brackets or bare; nothing if the row has none."""
+    inside = [found[1] for cell in cells if (found := _UNIT_CELL.fullmatch(cell))]
+    units = inside if len(inside) == len(cells) else [cell for cell in cells if is_unit(cell)]
+    return units if len(units) == len(cells) == columns else []
+
+
+def _read_header_line(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:
+    """Add `# key: value` to `header`; a comment that merely has a colon in it stays a comment."""
+    found = _HEADER_LINE.fullmatch(line)
+    key, value = found.groups() if found else ("", "")
+    value = _scalar(value)
+    if key in header:
+        raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
+    if key in words.header:
+        header[key] = value
+    elif words.unit_suffix.search(key):
+        known = f"known: {', '.join(words.header)}"
+        raise InputError(f"row {number}: unknown header key {quote(key)}; {known}; correct or reword it")
+
+
+def _scalar(value: str) -> str:
+    """A number in a file's head; spreadsheets pad short rows with delimiters."""
+    value = value.rstrip(";, \t")
+    return value.replace(",", ".") if _DECIMAL_COMMA.fullmatch(value) else value
+
+
+def delimiter_of(line: str) -> str | None:
+    """What divides the cells of a row; None for white space."""
+    # Between tabs, where each cell is one number, and between semicolons a comma is a decimal comma.
+    if "\t" in line:
+        cells = [cell.strip() for cell in line.split("\t")]
+        if all(map(_NUMBER.fullmatch, cells)) and ("," in line or all(cells) or not cells[0]):
+            return "\t"
+    return next((mark for mark in (";", ",") if mark in line), None)

@@ -1,0 +1,157 @@
+"""Answers to what a file leaves open, tried on the file: what reads it is proposed, the most usual tap first.
+
+Which of several answers is right only the user knows, so none is taken without being asked.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.recordings.formats import full_scales
+from transopt.recordings.plausible import USUAL_SPEED_CHANGE, speed_changes_m_s
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import PreparedTap, check_speed, prepare, read_recordings
+from transopt.recordings.unclear import Answer, UnclearError, joined, options, printable, shown_path
+from transopt.recordings.units import known_units, read_unit, sensed
+
+Found = TypeVar("Found")
+Taps = tuple[list[PreparedTap], Recordings]
+MOST_NAMED = 3  # answers in a line
+MOST_LISTED = 9  # on a terminal
+MOST_TRIALS = 80
+TRIAL_S = 2.0  # of processor time, after which no other answer is tried
+DEEPEST = 3  # facts that a file may lack together
+MISTAKEN = ("acceleration", "time", "position")  # whose units make a tap implausible
+
+
+def trials(
+    read: Callable[[Answer], Found],
+    said: Callable[[Found], str],
+    doubt: Callable[[Found], UnclearError | None],
+    odd: Callable[[Found], float],
+    unclear: UnclearError,
+    stated: Answer,
+) -> list[tuple[Answer, str]]:
+    """Answers that read the file, the plausible ones first, each with what was found."""
+    good = list[tuple[float, Answer, str]]()
+    doubtful = list[tuple[float, Answer, str]]()
+    until, count = time.process_time() + TRIAL_S, 0
+
+    def follow(asked: UnclearError, before: Answer, depth: int) -> None:
+        nonlocal count
+        for each in asked.answers:
+            count += 1
+            if count > MOST_TRIALS or time.process_time() > until:
+                return
+            answer = joined(before, each)
+            try:
+                found = read(joined(stated, answer))
+            except UnclearError as more:
+                if depth < DEEPEST:
+                    follow(more, answer, depth + 1)
+            except InputError:
+                continue
+            else:
+                question = doubt(found)
+                is_good = question is None or "implausible" not in question.answers[-1]
+                words = said(found) if is_good else f"{said(found)}; implausible"
+                (good if is_good else doubtful).append((odd(found), answer, words))
+
+    follow(unclear, {}, 1)
+    best = sorted(good or doubtful, key=lambda one: one[0])
+    return [(answer, words) for _, answer, words in best[:MOST_LISTED]]
+
+
+def in_a_line(unclear: UnclearError, tried: list[tuple[Answer, str]]) -> str:
+    """The question with the answers that were tried on the file, as options."""
+    if not tried:
+        return str(unclear)
+    named = " or ".join(f"{options(answer)} ({said})" for answer, said in tried[:MOST_NAMED])
+    lead = f"{shown_path(unclear.file)}{unclear.problem}"
+    return printable(f"{lead}; tried on it, of which only you know the right one: {named}")
+
+
+def prepared(settings: Recordings) -> Taps:
+    """The taps of recordings, ready for references.
+
+    Raises
+    ------
+    InputError : see `read_recordings` and `prepare`.
+    """
+    return [prepare(recording, settings) for recording in read_recordings(settings)], settings
+
+
+def summary(found: Taps) -> str:
+    """What was read, in a few words."""
+    first, *more = found[0]
+    others = f", and {len(more)} taps more" if more else ""
+    peak_g = first.peak_m_s2 / STANDARD_GRAVITY_M_S2
+    return f"{first.recording.acceleration.rate_Hz / 1e3:.4g} kHz, a peak of {peak_g:.3g} g{others}"
+
+
+def oddness(found: Taps) -> float:
+    """How far the speed changes of the taps are from usual ones, as the largest logarithm of a ratio."""
+    ratios = [speed_changes_m_s(tap.acceleration, 0.0)[0] / tap.speed_m_s for tap in found[0] if tap.speed_m_s > 0]
+    return float(np.max(np.abs(np.log(np.maximum(ratios, 1e-300) / USUAL_SPEED_CHANGE)), initial=0.0))
+
+
+def doubt(found: Taps) -> UnclearError | None:
+    """What cannot be a tap, with the units, full scales and speeds that may put it right; None if all may be taps."""
+    taps, settings = found
+    try:
+        for tap in taps:
+            check_speed(tap)  # a scene needs it
+    except UnclearError as error:
+        return error
+    odd = next((tap for tap in taps if tap.implausible), None)
+    if odd is None or settings.implausible == "accept":
+        return None
+    # The key by which the user states the unit of a quantity, if he does, else the quantity.
+    stated = {
+        of: next((pair for pair in settings.units.items() if read_unit(pair[1], of)), (of, "")) for of in MISTAKEN
+    }
+    answers: list[Answer] = [
+        {"units": {key: each}}
+        for of, (key, unit) in stated.items()
+        for each in (sensed(unit.partition("@")[0].strip()) if "@" in unit else known_units(of))
+    ]
+    if settings.full_scale_m_s2 is not None:
+        answers += full_scales()
+    if settings.speed_m_s is not None:
+        answers += [{"speed_m_s": float(f"{by * settings.speed_m_s:.4g}")} for by in (1e-2, 1e-3)]
+    answers.append({"implausible": "accept"})
+    return UnclearError(odd.implausible, answers, Path(odd.recording.source))
+
+
+def usable(read: Callable[[Answer], Taps], after: str) -> Taps:
+    """The taps that a library may be made from.
+
+    Parameters
+    ----------
+    after : what is to be done with the options that are named, where that is no command line.
+
+    Raises
+    ------
+    InputError : a file that leaves something open, or no tap, with the options that were tried.
+    """
+    try:
+        found = read({})
+    except UnclearError as error:
+        raise InputError(in_a_line(error, trials(read, summary, doubt, oddness, error, {})) + after) from None
+    refused = refusal(found, read)
+    if refused is not None:
+        raise InputError(f"{refused}{after}")
+    return found
+
+
+def refusal(found: Taps, read: Callable[[Answer], Taps]) -> InputError | None:
+    """Why no library should be made from taps, with the options that were tried; None if one may."""
+    question = doubt(found)
+    if question is None:
+        return None
+    return InputError(in_a_line(question, trials(read, summary, doubt, oddness, question, {})))
