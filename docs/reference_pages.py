@@ -1,7 +1,6 @@
 """The parts of the reference that the code states: written anew at every build, so that no page can drift from it."""
 
-import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
@@ -9,6 +8,8 @@ from typing import get_args
 
 import click
 import typer
+from key_pages import device_keys, scene_keys
+from page_tables import code, table
 
 from controller.protocol import codes, messages
 from controller.protocol.packed import OPEN_END, Packed
@@ -16,15 +17,13 @@ from controller.servo.faults import FAULTS, SEEN_WHEN
 from controller.servo.interface import Notice, State
 from controller.servo.settings import Settings
 from transopt.base import sizes
-from transopt.base.section import Section
+from transopt.base.section import Section, meanings
 from transopt.base.units import LARGEST, unit_of
 from transopt.library.arrays import HASH_FIELD
 from transopt.library.meta import META
 from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Status
-from transopt.scene.builtin import load_scene
 from transopt.scene.fitted import Source
-from transopt.scene.keys import keys
 from transopt.scene.model_file import ModelFile
 from transopt.scene.model_parts import ChainHand, ModelParts
 
@@ -33,7 +32,6 @@ PROGRAMS = {
     "transopt-play": "controller.cli.play",
     "transopt-device": "controller.cli.device",
 }
-DEFAULT_SCENE = "wood_on_foam"
 TYPES = {
     "B": "u8",
     "H": "u16",
@@ -47,37 +45,8 @@ TYPES = {
 }
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
-
-    def line(cells: Sequence[str]) -> str:
-        return "| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells) + " |"
-
-    return "\n".join([line(head), "|---" * len(head) + "|", *map(line, rows)])
-
-
-def code(word: object) -> str:
-    return f"`{word}`" if str(word) else ""
-
-
 def shown(value: object) -> str:
     return "" if value is None or value == "" else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
-
-
-def scene_keys() -> str:
-    """Every key of a scene, a section for each of its tables."""
-    sections: dict[str, list[list[str]]] = {}
-    about: dict[str, str] = {}
-    for key in keys(load_scene(DEFAULT_SCENE)):
-        name = key.path.rpartition(".")[0] or key.path
-        default = "to be stated" if key.required else shown(key.default)
-        allowed = [key.bounds, ", ".join(code(word) for word in key.choices), "`none`" if key.optional else ""]
-        about.setdefault(name, key.description)
-        sections.setdefault(name, []).append(
-            [code(key.path), key.unit, default, shown(key.value), " or ".join(filter(None, allowed))]
-        )
-    head = ["key", "unit", "default", f"in `{DEFAULT_SCENE}`", "allowed"]
-    return "\n\n".join(f"## {code(name)}\n\n{about[name]}\n\n{table(head, rows)}" for name, rows in sections.items())
 
 
 def library_arrays() -> str:
@@ -98,16 +67,6 @@ def library_meta() -> str:
         kept = f"{stated.meaning} (kept whole)" if stated.whole else stated.meaning
         rows.append([code(path), unit_of(path), kept, stated.null, "always" if stated.needed else ""])
     return table(["key", "unit", "meaning", "null", "has to be there"], rows)
-
-
-def meanings(section: type) -> dict[str, str]:
-    """Field -> what the docstring of its class, or of one that it is made of, says below Attributes."""
-    said: dict[str, str] = {}
-    for owner in reversed(section.__mro__):
-        _, _, listed = (owner.__doc__ or "").partition("Attributes\n    ----------\n")
-        for found in re.finditer(r"^ {4}(\w+) : (.+?)(?=^ {4}\w|\Z)", listed, re.DOTALL | re.MULTILINE):
-            said[found[1]] = " ".join(found[2].split())
-    return said
 
 
 def _model_part(name: str, section: type[Section]) -> str:
@@ -273,6 +232,7 @@ def _command(command: click.Command, words: list[str]) -> list[str]:
 
 PARTS: dict[str, Callable[[], str]] = {
     "commands": commands,
+    "device_keys": device_keys,
     "scene_keys": scene_keys,
     "library_arrays": library_arrays,
     "library_meta": library_meta,

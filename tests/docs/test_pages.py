@@ -21,7 +21,7 @@ from tests.docs.pages import DOCS, FENCED, PAGES, blocks, fenced, named, text
 from transopt.library.meta import META
 from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Status
-from transopt.scene.builtin import load_scene
+from transopt.scene.builtin import load_scene, scene_names
 from transopt.scene.keys import keys
 from transopt.scene.model_parts import CoilPart, DriveDevice, FourthOrderHand, SecondOrderHand
 
@@ -39,7 +39,11 @@ COMMANDS = {
 
 # Page of the reference -> the words that the code has for it to name.
 STATED: dict[str, Callable[[], Iterable[str]]] = {
-    "scene_keys": lambda: [key.path for key in keys(load_scene("wood_on_foam"))],
+    "scene_keys": lambda: {
+        key.path.removesuffix(".constant").removesuffix(".per_newton")  # a parameter of the hand is one key there
+        for name in scene_names()
+        for key in keys(load_scene(name))
+    },
     "library_file": lambda: [*ARRAYS, *META],
     "model_file": lambda: [
         name for part in (DriveDevice, SecondOrderHand, FourthOrderHand, CoilPart) for name in part.model_fields

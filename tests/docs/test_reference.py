@@ -21,12 +21,12 @@ from tests.benches.model_parts import (
 )
 from tests.benches.places import ROOT
 from tests.docs.pages import DOCS
-from transopt.base.section import Section
+from transopt.base.section import Section, meanings
 from transopt.design.build import build_library
 from transopt.library.library import Library
 from transopt.library.meta import META
-from transopt.scene.builtin import load_scene
-from transopt.scene.keys import with_values
+from transopt.scene.builtin import load_scene, scene_names
+from transopt.scene.keys import keys, with_values
 from transopt.scene.recordings import recordings_of
 
 ENDS = "Exit 1: "
@@ -93,6 +93,11 @@ class TestMeta:
         assert {path for path, stated in META.items() if stated.needed} <= written
 
 
+def test_every_key_of_a_scene_has_a_sentence() -> None:
+    found = {key.path: key.description for name in scene_names() for key in keys(load_scene(name))}
+    assert [path for path, said in found.items() if not said.strip()] == []
+
+
 class TestModelFile:
     @pytest.mark.parametrize(
         "part",
@@ -100,12 +105,12 @@ class TestModelFile:
         ids=type,
     )
     def test_every_field_has_a_meaning(self, reference: Any, part: Section) -> None:
-        assert set(type(part).model_fields) <= set(reference.meanings(type(part)))
+        assert set(type(part).model_fields) <= set(meanings(type(part)))
         page = reference.model_file()
         assert type(part).__name__ in page
         assert all(f"`{name}`" in page for name in type(part).model_fields)
 
 
 def test_a_page_includes_every_part(reference: Any) -> None:
-    pages = "\n".join(path.read_text(encoding="utf-8") for path in Path(DOCS / "reference").glob("*.md"))
+    pages = "\n".join(path.read_text(encoding="utf-8") for path in Path(DOCS).rglob("*.md"))
     assert all(f"generated/{name}.md" in pages for name in reference.PARTS)

@@ -1,5 +1,7 @@
 """The building blocks of settings files: numbers with bounds, and a table that refuses unknown keys."""
 
+import inspect
+import re
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
@@ -56,3 +58,13 @@ class Section(BaseModel):
         if said := beyond(info.field_name or "", numbers):
             raise ValueError(said)
         return value
+
+
+def meanings(table: type) -> dict[str, str]:
+    """Field -> what the docstring of its class, or of one that it is made of, says below Attributes."""
+    said: dict[str, str] = {}
+    for owner in reversed(table.__mro__):
+        _, _, listed = inspect.cleandoc(owner.__doc__ or "").partition("Attributes\n----------\n")
+        for found in re.finditer(r"^(\w+) : (.+?)(?=^\w|\Z)", listed, re.DOTALL | re.MULTILINE):
+            said[found[1]] = " ".join(found[2].split())
+    return said

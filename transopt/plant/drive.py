@@ -53,7 +53,12 @@ def drive(
 
 
 class Drive(PlantKind):
-    """Motor, transmission, stylus and hand."""
+    """Motor, transmission, stylus and hand.
+
+    Attributes
+    ----------
+    stylus_mass_kg : mass beyond the transmission, that of the accelerometer.
+    """
 
     is_chain: ClassVar[bool] = True
     through_transmission: ClassVar[bool] = True

@@ -30,7 +30,12 @@ def fourth_order(
 
 
 class FourthOrder(PlantKind):
-    """Stylus and hand (seed Fig. 4b)."""
+    """Stylus and hand (seed Fig. 4b).
+
+    Attributes
+    ----------
+    stylus_mass_kg : mass of the stylus without the drive.
+    """
 
     is_chain: ClassVar[bool] = True
 

@@ -45,7 +45,13 @@ def held(masses_kg: list[float], links: list[Link], hand: Hand, grip_N: float) -
 
 
 class LinearParameter(Section):
-    """A parameter of the hand, linear in grip force."""
+    """A parameter of the hand, linear in grip force.
+
+    Attributes
+    ----------
+    constant : value at a grip of zero.
+    per_newton : growth with each newton of grip.
+    """
 
     constant: Finite
     per_newton: Finite = 0.0
@@ -65,7 +71,16 @@ def _linear(value: LinearParameter | float) -> LinearInGrip:
 
 
 class HandSection(Section):
-    """Skin and arm as functions of grip: a number, or {constant, per_newton}."""
+    """Skin and arm as functions of grip: a number, or {constant, per_newton}.
+
+    Attributes
+    ----------
+    mass_kg : mass of the hand behind the skin.
+    skin_stiffness_N_m : spring between stylus and hand.
+    skin_damping_N_s_m : damper between stylus and hand.
+    arm_stiffness_N_m : spring that holds the hand.
+    arm_damping_N_s_m : damper that holds the hand.
+    """
 
     mass_kg: Parameter
     skin_stiffness_N_m: Parameter

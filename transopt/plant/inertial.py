@@ -15,7 +15,15 @@ from transopt.plant.moving_coil import Mechanics, MovingCoil
 
 
 class Inertial(MovingCoil):
-    """A mass on a spring in a case that it shakes: an LRA, by f0, Q, moving mass, force factor, R and L."""
+    """A mass on a spring in a case that it shakes: an LRA, by f0, Q, moving mass, force factor, R and L.
+
+    Attributes
+    ----------
+    resonance_Hz : f0 with open terminals, in the stated case.
+    quality : mechanical Q with open terminals.
+    moving_mass_kg : mass inside.
+    case_mass_kg : mass that shall shake.
+    """
 
     kind: Literal["inertial"]
     resonance_Hz: Positive

@@ -23,6 +23,12 @@ class OutputTable(Section):
 
     Without `follows`, "position" and "velocity" are those of a mass that moves with a stylus; `follows = ""` says
     that they are against a case.
+
+    Attributes
+    ----------
+    row : the output as a row over the states.
+    unit : unit of the output.
+    follows : nominal motion that is added; empty for a motion against a case.
     """
 
     row: Row
@@ -36,6 +42,16 @@ class Matrices(PlantKind):
     A scene states the matrices or names the `file` that has them. `outputs` names what limits may be on; "position"
     and "velocity" are those that `limits.stroke_m` and `limits.velocity_m_s` bound, "current" of a coil that a
     voltage drives that of `limits.current_A`.
+
+    Attributes
+    ----------
+    input : what drives the plant.
+    A : rows of A in dx/dt = A x + B u.
+    B : column B.
+    C : row C of the acceleration, C x + D u.
+    D : direct part of the acceleration.
+    outputs : tables of further outputs that limits may be on.
+    file : file that holds the matrices in their place.
     """
 
     driven_at_tip: ClassVar[bool] = False

@@ -61,7 +61,16 @@ class Mechanics:
 
 
 class MovingCoil(PlantKind):
-    """What the actuators with a moving coil or magnet have in common: the coil, and what drives it."""
+    """What the actuators with a moving coil or magnet have in common: the coil, and what drives it.
+
+    Attributes
+    ----------
+    input : what the driver sets.
+    force_factor_N_A : BL: force per ampere, and back-EMF per m/s.
+    R_ohm : resistance of the coil, which a voltage needs.
+    L_H : inductance of the coil; at 0 the current follows the voltage at once.
+    nonlinear : table of formulas in place of constants.
+    """
 
     driven_at_tip: ClassVar[bool] = False
     held_by_hand: ClassVar[bool] = False

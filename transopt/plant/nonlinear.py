@@ -36,6 +36,12 @@ class Nonlinear(Section):
 
     Each is arithmetic over x [m], v [m/s], i [A], the linear model's BL [N/A], K [N/m] and C [N s/m], and the
     functions abs, atan, cos, exp, log, sin, sqrt, tanh. At rest the first two must be what the linear model has.
+
+    Attributes
+    ----------
+    force_factor : BL over x, in N/A.
+    stiffness : K over x, in N/m.
+    friction : force against the motion beside the damping, in N.
     """
 
     force_factor: Words | None = None

@@ -15,6 +15,14 @@ class VoiceCoil(MovingCoil):
     """A coil in a magnet, by moving mass, suspension, force factor BL, R and L; in a case if one is stated.
 
     Its coil's temperature is known where `winding` is stated and a current drives it.
+
+    Attributes
+    ----------
+    moving_mass_kg : what moves against the ground or the case.
+    case_mass_kg : mass that shall shake; without it the ground holds the coil.
+    stiffness_N_m : spring of the suspension.
+    damping_N_s_m : damper of the suspension.
+    winding : table of how the coil heats.
     """
 
     kind: Literal["voice_coil"]

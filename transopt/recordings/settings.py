@@ -14,6 +14,22 @@ class SimulatedTaps(Section):
 
     They are made at every grip of the scene, or at `grip_N` alone.
     Contact force on the stylus: k delta^n (1 + c d delta/dt) >= 0, delta the indentation.
+
+    Attributes
+    ----------
+    grip_N : the one grip of the recordings; without it every grip of the scene is recorded.
+    object_mass_kg : mass of the object that is struck.
+    object_stiffness_N_m : spring below the object.
+    object_damping_N_s_m : damper below the object.
+    contact_stiffness_N_m : k of the contact force k delta^n (1 + c d delta/dt).
+    contact_exponent : n of that force.
+    contact_damping_s_m : c of that force.
+    repeats : taps at each speed and grip.
+    speed_spread : share by which the speeds of the taps scatter.
+    noise_g_rtHz : noise of the accelerometer.
+    range_g : range of the accelerometer, beyond which it clips.
+    rate_Hz : sample rate of the recordings.
+    seed : seed of the random numbers: the same seed makes the same recordings.
     """
 
     grip_N: Positive | None = None
@@ -34,6 +50,32 @@ class SimulatedTaps(Section):
 class Recordings(Section):
     """Settings that say where the taps come from and how they become references.
     `trusted_from_Hz` is the cut-off of an accelerometer that reads no constant, 0.5 to 5 Hz for one of the IEPE type.
+
+    Attributes
+    ----------
+    files : names or patterns of the recordings, counted from the folder.
+    folder : where the files lie, counted from the scene.
+    columns : names of the columns in their order, `-` for one to skip.
+    units : unit of a column or quantity, before what the file says.
+    full_scale_m_s2 : acceleration of full scale in a WAV file.
+    channel : channel of a WAV file that is the accelerometer, from 1.
+    rate_Hz : sample rate of files that state no times.
+    axis : which signal is taken of three axes: the strongest direction, one axis, or DFT321.
+    taps_by_file : which taps of a file with several are used.
+    speed_m_s : incoming speed of all files that state none.
+    speed_by_file_m_s : incoming speed by file or tap.
+    grip_N : grip of all files that state none.
+    source : where the recordings come from, in words.
+    polarity : sign of the acceleration that slows the stylus down.
+    offset_m_s2 : reading at rest that is taken off; `baseline` is the mean before contact.
+    onset_s : time of contact in the file; `auto` finds it.
+    lowpass_Hz : corner of the low-pass that a recording goes through, with zero phase.
+    trusted_from_Hz : cut-off of an accelerometer that reads no constant, such as IEPE; 0 for others.
+    speed_tolerance : a tap is scaled to a grid speed that is within this share of its own.
+    time_scale : factor on the times, for impacts of another rig.
+    amplitude_scale : factor on the acceleration, or scaled such that the change of speed fits.
+    implausible : whether recordings that can be no taps are refused.
+    simulated : table of an object that the device strikes in place of files.
     """
 
     files: Annotated[list[str], Field(max_length=MOST_FILES)] = Field(default_factory=list)

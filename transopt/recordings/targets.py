@@ -36,6 +36,20 @@ class TargetTable(Section):
 
     `file` is read like a recording, with the keys of `[recordings]`; `start_s` is the instant in it at which the
     target begins, `length_s` how long it is, `scale` what it is multiplied with.
+
+    Attributes
+    ----------
+    name : name of the target, its waveform and its files.
+    shape : a sine under an envelope, a sine that dies away, or half a sine.
+    frequency_Hz : frequency of the sine.
+    cycles : periods of a burst.
+    envelope : envelope of a burst.
+    decay_s : time constant of a decay.
+    peak_m_s2 : largest acceleration of the shape.
+    file : recording of the target, in place of a shape.
+    start_s : instant in the file at which the target begins.
+    length_s : how long the target is in the file.
+    scale : factor on the file.
     """
 
     name: Name

@@ -15,7 +15,7 @@ from pydantic_core import PydanticUndefined
 
 from transopt.base.errors import InputError
 from transopt.base.nearest import nearest
-from transopt.base.section import Section
+from transopt.base.section import Section, meanings
 from transopt.base.units import largest, unit_of
 from transopt.plant.hand import LinearParameter
 from transopt.scene.file import explain
@@ -46,7 +46,7 @@ class Key:
     number : whether it takes numbers.
     integer : whether it takes only whole ones.
     optional : whether it may be left out.
-    description : of the table it stands in.
+    description : what it is, in a sentence.
     interval : the bounds as two numbers; a bound may itself be refused ("> 0").
     """
 
@@ -64,16 +64,16 @@ class Key:
     interval: tuple[float, float] = (-math.inf, math.inf)
 
 
-def _flat(annotation: Any) -> Iterator[Any]:
+def flat(annotation: Any) -> Iterator[Any]:
     """The members of a union and what stands inside Annotated, metadata included."""
     yield annotation
     if get_origin(annotation) is not Literal:
         for member in get_args(annotation):
-            yield from _flat(member)
+            yield from flat(member)
     yield from getattr(annotation, "metadata", ())
 
 
-def _bounds(parts: list[Any], unit: str) -> str:
+def bounds_of(parts: list[Any], unit: str) -> str:
     """Bounds in words; those of FieldInfo objects inside Annotated included, and the largest of the unit."""
     words, most = [], largest(unit)
     for part in parts:
@@ -105,13 +105,14 @@ def _interval(parts: list[Any], unit: str) -> tuple[float, float]:
 
 def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[Key]:
     """The keys of a table and of the tables in it; `value` is the table as the scene states it, if it does."""
-    about = " ".join((table.__doc__ or "").split("\n\n")[0].split())
+    said = meanings(table)
     for name, field in table.model_fields.items():
         path, stated = f"{prefix}{name}", getattr(value, name, None)
-        parts = [*_flat(field.annotation), *field.metadata]
+        parts = [*flat(field.annotation), *field.metadata]
         parts += [bound for part in parts if isinstance(part, FieldInfo) for bound in part.metadata]
-        if path == "striker":
-            continue  # what simulated taps are made with is not what is designed, and stays when that is varied
+        # What strikes simulated taps stays when the device is varied; the others are read from files of their own.
+        if path in ("striker", "limits.own") or (path == "robust.population" and stated is None):
+            continue
         inner = [part for part in parts if isinstance(part, type) and issubclass(part, Section)]
         if path == "motor":
             yield Key(
@@ -124,11 +125,11 @@ def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[
             yield from _walk(type(stated), stated, f"{path}.")
         elif inner and not (inner == [LinearParameter] and isinstance(stated, int | float)):
             yield from _walk(inner[0], None, f"{path}.")
-        elif (leaf := _leaf(path, field, parts, stated, about)) is not None:
+        elif (leaf := _leaf(path, field, parts, stated, said.get(name, ""))) is not None:
             yield leaf
 
 
-def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, about: str) -> Key | None:
+def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, description: str) -> Key | None:
     """A key that holds a number or one of several words; None for names, lists and what is fixed."""
     choices = tuple(word for p in parts if get_origin(p) is Literal for word in get_args(p) if isinstance(word, str))
     numbers = [n for p in parts if get_origin(p) is Literal for n in get_args(p) if isinstance(n, int)]
@@ -145,12 +146,12 @@ def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, about: str
         default=default if isinstance(default, float | int | str) else None,
         required=field.is_required(),
         value=", ".join(f"{v:g}" for v in stated) if grid and stated else stated,
-        bounds=f"one of {', '.join(map(str, numbers))}" if numbers else _bounds(parts, unit_of(path)),
+        bounds=f"one of {', '.join(map(str, numbers))}" if numbers else bounds_of(parts, unit_of(path)),
         choices=choices,
         number=numeric,
         integer=float not in parts and (int in parts or bool(numbers)),
         optional=type(None) in parts,
-        description=about,
+        description=description,
         interval=(min(numbers), max(numbers)) if numbers else _interval(parts, unit_of(path)),
     )
 

@@ -56,7 +56,17 @@ from transopt.scene.sections import (
 
 
 class Scene(Section):
-    """One scene file; `name` defaults to the file's stem."""
+    """One scene file; `name` defaults to the file's stem.
+
+    Attributes
+    ----------
+    name : name of the scene and of the folder of its results; by default that of the file.
+    description : words for reports.
+    motor : file or table of a motor: one row of a datasheet.
+    amplifier : `ideal`: the current follows at once; or the table of an amplifier.
+    hand_over_samples : last commands of a waveform, at which the transient is zero.
+    implausible : whether numbers that no device has are refused.
+    """
 
     name: Name
     description: Words = ""

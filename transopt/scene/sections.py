@@ -53,6 +53,13 @@ class Grid(Section):
 
     With `cool_share` each node has a second command, the best that makes no more than this share of the first one's
     heat. A device whose coil is warm blends towards it in place of playing a weaker first one.
+
+    Attributes
+    ----------
+    speeds_m_s : incoming speeds of the taps, increasing.
+    grips_N : grip forces, increasing; 0 alone is a device that nobody holds.
+    grip_min_N : below this grip no transient is played.
+    cool_share : share of the heat that a second command for a warm coil may make.
     """
 
     speeds_m_s: Annotated[list[Speed], Field(max_length=MOST_NODES)] = Field(default_factory=list)
@@ -83,6 +90,12 @@ class Time(Section):
 
     Without `stages` the window is 80 ms, or what `thermal.tap_rate_Hz` leaves of it where taps come sooner. A lead of
     none is the least whole number of servo periods that covers the amplifier's delay and 0.2 ms.
+
+    Attributes
+    ----------
+    dt_s : servo period: a command is held for so long.
+    stages : commands of a waveform; without it the window is 80 ms, or what `thermal.tap_rate_Hz` leaves of it.
+    lead_s : how long before contact the waveform starts; without it the delay and 0.2 ms are covered.
     """
 
     dt_s: Annotated[float, Field(ge=SHORTEST_DT_S, le=LONGEST_DT_S)] = 1e-4
@@ -108,6 +121,15 @@ class AmplifierSection(Section):
     so does the ripple's heat. `gain_V_A` is the proportional gain of its PI current loop, by default that of a
     crossover at a tenth of `switching_Hz`. A voltage amplifier's range is `command_limit_V`, a class-D stage's rail,
     by default `limits.voltage_V`.
+
+    Attributes
+    ----------
+    pole_Hz : frequency at which the current has lost 3 dB against the command.
+    delay_s : time from a command to the first current, beyond the hold.
+    command_limit_A : range of the command, either sign.
+    command_limit_V : range of the command of a voltage amplifier; by default `limits.voltage_V`.
+    switching_Hz : PWM frequency of an H-bridge, from which pole, delay and ripple follow.
+    gain_V_A : proportional gain of the current loop; by default its crossover is a tenth of `switching_Hz`.
     """
 
     pole_Hz: Positive | None = None
@@ -153,6 +175,21 @@ class LimitsSection(Section):
 
     Where a voltage is the input it is `voltage_V`, of which `sag` states the share that the supply has along the
     waveform, and `current_A` bounds the coil's current.
+
+    Attributes
+    ----------
+    steady_current_A : current that the motor stands for ever.
+    beta : the transient limit as a multiple of the steady current.
+    current_A : current at all times, in the place of `beta`; the current of a coil that a voltage drives.
+    slew_A_per_s : change of the command over time.
+    supply_V : rail: the voltage that resistance, inductance and back-EMF together may take.
+    voltage_V : voltage at all times, where a voltage drives the plant.
+    steady_voltage_V : rated voltage, by which the baselines are made.
+    slew_V_per_s : change of a voltage command over time.
+    sag : share of `voltage_V` that the supply has along the waveform: pairs of time and share.
+    stroke_m : way of the motor mass, or of a moving coil, from the surface or from rest.
+    velocity_m_s : velocity of that mass, the motion of the hand included.
+    own : files of Python with limits of your own.
     """
 
     steady_current_A: Positive | None = None
@@ -208,7 +245,18 @@ class LimitsSection(Section):
 
 
 class Thermal(Section):
-    """Temperatures at the start, and what the winding may do: keep its limit, a headroom per tap, taps for ever."""
+    """Temperatures at the start, and what the winding may do: keep its limit, a headroom per tap, taps for ever.
+
+    Attributes
+    ----------
+    ambient_C : temperature of the air.
+    start_winding_C : temperature of the winding when a tap begins.
+    start_housing_C : temperature of the housing when a tap begins.
+    nodes : 2: winding and housing warm; 1: the housing stays as it is.
+    headroom_K : how far one tap may warm the winding.
+    tap_rate_Hz : taps a second, for ever: their steady state keeps the limit.
+    idle_A : current in the pauses between such taps; by default what a wall asks for.
+    """
 
     ambient_C: Temperature = 25.0
     start_winding_C: Temperature = 25.0
@@ -230,7 +278,15 @@ class Thermal(Section):
 
 
 class Feedback(Section):
-    """Virtual wall under the transient (seed Eq. 9): spring and damper below the surface, from the encoder."""
+    """Virtual wall under the transient (seed Eq. 9): spring and damper below the surface, from the encoder.
+
+    Attributes
+    ----------
+    stiffness_N_m : spring of the virtual wall.
+    damping_N_s_m : damper of the wall.
+    latency_ticks : age of the encoder reading that the wall answers to, in servo periods.
+    derivative_filter_Hz : low-pass of the measured velocity.
+    """
 
     stiffness_N_m: Positive
     damping_N_s_m: NonNegative = 0.0
@@ -243,6 +299,11 @@ class Hand(Section):
 
     `brakes` comes to rest evenly in 60 ms, `straight` goes on, `stops` stops dead, `decays` loses its speed with a
     time constant of 30 ms, `pulls` turns back within 60 ms. What the hand does by itself is not asked of the motor.
+
+    Attributes
+    ----------
+    intention_s : how long the hand goes on as it came, since nobody answers sooner.
+    yields : law by which the hand gives way after that.
     """
 
     intention_s: Annotated[float, Field(ge=1e-3, le=LONGEST_HORIZON_S)] = INTENTION_S
@@ -260,6 +321,18 @@ class Weights(Section):
     through window and tail. With `objective = "intensity"` the tap is asked to have at least the recorded energy,
     `intensity_dB` above it.
     What is left after the end of a named target counts `calm` times: a little error of a click for much less ringing.
+
+    Attributes
+    ----------
+    rho : weight of the movement of the command; above 0 the optimum is unique.
+    plain : weight of the error as it is, over the intention.
+    rapid : filter of the rapid term: a high-pass, the band of felt vibration, or no filter.
+    rapid_from_Hz : corner of that high-pass.
+    heat_price : price of the heat of the coil [1/A^2]; 0 asks for none.
+    after_s : how long after the waveform the error still counts.
+    calm : how many times more counts what is left after a named target ends.
+    objective : `waveform`: the nearest one; `intensity`: the nearest one with the energy of the tap.
+    intensity_dB : energy that `intensity` asks for, over that of the recorded tap.
     """
 
     rho: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 1e-3
@@ -283,6 +356,16 @@ class Robust(Section):
     or of these side by side;
     of a moving coil it is that of resonance and quality as production has it, `samples` resonances evenly across and
     three qualities for each.
+
+    Attributes
+    ----------
+    grip_spread : grips around each node that one command serves, as a share of the grip.
+    model_uncertainty : whether devices within the uncertainty of the identified model are served.
+    population : file of a population of hands that one command serves.
+    resonance_spread : share by which production spreads the resonance of a moving coil.
+    quality_spread : share by which production spreads its quality.
+    samples : devices that stand for the spread.
+    minimise : whether the mean or the largest of the errors is least.
     """
 
     grip_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
