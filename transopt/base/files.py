@@ -35,7 +35,7 @@ def read_file(path: Path, most_bytes: int, advice: str) -> bytes:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):
             kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
-            raise InputError(f"{name}: {kind}, not a file; {advice}")
+            raise InputError(f"{name}: {kind}, not a file{_inside(path)}; {advice}")
         with path.open("rb") as file:
             data = file.read(most_bytes + 1)
     except FileNotFoundError:
@@ -51,6 +51,12 @@ def read_file(path: Path, most_bytes: int, advice: str) -> bytes:
     if len(data) > most_bytes:
         raise InputError(f"{name}: larger than {megabytes(most_bytes)}; {advice}")
     return data
+
+
+def _inside(folder: Path) -> str:
+    """A library that lies in a folder that was named in its stead."""
+    library = folder / "library.npz"
+    return f" (did you mean {library}?)" if is_file(library) else ""
 
 
 def is_file(path: Path) -> bool:
@@ -99,6 +105,10 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
+        if not path.parent.is_dir():
+            raise InputError(
+                f"{path}: there is no folder {path.parent}: create it, or choose another place"
+            ) from None
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
 
 

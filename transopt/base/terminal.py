@@ -244,6 +244,12 @@ def _signals_end_it() -> Iterator[list[int]]:
                 faulthandler.cancel_dump_traceback_later()
 
 
+MISSING = {
+    "Missing option '--port'": ": `transopt-play ports` lists the ports",
+    "Missing argument 'library'": ": give a library.npz written by `transopt solve`",
+}
+
+
 def _refuse(error: Any) -> None:
     """Say in one line which command, option or value does not exist, or print the help that it needs."""
     said: str = error.format_message()
@@ -254,6 +260,9 @@ def _refuse(error: Any) -> None:
     context = getattr(error, "ctx", None)
     asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
     words = _unknown(error, said) or " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
+    words += MISSING.get(words, "")
+    if re.search(r"extra argument.*\([-\d. ]+\)", words):
+        words += ": several values of one option take commas and no spaces, as 1,3,5"
     typer.echo(f"error: {harmless(words)}{asking}", err=True)
 
 
@@ -266,4 +275,5 @@ def _unknown(error: Any, said: str) -> str:
     found = re.match(r"No such command (['\"])(.*?)\1", said)
     if found is None:
         return ""
-    return f"{found[2]}: no such command" + did_you_mean(found[2], getattr(command, "commands", ()))
+    known = list(getattr(command, "commands", ()))
+    return f"{found[2]}: no such command" + (did_you_mean(found[2], known) or f"; choose one of {', '.join(known)}")

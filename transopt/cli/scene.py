@@ -76,7 +76,8 @@ def write_new(file: Path, text: str, *, force: bool, ending: str = ".toml") -> N
     InputError : it is there and `force` is not set, has another suffix, or cannot be written.
     """
     if file.suffix != ending:
-        raise InputError(f"{file}: {'a scene file' if ending == '.toml' else 'it'} ends in {ending}")
+        what = "a scene file" if ending == ".toml" else "it"
+        raise InputError(f"{file}: {what} ends in {ending}: name it {file.with_suffix(ending)}")
     try:
         with file.open("w" if force else "x", encoding="utf-8") as new:
             new.write(text)

@@ -93,7 +93,13 @@ def study(
         terminal.console().print(key_table(loaded, f"{loaded.name}: keys for --vary, --set and --solve-for"))
         return
     if out is None:
-        raise InputError("--out: give a folder")
+        asked = vary or sample or require or name
+        what = (
+            "--out: give a folder, as --out cost"
+            if asked
+            else "study: say what to vary, as --vary limits.current_A=3,4,5"
+        )
+        raise InputError(what if asked else f"{what} --out cost; --list-keys lists the keys")
     request = Request(
         vary=vary or [],
         settings=settings or [],
@@ -169,7 +175,6 @@ def run(request: Request, scene: str) -> int:
     loaded = apply_settings(builtin.load_scene(scene, accept=request.accept), request.settings, files)
     jobs = (os.cpu_count() or 1) if request.jobs is None else request.jobs
     with closing(executor_pool(request.executor or "processes", jobs)) as pool:
-        terminal.make_folder(request.out)
         if request.name and loaded.targets:
             raise InputError(
                 f"--study {request.name}: asks about speeds and grips, {loaded.name} has named targets: --vary"
@@ -195,6 +200,7 @@ def run(request: Request, scene: str) -> int:
             seed=1 if request.seed is None else request.seed,
             rivals=request.full,
         )
+        terminal.make_folder(request.out)
         return (_answer if request.solve_for else _vary)(request, plan, pool)
 
 

@@ -94,7 +94,9 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
     ------
     InputError : one line, file first, whatever is wrong.
     """
-    data = read_file(path, MOST_RECORD_BYTES, "name a recording, in pieces if it is too long")
+    data = read_file(
+        path, MOST_RECORD_BYTES, "name a recording, as `transopt taps tap_*.csv`, in pieces if it is too long"
+    )
     try:
         if not data:
             raise InputError("is empty (0 bytes); record or export it again")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from transopt.base.errors import InputError
+from transopt.base.files import is_file
 from transopt.base.nearest import did_you_mean
 
 if TYPE_CHECKING:
@@ -32,6 +33,11 @@ def scene_path(name: str) -> Path:
     InputError : no scene of that name.
     """
     if name not in scene_names():
+        if is_file(Path(f"{name}.toml")):
+            raise InputError(f"{name}: no built-in scene of that name (did you mean {name}.toml?)")
+        if is_file(Path(name)):
+            words = f"`transopt show {name}` shows a library, `transopt taps {name} --scene mine.toml` begins a scene"
+            raise InputError(f"{name}: no scene, which is a .toml file; {words}")
         raise InputError(
             f"{name}: no built-in scene of that name{did_you_mean(name, scene_names())}; choose one of "
             f"{', '.join(scene_names())}, or give the path of a .toml file"

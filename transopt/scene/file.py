@@ -67,7 +67,17 @@ def read_toml(path: Path) -> dict[str, Any]:
         if _MODEL_LINE.search(text) and _MODEL_TABLE.search(text):
             clash = "states a model file (model = ...) and [model] tables: write model_file = ... in that line"
             raise InputError(f"{path}: {clash}") from None
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        raise InputError(f"{path}: not valid TOML: {error}{_line_of(text, str(error))}") from None
+
+
+def _line_of(text: str, said: str) -> str:
+    """The line that is no TOML, and what is wrong with it where that is a decimal comma."""
+    at = re.search(r"at line (\d+)", said)
+    if at is None:
+        return ""
+    line = text.split("\n")[int(at[1]) - 1].partition("#")[0].strip()
+    comma = ": numbers have a decimal point" if re.search(r"=\s*-?\d+,\d", line) else ""
+    return f": {cut(line)}{comma}"
 
 
 def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
@@ -128,6 +138,8 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any],
     else:
         message = _A_TABLE.sub("must be a table", first["msg"]).removeprefix("Value error, ")
         message = message.replace("Input should be", "must be")
+        if first["type"] == "float_parsing":
+            message = "must be a number alone, without quotes and unit: the key's name states the unit"
         shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {cut(repr(first['input']))}"
         text = f"{where}{shown}: {message}" if where else message
     others = {_keys_only(complaint, content) for complaint in error.errors()}
@@ -239,7 +251,13 @@ def read_scene(
         found = next((place for place in places if is_file(place)), None)
         if found is None:
             folders = ", ".join(str(place.parent) for place in places)
-            raise InputError(f"{path}: {table} = {named!r}: no such file in {folders}")
+            known = sorted(
+                str(file.relative_to(folder)) for folder in search for file in folder.glob(f"{key}s/*.toml")
+            )
+            built_in = f"; built-in: {', '.join(known)}" if known else ""
+            raise InputError(
+                f"{path}: {table} = {named!r}: no such file in {folders}{did_you_mean(named, known)}{built_in}"
+            )
         tables[key] = read_toml(found)
     if content.get("implausible") != "accept":
         check_plausible(path, content)

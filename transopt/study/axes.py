@@ -1,6 +1,7 @@
 """What a constraint study varies: keys of the scene with their values, as they are typed on a command line."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,6 +145,8 @@ def parse_axis(scene: Scene, option: str, text: str, search: Sequence[Path] = ()
         if ":" in values_text and key.number:
             limits, numbers, log = parse_range(f"{option} {path} =", values_text)
             values: tuple[Any, ...] = tuple(round(number) if key.integer else number for number in numbers)
+        elif re.fullmatch(r"[\d.]+-[\d.]+", values_text):
+            raise InputError(f"{option} {text}: a range is START:STOP:COUNT, as {values_text.replace('-', ':')}:4")
         else:
             values = tuple(parse_value(key, part) for part in values_text.split(","))
         axis = Axis(path, values, tuple(label(value) for value in values), limits, log)

@@ -129,6 +129,8 @@ class Store:
         another = f"--out {self.folder}: cannot be written ({{}}); choose another folder"
         try:
             yield
+        except InputError:  # a ValueError too: it says what is wrong already
+            raise
         except OSError as error:
             raise InputError(another.format(error.strerror)) from None
         except sqlite3.OperationalError as error:
