@@ -19,7 +19,8 @@ project = "transopt"
 author = "The transopt developers"
 release = version = metadata.version("transopt")
 
-extensions = ["myst_nb"]
+extensions = ["myst_nb", "mathml"]
+html_math_renderer = "mathml"  # the package's own, so that formulas need no network
 exclude_patterns = ["reference/generated"]
 html_theme = "furo"
 html_title = f"transopt {release}"
@@ -27,6 +28,7 @@ html_static_path = ["static"]
 html_css_files = ["pages.css"]
 language = "en"
 
+myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True

@@ -4,9 +4,9 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any, get_args
 
+from page_tables import code, table
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
-from page_tables import code, table
 
 from controller.device.device_file import BUILT_IN, TABLES
 from controller.device.reading import all_keys, value_of
@@ -20,9 +20,10 @@ from transopt.scene.keys import bounds_of, flat
 from transopt.scene.scene import Scene
 
 NOT_STATED = ("kind", "striker")  # the heading of a section has the one; nobody writes the other into a file
-# Keys that no built-in scene states and that have no default.
+# Keys that no built-in scene states, or states at length, and that have no default.
 EXAMPLES: dict[str, object] = {
     "name": "oak_5_N",
+    "description": "oak, 5 N",
     "time.stages": 800,
     "grid.cool_share": 0.36,
     "time.lead_s": 3e-4,
@@ -95,23 +96,23 @@ def scene_keys() -> str:
         stated.append({table_of: tomllib.loads((SCENES.parent / file).read_text(encoding="utf-8"))})
     head = ["key", "unit", "what it is", "default", "allowed", "example"]
     sections: dict[str, str] = {}
-    for path, section in scene_tables(Scene, ""):
+    tables = list(scene_tables(Scene, ""))
+    not_keys = {*NOT_STATED, *(path for path, _ in tables)}
+    for path, section in tables:
         rows = [
             [code(f"{path}.{name}".strip(".")), unit_of(name), *_about(section, path, name, field, stated)]
             for name, field in section.model_fields.items()
-            if name not in NOT_STATED and not _is_table(section, path, name, field)
+            if name not in NOT_STATED and f"{path}.{name}".strip(".") not in not_keys
         ]
         if rows:
             kind = section.model_fields.get("kind")
-            title = f"`{path or 'the scene'}`" + (f', kind `"{get_args(kind.annotation)[0]}"`' if kind else "")
+            title = (f"`{path}`" if path else "Above the first table") + (
+                f', kind `"{get_args(kind.annotation)[0]}"`' if kind else ""
+            )
             words = " ".join((section.__doc__ or "").split("Attributes")[0].split())
             file = "A motor's file states these; a scene names the file.\n\n" if section is Motor else ""
             sections.setdefault(title, f"## {title}\n\n{words}\n\n{file}{table(head, rows)}")
     return "\n\n".join(sections.values())
-
-
-def _is_table(section: type[Section], path: str, name: str, field: FieldInfo) -> bool:
-    return any(below in (f"{path}.{name}".strip("."),) for below, _ in scene_tables(section, path) if below != path)
 
 
 def _about(
@@ -128,9 +129,8 @@ def _about(
     usual = None if field.default is PydanticUndefined else field.default
     default = "the file's" if key == "name" else "to be stated" if field.is_required() else shown(usual)
     said = meanings(section)[name]
-    found = next(filter(None, (_stated(scene, key.split(".")) for scene in stated)), EXAMPLES.get(key, usual))
-    value = EXAMPLES[key] if found is None else found
-    return said[0].upper() + said[1:], default, allowed, f"`{key.rpartition('.')[2]} = {toml(value)}`"
+    examples = [EXAMPLES.get(key), *(_stated(scene, key.split(".")) for scene in stated), usual]
+    return said[0].upper() + said[1:], default, allowed, code(toml(next(one for one in examples if one is not None)))
 
 
 def _stated(content: Any, path: list[str]) -> Any:

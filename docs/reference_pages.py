@@ -11,8 +11,6 @@ import typer
 from key_pages import device_keys, scene_keys
 from page_tables import code, table
 
-from controller.protocol import codes, messages
-from controller.protocol.packed import OPEN_END, Packed
 from controller.servo.faults import FAULTS, SEEN_WHEN
 from controller.servo.interface import Notice, State
 from controller.servo.settings import Settings
@@ -20,6 +18,7 @@ from transopt.base import sizes
 from transopt.base.section import Section, meanings
 from transopt.base.units import LARGEST, unit_of
 from transopt.library.arrays import HASH_FIELD
+from transopt.library.columns import COLUMNS
 from transopt.library.meta import META
 from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Status
@@ -31,17 +30,6 @@ PROGRAMS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
     "transopt-device": "controller.cli.device",
-}
-TYPES = {
-    "B": "u8",
-    "H": "u16",
-    "I": "u32",
-    "i": "i32",
-    "Q": "u64",
-    "f": "f32",
-    "d": "f64",
-    "32s": "32 bytes",
-    OPEN_END: "what is left",
 }
 
 
@@ -166,34 +154,18 @@ def statuses() -> str:
     return table(["status", "what it means"], [[code(status.name), status.value] for status in Status])
 
 
-def refusals() -> str:
-    """Why a device refuses a request."""
-    rows = [[str(number), code(reason.name), reason.value] for number, reason in codes.REASONS.items()]
-    return table(["number", "reason", "what it says"], rows)
-
-
-def protocol_events() -> str:
-    rows = [[str(number), code(what.name), str(what.value)] for number, what in codes.EVENTS.items()]
-    return table(["number", "event", "what it says"], rows)
-
-
-def _fields(body: type[Packed]) -> str:
-    if not body.layout():
-        return "No fields."
-    return table(["field", "type"], [[code(name), TYPES[format_]] for name, format_ in body.layout()])
-
-
-def protocol_messages() -> str:
-    """Every kind of frame with its body, and the record of telemetry."""
-    sections = []
-    for kind, body in messages.MESSAGES.items():
-        way = "host to device" if kind < 64 else "device to host"
-        said = "" if not body.__doc__ or body.__doc__.startswith(f"{body.__name__}(") else _prose(body.__doc__)
-        sections.append("\n\n".join(filter(None, [f"## {kind.name} ({kind.value}, {way})", said, _fields(body)])))
-    sections.append(
-        f"## A record in TELEMETRY_DATA\n\n{_prose(messages.Record.__doc__)}\n\n{_fields(messages.Record)}"
+def columns() -> str:
+    """Columns of the tables of entries, as terminal, report, `show` and `compare` print them."""
+    words = {"target": "the recorded tap", "over": "over the intention", "ends": "", "input": "current", "unit": "A"}
+    heads = [column.head.split(" {at}")[0].format(**words) for column in COLUMNS.values()]
+    return table(
+        ["column", "what it means"],
+        [
+            [head, column.meaning.format(**words)]
+            for head, column in zip(heads, COLUMNS.values(), strict=True)
+            if column.meaning
+        ],
     )
-    return "\n\n".join(sections)
 
 
 def _prose(text: str | None) -> str:
@@ -243,9 +215,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "notices": notices,
     "states": states,
     "statuses": statuses,
-    "messages": protocol_messages,
-    "reasons": refusals,
-    "events": protocol_events,
+    "columns": columns,
 }
 
 

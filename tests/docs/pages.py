@@ -1,7 +1,7 @@
 """Pages of the manual and README, and the code blocks in them."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tests.benches.places import ROOT
@@ -28,11 +28,13 @@ class Block:
     language : the first word after the fence.
     code : what stands in it.
     why_not : a comment before the fence, `<!-- not run: WHY -->`, says why it is not run; empty without one.
+    prints : the block of output that follows it on the page with nothing but space between; empty without one.
     """
 
     language: str
     code: str
     why_not: str = ""
+    prints: str = ""
 
     @property
     def file(self) -> str | None:
@@ -53,8 +55,15 @@ def named(page: Path) -> str:
 
 def fenced(page: str | Path) -> list[Block]:
     """Every fenced block of a page, in order."""
-    found = FENCED.finditer(text(page))
-    return [Block((one["language"].split() or [""])[0], one["code"], one["why"] or "") for one in found]
+    whole, made = text(page), list[Block]()
+    last = None
+    for one in FENCED.finditer(whole):
+        language = (one["language"].split() or [""])[0]
+        if language == "text" and last is not None and not whole[last.end() : one.start()].strip():
+            made[-1] = replace(made[-1], prints=one["code"])
+        made.append(Block(language, one["code"], one["why"] or ""))
+        last = one
+    return made
 
 
 def blocks(page: str | Path, language: str) -> list[str]:

@@ -1,9 +1,9 @@
 """Every code block of every page is run as a reader would run it, or says why not, or is output.
 
 The rule: `text` and `bibtex` are output; `sh`, `python`, `toml` and `c` are run, page by page and in order, in a
-folder that holds what the page assumes; a comment before the fence, `<!-- not run: WHY -->`, leaves a block out. In
-its short form the suite reads the blocks only (`tests/docs/test_pages.py`); `-m long` runs them, which takes two
-minutes.
+folder that holds what the page assumes; a comment before the fence, `<!-- not run: WHY -->`, leaves a block out.
+Output that follows a block on the page has to be what the block prints. In its short form the suite reads the blocks
+only (`tests/docs/test_pages.py`); `-m long` runs them, which takes a minute.
 """
 
 import shutil
@@ -13,7 +13,7 @@ import pytest
 
 from tests.benches.model_parts import amplifier_part, drive_device
 from tests.docs.pages import PAGES, fenced, named
-from tests.docs.reader import Reader, put_into_a_scene
+from tests.docs.reader import Reader, put_into_a_scene, unsaid
 from transopt.scene.builtin import load_scene
 from transopt.scene.model_file import save_part
 
@@ -60,6 +60,13 @@ def test_the_blocks_of_a_page_run_in_their_order(
     reader = Reader(folder, home)
     for block in ON_PAPER[page]:
         reader.do(block)
+
+
+def test_what_a_page_quotes_is_held_to_what_is_printed() -> None:
+    printed = "┃ tap ┃\n│ 36.23 % │ ok\nJ = 1.02e-3\n"
+    assert unsaid("tap\n...\n36.2 % ok\nJ = 1.0e-3\n", printed) == []
+    assert unsaid("36.7 % ok\n", printed) == ["36.7 % ok"]
+    assert unsaid("J = 1.02e-3\ntap\n", printed) == ["tap"]
 
 
 def test_tables_of_a_page_make_a_scene_of_their_own(tmp_path: Path) -> None:

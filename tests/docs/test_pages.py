@@ -1,6 +1,7 @@
 """Every page can be reached and built, and what it tells a user to type exists."""
 
 import inspect
+import json
 import re
 import shlex
 import subprocess
@@ -29,7 +30,7 @@ STAMP = re.compile(r"^\*`.*\*$", re.MULTILINE)  # names a commit, at which its c
 OUTPUT = {"text", "bibtex"}
 RUN = {"sh", "python", "toml", "c"}  # by tests/docs/test_blocks.py, or a comment before the fence says why not
 # Sphinx builds these, and executes the cells; what is included is a file that a test runs.
-BUILT = {"{toctree}", "{include}", "{literalinclude}", "{code-cell}"}
+BUILT = {"{toctree}", "{index}", "{include}", "{literalinclude}", "{code-cell}"}
 COMMANDS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
@@ -49,7 +50,7 @@ STATED: dict[str, Callable[[], Iterable[str]]] = {
         name for part in (DriveDevice, SecondOrderHand, FourthOrderHand, CoilPart) for name in part.model_fields
     ],
     "faults": lambda: [*(fault.name for fault in Fault), *(notice.name for notice in Notice)],
-    "messages": lambda: [*(kind.name for kind in Kind), *(reason.name for reason in Reason)],
+    "protocol": lambda: [*(kind.name for kind in Kind), *(reason.name for reason in Reason)],
     "exit_codes": lambda: [status.name for status in Status],
     "commands": lambda: [
         "transopt solve",
@@ -154,6 +155,8 @@ def test_the_manual_builds_without_a_warning(tmp_path: Path, options: tuple[str,
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", *options, str(DOCS), str(tmp_path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280)
     assert ended.returncode == 0, ended.stderr
+    index = json.loads((tmp_path / "searchindex.js").read_text(encoding="utf-8")[len("Search.setIndex(") : -1])
+    assert index["docnames"][index["indexentries"]["install"][0][0]] == "start/everything", "what search shows first"
     for name, stated in STATED.items():
         page = re.sub("<[^>]*>", "", (tmp_path / f"reference/{name}.html").read_text(encoding="utf-8"))
         missing = [word for word in stated() if word not in page]

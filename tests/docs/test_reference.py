@@ -98,6 +98,11 @@ def test_every_key_of_a_scene_has_a_sentence() -> None:
     assert [path for path, said in found.items() if not said.strip()] == []
 
 
+def test_examples_are_of_keys_that_there_are(reference: Any) -> None:
+    listed = reference.scene_keys()
+    assert [key for key in import_module("key_pages").EXAMPLES if f"| `{key}` |" not in listed] == []
+
+
 class TestModelFile:
     @pytest.mark.parametrize(
         "part",

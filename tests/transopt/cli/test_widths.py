@@ -101,7 +101,7 @@ def test_first_looks_are_short_and_no_table_cuts_or_splits_a_number(tmp_path: Pa
             check_first(by_width[width][0])
     # What README and the manual's first page quote is what is printed.
     quoted = found[len(before)][WIDE][0].split("out/wood_on_foam: ")[0]
-    for page in ("README.md", "docs/start/first_library.md"):
+    for page in ("README.md", "docs/start/everything.md"):
         assert quoted in (ROOT / page).read_text(encoding="utf-8"), page
 
 
