@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps, rcParams
+from matplotlib import colormaps, rc_context, rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -56,6 +56,9 @@ def leave_room(figure: Figure, left_in: float, right_in: float, below_in: float,
     To find room for labels whose size is known takes Matplotlib as long as to draw them.
     """
     width, height = figure.get_size_inches()
+    if figure.get_layout_engine() is not None:  # what a user's own matplotlibrc states would not take the margins
+        with rc_context({"figure.constrained_layout.use": False, "figure.autolayout": False}):
+            figure.set_layout_engine(None)
     figure.subplots_adjust(
         left=left_in / width, right=1 - right_in / width, bottom=below_in / height, top=1 - above_in / height
     )

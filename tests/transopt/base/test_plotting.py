@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from transopt.base.errors import InputError
-from transopt.base.plotting import draw_minor_ticks_at_once, save_figure
+from transopt.base.plotting import draw_minor_ticks_at_once, leave_room, save_figure
 
 
 def test_a_saved_figure_is_a_png_at_150_dpi(tmp_path: Path) -> None:
@@ -30,6 +31,15 @@ def test_a_figure_with_a_layout_is_drawn_once(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(line, "draw", drawn.append)
     save_figure(figure, tmp_path / "line.png")
     assert len(drawn) == 1
+
+
+def test_margins_hold_whatever_a_users_matplotlibrc_lays_out(tmp_path: Path) -> None:
+    with rc_context({"figure.constrained_layout.use": True}):
+        figure = Figure(figsize=(4, 2))
+        axes = figure.subplots()
+        leave_room(figure, 1.0, 1.0, 0.5, 0.5)
+        save_figure(figure, tmp_path / "figure.png")
+    assert axes.get_position().bounds == pytest.approx((0.25, 0.25, 0.5, 0.5))
 
 
 def test_a_failing_save_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
