@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 
 import pytest
@@ -189,11 +190,10 @@ class Desk(Cable):
         self.end = self._started()
 
     def readings(self, tick: int) -> Readings:
-        read = self.plant.readings()
-        felt = read.acceleration_m_s2 + self._gravity_m_s2
-        readings = Readings(
-            read.tick, read.encoder_counts, read.grip_N, read.current_A, felt, emergency_stop=self.hand.pressed
-        )
+        readings = self.plant.readings()
+        if self._gravity_m_s2 or self.hand.pressed:
+            felt = readings.acceleration_m_s2 + self._gravity_m_s2
+            readings = replace(readings, acceleration_m_s2=felt, emergency_stop=self.hand.pressed)
         return readings if self.wrong is None else self.wrong(readings)
 
     def advance(self, output: Output) -> None:
