@@ -124,8 +124,12 @@ class Check:
 
     def mean(self, name: str) -> float:
         """Mean of a whole window; NaN before one has come."""
-        values = self.column(name)
-        return float(values.mean()) if values.size >= self.ticks(WINDOW_S) else float("nan")
+        return float(self.column(name).mean()) if self.is_window_full else float("nan")
+
+    @property
+    def is_window_full(self) -> bool:
+        """Whether readings of a whole window have come."""
+        return len(self.records) >= self.ticks(WINDOW_S)
 
     def forget(self) -> None:
         """Forget what was read before now."""
@@ -133,8 +137,7 @@ class Check:
 
     def still(self, most_counts: float) -> bool:
         """Whether a whole window has come in which the counts stayed within so many."""
-        counts = self.column("encoder_counts")
-        return counts.size >= self.ticks(WINDOW_S) and float(np.ptp(counts)) <= most_counts
+        return self.is_window_full and float(np.ptp(self.column("encoder_counts"))) <= most_counts
 
     def at_rest(self) -> bool:
         """Whether a whole window has come in which the stylus was still."""
