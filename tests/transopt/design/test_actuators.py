@@ -152,7 +152,7 @@ class TestWords:
         export_library(click.library, tmp_path / "x.csv")
         head = (tmp_path / "x.csv").read_text().splitlines()[6]
         assert head.startswith("target,k,issue_time_s,switching_time_s,command_V,transient_command_V,voltage_V,")
-        report = build_markdown(click)
+        report = build_markdown(click, full=False)
         table = report.split("## Certificates")[0]
         for amperes in (" A |", "[A]", "peak A", "current", "speed m/s", "grip N"):
             assert amperes not in table, amperes
@@ -163,7 +163,7 @@ class TestWords:
         assert "m/s" not in repr(click)
 
     def test_the_report_has_the_figures_of_the_trade(self, click: Build) -> None:
-        section = build_markdown(click).split("## The figures of the trade")[1].split("##")[0]
+        section = build_markdown(click, full=False).split("## The figures of the trade")[1].split("##")[0]
         assert "pulse / ring" in section
         assert section.count("| click ") == 2
 
@@ -329,7 +329,7 @@ class TestProduction:
             of_the_nominal = problem.objective(command, problem.accelerations(command))
             assert entry.certificate.objective < 0.995 * of_the_nominal
             assert other.certificate.objective < of_the_nominal
-        assert "Robust against the spread" in build_markdown(build)
+        assert "Robust against the spread" in build_markdown(build, full=False)
         assert build.library is not None
         assert all(not check.shortfalls for check in verify_library(build.library))
 

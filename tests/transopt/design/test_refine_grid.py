@@ -194,7 +194,7 @@ class TestSmallGrids:
         assert (found.entries, found.rounds, found.shortfall) == (1, 0, "")
         assert "nothing lies between the nodes" in refinement_summary(found)
         build = build_library(single, taps, refinement=found)
-        assert "nothing lies between the nodes" in build_markdown(build)
+        assert "nothing lies between the nodes" in build_markdown(build, full=False)
         # No point lies off the nodes, so that this is what stands for nothing and no computed figure.
         assert build.library.meta["grid_refinement"]["worst_excess_after"] == 0.0
 
@@ -249,7 +249,7 @@ class TestWhatIsWritten:
         assert {source["grid_speed_m_s"] for source in meta["sources"]} == set(scene.grid.speeds_m_s)
 
     def test_report(self, refined: Build) -> None:
-        text = build_markdown(refined)
+        text = build_markdown(refined, full=False)
         for words in (
             "## Between the nodes",
             "| of the scene | 4 | 3 | 12 |",
@@ -258,7 +258,7 @@ class TestWhatIsWritten:
         ):
             assert words in text
         # References between the recorded ones are derived anew by who reads them.
-        of_report = [r["speed_m_s"] for r in json.loads(build_json(refined))["references"]]
+        of_report = [r["speed_m_s"] for r in json.loads(build_json(refined, full=False))["references"]]
         assert sorted(of_report) == sorted(3 * [0.1, 0.2, 0.3, 0.4])
 
     def test_figure(self, refinement: Refinement) -> None:

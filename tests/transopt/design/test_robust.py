@@ -95,7 +95,7 @@ class TestRobust:
             assert entry.spread.robust_rms <= entry.spread.nominal_rms * (1 + 1e-6)
         gains = [1 - e.spread.robust_rms / e.spread.nominal_rms for e in build.all_entries() if e.spread]
         assert max(gains) > 1e-3
-        text = build_markdown(build)
+        text = build_markdown(build, full=False)
         assert "4 devices drawn from the covariance" in text
         assert ("grips of +-5%" in text) is bool(spread)
         build.library.save(tmp_path / "library.npz")

@@ -72,9 +72,9 @@ class TestCertificates:
         assert re.search(r"stroke 1\.\de-06 m", said)
 
     def test_a_problem_that_keeps_nothing_says_nothing(self, build: Build) -> None:
-        assert "the problem keeps" not in build_markdown(build)
+        assert "the problem keeps" not in build_markdown(build, full=False)
 
 
 def test_a_scene_without_a_description_has_a_report(build: Build) -> None:
     plain = replace(build, scene=build.scene.model_copy(update={"description": ""}))
-    assert build_markdown(plain).startswith("# wood_on_foam\n\nThe recordings are **simulated**")
+    assert build_markdown(plain, full=False).startswith("# wood_on_foam\n\nThe recordings are **simulated**")

@@ -150,7 +150,7 @@ class TestTheSameDevice:
         own = built(scene, taps)
         assert own.library is not None
         assert_clean(own.library)
-        assert "- hand: stylus, skin, hand mass and arm (seed Fig. 4b)" in build_markdown(own)
+        assert "- hand: stylus, skin, hand mass and arm (seed Fig. 4b)" in build_markdown(own, full=False)
         # Deviations of 2 % of its parameters are errors of a few percent of a tap.
         [entry] = own.all_entries()
         energy = float(np.sum(entry.predicted_m_s2**2))
@@ -284,7 +284,7 @@ class TestReport:
         return built(make(ON_FILE, parts, (POLE, ""), slower, ("5.0]", "5.4]")), taps)
 
     def test_says_what_was_identified_and_how_well(self, identified: Build, tmp_path: Path) -> None:
-        text = build_markdown(identified)
+        text = build_markdown(identified, full=False)
         section = text[text.index("## Identified") : text.index("## Left out")]
         assert "| device | transmission_stiffness_N_m | 6e+04 | 5.76e+04 to 6.24e+04 | 1.2e+03 |" in section
         assert "- coil: thermal resistances and time constants, in place of the motor's. good to 1 %" in section
@@ -302,7 +302,7 @@ class TestReport:
         assert len(below) == 2
         assert "above the design's own in 2 of 6 entries" in model_warning(identified)
         assert "model error 20.0 % of a tap" in model_warning(identified)
-        assert build_markdown(identified).count("Model error 20.0 %") == 1
+        assert build_markdown(identified, full=False).count("Model error 20.0 %") == 1
 
     def test_sources_name_the_model_file_and_what_it_was_fitted_to(self, identified: Build, tmp_path: Path) -> None:
         sources = identified.library.meta["sources"]
@@ -314,7 +314,7 @@ class TestReport:
         assert held["device"] == load_model(tmp_path / "MODEL.json").device.model_dump(mode="json")
 
     def test_a_scene_without_a_model_file_says_nothing(self, build: Build) -> None:
-        assert "Identified" not in build_markdown(build)
+        assert "Identified" not in build_markdown(build, full=False)
         assert json.loads(build_json(build))["identified"] is None
         assert model_warning(build) == ""
 
