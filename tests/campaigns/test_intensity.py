@@ -321,7 +321,7 @@ def test_it_takes_few_problems(found: list[Found]) -> None:
 def test_no_start_of_ipopt_finds_a_nearer_waveform_with_as_much_energy(tmp_path: Path) -> None:
     file, scene = tmp_path / "found.json", tmp_path / "fast.toml"
     whole = problems.scene_path("wood_on_foam").read_text()
-    scene.write_text(whole.replace("[0.1, 0.2, 0.3, 0.4]", "[0.4]").replace("[1.0, 3.0, 5.0]", "[1.0, 5.0]"))
+    scene.write_text(whole.replace("[0.1, 0.2, 0.3, 0.4]", "[0.4]").replace("[1.0, 3.0, 5.0]", "[5.0]"))
     assert main(str(scene), currents="2.5", starts=2, json=file) == 0
     rows = [Found(**row) for row in rows_in(file)]
     challenged = [each for each in rows if each.searched]

@@ -203,7 +203,7 @@ def test_every_node_is_on_time_and_as_predicted(library: Library, tables: Bank, 
 
 
 def test_between_the_nodes_only_interpolation_is_added(library: Library, tables: Bank) -> None:
-    points = [between(library, tables, float(v), float(F), seed) for seed, (v, F) in enumerate(inside(library, 12))]
+    points = [between(library, tables, float(v), float(F), seed) for seed, (v, F) in enumerate(inside(library, 8))]
     late = np.array([p.latency_s for p in points])
     assert np.sqrt(np.mean(late**2)) <= MOST_LATENCY_S
     for p in points:

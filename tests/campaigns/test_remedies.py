@@ -288,7 +288,7 @@ def main(
 test_long_form = long_form(main)
 
 
-SEED, CASES = 31337, 120
+SEED, CASES = 31337, 90
 SHORT = 60  # stages
 
 
