@@ -16,6 +16,7 @@ from transopt.library.library import Library
 from transopt.recordings.recording import load_recording
 from transopt.recordings.tap import prepare
 
+QUICK = [word for name in ("encoder", "emergency-stop", "grip-zero") for word in ("--skip", name)]
 FILES = "telemetry.csv, telemetry.npz, events.csv, tap_001.csv"
 
 
@@ -94,7 +95,7 @@ def test_a_failed_check_is_no_pass(play: Run, desk: Desk) -> None:
 
 
 def test_check_of_the_sensors_alone(play: Run, desk: Desk) -> None:
-    outcome = play("check", *PORT, "--skip", "encoder", "--skip", "emergency-stop")
+    outcome = play("check", *PORT, *QUICK)
     assert outcome.code == 0, outcome.out
     assert "give a library for the rest of the check" in outcome.out
     assert desk.end.look().configuration_sha256 == bytes(32)
@@ -107,7 +108,7 @@ def test_upload_once(play: Run, desk: Desk) -> None:
 
 
 def test_a_device_holds_one_library_and_what_replaces_which_is_said_by_name(play: Run, desk: Desk) -> None:
-    excitation = play("check", "--sweep", *PORT)
+    excitation = play("check", "--sweep", *PORT, *QUICK)
     assert excitation.code == 0, excitation.out + excitation.err
     before = desk.end.look().library_sha256.hex()[:8]
     said = play("upload", "library.npz", *PORT).out
@@ -195,8 +196,7 @@ def test_ctrl_c_at_rest_stops_nothing(play: Run, ready: Desk) -> None:
 
 def test_ctrl_c_during_the_trial_tap_disarms(play: Run, desk: Desk) -> None:
     desk.obeys["tap"] = interrupt
-    skipped = [word for name in ("encoder", "emergency-stop", "grip-zero") for word in ("--skip", name)]
-    outcome = play("check", "library.npz", *PORT, *skipped)
+    outcome = play("check", "library.npz", *PORT, *QUICK)
     assert outcome.code == 130
     assert (desk.end.state, desk.end.look().fault) == (State.IDLE, None)
 
