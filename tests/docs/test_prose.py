@@ -17,17 +17,17 @@ TEXT_KEYWORDS = ("help", "description")
 Place = tuple[int, str]
 
 
-def docstrings(tree: ast.AST) -> Iterator[Place]:
-    for node in ast.walk(tree):
+def docstrings(nodes: list[ast.AST]) -> Iterator[Place]:
+    for node in nodes:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             text = ast.get_docstring(node)
             if text:
                 yield node.body[0].lineno, text
 
 
-def attribute_docstrings(tree: ast.AST) -> Iterator[Place]:
+def attribute_docstrings(nodes: list[ast.AST]) -> Iterator[Place]:
     """Strings below an assignment, which document the name that it binds."""
-    for node in ast.walk(tree):
+    for node in nodes:
         body = getattr(node, "body", None)
         for before, after in pairwise(body) if isinstance(body, list) else ():
             if (
@@ -48,8 +48,8 @@ def opening(node: ast.expr) -> str:
     return node.value.strip() if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
 
 
-def help_texts(tree: ast.AST) -> Iterator[Place]:
-    for node in ast.walk(tree):
+def help_texts(nodes: list[ast.AST]) -> Iterator[Place]:
+    for node in nodes:
         if isinstance(node, ast.Call):
             for keyword in node.keywords:
                 if keyword.arg in TEXT_KEYWORDS:
@@ -73,8 +73,8 @@ def comments(source: str) -> Iterator[Place]:
 
 
 def openers(source: str) -> list[Place]:
-    tree = ast.parse(source)
-    found = (*docstrings(tree), *attribute_docstrings(tree), *help_texts(tree), *comments(source))
+    nodes = list(ast.walk(ast.parse(source)))
+    found = (*docstrings(nodes), *attribute_docstrings(nodes), *help_texts(nodes), *comments(source))
     return sorted((line, text.splitlines()[0]) for line, text in found if OPENER.match(text))
 
 
