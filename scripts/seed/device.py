@@ -19,7 +19,7 @@ from controller.sim.user import StillHand
 from seed.plots import REFERENCE, logarithmic
 from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray, Signal
-from transopt.identify.amplifier import sampled_response
+from transopt.identify.amplifier_response import sampled_response
 from transopt.identify.hand.lines import HandFit, fit_hand
 from transopt.identify.hand.tap import cut_tap
 from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer

@@ -8,7 +8,7 @@ from controller.record.excitation import sweep_command
 from controller.record.trial_file import write_measurement
 from tests.benches.identification import DEFAULT
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.amplifier import less_dead_band, simulate_current
+from transopt.identify.amplifier_response import less_dead_band, simulate_current
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import discretise

@@ -38,7 +38,8 @@ def identify_coil(
     """
     from transopt.base.plotting import save_figure
     from transopt.cli.questions import measurements
-    from transopt.identify.coil import coil_part, fit_coil, heat_record
+    from transopt.identify.coil import coil_part, fit_coil
+    from transopt.identify.heat_record import heat_record
     from transopt.report import coil_fit
     from transopt.scene.model_file import save_part
 

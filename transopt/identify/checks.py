@@ -5,185 +5,36 @@ passed on to the user beside the result.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum, StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.identify.findings import (
+    COHERENT,
+    END_PART,
+    END_SAMPLES,
+    JITTER_LIMIT,
+    JITTER_NOTED,
+    LEAST_CYCLES,
+    LEAST_TRIALS,
+    Check,
+    Finding,
+)
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial
 
-LEAST_CYCLES = 1.0  # per octave, in all trials together
 LEAST_WORTH = 0.05  # of a cycle: with fewer, no sweep that somebody waits for is long enough
-LEAST_TRIALS = 2
-JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid, rms
 FLAT_RUN, FLAT_COUNT = 3, 6  # samples in a row, and in all, at the very extreme of a sensor
 CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
-END_SAMPLES, END_PART = 3, 0.1  # the last samples, and how large they may be against the peak
 REST_SAMPLES, END_NOISES = 20, 5.0  # the first samples, and how many times their scatter the last ones may be
 GRAVITY_TOLERANCE = 0.25  # a nominal model may be that wrong; nothing else changes a gain tenfold
 AGAINST = 0.5  # a passive device explains the reversed record with less than this part of the misfit
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
-COHERENT = 0.8
 RATE_TOLERANCE = 1e-4
 LEAST_STRETCH = 3  # bins
-FATAL, TOLD = True, False  # whether a finding refuses the records
 GRIP_STEP_N = 0.25  # trials whose grips are closer than that are of one grip
-
-
-class Fault(StrEnum):
-    """What can be wrong with records."""
-
-    TOO_FEW_CYCLES = "too few cycles"
-    CLIPPED = "clipped sensor"
-    SATURATED = "saturated command"
-    NO_EXCITATION = "no excitation"
-    CUT_SHORT = "not at rest at the end"
-    JITTER = "jittered sampling"
-    MISSING = "samples missing"
-    RATES = "rates that differ"
-    POLARITY = "wrong polarity"
-    UNITS = "units off by 9.81"
-    CURRENT_SCALE = "current off scale"
-    SHIFTED = "samples shifted"
-    BANDWIDTH = "bandwidth not stated"
-    MISSING_GRIP = "missing grip"
-    INCOHERENT = "coherence low"
-    BESIDE = "beside the model"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing wrong: what, where, and what to record again.
-
-    Attributes
-    ----------
-    fault : what kind of thing is wrong.
-    where : file, grip or band.
-    text : value, limit and remedy.
-    fatal : no fit should follow.
-    """
-
-    fault: Fault
-    where: str
-    text: str
-    fatal: bool
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.fault}: {self.text}"
-
-
-class Check(Enum):
-    """Every check of records: the fault it finds, whether no fit may follow, its limit, and what it says.
-
-    A text has what was measured, the limit and the remedy.
-    """
-
-    # fmt: off
-    JITTER_NOTED = Fault.JITTER, TOLD, JITTER_NOTED, (
-        "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
-        "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us")
-    JITTERED = Fault.JITTER, FATAL, JITTER_LIMIT, (
-        "time stamps {steps:.2g} steps (rms) off the uniform grid, resampled to it: phases are off by "
-        "{phase_deg:.2g} deg at 1 kHz, delays by {late_us:.2g} us; must be at most {limit:g}; sample by the servo's"
-        " timer and record again")
-    MISSING = Fault.MISSING, TOLD, None, "{missing}"
-    STILL = Fault.NO_EXCITATION, FATAL, None, "{quantity} stays at {value:g} {unit}; check {what} and record again"
-    SATURATED = Fault.SATURATED, FATAL, None, (
-        "{count} samples at the {side} value {value:.4g} {unit}, first at {first_s:.4g} s; lower amplitude or "
-        "offset and record again")
-    CLIPPED = Fault.CLIPPED, FATAL, None, (
-        "{quantity}: {count} samples at the {side} value {value:.4g} {unit}, first at {first_s:.4g} s; lower the "
-        "amplitude, or take a sensor of wider range, and record again")
-    CUT_SHORT = Fault.CUT_SHORT, TOLD, END_PART, (
-        "{quantity} ends {last:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}; record "
-        "until everything rests")
-    BEGUN_LATE = Fault.CUT_SHORT, TOLD, END_PART, (
-        "{quantity} begins {first:.3g} {unit} off its rest, {part:.0%} of its peak, must be below {limit:.0%}: what "
-        "came before is not known, so that nothing is judged by this record; begin it before the command does")
-    RATES = Fault.RATES, FATAL, None, (
-        "{rate_Hz:.6g} Hz, {first} {wanted_Hz:.6g} Hz: must be one rate; record all trials at the servo's")
-    FEW_CYCLES = Fault.TOO_FEW_CYCLES, TOLD, LEAST_CYCLES, (
-        "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
-        "{longer}add trials from {low_Hz:.3g} Hz on")
-    HARDLY_ANY_CYCLES = Fault.TOO_FEW_CYCLES, FATAL, LEAST_CYCLES, (
-        "{cycles:.2g} cycles per octave below {up_to_Hz:.3g} Hz in {trials} trials, must be at least {limit:g}; "
-        "{longer}add trials from {low_Hz:.3g} Hz on")
-    FEW_BINS = Fault.TOO_FEW_CYCLES, FATAL, None, (
-        "resolves {bins} bands of frequency, at least {least} are needed; sweep longer and wider")
-    INCOHERENT = Fault.INCOHERENT, TOLD, COHERENT, (
-        "{coherence:.2f} at {first_Hz:.3g} to {last_Hz:.3g} Hz, must be {limit:g}; record again there with "
-        "more current")
-    CURRENT_ALONE = Fault.INCOHERENT, FATAL, None, (
-        "the current does not follow the command: {share}; check the current monitor and record again")
-    CURRENT_UNLIKE = Fault.INCOHERENT, FATAL, None, (
-        "the measured current does not follow the command; check the current monitor, and record again")
-    COMMAND_TURNED = Fault.POLARITY, FATAL, None, (
-        "from command to current: phase {phase_deg:.0f} deg at {at_Hz:.3g} Hz, must be near 0; swap the leads of "
-        "the current sensor or correct its sign, and record again")
-    CURRENT_TURNED = Fault.POLARITY, FATAL, None, (
-        "current_A is opposite to command_A; turn the sign of the one that is not positive when pushing out")
-    NOT_PASSIVE = Fault.POLARITY, FATAL, None, (
-        "the phase from current to acceleration at {low_Hz:g} to {high_Hz:g} Hz is that of a passive device turned "
-        "by 180 deg; turn the accelerometer or swap the motor's leads (positive current pushes out), and record "
-        "again")
-    ANSWERS_TURNED = Fault.POLARITY, FATAL, None, (
-        "acceleration answers the current the other way than in {others}; turn the accelerometer or the current's "
-        "sign in this file, or record it again")
-    UNIT = Fault.UNITS, FATAL, None, (
-        "acceleration is {ratio:.3g} times that of {against}, {which}; is the column in {unit} but named {column}? "
-        "Correct its name")
-    GAIN_APART = Fault.CURRENT_SCALE, FATAL, None, (
-        "the gain from command to current is {ratio:.3g} times that of the other files; check the current monitor "
-        "and record again")
-    CURRENT_SCALE = Fault.CURRENT_SCALE, FATAL, None, (
-        "current_A is {gain:.3g} times what the amplifier makes of command_A; are both in A?")
-    DELAY_APART = Fault.SHIFTED, FATAL, None, (
-        "the current comes {samples:+.2f} samples later than in the other files; read both at the same tick and "
-        "record again")
-    CURRENT_SHIFTED = Fault.SHIFTED, TOLD, None, (
-        "current_A comes {samples} samples {way} than the known amplifier makes it of command_A; read command, "
-        "current and acceleration at the same tick, or identify this amplifier into --out first")
-    DELAYED = Fault.SHIFTED, TOLD, None, (
-        "comes {late_ms:.4g} ms ({samples} samples) later than any device answers: taken out of all files as a pure"
-        " delay of its channel; about a sample of it may be left in the masses: record current and acceleration on "
-        "one clock")
-    BANDWIDTH = Fault.BANDWIDTH, TOLD, None, (
-        "taken as ideal, so that its delay goes into the masses; add # accelerometer_Hz: 2500, or what it has")
-    NO_GRIP = Fault.MISSING_GRIP, FATAL, None, "no grip stated; add # grip_N: 3 (0 if nobody holds it)"
-    FEW_TRIALS = Fault.MISSING_GRIP, TOLD, LEAST_TRIALS, (
-        "{trials} trial, at least {limit:g} are needed; record another one of the other polarity")
-    ONE_POLARITY = Fault.MISSING_GRIP, TOLD, None, (
-        "all trials have one polarity, so that distortion of even order stays; record reversed ones too")
-    GRIP_OUTSIDE = Fault.MISSING_GRIP, TOLD, None, (
-        "grip {grip_N:.3g} N, sweeps at {recorded} N: not judged; record sweeps there")
-    # fmt: on
-
-    def __init__(self, fault: Fault, fatal: bool, limit: float | None, text: str) -> None:
-        self.fault, self.fatal, self.limit, self.text = fault, fatal, limit, text
-
-    def at(self, where: str, **measured: object) -> Finding:
-        """What it finds in a file, at a grip or in a band."""
-        return Finding(self.fault, where, self.text.format(limit=self.limit, **measured), self.fatal)
-
-
-def refuse(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings that are not fatal.
-
-    Raises
-    ------
-    InputError : one is; the message is the first and says how many more there are.
-    """
-    listed = list(findings)
-    fatal = [finding for finding in listed if finding.fatal]
-    if fatal:
-        more = f" (and {len(fatal) - 1} more such findings)" if len(fatal) > 1 else ""
-        raise InputError(f"{fatal[0]}{more}")
-    return listed
 
 
 def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Finding]:

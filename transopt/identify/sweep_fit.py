@@ -12,7 +12,8 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.identify.checks import COHERENT, check_measurement, refuse
+from transopt.identify.checks import check_measurement
+from transopt.identify.findings import COHERENT, refuse
 from transopt.identify.measurement import Measurement
 from transopt.identify.response_fit import ResponseFit, fit_response
 from transopt.identify.spectrum import Trial, estimate_transfer

@@ -17,17 +17,8 @@ from tests.benches.sweeps import DELAY_S, DT_S, POLE_HZ, amplifier_trial, save_a
 from transopt.base.errors import InputError
 from transopt.base.signals import Signal
 from transopt.cli.main import app
-from transopt.identify.amplifier import (
-    AmplifierFit,
-    Shape,
-    check_alike,
-    continuous,
-    estimate_crossover,
-    fit_amplifier,
-    sampled,
-    sampled_response,
-    simulate_current,
-)
+from transopt.identify.amplifier import AmplifierFit, check_alike, estimate_crossover, fit_amplifier
+from transopt.identify.amplifier_response import Shape, continuous, sampled, sampled_response, simulate_current
 from transopt.identify.spectrum import Trial, estimate_transfer
 from transopt.report.amplifier_fit import amplifier_figure, prefilter_response
 from transopt.scene.model_file import load_model

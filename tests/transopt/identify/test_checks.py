@@ -11,7 +11,7 @@ from tests.benches.sweeps import DT_S, amplifier_trial, device_columns
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify import checks
-from transopt.identify.checks import Fault, Finding
+from transopt.identify.findings import Fault, Finding, refuse
 from transopt.identify.measurement import Measurement, load_measurement
 from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
 
@@ -253,6 +253,6 @@ def test_low_coherence_names_the_stretch(columns: dict) -> None:
 def test_refusal_shows_the_first_fatal_finding_and_keeps_the_others() -> None:
     mild = Finding(Fault.JITTER, "a", "a little", False)
     worse = Finding(Fault.CLIPPED, "b", "much", True)
-    assert checks.refuse([mild]) == [mild]
+    assert refuse([mild]) == [mild]
     with pytest.raises(InputError, match=r"^b: clipped sensor: much \(and 1 more such findings\)$"):
-        checks.refuse([mild, worse, worse])
+        refuse([mild, worse, worse])

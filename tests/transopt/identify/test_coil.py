@@ -12,7 +12,8 @@ import typer
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
 from transopt.cli.identify_coil import identify_coil
-from transopt.identify.coil import NAMES, CoilFit, fit_coil, heat_record
+from transopt.identify.coil import NAMES, CoilFit, fit_coil
+from transopt.identify.heat_record import heat_record
 from transopt.identify.measurement import Measurement
 from transopt.plant.coil import CoilModel, effective_square
 from transopt.scene.model_file import load_model

@@ -5,7 +5,6 @@ from dataclasses import astuple
 
 import numpy as np
 
-from transopt.identify.checks import Fault, Finding
 from transopt.identify.device.black_box import BlackBox
 from transopt.identify.device.chain_fit import ChainFit
 from transopt.identify.device.effects import (
@@ -19,6 +18,7 @@ from transopt.identify.device.effects import (
 )
 from transopt.identify.device.result import Candidate, Kind
 from transopt.identify.device.trials import BAND_HZ, Grip
+from transopt.identify.findings import Fault, Finding
 from transopt.identify.measurement import Measurement
 from transopt.scene.model_error import ModelError
 

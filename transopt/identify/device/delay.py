@@ -13,9 +13,9 @@ import numpy as np
 from scipy import fft
 
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.checks import Check, Finding
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import felt_current
+from transopt.identify.findings import Check, Finding
 from transopt.identify.measurement import Measurement
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace

@@ -16,12 +16,13 @@ from scipy import fft
 
 from transopt.base.filters import highpass
 from transopt.base.signals import ComplexArray, FloatArray, Signal
-from transopt.identify.checks import JITTER_NOTED, within
+from transopt.identify.checks import within
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import ChainFit, response_slopes
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import felt_current
 from transopt.identify.device.validation import Model, predict, through
+from transopt.identify.findings import JITTER_NOTED
 from transopt.identify.measurement import Measurement
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import AtUse, ModelError

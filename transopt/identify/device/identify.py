@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import COHERENT, Finding, begun_late, by_grip, check_rates, within
+from transopt.identify.checks import begun_late, by_grip, check_rates, within
 from transopt.identify.device.advice import about_chain, advice
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.causes import beyond_a_chain, causes_of, distorted, two_clocks
@@ -40,6 +40,7 @@ from transopt.identify.device.trials import (
 )
 from transopt.identify.device.validation import Model, compare, together
 from transopt.identify.device.verdict import Taps, model_error, not_covered, predict_taps, relative, short_of
+from transopt.identify.findings import COHERENT, Finding
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier

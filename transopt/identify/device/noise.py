@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import Fault, Finding
 from transopt.identify.device.response import ACCELERATION
 from transopt.identify.device.trials import Grip
+from transopt.identify.findings import Fault, Finding
 
 MAINS_HZ = (50.0, 60.0)
 STANDS_OUT = 6.0  # times the variance of the neighbouring bins

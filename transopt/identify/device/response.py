@@ -13,7 +13,7 @@ from scipy import linalg
 
 from transopt.base.recursions import LinearSystem
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.amplifier import sampled_response as amplifier_response
+from transopt.identify.amplifier_response import sampled_response as amplifier_response
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import acting_states, split_delay
 from transopt.plant.state_space import StateSpace

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from transopt.identify.checks import Finding
 from transopt.identify.device.advice import intervals, not_the_devices
 from transopt.identify.device.black_box import BlackBox
 from transopt.identify.device.chain import HAND, SHARED
@@ -15,6 +14,7 @@ from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import Grip
 from transopt.identify.device.validation import Model, Transient, together
 from transopt.identify.device.verdict import verdict
+from transopt.identify.findings import Finding
 from transopt.identify.measurement import sources
 from transopt.scene.model_error import ModelError, Predicted
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice

@@ -8,12 +8,10 @@ from scipy import fft
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.amplifier import fit_amplifier, fit_pole, simulate_current
+from transopt.identify.amplifier import fit_amplifier, fit_pole
+from transopt.identify.amplifier_response import simulate_current
 from transopt.identify.checks import (
-    COHERENT,
     GRIP_STEP_N,
-    Check,
-    Finding,
     by_grip,
     check_bins,
     check_cycles,
@@ -23,7 +21,6 @@ from transopt.identify.checks import (
     check_passive,
     check_rates,
     check_unit,
-    refuse,
     runs_of,
     within,
 )
@@ -37,6 +34,7 @@ from transopt.identify.device.response import (
     current_response,
     sampled_response,
 )
+from transopt.identify.findings import COHERENT, Check, Finding, refuse
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial, transfer
 from transopt.plant.amplifier import Amplifier

@@ -8,9 +8,9 @@ import pytest
 
 from tests.benches.identification import AMPLIFIER, Rig, mismatched
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import Finding
 from transopt.identify.device.noise import noise_findings
 from transopt.identify.device.trials import sort_trials
+from transopt.identify.findings import Finding
 
 GRIPS_N = (1.0, 3.0)
 Change = Callable[[FloatArray, FloatArray, np.random.Generator], FloatArray]

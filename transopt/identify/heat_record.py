@@ -1,0 +1,161 @@
+"""A recorded heating of the coil: its power, and the temperatures that were read beside it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, Signal
+from transopt.identify.measurement import Measurement
+from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, effective_square
+
+LEAST_RISE_K, LEAST_RISE_NOISE = 10.0, 5.0
+COARSEST = 0.2  # of the winding's time constant, between two rows
+DRIFT_K = 2.0  # of the ambient, unaccounted for
+_SENSING = 0.2  # of the largest current, below which voltage over current tells no temperature
+_CREDIBLE_C = (-50.0, 400.0)  # of a winding
+LEAST_STEP = 0.1  # of the largest heating, by which that must change at a step
+_LEAST_NOISE_K = 1e-3
+MOST_RIPPLE_A = 0.5
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One recorded temperature.
+
+    Attributes
+    ----------
+    values_C : (n,) a value per row.
+    weight : (n,) what each row weighs, 0 where the temperature is not known.
+    noise_K : rms noise of a row of weight 1.
+    """
+
+    values_C: FloatArray
+    weight: FloatArray
+    noise_K: float
+
+
+@dataclass(frozen=True)
+class HeatRecord:
+    """A heating and cooling record, ready for the fit.
+
+    Attributes
+    ----------
+    dt_s : between rows.
+    heating_A2 : (n,) i_eff^2 from each row to the next.
+    winding, housing : what was recorded of them.
+    ambient_C : mean, None if not recorded.
+    ambient_drift_K : its range.
+    R_ohm : at 25 C.
+    ripple_A : of the amplifier that heated, beside the recorded current.
+    """
+
+    dt_s: float
+    heating_A2: FloatArray
+    winding: Channel
+    housing: Channel | None
+    ambient_C: float | None
+    ambient_drift_K: float
+    R_ohm: float
+    ripple_A: float = PWM_RIPPLE_A
+
+    @cached_property
+    def rise_K(self) -> float:
+        """From the first rows to the hottest hundredth of them: means, since the extreme is the noise's."""
+        known = self.winding.values_C[self.winding.weight > 0]
+        few = max(known.size // 100, 3)
+        return float(np.sort(known)[-few:].mean() - known[:few].mean())
+
+    @cached_property
+    def powered_s(self) -> float:
+        """For how long most of the largest heating was on."""
+        return float(self.dt_s * np.count_nonzero(self.heating_A2 > 0.5 * self.heating_A2.max()))
+
+
+def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) -> HeatRecord:
+    """The record of a file; without `winding_C` the winding from voltage over current.
+
+    Parameters
+    ----------
+    R_ohm : resistance at 25 C, > 0.
+    ripple_A : by which the amplifier's PWM heats beside the recorded current; 0 for a linear amplifier, or where the
+        recorded current is an rms value that has it.
+
+    Raises
+    ------
+    InputError : a column is missing, nothing heats, or the temperature does not rise out of its noise.
+    """
+    current = run.require("current", "current_A")
+    if not 0 < R_ohm < np.inf:
+        raise InputError(f"--resistance-ohm {R_ohm:g}: must be > 0 and finite")
+    if not 0 <= ripple_A <= MOST_RIPPLE_A:
+        raise InputError(f"--ripple-A {ripple_A:g} A: must be 0 to {MOST_RIPPLE_A:g} A; 0 for a linear amplifier")
+    largest = float(np.abs(current.values).max())
+    if not largest > max(ripple_A, PWM_RIPPLE_A):
+        raise InputError(
+            f"{run.name}: current stays below {largest:.2g} A: nothing heats the coil; record current_A "
+            "while it is heated"
+        )
+    if run.winding is not None:
+        winding = _channel(run.winding, np.ones(current.values.size))
+    elif run.voltage is not None:
+        winding = _by_resistance(run.name, current.values, run.voltage.values, R_ohm)
+    else:
+        raise InputError(f"{run.name}: neither winding_C nor voltage_V: record one of them")
+    ambient = run.ambient
+    record = HeatRecord(
+        dt_s=current.dt_s,
+        heating_A2=effective_square(current.values, ripple_A),
+        winding=winding,
+        housing=None if run.housing is None else _channel(run.housing, np.ones(current.values.size)),
+        ambient_C=None if ambient is None else float(ambient.values.mean()),
+        ambient_drift_K=0.0 if ambient is None else _drift(ambient.values),
+        R_ohm=R_ohm,
+        ripple_A=ripple_A,
+    )
+    if np.ptp(record.heating_A2) < LEAST_STEP * record.heating_A2.max():
+        raise InputError(
+            f"{run.name}: no step: the current stays at {np.abs(current.values).mean():.3g} A throughout; record "
+            "from before it is switched on until long after it is switched off"
+        )
+    least = LEAST_RISE_NOISE * winding.noise_K
+    if record.rise_K < least:
+        raise InputError(
+            f"{run.name}: the winding rises by {record.rise_K:.2g} K, its noise is {winding.noise_K:.2g} K: at least "
+            f"{least:.2g} K are needed; heat longer and with more current"
+        )
+    return record
+
+
+def _drift(ambient_C: FloatArray) -> float:
+    """Range of the means of tenths of the record [K]."""
+    return float(np.ptp([part.mean() for part in np.array_split(ambient_C, min(10, ambient_C.size))]))
+
+
+def _channel(x: Signal, weight: FloatArray) -> Channel:
+    return Channel(x.values, weight, _noise(x.values))
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of the rows' noise, from second differences, which a smooth course does not enter."""
+    return max(float(np.sqrt(np.median(np.diff(values, 2) ** 2) / 6 / 0.4549)), _LEAST_NOISE_K)
+
+
+def _by_resistance(name: str, current_A: FloatArray, voltage_V: FloatArray, R_ohm: float) -> Channel:
+    """Winding temperature where enough current flows; its variance goes with 1 / i^2.
+
+    Noise in the divisor biases the temperature by (noise / i)^2 / alpha: 0.1 K for 5 mA in 0.25 A, hence the limit.
+    """
+    share = np.abs(current_A) / np.abs(current_A).max()
+    known = share > _SENSING
+    resistance = np.where(known, voltage_V / np.where(known, current_A, 1.0), R_ohm)
+    temperature = RESISTANCE_REFERENCE_C + (resistance / R_ohm - 1) / COPPER_PER_K
+    strong = temperature[share > 0.5]
+    if strong.size < 4 or not _CREDIBLE_C[0] < float(np.median(strong)) < _CREDIBLE_C[1]:
+        raise InputError(
+            f"{name}: voltage over current is {np.median(resistance[known]):.3g} ohm, which makes the winding "
+            f"{np.median(temperature[known]):.0f} C at R_25 = {R_ohm:g} ohm: check sign and unit of voltage_V and "
+            "the resistance at 25 C of this motor (--resistance-ohm)"
+        )
+    return Channel(temperature, np.where(known, share**2, 0.0), _noise(strong))
