@@ -7,7 +7,8 @@ from typing import TypeVar
 import numpy as np
 
 from problems.stress.actuators import Actuator
-from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, Spread, StressCase, Surface
+from problems.stress.cases import StressCase
+from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Spread, Surface
 from transopt.plant.intention import Yielding
 
 STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))

@@ -4,7 +4,8 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
-from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
+from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Surface
 
 SATURATED = Demand(speed_m_s=1.0)
 SMALL_A = 0.3  # at which the plain tap saturates

@@ -42,7 +42,8 @@ GIVEN_UP_S = 100.0  # for an end that does not come
 BIN = Path(sys.executable).parent
 PROGRAM = "import sys; sys.path[:0] = {path!r}; from transopt.base import terminal; terminal.run(lambda: {call})"
 LONG = """
-from problems.stress.cases import Current, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
+from problems.stress.parts import Current, Horizon, Surface
 from transopt.solvers import choose, feasibility
 from transopt.solvers.options import SolverOptions
 

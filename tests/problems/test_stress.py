@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.families import SMALL_A, directed, rescaled
 from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, played
 from problems.stress.oracle import Verdict, admits_a_command
+from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Surface
 from problems.stress.run import run_cases, summary
 from tests.benches.commands import Terminal, assert_refused
 from transopt.design.optimum import optimum

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import problems
-from problems.stress.cases import Current, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.judge import judge
+from problems.stress.parts import Current, DrawnDevice, Horizon, Surface
 from transopt.base.errors import InputError
 from transopt.design import remedy
 from transopt.design.build import Build, build_library

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from problems.stress.cases import Current, Demand, DrawnDevice, Horizon, StressCase
+from problems.stress.cases import StressCase
 from problems.stress.families import SMALL_A
+from problems.stress.parts import Current, Demand, DrawnDevice, Horizon
 from transopt.base.signals import FloatArray
 from transopt.design.optimum import optimum
 from transopt.plant.amplifier import Amplifier

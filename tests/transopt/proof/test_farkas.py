@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.stress.cases import Coil, Current, Demand, Horizon, StressCase
+from problems.stress.cases import StressCase
+from problems.stress.parts import Coil, Current, Demand, Horizon
 from tests.benches.limits import drawn_ray, with_limit
 from tests.conftest import ProblemMaker
 from transopt.problem.answer import Multipliers

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.stress.cases import Coil, Current, Demand, Horizon, StressCase
+from problems.stress.cases import StressCase
+from problems.stress.parts import Coil, Current, Demand, Horizon
 from transopt.design.optimum import optimum
 from transopt.problem.answer import Certificate
 from transopt.problem.problem import TransientProblem

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.stress.cases import Current, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
+from problems.stress.parts import Current, Horizon, Surface
 from transopt.base import apart
 from transopt.design.optimum import optimum
 from transopt.plant.intention import INTENTION_S

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.judge import played
+from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Surface
 from transopt.base.errors import InputError
 from transopt.design.optimum import optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel

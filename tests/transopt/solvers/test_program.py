@@ -5,7 +5,8 @@ from dataclasses import replace
 import casadi as ca
 import pytest
 
-from problems.stress.cases import Coil, Current, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
+from problems.stress.parts import Coil, Current, Horizon, Surface
 from transopt.solvers import program
 from transopt.solvers.program import Size, program_shape, state_program
 

@@ -15,7 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 import problems
-from problems.stress.cases import Horizon, StressCase
+from problems.stress.cases import StressCase
+from problems.stress.parts import Horizon
 from tests.benches.limits import drawn_ray, with_limit, with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError

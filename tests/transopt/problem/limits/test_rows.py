@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.stress.cases import R_OHM, Coil, Current, Horizon, StressCase, Surface
+from problems.stress.cases import StressCase
 from problems.stress.judge import played
+from problems.stress.parts import R_OHM, Coil, Current, Horizon, Surface
 from tests.benches.limits import supply_of
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
