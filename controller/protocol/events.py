@@ -1,9 +1,9 @@
 """What a session tells its user: frozen events, in the order in which they happened."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 
-from controller.protocol.capacity import Capacity, Hardware
+from controller.protocol.capacity import Capacity
 from controller.protocol.codes import Kind, Reason, What
 from controller.protocol.messages import EvidenceReply, HelloReply, Record
 from controller.servo.interface import Fault, State
@@ -132,8 +132,3 @@ def capacity_of(reply: HelloReply) -> Capacity:
         latency_ticks=reply.capacity_latency_ticks,
         upload_frames=reply.upload_frames,
     )
-
-
-def hardware_of(reply: HelloReply) -> Hardware:
-    """What is compiled into the device's port."""
-    return Hardware(**{field.name: getattr(reply, field.name) for field in fields(Hardware)})

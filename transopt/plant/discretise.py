@@ -319,22 +319,6 @@ class StageModel:
         """What others have computed of this model and want to find again, each under a key of its own."""
         return {}
 
-    def free_response(self, instants: int) -> tuple[FloatArray, FloatArray]:
-        """Q (M, m), R (m, n) with Q R x = y'' at so many instants of the free motion from the state x; m = min(M, n).
-
-        All taps of one grip share it: it is kept.
-        """
-        if instants not in self._free_responses:
-            n = self.A.shape[0]
-            by_state = (self.C @ powers(self.A, instants - 1).reshape(instants, n, n))[:, 0]
-            Q, R = np.linalg.qr(by_state)
-            self._free_responses[instants] = Q, R
-        return self._free_responses[instants]
-
-    @cached_property
-    def _free_responses(self) -> dict[int, tuple[FloatArray, FloatArray]]:
-        return {}
-
     def extended(self) -> "StageModel":
         """Stage model in extended precision (64 bits of mantissa where the machine has them, else unchanged)."""
 
