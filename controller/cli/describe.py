@@ -53,7 +53,8 @@ def new(
     described = offered if defaults else DeviceFile.model_validate(_asked(offered))
     write_device(file, described, "What this device is; every command of transopt-play reads it.")
     terminal.console().print(
-        f"{file}: written\nnext: transopt-play zero --device {file} --port PORT, then transopt-play check",
+        f"{file}: written\nnext: transopt-play zero --device {file} --port PORT, then "
+        f"transopt-play check --device {file} --port PORT --sweep",
         highlight=False,
         soft_wrap=True,
     )

@@ -121,7 +121,8 @@ def load_circuit(path: Path) -> tuple[Electronics, str]:
         try:
             scene = read_scene(trial, search=(path.parent, FOLDER))
         except InputError as error:
-            raise InputError(str(error).replace(str(trial), str(path))) from None
+            said = str(error).replace(str(trial), str(path))
+            raise InputError(re.sub(rf"{re.escape(folder)}[^,]*, ", "", said)) from None
     built = electronics_of(circuit, scene)
     return built, scene_text(circuit, path.name, built.motor.i_continuous_A)
 
@@ -233,7 +234,7 @@ def rows_of(built: Electronics) -> Iterator[tuple[str, str, str]]:
     if c.converter.output == "pwm":
         R, C, ripple_A, lag_s = pwm_filter(built)
         yield "R10, R11", f"{R:g}, {10 * R:g} ohm", "filter of the PWM, before the circuit"
-        yield "C2, C3", f"{1e9 * C:g}, {1e8 * C:g} nF", f"{ripple_A:.2g} A of ripple; {1e6 * lag_s:.0f} us later"
+        yield "C2, C3", f"{1e9 * C:g}, {1e8 * C:g} nF", f"{ripple_A:.2g} A of ripple; {1e6 * lag_s:.0f} µs later"
     command = f"± {100 * s.command_off:.2g} %, ± {s.command_off_A:.2g} A at zero, by the resistors"
     yield "OUTPUT_PER_A", f"{s.output_per_A:.4f} counts/A", command
     yield "OUTPUT_ZERO", f"{s.output_zero:.2f} counts", "trim it until no current flows"

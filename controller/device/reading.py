@@ -159,7 +159,8 @@ def _complaint(path: Path, error: ValidationError, kind: type[Section]) -> str:
         text = f"unknown key{did_you_mean(keys[-1], known)}; known here: {', '.join(known)}"
         return f"{path}: {where}: {text}{more}"
     message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    return f"{path}: {where} = {cut(repr(first['input']))}: {message}{more}"
+    said = f"{where} = {cut(repr(first['input']))}: " if where else ""  # else the keys as a whole are amiss
+    return f"{path}: {said}{message}{more}"
 
 
 def _table_at(kind: type[Section], keys: list[str]) -> type[Section]:

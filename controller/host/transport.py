@@ -46,7 +46,9 @@ class Listed:
 
 def listed_ports() -> list[Listed]:
     """The serial ports there are, by their names."""
-    found = [Listed(port.device, port.description or "", port.vid) for port in list_ports.comports()]
+    found = [
+        Listed(port.device, (port.description or "").removeprefix("n/a"), port.vid) for port in list_ports.comports()
+    ]
     return sorted(found, key=lambda port: port.name)
 
 

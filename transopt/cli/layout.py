@@ -12,7 +12,7 @@ LEAST_RATE_HZ = 0.01  # a logger's reading every hundred seconds
 COLUMNS_HELP = 'Names of the files\' columns, in order, "-" skips one: time_s,-,acceleration_g or time,force,acc.'
 UNITS_HELP = "Units of columns that state none: time=s,acc=g; of a sensor with its sensitivity: CH1=mV @ 100 mV/g."
 RATE_HELP = "Sample rate of files that have no times, or none to go by."
-RateHz = Annotated[float | None, typer.Option("--rate-Hz", help=RATE_HELP, min=LEAST_RATE_HZ)]
+RateHz = Annotated[float | None, typer.Option("--rate-Hz", metavar="<float>", help=RATE_HELP, min=LEAST_RATE_HZ)]
 
 
 def split_columns(columns: str) -> list[str]:

@@ -30,7 +30,9 @@ Resonance = Annotated[
 RatedG = Annotated[
     float | None, typer.Option("--rms-g", help="Acceleration by the datasheet at --rms-V or --rms-A, rms, in g.")
 ]
-RatedV = Annotated[float | None, typer.Option("--rms-V", help="Voltage of that sine at the resonance, rms.")]
+RatedV = Annotated[
+    float | None, typer.Option("--rms-V", help="Voltage of the datasheet's sine at the resonance, rms.")
+]
 RatedA = Annotated[float | None, typer.Option("--rms-A", help="Current of that sine, in its place.")]
 Accept = Annotated[bool, typer.Option("--accept", help="Take a response that no actuator has as it is.")]
 

@@ -26,7 +26,7 @@ CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scal
 
 def taps_table(taps: Sequence[PreparedTap]) -> Table:
     """Per file: rate, onset, offset, polarity, speed and its source, grip, a0, peak, clipping, notes."""
-    table = Table(title=f"{len(taps)} recordings")
+    table = Table(title=f"{len(taps)} recording{'s' * (len(taps) > 1)}")
     names = (
         "file",
         "rate kHz",
@@ -102,8 +102,8 @@ def hints(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
     still = max(abs(tap.offset_m_s2) for tap in taps)
     if settings.trusted_from_Hz == 0 and still < NO_GRAVITY_M_S2:
         found.append(
-            "no recording has the offset that gravity makes: if the sensor is of the IEPE type it reads from 0.5 to "
-            "5 Hz on and loses 3 to 22 % of a tap: state --trusted-from-Hz"
+            "no recording has the offset that gravity makes. Records of transopt-play and level sensors have none; "
+            "if the sensor is of the IEPE type it loses 3 to 22 % of a tap: state its cut-off, as --trusted-from-Hz 2"
         )
     return found
 

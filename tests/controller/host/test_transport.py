@@ -8,6 +8,7 @@ import threading
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import serial
@@ -161,6 +162,12 @@ def test_busy(pty: tuple[int, str]) -> None:
     with Transport(name), pytest.raises(PortError, match="busy: another program has it open"):
         Transport(name)
     Transport(name).close()
+
+
+def test_a_port_without_a_description_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = [SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None)]  # as pyserial says it
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: listed)
+    assert t.listed_ports() == [t.Listed("/dev/ttyS0", "")]
 
 
 def test_no_such_port_lists_those_there_are(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -182,7 +182,9 @@ class TestSensors:
     def test_one_that_shows_no_gravity_is_asked_after(self, run: Run) -> None:
         tap_file(Path("tap.csv"), 0.2, 3.0, gravity_g=0.0)
         hint = "if the sensor is of the IEPE type"
-        assert hint in run("taps", "tap.csv").out
+        asked = run("taps", "tap.csv").out
+        assert hint in asked
+        assert "1 recording " in asked
         assert hint not in run("taps", EXAMPLES / "tap_0.2_m_s.csv").out
         stated = run("taps", "tap.csv", "--trusted-from-Hz", 2)
         assert hint not in stated.out
