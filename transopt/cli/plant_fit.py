@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from transopt.identify.response_fit import ResponseFit
     from transopt.recordings.response import MeasuredResponse
 
-COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: frequency_Hz,magnitude_dB,phase_deg.'
+COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: frequency_Hz,-,real,imag.'
 UNITS_HELP = "Units of columns that state none: magnitude=g/V,phase=deg."
 SWEEP_COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: time_s,voltage_V,acceleration_g.'
 SWEEP_UNITS_HELP = "Units of columns that state none: time=s,voltage=V,acceleration=g."
@@ -61,7 +61,8 @@ def plant_fit(
     rms_g: RatedG = None,
     accept: Accept = False,
     channel: Annotated[
-        int | None, typer.Option(help="Which response of a universal file with several, counted from 1.", min=1)
+        int | None,
+        typer.Option(metavar="<int>", help="Which response of a universal file with several, counted from 1.", min=1),
     ] = None,
 ) -> None:
     """Fit a stable real state space to a measured response, say how far off it is, and write it if it may be used.

@@ -95,7 +95,7 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
     InputError : one line, file first, whatever is wrong.
     """
     data = read_file(
-        path, MOST_RECORD_BYTES, "name a recording, or those in a folder as FOLDER/*, in pieces if it is too long"
+        path, MOST_RECORD_BYTES, "name a recording, or several as tap_*.csv or FOLDER/*, in pieces if it is too long"
     )
     try:
         if not data:

@@ -79,6 +79,16 @@ def test_every_help_ends_with_an_example_that_its_command_takes(words: str) -> N
     EVERY[" ".join(named)].make_context(named[-1], line[len(named) :])
 
 
+@pytest.mark.parametrize("words", ["plant fit", "plant sweep", "taps", "identify hand"])
+def test_help_with_long_words_is_whole_on_80_columns(
+    words: str, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    outcome = terminal("transopt", *words.split(), "--help")
+    assert "--columns" in outcome.out
+    assert "…" not in outcome.out
+
+
 @pytest.mark.parametrize(
     ("program", "words"), [("transopt", "transopt solve "), ("transopt-play", "transopt-play tap ")]
 )
