@@ -11,6 +11,8 @@ from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.optimum import optimum
+from transopt.plant.discretise import discretise
+from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import TEMPERATURE, certify
@@ -106,6 +108,24 @@ class TestByTheCall:
             answer = solve(changed)
             for command, multipliers in around(changed, answer.command, answer.multipliers):
                 assert_same(certified(changed, command, multipliers), certify(changed, command, multipliers))
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("damping", [1 + 1.5e-7, 1 + 3e-7, 1 + 1e-3])
+@pytest.mark.parametrize("rate_rad_s", [30.0, 100.0])
+def test_does_not_share_the_rounding_of_nearly_parallel_modes(
+    make_problem: ProblemMaker, damping: float, rate_rad_s: float
+) -> None:
+    problem, per_A = make_problem(0.4, 5.0), np.array([[400.0]])
+    row = np.array([[-(rate_rad_s**2), -2 * damping * rate_rad_s]])
+    plant = StateSpace(np.vstack([[[0.0, 1.0]], row]), np.vstack([[[0.0]], per_A]), row, per_A)
+    nearly_critical = replace(problem, stage=discretise(plant, problem.stage.amplifier, problem.grid.dt_s))
+    answer = solve(nearly_critical)
+    found = certified(nearly_critical, answer.command, answer.multipliers)
+    other = certify(nearly_critical, answer.command, answer.multipliers)
+    assert found.accepted
+    assert other.accepted
+    assert other.merit == pytest.approx(found.merit, rel=0, abs=1e-8 * OBJECTIVE_SCALE)
 
 
 def test_what_the_call_does_not_know_is_left_to_the_other(
