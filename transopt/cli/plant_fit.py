@@ -87,7 +87,7 @@ def plant_fit(
         how = layout(columns, units, answer=answer if channel is None else {"channel": channel, **answer})
         return read_response(response, how, scale=scale, driven_by=driven_by or "")
 
-    measured = answered(read, WORDS, summary)
+    measured = answered(read, WORDS, summary, units=units)
     driven_by = measured.driven_by or CURRENT_INPUT.name
     f = measured.frequencies_Hz
     undelayed = measured.response * np.exp(2j * np.pi * f * delay_s)

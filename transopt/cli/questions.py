@@ -32,6 +32,7 @@ def answered(
     said: Callable[[Found], str],
     doubt: Callable[[Found], UnclearError | None] = lambda _: None,
     odd: Callable[[Found], float] = lambda _: 0.0,
+    units: str = "",
 ) -> Found:
     """What a command reads, with what a person answers to what its files leave open.
 
@@ -42,13 +43,15 @@ def answered(
     said : what was found, in a few words.
     doubt : what is implausible of it, as a question whose answers put it right; on a terminal it is asked.
     odd : how unusual it is; the least unusual is proposed first.
+    units : that the command line states, which what is proposed repeats.
 
     Raises
     ------
     InputError : a file that cannot be read; without a terminal, one that leaves something open, with the options that
         read it.
     """
-    answer: Answer = {}
+    start: Answer = {"units": stated_units(units)} if units else {}
+    answer = start
     while True:
         try:
             found = read(answer)
@@ -56,7 +59,7 @@ def answered(
         except UnclearError as error:
             unclear = error
         if unclear is None:
-            if answer:
+            if answer is not start:
                 typer.echo(f"the same without being asked: {options(answer)}")
             return found
         tried = trials(read, said, doubt, odd, unclear, answer)
@@ -81,7 +84,7 @@ def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float
     def read(answer: Answer) -> list[Measurement]:
         return load_measurements(files, layout(columns, units, rate_Hz, answer))
 
-    return answered(read, WORDS, said)
+    return answered(read, WORDS, said, units=units)
 
 
 def _asked(unclear: UnclearError, tried: list[tuple[Answer, str]], words: Vocabulary) -> Answer:

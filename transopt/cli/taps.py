@@ -112,7 +112,7 @@ def taps(
             raise InputError(_refusal(error)) from None
         return tried.prepared(settings)
 
-    found = answered(read, VOCABULARY, tried.summary, tried.doubt, tried.oddness)
+    found = answered(read, VOCABULARY, tried.summary, tried.doubt, tried.oddness, units)
     prepared, settings = found
     console = terminal.console()
     console.print(taps_table(prepared))

@@ -32,16 +32,18 @@ from transopt.recordings.names import (
     Meaning,
     Vocabulary,
     apart,
+    lacking,
     looks_known,
     means_acceleration,
     means_time,
+    quantity_of,
     quote,
     stated_for,
 )
 from transopt.recordings.raw_table import LARGEST, RawTable, check_size, without_times
 from transopt.recordings.text import rate_of, read_text, start_of, text_columns, untimed
 from transopt.recordings.unclear import Answer, UnclearError, options
-from transopt.recordings.units import is_unit, known_units
+from transopt.recordings.units import is_unit, known_units, read_unit
 from transopt.recordings.universal_file import read_universal_file
 
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
@@ -86,7 +88,7 @@ def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTab
 def _opened(suffix: str, data: bytes) -> bytes | Channels:
     """The text of a file, or its variables."""
     match suffix.lower():
-        case ".csv" | ".txt" | ".dat" | ".tsv" | ".lvm":
+        case ".csv" | ".txt" | ".dat" | ".tsv" | ".lvm" | ".log" | ".asc":
             return data
         case ".xlsx" | ".xlsm" | ".xls" | ".ods":
             return sheet_as_text(data)
@@ -100,7 +102,7 @@ def _opened(suffix: str, data: bytes) -> bytes | Channels:
                 return Channels(mat5.variables(data), place=lambda k: f"element ({k + 1})")
         case ".h5" | ".hdf5" | ".mat":  # -v7.3 is HDF5
             return hdf5_datasets(data)
-    known = ".csv, .tsv, .txt, .dat, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .uff, .wav"
+    known = ".csv, .tsv, .txt, .dat, .log, .asc, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .uff, .wav"
     raise InputError(f"unknown format {quote(suffix)}; known: {known}; export it as CSV")
 
 
@@ -168,6 +170,8 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTa
         chosen = [name for name in chosen if looks_known(name, words) or name in vectors]
     if "magnitude" in words.quantities and not layout.columns:
         _refuse_unstated(reads, [name for name in candidates if name not in chosen], units)
+    if chosen and not layout.columns and (absent := lacking({quantity_of(name, words) for name in chosen}, words)):
+        chosen = [*chosen, *(name for name in numeric(reads) if quantity_of(name, words) in absent)]
     # Names that mean something are asked about where none has a unit.
     chosen = chosen or [name for name in candidates if looks_known(name, words)] or candidates
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
@@ -234,7 +238,8 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
         above, _, last = name.rpartition(".")
         key = last if short[last] == 1 else name
         unit = next((named[at] for of in UNIT_FIELDS if (at := f"{above}.{of}".strip(".")) in named), "")
-        if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None:
+        is_other = isinstance(unit, str) and means_time(key, words) and read_unit(unit, "time") is None
+        if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None and not is_other:
             key = f"{key} [{unit}]"
         found[key] = partial(named.__getitem__, name)
         if means_acceleration(key, words):

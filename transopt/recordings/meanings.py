@@ -30,6 +30,7 @@ from transopt.recordings.units import (
     Unit,
     is_electrical,
     is_sensed,
+    is_unit,
     known_units,
     likely_units,
     parts,
@@ -71,7 +72,10 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
         if is_electrical(stated):
             answers = [{"units": {apart(name)[0]: each}} for each in sensed(stated)]
             raise UnclearError(f"{problem} without the sensitivity of the sensor", answers)
-        raise InputError(f"{problem}; known: {', '.join(known_units(quantity))}{remedy_of(stated)}")
+        problem = f"{problem}; known: {', '.join(known_units(quantity))}{remedy_of(stated)}"
+        if user is None and not is_unit(label):  # what stands in the brackets is a range or a place, X (100g)
+            raise UnclearError(problem, [{"units": {quantity: each}} for each in likely_units(quantity)])
+        raise InputError(problem)
     said = "" if is_sensed(stated, label) else label and f"column is {quote(name)}"
     return settled(quantity, stated, own, said)
 
@@ -149,6 +153,10 @@ def meanings(
     present = quote(", ".join(found or names))
     used = [name for name in names if name != SKIPPED]
     _refuse_rivals(used, names, present, words)
+    own = {*words.quantities, *(key for name in used for key in keys_of(name))}
+    unused = [key for key in units if key not in own]
+    if unused:
+        raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
     if any(not looks_known(name, words) for name in used):
         raise _unknown(used if found else names, words, seen)
     for quantity in lacking({quantity_of(name, words) for name in used}, words):
@@ -162,10 +170,6 @@ def meanings(
         said[name] = meaning(name, words, units)
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
-    own = {*words.quantities, *(key for name in said for key in keys_of(name))}
-    unused = [key for key in units if key not in own]
-    if unused:
-        raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
     return said
 
 

@@ -31,7 +31,7 @@ _WITH_UNIT = (
 )
 # Names of times that say their unit: of programs, of LabVIEW's text, of a processor's counters.
 NAMED_UNITS = {
-    **dict.fromkeys(("second", "seconds", "sec", "seconds elapsed", "x value"), "s"),
+    **dict.fromkeys(("second", "seconds", "sec", "seconds elapsed", "x value", "in s"), "s"),
     **dict.fromkeys(("millis", "milliseconds"), "ms"),
     **dict.fromkeys(("micros", "microseconds"), "us"),
 }
@@ -295,9 +295,9 @@ def stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | Non
 
 
 def keys_of(name: str) -> tuple[str, ...]:
-    """What a user may call a column by: its name, that without the unit, and that without the axis."""
+    """What a user may call a column by: its name, that without the unit, that without the axis, and the axis alone."""
     base = apart(name)[0]
-    return (name, base, base[:-1].strip(" _")) if axis_of(name) else (name, base)
+    return (name, base, base[:-1].strip(" _"), base[-1]) if axis_of(name) else (name, base)
 
 
 def lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:

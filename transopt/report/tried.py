@@ -37,7 +37,12 @@ def trials(
     unclear: UnclearError,
     stated: Answer,
 ) -> list[tuple[Answer, str]]:
-    """Answers that read the file, the plausible ones first, each with what was found."""
+    """Answers that read the file, the plausible ones first, each with what was found.
+
+    Parameters
+    ----------
+    stated : what is stated already; the units with which a command line has to repeat those that an answer adds.
+    """
     good = list[tuple[float, Answer, str]]()
     doubtful = list[tuple[float, Answer, str]]()
     until, count = time.process_time() + TRIAL_S, 0
@@ -60,7 +65,9 @@ def trials(
                 question = doubt(found)
                 is_good = question is None or "implausible" not in question.answers[-1]
                 words = said(found) if is_good else f"{said(found)}; implausible"
-                (good if is_good else doubtful).append((odd(found), answer, words))
+                # An option that is stated twice counts once: the units of a proposal are all that are stated.
+                whole = {**answer, "units": joined(stated, answer)["units"]} if "units" in answer else answer
+                (good if is_good else doubtful).append((round(odd(found), 1), whole, words))
 
     follow(unclear, {}, 1)
     best = sorted(good or doubtful, key=lambda one: one[0])
@@ -154,4 +161,4 @@ def refusal(found: Taps, read: Callable[[Answer], Taps]) -> InputError | None:
     question = doubt(found)
     if question is None:
         return None
-    return InputError(in_a_line(question, trials(read, summary, doubt, oddness, question, {})))
+    return InputError(in_a_line(question, trials(read, summary, doubt, oddness, question, {"units": found[1].units})))

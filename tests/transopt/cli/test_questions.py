@@ -127,6 +127,20 @@ def test_without_a_terminal_a_line_of_options_that_read_it(run: Run) -> None:
     # Two facts lack: the options state both.
     Path("tap.csv").write_text("acc [g],accel [g]\n" + text(TAP_M_S2 / G, 0.3 * TAP_M_S2 / G))
     assert_refused(run("taps", "tap.csv", "--speed", 0.2), "--columns 'acc [g],-' --rate-Hz 10000")
+    # What is stated already stands in the proposal, since the last --units of a command counts.
+    Path("tap.csv").write_text("Time,Ampl\n" + text(TIMES_S, 0.1 * TAP_M_S2 / G))
+    stated = ("taps", "tap.csv", "--speed", 0.2, "--units", "Ampl=V @ 100 mV/g")
+    refused = run(*stated)
+    assert_refused(refused, "--units 'Ampl=V @ 100 mV/g,time=s' (10 kHz, a peak of 1")
+    assert run(*stated, "--units", "Ampl=V @ 100 mV/g,time=s").code == 0
+    # A range behind a name is no unit, and asked about.
+    Path("tap.csv").write_text("Time [s],X (100g)\n" + text(TIMES_S, TAP_M_S2 / G))
+    assert_refused(
+        run("taps", "tap.csv", "--speed", 0.2, "--columns", "time [s],acc (100g)"), "--units acceleration=g"
+    )
+    # Of units that make nearly the same of a file the plain one comes first.
+    Path("tap.csv").write_text("time [s],acc\n" + text(TIMES_S, TAP_M_S2))
+    assert_refused(run("taps", "tap.csv", "--speed", 0.2), "right one: --units 'acceleration=m/s^2'")
     # A file that no answer reads is refused as it was.
     Path("tap.csv").write_text("time,acc\n" + text(TIMES_S, 0 * TIMES_S))
     assert_refused(run("taps", "tap.csv", "--speed", 0.2), "state it, for example --units")

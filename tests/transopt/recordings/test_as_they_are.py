@@ -28,6 +28,7 @@ QUOTED = "".join('"{}","{}"\n'.format(*row.replace(".", ";").split(",")) for row
         ("time [s],a [g]", IN_G),
         ("Time (s) , Acceleration (g)", IN_G),
         ("t/s,acc/g", IN_G),
+        ("in s,Acc in g", IN_G),
         ("# time(s), \t \t acceleration(g)", IN_G.replace(",", " ")),
         ("time (s)  acc (g)", IN_G.replace(",", " ")),
         ("Time [s]\tAccel [g]", IN_G.replace(",", "\t")),
@@ -38,7 +39,7 @@ QUOTED = "".join('"{}","{}"\n'.format(*row.replace(".", ";").split(",")) for row
         ("# speed_m_s: 0.2\ntime_s,acc [mg]", text(TIMES_S, 1e3 * TAP_M_S2 / G)),
     ],
 )
-@pytest.mark.parametrize("suffix", [".csv", ".txt"])
+@pytest.mark.parametrize("suffix", [".csv", ".txt", ".log"])
 def test_headers_of_instruments(tmp_path: Path, header: str, rows: str, suffix: str) -> None:
     recording = load(tmp_path, f"{header}\n{rows}", suffix)
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
@@ -117,6 +118,22 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
     said = refusal(tmp_path, content, suffix)
     assert said.startswith("no unit stated in the columns 't, acc'; known: time in s, ms")
     assert "state it, for example --units 'time=s,acceleration=m/s^2' (in a scene recordings.units = " in said
+    # Times without a unit are asked about, not passed over, where the acceleration has one.
+    assert refusal(tmp_path, pack(t=TIMES_S, acc_g=TAP_M_S2), suffix).startswith("no unit stated in the column 't'")  # type: ignore[operator]
+
+
+def test_the_unit_of_a_structure_is_that_of_its_acceleration(tmp_path: Path) -> None:
+    content = mat(rec={"time": TIMES_S, "acc": TAP_M_S2 / G, "unit": "g", "fs": 1e4})
+    assert refusal(tmp_path, content, ".mat").startswith("no unit stated in the column 'time'")
+    recording = load(tmp_path, content, ".mat", units={"time": "s"})
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+def test_axes_are_called_as_the_file_has_them(tmp_path: Path) -> None:
+    content = "time [s],x,y,z\n" + text(TIMES_S, 0 * TIMES_S, 0 * TIMES_S, TAP_M_S2 / G)
+    recording = load(tmp_path, content, units={"x": "g", "y": "g", "z": "g"})
+    assert np.ptp(recording.acceleration.values) == pytest.approx(np.ptp(TAP_M_S2), rel=1e-6)
+    assert refusal(tmp_path, content, units={"w": "g"}).startswith("--units w: no column of that name")
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_a_pipe_does_not_block(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".docx", ""])
 def test_unknown_format(tmp_path: Path, suffix: str) -> None:
     message = refusal(tmp_path, csv(), suffix)
-    known = ".csv, .tsv, .txt, .dat, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .uff, .wav"
+    known = ".csv, .tsv, .txt, .dat, .log, .asc, .lvm, .xlsx, .ods, .npz, .mat, .tdms, .h5, .uff, .wav"
     assert message == f"unknown format {suffix!r}; known: {known}; export it as CSV"
 
 
