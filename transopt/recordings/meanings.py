@@ -30,7 +30,6 @@ from transopt.recordings.units import (
     Unit,
     is_electrical,
     is_sensed,
-    is_unit,
     known_units,
     likely_units,
     parts,
@@ -73,7 +72,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
             answers = [{"units": {apart(name)[0]: each}} for each in sensed(stated)]
             raise UnclearError(f"{problem} without the sensitivity of the sensor", answers)
         problem = f"{problem}; known: {', '.join(known_units(quantity))}{remedy_of(stated)}"
-        if user is None and not is_unit(label):  # what stands in the brackets is a range or a place, X (100g)
+        if user is None and label[:1].isdigit():  # no unit stands in the brackets but a range, X (100g)
             raise UnclearError(problem, [{"units": {quantity: each}} for each in likely_units(quantity)])
         raise InputError(problem)
     said = "" if is_sensed(stated, label) else label and f"column is {quote(name)}"

@@ -32,6 +32,7 @@ _STEP = re.compile(
     r"\b(?:delta[ _]?[xt]|dt|t[ _]?inc|t[ _]?interval|(?:x[ _])?increment|sampl\w*[ _]*(?:interval|period))" + _VALUE,
     re.IGNORECASE,
 )
+_GROUPED = re.compile(r"\d{1,3},\d{3}")
 _START = re.compile(r"(?:t?start|x[ _]?0|t[ _]?0)\w* *[:=] *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
 
 
@@ -153,6 +154,8 @@ def rate_of(lines: Sequence[str]) -> tuple[float, str] | None:
             for found in pattern.finditer(line.replace('"', "")):
                 unit = (found["before"] or found["behind"] or default).replace("S/s", "Hz")
                 factor, number = read_unit(unit, quantity), float(found["number"].replace(",", "."))
+                if quantity == "frequency" and _GROUPED.fullmatch(found["number"]):
+                    return None  # 10,000 Hz is 10 kHz to some and 10 Hz to others
                 if factor is not None and number > 0:
                     value = factor.factor * number
                     rates.append((value if quantity == "frequency" else 1 / value, line.strip()))

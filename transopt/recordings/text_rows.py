@@ -25,6 +25,8 @@ _METADATA = re.compile(r"([A-Za-z]\w*)\s*[:=,;\t]\s*(.*)")
 _QUOTED = re.compile(r'"([^"]*)"')
 _LAST_ROWS = 20  # of a file, which show how its rows are divided
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # in a row that has decimal points
+_POINT = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")  # of a number, not of a date
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
 _STATED = re.compile(r"[A-Za-z]\w*\s*=\s*[-+.\d]\S*")
@@ -128,10 +130,12 @@ def described(names: Sequence[str], notes: Sequence[str]) -> list[str]:
     found, used = list[str](), 0
     for at, name in enumerate(names):
         unit = of_times if at == 0 else ""
-        if at > 0 and used < len(units):
+        if at > 0 and used < len(units) and name != "X_Value":  # of which LabVIEW writes one for each channel
             unit, used = units[used].rpartition(":")[2], used + 1
         called = sources[at - 1] if name == "Value" and 0 < at <= len(sources) else name
-        found.append(f"{called} [{unit}]" if unit and is_unit(unit) and not apart(called)[1] else called)
+        found.append(
+            f"{called} [{unit}]" if unit and is_unit(unit) and not is_unit(apart(called)[1] or "") else called
+        )
     return found
 
 
@@ -171,6 +175,8 @@ def _unquoted(cell: re.Match[str]) -> str:
     inside = cell[1].strip()
     if cell[0] == cell.string.strip():
         return inside  # a whole row
+    if _THOUSANDS.fullmatch(inside) and _POINT.search(cell.string):
+        return inside.replace(",", "")
     return inside.replace(",", "." if _DECIMAL_COMMA.fullmatch(inside) else " ")
 
 

@@ -36,6 +36,8 @@ QUOTED = "".join('"{}","{}"\n'.format(*row.replace(".", ";").split(",")) for row
         ("Time,Acc\n(s),(g)\n", IN_G),
         ("time (ms),acc (m/s²)", text(1e3 * TIMES_S, TAP_M_S2)),
         ("time [µs],acc [m/s^2]", text(1e6 * TIMES_S, TAP_M_S2)),
+        ("time [s],acc [ft/s^2]", text(TIMES_S, TAP_M_S2 / 0.3048)),
+        ("time [s],acc [gal]", text(TIMES_S, TAP_M_S2 / 0.01)),
         ("# speed_m_s: 0.2\ntime_s,acc [mg]", text(TIMES_S, 1e3 * TAP_M_S2 / G)),
     ],
 )
@@ -65,6 +67,24 @@ def test_what_scopes_and_loggers_write_above_the_numbers(tmp_path: Path, content
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
     assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
     assert recording.speed_m_s == (0.3 if "speed_m_s" in content else None)
+
+
+def test_a_comma_between_thousands_is_no_decimal_one(tmp_path: Path) -> None:
+    rows = "".join(f'{t:.5f},"{a:,.3f}"\n' for t, a in zip(TIMES_S, 1e3 * TAP_M_S2 / G, strict=True))
+    whole = "".join(f'{t:.5f},"{a:,.0f}"\n' for t, a in zip(TIMES_S, 1e6 * TAP_M_S2 / G, strict=True))
+    for unit, cells in (("mg", rows), ("ug", whole)):
+        recording = load(tmp_path, f"time [s],acc [{unit}]\n{cells}")
+        np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-4)
+    rate = "Sample rate: 10,000 Hz\nacc [g]\n" + text(TAP_M_S2 / G)
+    assert refusal(tmp_path, rate).startswith("0 time columns")
+
+
+def test_channels_of_labview_have_their_units_and_their_own_times(tmp_path: Path) -> None:
+    head = "Y_Unit_Label\tVolts\nDelta_X\t1.0E-4\n***End_of_Header***\nX_Value\tcDAQ1Mod1/ai0\tComment\n"
+    rows = "".join(f"\t{a:.9f}\n" for a in 0.1 * TAP_M_S2 / G)
+    assert refusal(tmp_path, head + rows, ".lvm").startswith("column 'cDAQ1Mod1/ai0 [Volts]' is what a sensor gives")
+    recording = load(tmp_path, head + rows, ".lvm", units={"cDAQ1Mod1/ai0": "V @ 100 mV/g"})
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp850", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
