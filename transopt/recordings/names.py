@@ -295,7 +295,7 @@ def stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | Non
 
 
 def keys_of(name: str) -> tuple[str, ...]:
-    """What a user may call a column by: its name, that without the unit, that without the axis, and the axis alone."""
+    """What a user may call a column by: its name, that without unit, that without axis, and the axis alone."""
     base = apart(name)[0]
     return (name, base, base[:-1].strip(" _"), base[-1]) if axis_of(name) else (name, base)
 

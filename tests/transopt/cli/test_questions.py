@@ -138,7 +138,7 @@ def test_without_a_terminal_a_line_of_options_that_read_it(run: Run) -> None:
     assert_refused(
         run("taps", "tap.csv", "--speed", 0.2, "--columns", "time [s],acc (100g)"), "--units acceleration=g"
     )
-    # Of units that make nearly the same of a file the plain one comes first.
+    # Two units make nearly the same of a file: the plain one comes first.
     Path("tap.csv").write_text("time [s],acc\n" + text(TIMES_S, TAP_M_S2))
     assert_refused(run("taps", "tap.csv", "--speed", 0.2), "right one: --units 'acceleration=m/s^2'")
     # A file that no answer reads is refused as it was.
