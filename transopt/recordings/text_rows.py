@@ -26,7 +26,7 @@ _QUOTED = re.compile(r'"([^"]*)"')
 _LAST_ROWS = 20  # of a file, which show how its rows are divided
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # in a row that has decimal points
-_POINT = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")  # of a number, not of a date
+_POINT = re.compile(r"(?<![\d.:])\d+\.\d+(?![\d.])")  # of a number, not of a date or a time of day
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
 _STATED = re.compile(r"[A-Za-z]\w*\s*=\s*[-+.\d]\S*")

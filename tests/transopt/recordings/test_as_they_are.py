@@ -75,6 +75,12 @@ def test_a_comma_between_thousands_is_no_decimal_one(tmp_path: Path) -> None:
     for unit, cells in (("mg", rows), ("ug", whole)):
         recording = load(tmp_path, f"time [s],acc [{unit}]\n{cells}")
         np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-4)
+    clock = "".join(
+        '"12:00:{:07.4f}","{}"\n'.format(t, f"{a:.3f}".replace(".", ","))
+        for t, a in zip(TIMES_S, TAP_M_S2, strict=True)
+    )
+    recording = load(tmp_path, f"time,acc [m/s^2]\n{clock}")  # a point in the time of day says nothing
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-3)
     rate = "Sample rate: 10,000 Hz\nacc [g]\n" + text(TAP_M_S2 / G)
     assert refusal(tmp_path, rate).startswith("0 time columns")
 
