@@ -9,6 +9,7 @@ line, exit code 2, whose options are carried out one after the other: each has t
 to be right. Nothing may be read wrong by a factor in silence. It fails if a file is not as asked.
 """
 
+import os
 import re
 import shlex
 from collections.abc import Sequence
@@ -71,6 +72,7 @@ def looked_at(file: Brought, run: Run, folder: Path) -> Found:
     """Give a file to `taps`, and carry out what it proposes."""
     path = folder / file.name
     path.write_bytes(file.data)
+    os.environ["COLUMNS"] = "200"  # a row of the table stands on one line
     outcome = run("taps", path, "--speed", SPEED_M_S)
     if outcome.code == 0:
         if not is_right(prepared(path)[0], file):

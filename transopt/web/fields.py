@@ -8,7 +8,11 @@ from transopt.web.service import Service
 
 # What other front doors are told -> what the page has in its place.
 ELSEWHERE = (
-    (r"--columns \S+ \(in a scene recordings\.columns\)", 'the field "columns in their order"'),
+    (
+        r"; options of `transopt taps`",
+        r'; or state names with units, time [s], in the field "columns in their order"; or, where '
+        r'the numbers are right, tick "take numbers as they are"\g<0>',
+    ),
     (r"--accept takes it, or recordings\.implausible = \"accept\" in the scene", 'tick "take numbers as they are"'),
     (r"name it: recordings\.speed_by_file_m_s = .*\)$", 'fill in the field "speed where a file states none"'),
     (r"(--|recordings\.)speed(_m_s)?\b", 'the field "speed where a file states none"'),

@@ -282,7 +282,8 @@ def test_the_scene_is_one_and_takes_what_the_block_takes(tmp_path: Path) -> None
         assert scene_text(built.circuit, "x", 1.0).count("current_A = ") == 2
 
 
-def test_the_command_writes_all_three_and_says_what_to_solder(play: Run) -> None:
+def test_the_command_writes_all_three_and_says_what_to_solder(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     Path("circuit.toml").write_text(play("device", "circuit", "--example", "bridge_re40").out)
     outcome = play("device", "circuit", "circuit.toml")
     assert outcome.code == 0, outcome.err

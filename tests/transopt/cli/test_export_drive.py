@@ -129,4 +129,4 @@ def test_refusals(run: Run, solved: Path, lra: Path) -> None:
     assert_refused(run("export", lra, "d.wav", "--drive", "--rate-Hz", 1), "rate 1 Hz", "100 to 1e+06 Hz")
     assert_refused(run("export", lra, "d.wav", "--drive", "--full-scale", 0), "full scale 0 V", "it is 3 V")
     assert_refused(run("export", lra, "d.wav", "--drive", "--target", "clack"), "clack", "click 150 Hz, tick, soft")
-    assert_refused(run("export", lra, "absent/d.wav", "--drive"), "cannot be written")
+    assert_refused(run("export", lra, "absent/d.wav", "--drive"), "there is no folder absent")

@@ -38,7 +38,9 @@ class TestVerifyShowExport:
         assert outcome.code == 0
         assert {"tap", "felt", "heat"} <= set(outcome.out.split("┡")[0].split())
         assert Path("look.png").read_bytes()[:4] == b"\x89PNG"
-        assert_refused(run("show", solved / "library.npz", "--figure", "absent/look.png"), "cannot be written")
+        assert_refused(
+            run("show", solved / "library.npz", "--figure", "absent/look.png"), "there is no folder absent"
+        )
 
     @pytest.mark.parametrize("suffix", ["mat", "csv", "wav", "h"])
     def test_export(self, run: Run, solved: Path, suffix: str) -> None:
@@ -47,7 +49,7 @@ class TestVerifyShowExport:
 
     def test_export_refusals(self, run: Run, solved: Path) -> None:
         assert_refused(run("export", solved / "library.npz", "x.pdf"), ".mat", ".csv", ".wav", ".h")
-        assert_refused(run("export", solved / "library.npz", "absent/x.csv"), "cannot be written")
+        assert_refused(run("export", solved / "library.npz", "absent/x.csv"), "there is no folder absent")
 
 
 class TestCompare:
@@ -99,4 +101,6 @@ class TestCompare:
         library = solved / "library.npz"
         assert_refused(run("compare", library, "absent.npz"), "absent.npz: no such file")
         assert_refused(run("compare", library, library, "--out", "c.txt"), "--out c.txt", ".md")
-        assert_refused(run("compare", library, library, "--out", "absent/c.md"), "absent/c.md", "cannot be written")
+        assert_refused(
+            run("compare", library, library, "--out", "absent/c.md"), "absent/c.md", "there is no folder absent"
+        )

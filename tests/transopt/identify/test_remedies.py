@@ -154,7 +154,7 @@ CASES: dict[str, tuple[str, Callable[[], str], Callable[[], str]]] = {
         lambda: of_amplifier(amplitude_A=1.0, seconds=0.3, noise_A=0.05),
     ),
     "supply": (
-        r"drove it into its supply: sweep with less current",
+        r"drove it into its supply \(sweep with less current\)",
         lambda: of_amplifier(limited),
         lambda: of_amplifier(limited, amplitude_A=0.3),
     ),

@@ -314,7 +314,7 @@ class TestRefusals:
             np.testing.assert_array_equal(again.command, load_library(saved).command)
 
     def test_unwritable_folder(self, library: Library, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match=r"cannot be written .*choose another"):
+        with pytest.raises(InputError, match=r"there is no folder .*: create it, or choose another"):
             library.save(tmp_path / "absent" / "library.npz")
 
 

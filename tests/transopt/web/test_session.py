@@ -212,7 +212,7 @@ def test_a_refusal_calls_things_as_the_page_does(
 def test_a_recording_is_read_as_the_fields_of_the_page_say(window: Window) -> None:
     times = np.arange(-0.02, 0.09, 1e-4)
     pulse = np.where((times > 0) & (times < 3e-3), 160 * np.sin(np.pi * times / 3e-3), 0.0)
-    text = "a,b\n" + "\n".join(f"{t:.4f},{a:.3f}" for t, a in zip(times, pulse, strict=True))
+    text = "p,q\n" + "\n".join(f"{t:.4f},{a:.3f}" for t, a in zip(times, pulse, strict=True))
     window.session.put(*drop(("odd.csv", text.encode())))
     assert "columns in their order" in window.until("refused")[0]["words"]
     window.session.put(*drop(("odd.csv", text.encode()), columns="time [s], acc [m/s^2]"))
