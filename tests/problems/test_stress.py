@@ -72,11 +72,17 @@ def test_a_search_for_intensity_is_not_thrown_off_by_energies_that_are_nearly_al
     assert judge(drawn(28112026, 901)).kind == CERTIFIED
 
 
-def test_the_worst_of_devices_that_are_nearly_alike_is_found() -> None:
-    """Their losses differ by a ten-thousandth, so that the search over the shares has hardly a slope to follow."""
-    outcome = judge(drawn(5, 645))
+@pytest.mark.parametrize(("seed", "index"), [(5, 645), (8112001, 298)])
+def test_the_worst_of_devices_that_are_nearly_alike_is_found(seed: int, index: int) -> None:
+    """Their losses differ by a ten-thousandth or less: the search over the shares has hardly a slope to follow."""
+    outcome = judge(drawn(seed, index))
     assert outcome.kind == CERTIFIED
     assert outcome.gap < Certificate.GAP_TOLERANCE
+
+
+def test_another_method_takes_arrays_in_any_order() -> None:
+    """The compiled pass leaves a gap, and arrays of a spread stand column by column."""
+    assert judge(drawn(6, 333)).kind == "refused: INFEASIBLE"
 
 
 @pytest.mark.parametrize("times", [1.0, 5.0])
