@@ -112,8 +112,8 @@ def least_worst(problem: TransientProblem, options: SolverOptions) -> Designed:
         return optimum(problem, options)
     search, start = _Search(problem, options), problem.shared
     try:
-        # Scaled by the differences of the losses the first step is a long one, and a third of the solves do. Scaled by
-        # J it is so short, where the devices lose nearly alike, that its gain is lost in the rounding of J.
+        # Scaled by the differences of the losses the first step is a long one, and a third of the solves do. Scaled
+        # by J it is so short, where the devices lose nearly alike, that its gain is lost in the rounding of J.
         J, losses = search.at(start)
         for scale in (max(float(np.ptp(losses)), np.finfo(float).tiny), max(J, OBJECTIVE_SCALE)):
             _raise(search, start, scale)

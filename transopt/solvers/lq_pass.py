@@ -161,11 +161,12 @@ def recursions(n: int, ny: int, blocks: int) -> Recursions:
 def _run(function: ca.Function, *arguments: FloatArray) -> list[FloatArray]:
     """Results of a dense function, flat, column by column, as the arguments are: no conversion, a tenth of the time.
 
-    Arguments are contiguous, so a row-major array is read as the transpose.
+    A row-major array is read as the transpose.
     """
     buffer: Any
     buffer, evaluate = function.buffer()
-    for i, argument in enumerate(arguments):
+    rows = [np.ascontiguousarray(argument) for argument in arguments]  # alive until the function has run
+    for i, argument in enumerate(rows):
         buffer.set_arg(i, argument.data)
     results = [np.empty(function.numel_out(i)) for i in range(function.n_out())]
     for i, result in enumerate(results):
