@@ -240,6 +240,14 @@ class TestRefusals:
         advice = self.refused(lambda: Bridge(fast, 6.0, 15e3), "33.3 us", "0.75 of", "27.5 us")
         Bridge(fast, 6.0, float(advice[1]))
 
+    def test_eddy_currents_that_short_the_winding(self) -> None:
+        """Below four times the winding's resistance; the value that the message names is taken."""
+        with pytest.raises(InputError, match=r"R_eddy_ohm = 2\.18 ohm: .* from ([\d.]+) ohm on") as told:
+            Bridge(RE_25, 6.0, 80e3, 1.5, RE_25.R_ohm)
+        named = re.search(r"from ([\d.]+) ohm on", str(told.value))
+        assert named
+        Bridge(RE_25, 6.0, 80e3, 1.5, float(named[1]))
+
     @pytest.mark.parametrize("L_H", [0.049e-3, 2.1e-3])
     def test_an_inductance_beyond_the_range(self, L_H: float) -> None:
         with pytest.raises(InputError, match=r"holds from 5e-05 to 0\.002 H: take another motor, or state pole_Hz"):
