@@ -48,7 +48,7 @@ def show(
     if said := cool_summary(loaded):
         line(said)
     line("Next:")
-    for command in next_commands(library, loaded.scene()):
+    for command in next_commands(library, loaded.scene())[table:]:  # the first is this one
         line(f"  {command}")
     if figure is not None:
         from transopt.base.plotting import save_figure

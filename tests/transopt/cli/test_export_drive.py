@@ -115,6 +115,8 @@ def test_show_prints_the_figures_of_the_trade(run: Run, lra: Path) -> None:
 
 def test_show_of_speeds_and_grips_is_as_it_was(run: Run, solved: Path) -> None:
     assert "pulse and ring" not in run("show", solved / "library.npz", "--table").out
+    assert "transopt show" not in run("show", solved / "library.npz", "--table").out  # just typed
+    assert "transopt show" in run("show", solved / "library.npz").out
 
 
 def test_refusals(run: Run, solved: Path, lra: Path) -> None:
