@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest import mock
 
 import pytest
 
@@ -68,11 +69,11 @@ def peak_in(outcome: Outcome) -> float:
     return float(row.split("│")[10])
 
 
+@mock.patch.dict(os.environ, COLUMNS="200")  # a row of the table stands on one line
 def looked_at(file: Brought, run: Run, folder: Path) -> Found:
     """Give a file to `taps`, and carry out what it proposes."""
     path = folder / file.name
     path.write_bytes(file.data)
-    os.environ["COLUMNS"] = "200"  # a row of the table stands on one line
     outcome = run("taps", path, "--speed", SPEED_M_S)
     if outcome.code == 0:
         if not is_right(prepared(path)[0], file):

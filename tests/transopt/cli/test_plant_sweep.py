@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.benches.actuators import HEAD
 from tests.benches.commands import Run, assert_refused
 
 G = 9.80665
@@ -99,25 +100,16 @@ def test_two_seconds_of_time_volts_and_g_are_a_plant_within_one_percent(run: Run
 def test_what_it_writes_is_designed_with(run: Run) -> None:
     record("sweep.csv", 104)
     assert run("plant", "sweep", "sweep.csv", "--out", "plant.npz").code == 0
-    text = """description = "the measured actuator"
-amplifier = "ideal"
-hand_over_samples = 1
-[time]
-dt_s = 1e-4
-stages = 300
-lead_s = 0.0
-[[targets]]
-name = "click"
-shape = "burst"
-frequency_Hz = 150
-cycles = 2
-peak_m_s2 = 1.0
+    text = (
+        HEAD.format(peak=1.0)
+        + """
 [model]
 kind = "state_space"
 file = "plant.npz"
 [limits]
 voltage_V = 3.0
 """
+    )
     Path("mine.toml").write_text(text)
     assert run("solve", "mine.toml", "--no-figures").code == 0
 
