@@ -10,7 +10,7 @@ from transopt.problem.stage import LinearStage, layout
 
 # Condition of the modes up to which the method works in them. The built-in scenes have at most 33, a wall's delay
 # line has no modes. The compiled certificate works in them as well, so it does not see what rounding does to them.
-# That grows with the square of the condition: at 8e3 a gap stated as 1e-8 of J was 6e-4, at 4e2 all agree within 1e-6.
+# That grows with the square of the condition: at 8e3 a gap stated as 1e-8 of J was 6e-4, at 4e2 all agree to 1e-6.
 MOST_CONDITION = 4e2
 
 
