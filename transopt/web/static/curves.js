@@ -36,11 +36,10 @@ export function within(times, values, from, to, pixels, point) {
   }
 }
 
-// One tap on a canvas: accelerations above, what drives the device below, between its limits. `scale`: the largest
-// acceleration and input that are shown, and the time [from, to], of all such canvases alike.
-export function drawSmall(canvas, times, tap, scale, hidden = new Set(), start = null) {
-  const ratio = window.devicePixelRatio || 1, colour = colours();
-  const width = canvas.clientWidth || 180, [from, to] = scale.view;
+// One tap on a canvas of some width on the page: accelerations above, what drives the device below, between its limits.
+// `scale`: the largest acceleration and input that are shown, and the time [from, to], of all such canvases alike.
+export function drawSmall(canvas, width, times, tap, scale, hidden = new Set(), start = null) {
+  const ratio = window.devicePixelRatio || 1, colour = colours(), [from, to] = scale.view;
   if (canvas.width !== Math.round(width * ratio)) {
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(SMALL_PX * ratio);
@@ -76,4 +75,26 @@ export function drawSmall(canvas, times, tap, scale, hidden = new Set(), start =
   line("clipped", times, tap.clipped_input, below, low, 1, [4, 3]);
   line("optimum", times, tap.input, below, low, 1.4, []);
   line("warm", times, tap.warm_input, below, low, 1.2, [6, 2]);
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+
+// The elements of a drawing as `parts` state them, [kind, attributes, text or parts]: what stays is not touched.
+export function sketch(drawing, parts) {
+  parts.forEach(([kind, attributes, inner = ""], j) => {
+    let element = drawing.children[j];
+    if (element?.tagName !== kind) {
+      const fresh = document.createElementNS(SVG, kind);
+      if (element) element.replaceWith(fresh);
+      else drawing.append(fresh);
+      element = fresh;
+    }
+    const before = element.stated ?? {};
+    for (const name of Object.keys(before)) if (!(name in attributes)) element.removeAttribute(name);
+    for (const [name, value] of Object.entries(attributes)) if (before[name] !== value) element.setAttribute(name, value);
+    element.stated = attributes;
+    if (typeof inner !== "string") sketch(element, inner);
+    else if (element.textContent !== inner) element.textContent = inner;
+  });
+  while (drawing.children.length > parts.length) drawing.lastElementChild.remove();
 }

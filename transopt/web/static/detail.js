@@ -1,7 +1,7 @@
 // The selected tap drawn large: acceleration, what drives the device, error and temperature over one time axis, which
 // can be zoomed and read.
 
-import { colours, within } from "./curves.js";
+import { colours, sketch, within } from "./curves.js";
 import { largest } from "./words.js";
 
 const G = 9.80665; // m/s^2
@@ -17,8 +17,6 @@ function ticks(low, high, about) {
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(Number((k * step).toPrecision(10)));
   return found;
 }
-
-const escaped = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
 
 export class Detail {
   // `read(words, now)`: what the curves are at the time that is pointed at, in words.
@@ -40,6 +38,10 @@ export class Detail {
     element.addEventListener("pointerleave", () => this.point(null));
     element.addEventListener("dblclick", () => this.first());
     this.from = this.cursor = null;
+    new ResizeObserver(([{ contentRect: { width, height } }]) => {
+      Object.assign(this, { width, height });
+      this.draw();
+    }).observe(element);
   }
 
   // A scene's time axis and input; of a tap its first milliseconds are looked at.
@@ -156,12 +158,9 @@ export class Detail {
   }
 
   draw(kept = false) {
-    if (!this.frame || !this.view) return;
-    const { element } = this;
-    [this.width, this.height] = [element.clientWidth, element.clientHeight];
-    if (!this.width) return;
-    this.svg.innerHTML = this.drawn(this.width, this.height, kept);
-    element.dataset.frame = this.frame.number;
+    if (!this.frame || !this.view || !this.width) return;
+    sketch(this.svg, this.drawn(this.width, this.height, kept));
+    this.element.dataset.frame = this.frame.number;
     this.tell();
   }
 
@@ -175,8 +174,8 @@ export class Detail {
     const free = height - ROOM.top - ROOM.bottom - ROOM.between * (names.length - 1);
     const whole = names.reduce((sum, each) => sum + heights[each], 0);
     const [left, right] = [ROOM.left, width - ROOM.right], parts = [];
-    const text = (x, y, words, how = "") => parts.push(`<text x="${x}" y="${y}" fill="${colour.ink}" ${how}>${escaped(words)}</text>`);
-    const along = (x1, y1, x2, y2, ink, how = "") => parts.push(`<line x1="${x1}" y1="${y1}" x2="${x2}" y2="${y2}" stroke="${ink}" ${how}/>`);
+    const text = (x, y, words, how = {}) => parts.push(["text", { x, y, fill: colour.ink, ...how }, words]);
+    const along = (x1, y1, x2, y2, stroke, how = {}) => parts.push(["line", { x1, y1, x2, y2, stroke, ...how }]);
     this.panels = {};
     this.ranges = Object.fromEntries(names.map((each) => [each, this.range(each, curves[each], kept)]));
     let top = ROOM.top;
@@ -188,33 +187,34 @@ export class Detail {
       for (const t of across) along(this.timeX(t / 1e3), top, this.timeX(t / 1e3), bottom, colour.grid);
       for (const value of ticks(low, high, Math.max(size / 24, 3))) {
         along(left, y(value), right, y(value), value === 0 ? colour.line : colour.grid);
-        text(left - 6, y(value) + 4, String(Number(value.toPrecision(6))), 'text-anchor="end"');
+        text(left - 6, y(value) + 4, String(Number(value.toPrecision(6))), { "text-anchor": "end" });
       }
-      parts.push(`<clipPath id="in-${each}"><rect x="${left}" y="${top}" width="${right - left}" height="${size}"/></clipPath>`,
-        `<g clip-path="url(#in-${each})" fill="none">`);
-      for (const [curve, times, values] of curves[each]) {
-        if (!times || !values?.length || (this.hidden.has(curve) && curve !== "limit")) continue;
-        let d = "";
-        within(times, values, ...this.view, right - left, (t, value, begins) => {
-          d += `${begins ? "M" : "L"}${Math.round(10 * this.timeX(t)) / 10} ${Math.round(10 * y(value)) / 10}`;
-        });
-        const dashes = DASHES[curve] ? `stroke-dasharray="${DASHES[curve]}"` : "";
-        parts.push(`<path d="${d}" stroke="${colour[curve]}" stroke-width="${WIDTHS[curve]}" ${dashes}/>`);
-      }
-      parts.push("</g>");
+      const drawn = curves[each].filter(([curve, times, values]) => times && values?.length && (curve === "limit" || !this.hidden.has(curve)));
+      parts.push(["clipPath", { id: `in-${each}` }, [["rect", { x: left, y: top, width: right - left, height: size }]]],
+        ["g", { "clip-path": `url(#in-${each})`, fill: "none" }, drawn.map((curve) => this.path(curve, y, right - left))]);
       // The limit's handle lies at the upper right of the input.
       text(right - 4, each === "input" ? (y(0) + y(-this.tap.input_limit)) / 2 + 5 : top + 13, titles[each],
-        `text-anchor="end" paint-order="stroke" stroke="${colour.ground}" stroke-width="4" stroke-linejoin="round"`);
+        { "text-anchor": "end", "paint-order": "stroke", stroke: colour.ground, "stroke-width": 4, "stroke-linejoin": "round" });
       top = bottom + ROOM.between;
     }
     const bottom = top - ROOM.between;
     if (ended > this.view[0] && ended < this.view[1]) {
-      along(this.timeX(ended), ROOM.top, this.timeX(ended), bottom, colour.line, 'stroke-dasharray="8 3 2 3"');
+      along(this.timeX(ended), ROOM.top, this.timeX(ended), bottom, colour.line, { "stroke-dasharray": "8 3 2 3" });
     }
-    for (const t of across) text(this.timeX(t / 1e3), bottom + 15, String(t), 'text-anchor="middle"');
-    text((left + right) / 2, bottom + 31, "time after contact, ms", 'text-anchor="middle"');
-    if (this.cursor !== null) along(this.timeX(this.cursor), ROOM.top, this.timeX(this.cursor), bottom, colour.ink, 'stroke-width="1"');
-    return parts.join("");
+    for (const t of across) text(this.timeX(t / 1e3), bottom + 15, String(t), { "text-anchor": "middle" });
+    text((left + right) / 2, bottom + 31, "time after contact, ms", { "text-anchor": "middle" });
+    if (this.cursor !== null) along(this.timeX(this.cursor), ROOM.top, this.timeX(this.cursor), bottom, colour.ink, { "stroke-width": 1 });
+    return parts;
+  }
+
+  // A curve, of which `y` is the height of a value and `pixels` are there for all that is looked at.
+  path([curve, times, values], y, pixels) {
+    let d = "";
+    within(times, values, ...this.view, pixels, (t, value, begins) => {
+      d += `${begins ? "M" : "L"}${Math.round(10 * this.timeX(t)) / 10} ${Math.round(10 * y(value)) / 10}`;
+    });
+    const dashes = DASHES[curve] ? { "stroke-dasharray": DASHES[curve] } : {};
+    return ["path", { d, stroke: colours()[curve], "stroke-width": WIDTHS[curve], ...dashes }];
   }
 
   // What the curves are where they are read.
@@ -251,8 +251,8 @@ export class Detail {
     for (const [name, value] of [["width", width], ["height", height], ["viewBox", `0 0 ${width} ${height}`],
       ["font-family", "sans-serif"], ["font-size", "13"]]) drawing.setAttribute(name, value);
     const { ground, ink } = colours();
-    drawing.innerHTML = `<rect width="100%" height="100%" fill="${ground}"/><text x="${ROOM.left}" y="22" font-size="16" fill="${ink}">`
-      + `${escaped(title)}</text><g transform="translate(0 ${head})">${inner}</g>`;
+    sketch(drawing, [["rect", { width: "100%", height: "100%", fill: ground }],
+      ["text", { x: ROOM.left, y: 22, "font-size": 16, fill: ink }, title], ["g", { transform: `translate(0 ${head})` }, inner]]);
     this.draw(true);
     const vector = new Blob([new XMLSerializer().serializeToString(drawing)], { type: "image/svg+xml" });
     if (kind === "svg") return vector;

@@ -40,7 +40,8 @@ export class Gallery {
     if (taken) {
       const [tap] = message.taps, { times_s: times } = taken;
       const scale = { view: [times[0], Math.min(times[times.length - 1], message.window_end_s)], acceleration: largest(tap.recorded_m_s2), input: tap.input_limit };
-      drawSmall(scene.card.querySelector("canvas"), times, tap, scale);
+      const canvas = scene.card.querySelector("canvas");
+      drawSmall(canvas, canvas.clientWidth, times, tap, scale);
       write(scene.card.querySelector(".came"), came(tap));
     } else {
       write(scene.card.querySelector(".came"), "needs recordings that are not here");

@@ -16,13 +16,17 @@ export function isLimited(tap) {
 
 export class Matrix {
   constructor(element, selects) {
-    Object.assign(this, { element, selects, cells: [], full: 0 });
+    Object.assign(this, { element, selects, cells: [], full: 0, widths: null, drawn: null });
+    new ResizeObserver(() => {
+      this.widths = null;
+      if (this.drawn) this.show(...this.drawn);
+    }).observe(element);
     element.addEventListener("keydown", (event) => this.key(event));
   }
 
   open(places) {
     this.places = places;
-    this.full = 0;
+    Object.assign(this, { full: 0, widths: null, drawn: null });
     const nodes = places.filter((place) => !place.between);
     this.grips = nodes.length && !nodes[0].target ? [...new Set(nodes.map((place) => place.grip_N))] : [];
     const speeds = [...new Set(nodes.map((place) => place.speed_m_s))];
@@ -68,15 +72,16 @@ export class Matrix {
 
   // Everything of one answer, at one scale.
   show(frame, view, hidden, start) {
-    const taps = frame.taps.filter(Boolean);
+    this.drawn = [frame, view, hidden, start];
+    const canvases = this.cells.map((cell) => cell.querySelector("canvas"));
+    this.widths ??= canvases.map((canvas) => canvas.clientWidth); // all at once: each after a change is a layout more
+    const taps = frame.taps.filter((tap) => tap && this.cells[tap.index]);
     const scale = { view, acceleration: Math.max(...taps.map((tap) => largest(tap.recorded_m_s2)), 1e-9),
       input: Math.max(...taps.map((tap) => tap.input_limit)) };
     const most = Math.max(...taps.flatMap((tap) => [tap.figures?.tap_error ?? 0, tap.floor]));
     if (most > this.full || most < 0.5 * this.full) this.full = Math.ceil(12 * most) / 10; // a round one, with room for more
     for (const tap of taps) {
-      const cell = this.cells[tap.index];
-      if (!cell) continue;
-      drawSmall(cell.querySelector("canvas"), frame.times, tap, scale, hidden, start?.taps[tap.index] && { ...start.taps[tap.index], times: start.times });
+      drawSmall(canvases[tap.index], this.widths[tap.index], frame.times, tap, scale, hidden, start?.taps[tap.index] && { ...start.taps[tap.index], times: start.times });
       this.caption(tap, frame.number);
     }
   }

@@ -186,11 +186,10 @@ function placed(places) {
 }
 
 function taken(message, arrays) {
-  for (const tap of message.taps) {
-    for (const [name, values] of Object.entries(arrays)) {
-      const [index, own] = name.split(".");
-      if (own && Number(index) === tap.index) tap[own] = values;
-    }
+  const taps = new Map(message.taps.map((tap) => [String(tap.index), tap]));
+  for (const [name, values] of Object.entries(arrays)) {
+    const [index, own] = name.split(".");
+    if (own) taps.get(index)[own] = values;
   }
   return arrays;
 }
@@ -396,14 +395,6 @@ for (const button of document.querySelectorAll("[data-figure]")) {
   };
 }
 
-function redraw() {
-  if (state.frame) show(false);
-}
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-let resizing = null;
-addEventListener("resize", () => {
-  clearTimeout(resizing);
-  resizing = setTimeout(redraw, 100);
-});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (state.frame) show(false); });
 read("");
 globalThis.page = state; // for whoever measures or tests it
