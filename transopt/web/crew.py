@@ -11,7 +11,7 @@ import os
 import pickle
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 
 from transopt.base.apart import Processes, bounded
@@ -73,17 +73,15 @@ class Crew:
         for member in self._members:
             member.process.shutdown(wait=False)
 
-    def quick(self, name: str, service: Service, order: Sequence[int]) -> Iterator[Shown]:
-        """`Service.quick` of several taps, the first of them first.
+    def quick(self, name: str, service: Service, order: Sequence[int]) -> list[Shown]:
+        """`Service.quick`, the taps shared out.
 
         Parameters
         ----------
         name : of the service, by which the processes know it again (`service_name`).
         """
-        alone = len(order) < 2 or not self._at_work.acquire(blocking=False)
-        if alone:
-            yield from (service.quick(index) for index in order)
-            return
+        if len(order) < 2 or not self._at_work.acquire(blocking=False):
+            return service.quick(order)
         try:
             # Neighbours in the order share the device of their grip, which is made once for each process.
             own, *others = _shares(order, len(self._members) + 1)
@@ -91,15 +89,16 @@ class Crew:
                 (member, share, member.ask(name, service, share))
                 for member, share in zip(list(self._members), others, strict=False)
             ]
-            yield from (service.quick(index) for index in own)
+            found = service.quick(own)
             for member, share, answer in asked:
-                yield from self._answer(member, share, answer, service)
-        finally:  # answers that nobody waits for any more come before those of the next call
+                found += self._answer(member, share, answer, service)
+            return found
+        finally:
             self._at_work.release()
 
     def _answer(
         self, member: "_Member", share: Sequence[int], answer: "Future[list[Shown]]", service: Service
-    ) -> Sequence[Shown]:
+    ) -> list[Shown]:
         try:
             return answer.result(MOST_S)
         except (BrokenExecutor, CancelledError, TimeoutError):
@@ -108,7 +107,7 @@ class Crew:
             member.process.shutdown(wait=False)
             if not self._ended.is_set():
                 self.start()
-            return [service.quick(index) for index in share]
+            return service.quick(share)
 
 
 def _shares(order: Sequence[int], count: int) -> list[Sequence[int]]:
@@ -159,7 +158,7 @@ def _share(
         _services.popitem(last=False)
     service = _services[name]
     service.scene, service.probe, service.winding_C = asked
-    return bounded(MOST_S, lambda: [service.quick(index) for index in share])
+    return bounded(MOST_S, lambda: service.quick(share))
 
 
 def service_name() -> str:

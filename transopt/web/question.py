@@ -92,7 +92,7 @@ def asked(service: Service, index: int, control: Control, tap_error: float) -> F
         raise InputError(f"{control.label}: a choice and no number: ask about a limit")
     if not 0 < tap_error < 1:
         raise InputError(f"error {100 * tap_error:g} %: must be between 0 and 100 %")
-    place, shown = service.places[index], service.quick(index)
+    place, (shown,) = service.places[index], service.quick([index])
     question = Question(
         find_key(service.scene, control.key),
         control.low,

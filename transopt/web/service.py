@@ -1,6 +1,6 @@
 """A scene and its taps, solved under other limits again and again: what the page shows, with no web in it.
 
-While a slider moves, an answer is the optimum with its certificate (`Service.quick`). When it rests, every tap is
+While a slider moves, an answer is all optima with their certificates (`Service.quick`). When it rests, every tap is
 made anew as `transopt solve` makes it, replayed, priced and admitted (`Service.settled`), so that what the table says
 is what a library would hold.
 """
@@ -257,22 +257,30 @@ class Service:
         return [index for index in (selected,) if 0 <= index < len(places)] + [i for i in rest if i != selected]
 
     @one_blas_thread()
-    def quick(self, index: int) -> Shown:
-        """One tap under the present limits: its optimum and the certificate, no replay and no price."""
+    def quick(self, indices: Sequence[int]) -> list[Shown]:
+        """Some taps under the present limits, designed together: their optima and certificates, not replayed or priced."""
+        places = self.places
         with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
-            (entry,) = design([self._posed(self.places[index])], options=self.trial)
-            found = shown(index, entry)
-            warm = self._warm(index, entry) if found.certified else None
-            if warm is None or found.curves is None:
+            entries = design([self._posed(places[index]) for index in indices], options=self.trial)
+            found = shown(indices, entries)
+            if self.winding_C is None:
                 return found
-            played, acceleration, current = warm
-            free = entry.problem.target.lasting(entry.problem.target.free_m_s2)
-            curves = replace(found.curves, warm_m_s2=acceleration + free, warm_input=current)
-            return replace(found, warm=played, curves=curves)
+            return [self._warmed(each, entry) for each, entry in zip(found, entries, strict=True)]
+
+    def _warmed(self, found: Shown, entry: Entry) -> Shown:
+        """A tap with what is played of it on the warm coil."""
+        warm = self._warm(found.index, entry) if found.certified else None
+        if warm is None or found.curves is None:
+            return found
+        played, acceleration, current = warm
+        free = entry.problem.target.lasting(entry.problem.target.free_m_s2)
+        curves = replace(found.curves, warm_m_s2=acceleration + free, warm_input=current)
+        return replace(found, warm=played, curves=curves)
 
     def _warm(self, index: int, entry: Entry) -> tuple[Warm, FloatArray, FloatArray] | None:
         """A tap on a coil as warm as is asked for; None where nothing is asked."""
-        coil, share = self._guarded, self.scene.grid.cool_share
+        share = self.scene.grid.cool_share
+        coil = None if self.winding_C is None else self._guarded
         if self.winding_C is None or coil is None or share is None:
             return None
         return on_warm_coil(self._posed(self.places[index]), entry, coil, self.winding_C, share, self.trial)
@@ -322,7 +330,7 @@ class Service:
 
     def accelerations(self, index: int) -> dict[str, FloatArray]:
         """What a tap sounds like: (N + M,) of recorded, clipped and, if certified, optimum [m/s^2]."""
-        shown = self.quick(index)
+        (shown,) = self.quick([index])
         assert shown.curves is not None
         found = {"recorded": shown.curves.recorded_m_s2, "clipped": shown.curves.clipped_m_s2}
         return {**found, "optimum": shown.curves.optimum_m_s2} if shown.certified else found

@@ -169,7 +169,7 @@ class Session:
         order = service.order(int(message["selected"]))
         head = {"type": "curves", "id": number, "places": [vars(place) for place in service.places]}
         # All taps in one frame: whatever shows a result shows one of the same number.
-        self._send(curves(head, list(self._crew.quick(self._service_name, service, order))))
+        self._send(curves(head, self._crew.quick(self._service_name, service, order)))
         if message.get("final"):
             self._settle(service, order, number)
 
@@ -215,9 +215,9 @@ class Session:
     def _glimpse(self, message: Message) -> None:
         """The last tap of a built-in scene, for its picture in the gallery."""
         service = opened(str(message["name"]))
-        found = service.quick(len(service.places) - 1)
+        found = service.quick([len(service.places) - 1])
         head = {"type": "glimpse", "name": message["name"], "window_end_s": service.grid.end_s}
-        self._send(curves(head, [found]))
+        self._send(curves(head, found))
 
     def _index(self, message: Message) -> int:
         index = int(message["tap"])

@@ -1,5 +1,6 @@
 """One tap as the page shows it: curves, figures, and the cells of its row in the table."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -115,33 +116,48 @@ class Shown:
         return {**found, "clipped": percent(self.clipped), "binding": self.binds or UNKNOWN}
 
 
-def _rolled(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N + M,) acceleration and input of a command (N,), after which there is none."""
-    return problem.stage.rollout(np.append(command, np.zeros(problem.grid.after_stages)))
+def shown(indices: Sequence[int], entries: Sequence[Entry]) -> list[Shown]:
+    """Taps of one scene from their entries, before they are replayed."""
+    clipped = _clipped(entries)
+    return [_shown(index, entry, *clipped[id(entry)]) for index, entry in zip(indices, entries, strict=True)]
 
 
-def shown(index: int, entry: Entry) -> Shown:
-    """A tap from its entry, before it is replayed."""
+def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """(N + M,) acceleration and input of every unlimited optimum cut at the limit, those of one device together."""
+    devices: dict[int, list[Entry]] = {}
+    for entry in entries:
+        devices.setdefault(id(entry.problem.stage), []).append(entry)
+    found = {}
+    for together in devices.values():
+        problem = together[0].problem
+        free = np.stack([entry.designed.unlimited_command for entry in together])
+        commands = clipped_optimum(problem.stage, problem.grid, free, problem.limits.input_limit)
+        lasting = np.pad(commands, ((0, 0), (0, problem.grid.after_stages)))
+        for entry, *rolled in zip(together, *problem.stage.rollout(lasting), strict=True):
+            found[id(entry)] = rolled[0], rolled[1]
+    return found
+
+
+def _shown(index: int, entry: Entry, clipped_m_s2: FloatArray, clipped_input: FloatArray) -> Shown:
     problem, answer, proof = entry.problem, entry.solution, entry.certificate
     grid, target = problem.grid, problem.target
     N = grid.stages
     certified = answer.status is Status.OPTIMAL and (proof.accepted or _bent(entry))
-    clipped = clipped_optimum(problem.stage, grid, entry.designed.unlimited_command, problem.limits.input_limit)
-    clipped_m_s2, clipped_input = _rolled(problem, clipped)
-    nothing = np.full(N + grid.after_stages, np.nan)
-    optimum, current = (
-        problem.stage.rollout(problem.continued(answer.command)) if certified else (nothing, nothing.copy())
-    )
+    optimum = current = np.full(N + grid.after_stages, np.nan)
+    if certified:
+        lasting = entry.designed.effect.lasting
+        optimum, current = lasting.acceleration_m_s2, lasting.plant_input
     thermal = problem.limits.get(TemperatureLimit.name)
     warm, limit_C = np.zeros(0), np.nan
     if isinstance(thermal, TemperatureLimit):
         limit_C = thermal.limit_C
-        warm = thermal.temperatures_C(current[:N], answer.command) if certified else nothing[:N]
+        warm = thermal.temperatures_C(current[:N], answer.command) if certified else current[:N]
+    free_m_s2 = target.lasting(target.free_m_s2)
     curves = Curves(
         times_s=np.append(grid.switching_times_s, grid.after_times_s),
         recorded_m_s2=target.lasting(target.recorded_m_s2),
-        optimum_m_s2=optimum + target.lasting(target.free_m_s2),
-        clipped_m_s2=clipped_m_s2 + target.lasting(target.free_m_s2),
+        optimum_m_s2=optimum + free_m_s2,
+        clipped_m_s2=clipped_m_s2 + free_m_s2,
         input=current,
         clipped_input=clipped_input,
         input_limit=problem.limits.input_limit,

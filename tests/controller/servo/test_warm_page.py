@@ -39,7 +39,7 @@ def test_it_is_what_the_servo_decides_and_the_replay_plays(shown: tuple[Service,
     ticks = len(play.samples_A) + 1
     scale, cooled = guard.allowed(play.transient_A, play.cool_transient_A, play.feedback_A, ticks)
     service.change({}, winding_C=guard.winding_C)
-    found = service.quick(0)
+    found = service.quick([0])[0]
     assert found.warm is not None
     assert found.curves is not None
     assert found.warm.scale == pytest.approx(scale, abs=1e-6)
@@ -61,18 +61,18 @@ def test_a_coil_with_room_plays_the_optimum_and_one_without_nothing(shown: tuple
     assert service.windings_C is not None
     cold_C, hot_C = service.windings_C
     service.change({}, winding_C=cold_C)
-    whole = service.quick(0)
+    whole = service.quick([0])[0]
     assert whole.warm is not None
     assert whole.curves is not None
     assert whole.warm.words == "the first command"
     np.testing.assert_allclose(whole.curves.warm_m_s2, whole.curves.optimum_m_s2, atol=1e-6)
     service.change({}, winding_C=hot_C)
-    nothing = service.quick(0)
+    nothing = service.quick([0])[0]
     assert nothing.warm is not None
     assert nothing.warm.words == "no transient"
     assert plain(nothing)["warm"]["scale"] == 0.0
     service.change({})
-    assert service.quick(0).warm is None
+    assert service.quick([0])[0].warm is None
 
 
 def test_without_second_commands_no_coil_is_warm() -> None:

@@ -87,7 +87,7 @@ DOORS: dict[str, Callable[[to.Library], object]] = {
     "solve_problem": lambda library: to.solve_problem(library.problem(0, 0)),
     "replay": replayed,
     "study": studied,
-    "page, at once": lambda library: Service(library.scene()).quick(0),
+    "page, at once": lambda library: Service(library.scene()).quick([0]),
     "page, settled": lambda library: Service(library.scene()).settled(0),
 }
 

@@ -36,7 +36,7 @@ def test_the_table_is_the_librarys(name: str) -> None:
     entries = list(build.all_entries())
     for index in {0, len(entries) - 1}:
         entry = entries[index]
-        quick, settled = service.quick(index), service.settled(index)
+        quick, settled = service.quick([index])[0], service.settled(index)
         for shown in (quick, settled):
             assert shown.certified
             assert shown.figures is not None
@@ -62,7 +62,7 @@ def test_a_change_is_what_the_changed_scene_is_solved_to(service: Service) -> No
     service.change({"limits.current_A": 3.0})
     changed = to.with_values(service.opened, {"limits.current_A": 3.0})
     (entry,) = [e for e in build_library(changed, recordings_of(changed)).all_entries() if e.speed_m_s == 0.4]
-    shown = service.quick(1)
+    shown = service.quick([1])[0]
     assert _tap_error(shown) == pytest.approx(entry.figures.tap_error, rel=1e-8)
     assert shown.curves is not None
     np.testing.assert_allclose(shown.curves.input[: entry.plant_input.size], entry.plant_input, atol=1e-9)
@@ -99,7 +99,7 @@ def test_what_cannot_be_met_is_not_shown_and_says_what_would_do() -> None:
     service = opened("low_supply")
     service.change({"limits.supply_V": 0.3})
     last = len(service.places) - 1
-    quick = service.quick(last)
+    quick = service.quick([last])[0]
     assert not quick.certified
     assert quick.reason
     assert quick.curves is not None
@@ -116,9 +116,9 @@ def test_the_inverse_question_finds_the_limit_that_an_error_needs(service: Servi
     found = asked(service, 1, control, 0.25)
     assert isinstance(found.value, float)
     service.change({control.key: found.value})
-    assert _tap_error(service.quick(1)) <= 0.25
+    assert _tap_error(service.quick([1])[0]) <= 0.25
     service.change({control.key: found.value - 0.02})
-    assert _tap_error(service.quick(1)) > 0.25
+    assert _tap_error(service.quick([1])[0]) > 0.25
     none = asked(service, 1, control, 1e-4)
     assert none.value is None
     assert "met by no" in none.words
@@ -138,7 +138,7 @@ def test_what_moves_an_error_does_so_by_the_library_of_the_changed_scene(service
     found = {mover.key: mover for mover in movers(service, 1) or []}
     control = {each.key: each for each in service.controls}["limits.current_A"]
     service.change({"limits.current_A": control.high})
-    assert found["limits.current_A"].best == pytest.approx(_tap_error(service.quick(1)), rel=1e-8)
+    assert found["limits.current_A"].best == pytest.approx(_tap_error(service.quick([1])[0]), rel=1e-8)
     assert movers(service, 1, lambda: True) is None
 
 
@@ -149,14 +149,14 @@ def test_every_point_of_a_price_is_the_error_under_that_limit(service: Service) 
     assert bounds == sorted(bounds)
     for bound, error in (price.points[0], price.points[2], price.points[-1]):
         service.change({"limits.current_A": bound})
-        assert _tap_error(service.quick(1)) == pytest.approx(error, rel=1e-4)
+        assert _tap_error(service.quick([1])[0]) == pytest.approx(error, rel=1e-4)
 
 
 def test_the_cells_are_those_of_every_other_table(service: Service) -> None:
     entry = service.entry(1)
     row = EntryTable((), FIGURES, (entry,)).figures(entry)
     assert [service.settled(1).cells[name] for name in FIGURES] == row
-    assert service.quick(1).cells["tap"] == row[0]
+    assert service.quick([1])[0].cells["tap"] == row[0]
 
 
 def test_own_taps_take_the_place_of_the_scenes(tmp_path: Path, small: to.Scene) -> None:
@@ -165,7 +165,7 @@ def test_own_taps_take_the_place_of_the_scenes(tmp_path: Path, small: to.Scene) 
     service = own_taps(Service(small), tmp_path, ["mine.csv"], {})
     assert len(service.places) == 1
     assert service.places[0].speed_m_s == pytest.approx(0.3)
-    assert service.quick(0).certified
+    assert service.quick([0])[0].certified
     (tmp_path / "none.csv").write_text("a,b\n1,2\n")
     with pytest.raises(to.InputError, match=r"none\.csv"):
         own_taps(Service(small), tmp_path, ["none.csv"], {})
@@ -184,14 +184,14 @@ def test_options_that_the_page_names_make_a_scene_that_it_opens(
         named = str(caught.value).partition("the right one: ")[2].partition(" (")[0]
         made = captured("transopt", "taps", "mine.csv", *shlex.split(named), "--scene", "mine.toml", "--force")
         assert made.code == 0, made.err
-        assert opened("mine.toml").quick(0).certified
+        assert opened("mine.toml").quick([0])[0].certified
 
 
 def test_a_library_opens_without_its_recordings(tmp_path: Path) -> None:
     library = to.solve("lra_click")
     library.save(tmp_path / "library.npz")
     service = opened(tmp_path / "library.npz")
-    assert _tap_error(service.quick(0)) == pytest.approx(float(library.tap_error[0, 0]), rel=1e-8)
+    assert _tap_error(service.quick([0])[0]) == pytest.approx(float(library.tap_error[0, 0]), rel=1e-8)
     assert described(service)["driven_by"]["unit"] == "V"
 
 
@@ -202,7 +202,7 @@ def test_the_saved_library_is_the_one_that_is_shown(service: Service) -> None:
     assert told[0] == (0, 2)
     assert told[-1] == (2, 2)
     assert (library.status == Status.OPTIMAL.value).all()
-    assert float(library.tap_error[1, 0]) == pytest.approx(_tap_error(service.quick(1)), rel=1e-8)
+    assert float(library.tap_error[1, 0]) == pytest.approx(_tap_error(service.quick([1])[0]), rel=1e-8)
 
 
 def test_a_library_that_was_refined_on_its_device_is_said_to_be_shown_anew(library: to.Library) -> None:
