@@ -258,7 +258,7 @@ class Service:
 
     @one_blas_thread()
     def quick(self, indices: Sequence[int]) -> list[Shown]:
-        """Some taps under the present limits, designed together: their optima and certificates, not replayed or priced."""
+        """Design some taps together under the present limits: optima and certificates, no replays and no prices."""
         places = self.places
         with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
             entries = design([self._posed(places[index]) for index in indices], options=self.trial)

@@ -14,7 +14,6 @@ from transopt.problem.answer import Status
 from transopt.problem.baselines import clipped_optimum
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.figures import Figures
-from transopt.problem.problem import TransientProblem
 from transopt.web.price import Priced
 from transopt.web.warm import Warm
 
