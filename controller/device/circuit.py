@@ -54,6 +54,8 @@ RAIL_COUNTS = 8  # so near to an end of the converter's range there is no number
 HEADROOM = 0.97  # of a converter's range that command and over-current may take
 OVER_CURRENT = 1.3  # on the largest current: above what a check and a tap overshoot by, below what harms
 POLE_ROOM = 1.5  # by which the amplifier's pole may differ from the stated one, up and down
+# By table, what a sensor shows: its unit, the least reach that serves a tap, and the most that is read finely enough.
+REACHES = {"accelerometer": ("g", 5.0, 1000.0), "grip": ("N", 2.0, 1000.0)}
 NOISE_HZ = 10e3  # of the filter before a converter that is read every 100 us
 
 Part = Annotated[float, Field(ge=0, le=0.2)]
@@ -346,8 +348,8 @@ def scales(circuit: Circuit, motor: Motor, ratio_1_m: float) -> Scales:
         output_zero=zero_V / V_per_count,
         output_per_A=1 / (A_per_V * V_per_count),
         current=current,
-        acceleration=_sensor(circuit.accelerometer, V_per_count, counts, STANDARD_GRAVITY_M_S2),
-        grip=None if circuit.grip is None else _sensor(circuit.grip, V_per_count, counts, 1.0),
+        acceleration=_sensor("accelerometer", circuit.accelerometer, V_per_count, counts, STANDARD_GRAVITY_M_S2),
+        grip=None if circuit.grip is None else _sensor("grip", circuit.grip, V_per_count, counts, 1.0),
         count_m=2 * math.pi / (4 * circuit.encoder.lines * ratio_1_m),
         command=there,
         monitor=back,
@@ -375,8 +377,21 @@ def _need_room(circuit: Circuit, A_per_V: float, zero_V: float) -> None:
         )
 
 
-def _sensor(sensor: Sensor, V_per_count: float, counts: int, unit: float) -> Scale:
-    """A sensor whose zero is near an end reads to that end: an open grip sensor reads far below zero, a fault."""
+def _sensor(table: str, sensor: Sensor, V_per_count: float, counts: int, unit: float) -> Scale:
+    """A sensor whose zero is near an end reads to that end: an open grip sensor reads far below zero, a fault.
+
+    Raises
+    ------
+    InputError : a reach that no such sensor has, as where millivolts were stated.
+    """
     zero = sensor.zero_V / V_per_count
     least = 0 if zero < counts / 8 else RAIL_COUNTS
+    reach = max(zero - least, counts - 1 - RAIL_COUNTS - zero) * V_per_count / abs(sensor.V_per_unit)
+    of, least_reach, most_reach = REACHES[table]
+    if not least_reach <= reach <= most_reach:
+        instead = sensor.V_per_unit * (1e-3 if reach < least_reach else 1e3)
+        raise InputError(
+            f"{table}.V_per_unit = {sensor.V_per_unit:g} V per {of}: the converter reads up to {reach:.3g} {of}, "
+            f"such sensors {least_reach:g} to {most_reach:g} {of}: is it {instead:.3g} V per {of}?"
+        )
     return Scale(unit * V_per_count / sensor.V_per_unit, zero, least, counts - 1 - RAIL_COUNTS)

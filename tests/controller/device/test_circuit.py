@@ -303,7 +303,11 @@ def test_the_command_writes_all_three_and_says_what_to_solder(play: Run, monkeyp
     [
         ("command_A = 6.0", "command_A = 12.0", "power.command_A = 12 A: the circuit puts out up to 9.66 A"),
         ("input_V = 10.0", "input_V = 3.0", "servo.input_V = 3 V: must be 3.46 V or more"),
-        ("current_A = 4.0", "current_A = 30.0", "transient limit 30 A is above the motor's i_peak_A = 10 A"),
+        (
+            "current_A = 4.0",
+            "current_A = 30.0",
+            "power.current_A = 30: above the motor's i_peak_A = 10 A: lower it to 10 or",
+        ),
         ("lines = 500", "line = 500", "encoder.line: unknown key (did you mean lines?)"),
         ("[servo]", "[servos]", "servos: unknown key (did you mean servo?)"),
         (
@@ -312,6 +316,16 @@ def test_the_command_writes_all_three_and_says_what_to_solder(play: Run, monkeyp
             "circuit.toml: state one amplifier",
         ),
         ("V_per_unit = 0.0627", "V_per_unit = 0.0", "a sensor that shows nothing"),
+        (
+            "V_per_unit = 0.0627",
+            "V_per_unit = 62.7",
+            "up to 0.0262 g, such sensors 5 to 1000 g: is it 0.0627 V per g?",
+        ),
+        (
+            "V_per_unit = 0.0537",
+            "V_per_unit = 5.37e-5",
+            "grip.V_per_unit = 5.37e-05 V per N: the converter reads up to",
+        ),
         (
             "motors/maxon_re25_118743.toml",
             "motors/none.toml",
