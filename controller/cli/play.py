@@ -15,6 +15,7 @@ from controller.cli.refine import refine
 from controller.cli.tap import tap
 from controller.cli.zero import zero
 from transopt.base import terminal
+from transopt.cli.start import COMMANDS
 
 LIBRARY = "out/wood_on_foam/library.npz"  # of the examples: where `transopt solve` writes
 PORT = "/dev/ttyACM0"
@@ -51,4 +52,4 @@ def play(context: typer.Context) -> None:
 
 def main() -> None:
     """Entry point."""
-    terminal.run(app, "transopt-play")
+    terminal.run(app, "transopt-play", COMMANDS)

@@ -129,7 +129,7 @@ def figures_table(
 def sweep_table(trials: Sequence[tuple[Path, Trial]], title: str) -> Table:
     """Every trial with what it reached."""
     table = Table(title=title)
-    table.add_column("file", no_wrap=True)
+    table.add_column("file")
     for name in ("sign", "grip N", "peak A", "peak g", "travel mm"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("note", overflow="fold")

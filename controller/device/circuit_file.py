@@ -121,7 +121,7 @@ def load_circuit(path: Path) -> tuple[Electronics, str]:
         try:
             scene = read_scene(trial, search=(path.parent, FOLDER))
         except InputError as error:
-            said = str(error).replace(str(trial), str(path))
+            said = str(error).replace(str(trial), str(path)).replace("limits.current_A", "power.current_A")
             raise InputError(re.sub(rf"{re.escape(folder)}[^,]*, ", "", said)) from None
     built = electronics_of(circuit, scene)
     return built, scene_text(circuit, path.name, built.motor.i_continuous_A)

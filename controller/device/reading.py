@@ -20,6 +20,7 @@ from transopt.base.sizes import MOST_TEXT_BYTES
 BESIDE = "device.toml"  # looked for in the folder of a library
 EXAMPLES = Path(__file__).parent / "examples"
 ADVICE = "a device file is TOML; `transopt-play device new FILE` writes one"
+OF_A_CIRCUIT = "power"  # a table that every circuit file has, and no device file
 SCALES = ("grip.scale", "accelerometer.scale", "amplifier.scale", "amplifier.monitor_scale")
 Read = TypeVar("Read", bound=Section)
 _TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
@@ -128,6 +129,9 @@ def read_section(path: Path, kind: type[Read], advice: str) -> tuple[Read, dict[
     try:
         return kind.model_validate(content), content
     except ValidationError as error:
+        if kind is DeviceFile and OF_A_CIRCUIT in content:
+            made = f"`transopt-play device circuit {path}` writes offered.toml beside it: give that"
+            raise InputError(f"{path}: a circuit file, no device file: {made}") from None
         raise InputError(_complaint(path, error, kind)) from None
 
 

@@ -19,8 +19,8 @@ BETWEEN, EDGE = 3, 1  # columns of the terminal that each column's frame takes, 
 class Table(table.Table):
     """A table that is printed in blocks, one below the other, where its columns have no room side by side.
 
-    The cells of a column set to the right are numbers and stay whole. Elsewhere lines break between words, and only a
-    word without room is folded.
+    The cells of a column set to the right are numbers and stay whole, as do those of a column that is not to wrap.
+    Elsewhere lines break between words, and only a word without room is folded.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def _widths(column: table.Column, width: int) -> tuple[int, int]:
     head, cells = str(column.header), [str(cell) for cell in column.cells]
     heads = _longest(head.split())
     most = _longest([line for text in (head, *cells) for line in text.split("\n")])
-    if column.justify == "right":
+    if column.justify == "right" or column.no_wrap:
         return max(heads, _longest(cells)), most
     whole = [word for cell in cells for word in cell.split() if any(map(str.isdigit, word))]
     return max(heads, min(_longest(whole), width // SHARE), min(most, WORDS)), most

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import textwrap
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
@@ -119,7 +119,9 @@ def make_folder(folder: Path) -> None:
 _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 
-def run(app: Callable[..., object], name: str | None = None) -> None:
+def run(
+    app: Callable[..., object], name: str | None = None, programs: Mapping[str, Collection[str]] | None = None
+) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback.
 
     The process ends with the code that `app` returns (0 if it returns none), with 2 after an error of the user's,
@@ -129,6 +131,7 @@ def run(app: Callable[..., object], name: str | None = None) -> None:
     ----------
     app : a Typer application, or a function without arguments.
     name : of the command, as its usage and its errors call it, however Python was started; None for a function.
+    programs : name -> commands of the programs of which one is named where it has the command that this one lacks.
     """
     os.environ.update(one_thread(os.environ))  # in time: numpy is loaded inside the commands
     # What the terminal's encoding lacks (the C locale's is ASCII) is escaped: no table ends in an encoding error.
@@ -137,7 +140,7 @@ def run(app: Callable[..., object], name: str | None = None) -> None:
             stream.reconfigure(errors="backslashreplace")
     with _signals_end_it() as came:
         if_stopped("")
-        code = _code(app, name, came)
+        code = _code(app, name, came, programs or {})
         if came:
             if code > SIGNALLED and _IF_STOPPED.get():
                 typer.echo(_IF_STOPPED.get(), err=True)
@@ -155,7 +158,9 @@ def takes_its_time() -> None:
     faulthandler.cancel_dump_traceback_later()
 
 
-def _code(app: Callable[..., object], name: str | None, came: list[int]) -> int:
+def _code(
+    app: Callable[..., object], name: str | None, came: list[int], programs: Mapping[str, Collection[str]]
+) -> int:
     """The exit code of a command line, its errors said."""
     try:
         code = app(standalone_mode=False, prog_name=name) if isinstance(app, typer.Typer) else app()
@@ -163,7 +168,7 @@ def _code(app: Callable[..., object], name: str | None, came: list[int]) -> int:
         typer.echo(f"error: {harmless(str(error))}", err=True)
         return 2
     except _ClickException as error:
-        _refuse(error)
+        _refuse(error, programs)
         return 2
     except (KeyboardInterrupt, typer.Abort):
         return SIGNALLED + signal.SIGINT
@@ -250,7 +255,7 @@ MISSING = {
 }
 
 
-def _refuse(error: Any) -> None:
+def _refuse(error: Any, programs: Mapping[str, Collection[str]]) -> None:
     """Say in one line which command, option or value does not exist, or print the help that it needs."""
     said: str = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
@@ -259,14 +264,16 @@ def _refuse(error: Any) -> None:
         return
     context = getattr(error, "ctx", None)
     asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
-    words = _unknown(error, said) or " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
+    words = _unknown(error, said, programs) or " ".join(said.split()).rstrip(".").replace(
+        "Input should be", "must be"
+    )
     words += MISSING.get(words, "")
     if re.search(r"extra argument.*\([-\d. ]+\)", words):
         words += ": several values of one option take commas and no spaces, as 1,3,5"
     typer.echo(f"error: {harmless(words)}{asking}", err=True)
 
 
-def _unknown(error: Any, said: str) -> str:
+def _unknown(error: Any, said: str, programs: Mapping[str, Collection[str]]) -> str:
     """For a command or an option that there is not: that, and the nearest that there is; empty for other errors."""
     command = getattr(getattr(error, "ctx", None), "command", None)
     if type(error).__name__ == "NoSuchOption":
@@ -275,5 +282,8 @@ def _unknown(error: Any, said: str) -> str:
     found = re.match(r"No such command (['\"])(.*?)\1", said)
     if found is None:
         return ""
+    owner = next((program for program, has in programs.items() if found[2] in has), "")
+    if owner and error.ctx.parent is None:
+        return f"{found[2]}: a command of {owner}: type {owner} {found[2]}"
     known = list(getattr(command, "commands", ()))
     return f"{found[2]}: no such command" + (did_you_mean(found[2], known) or f"; choose one of {', '.join(known)}")

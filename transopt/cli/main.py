@@ -17,6 +17,7 @@ from transopt.cli.plant import app as plant
 from transopt.cli.scene import app as scene
 from transopt.cli.show import show
 from transopt.cli.solve import solve
+from transopt.cli.start import COMMANDS
 from transopt.cli.study import study
 from transopt.cli.taps import taps
 from transopt.cli.verify import verify
@@ -62,4 +63,4 @@ def first(
 
 def main() -> None:
     """Entry point."""
-    terminal.run(app, "transopt")
+    terminal.run(app, "transopt", COMMANDS)

@@ -6,6 +6,26 @@ file `controller.py` that Python finds before it would be in the way of an entry
 
 from transopt.base.start import start
 
+# The commands of the two programs that a person types; each of them names the other where it lacks one of these.
+COMMANDS = {
+    "transopt": (
+        "taps",
+        "solve",
+        "verify",
+        "show",
+        "compare",
+        "export",
+        "study",
+        "page",
+        "scene",
+        "plant",
+        "identify",
+    ),
+    "transopt-play": (
+        *("ports", "doctor", "upload", "monitor", "check", "zero", "refine", "calibrate", "tap", "record", "device"),
+    ),
+}
+
 
 def transopt() -> None:
     """`transopt`."""

@@ -229,7 +229,7 @@ def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:
     for said in (
         *study_answer(plan, rows),
         f"{summary(rows)}.",
-        f"{request.out}: rows.csv, tap_error.png, report.md",
+        _written(request.out, "tap_error.png"),
     ):
         console.print(said, highlight=False, soft_wrap=True)
     return exit_code(rows)
@@ -253,5 +253,10 @@ def _answer(request: Request, plan: "Plan", pool: "Pool") -> int:
     write_text(answer_markdown(plan.scene, found, head), request.out / "report.md")
     for sentence in found.sentences:
         typer.echo(sentence)
-    typer.echo(f"{request.out}: rows.csv, answer.png, report.md")
+    typer.echo(_written(request.out, "answer.png"))
     return 0 if found.met is not None else 1
+
+
+def _written(out: Path, figure: str) -> str:
+    """The files of a study."""
+    return f"{out}: rows.csv, {figure}, report.md; study.sqlite, from which the same command goes on"

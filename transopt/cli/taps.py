@@ -128,10 +128,10 @@ def taps(
         terminal.make_folder(out)
         save_figure(taps_figure(prepared), out / "taps.png")
         console.print(f"overlay: {out / 'taps.png'}")
-    wrong = implausible_lines(prepared)
-    for line in wrong:
-        console.print(line, style="red", highlight=False, soft_wrap=True)
     refusal = tried.refusal(found, read)
+    for line in implausible_lines(prepared):
+        if line not in str(refusal):  # which is said last
+            console.print(line, style="red", highlight=False, soft_wrap=True)
     if refusal is not None and any(tap.speed_source == UNKNOWN for tap in prepared):
         raise refusal  # a scene needs a speed
     if scene is not None:

@@ -48,6 +48,7 @@ from transopt.recordings.universal_file import read_universal_file
 
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
+OF_A_LIBRARY = {"meta", "command", "speeds_m_s"}  # arrays of a file that `transopt solve` wrote
 UNIVERSAL = (".uff", ".unv", ".u58")
 _AXES = "xyz"
 # Fields of a structure in which programs note the unit of the others; the last is that of Simcenter Testlab.
@@ -96,7 +97,10 @@ def _opened(suffix: str, data: bytes) -> bytes | Channels:
             return tdms_channels(data)
         case ".npz":
             with guarded("not a readable NPZ file", _SAVE_NPZ):
-                return Channels(Archive(data), place=lambda k: f"element [{k}]")
+                archive = Archive(data)
+            if archive.keys() >= OF_A_LIBRARY:
+                raise InputError("a library of currents, no recording: `transopt show` prints it")
+            return Channels(archive, place=lambda k: f"element [{k}]")
         case ".mat" if data[512:520] != HDF5:
             with guarded("not a readable MAT file", _SAVE_MAT):
                 return Channels(mat5.variables(data), place=lambda k: f"element ({k + 1})")

@@ -1,5 +1,6 @@
 """What the tables of a scene say about each other: keys that need or exclude keys of other tables."""
 
+import math
 from typing import TYPE_CHECKING
 
 from transopt.base.errors import InputError
@@ -61,10 +62,7 @@ def check(scene: "Scene") -> None:
     if through and scene.tip is not None and None in (scene.tip.stiffness_N_m, scene.tip.damping_N_s_m):
         raise ValueError(f"model.kind = {scene.model.kind} needs tip.stiffness_N_m and tip.damping_N_s_m")
     if scene.motor is not None and scene.limits.transient_input > scene.motor.i_peak_A:
-        raise ValueError(
-            f"limits: transient limit {scene.limits.transient_input:g} A is above the motor's i_peak_A = "
-            f"{scene.motor.i_peak_A:g} A: lower beta or current_A"
-        )
+        raise ValueError(_above_peak(scene, scene.motor.i_peak_A))
     _check_amplifier(scene)
     commands = scene.axes.entries * scene.stages
     if commands > MOST_COMMANDS:
@@ -75,6 +73,18 @@ def check(scene: "Scene") -> None:
         raise ValueError(
             f"hand_over_samples = {scene.hand_over_samples}: must not exceed time.stages = {scene.stages}"
         )
+
+
+def _above_peak(scene: "Scene", peak_A: float) -> str:
+    """Which key of the limits asks for more than the motor stands, and what it may be at most."""
+    limits, asked = scene.limits, f"above the motor's i_peak_A = {peak_A:g} A: lower it to"
+    if limits.current_A is not None:
+        return f"limits.current_A = {limits.current_A:g}: {asked} {peak_A:g} or less"
+    if limits.steady_input > peak_A:
+        return f"limits.steady_current_A = {limits.steady_input:g}: {asked} {peak_A:g} or less"
+    factor, most = limits.transient_input / limits.steady_input, math.floor(100 * peak_A / limits.steady_input) / 100
+    made = f"makes {limits.transient_input:g} A of the steady current, {limits.steady_input:g} A"
+    return f"limits.beta = {factor:g}: {made}, {asked} {most:g} or less"
 
 
 def _check_what_is_wanted(scene: "Scene") -> None:

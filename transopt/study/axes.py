@@ -21,6 +21,7 @@ from transopt.scene.scene import Scene
 
 # Tables that are swapped whole, as files.
 FILES: dict[str, type[Section]] = {"motor": Motor, "transmission": Transmission}
+_SPAN = r"(\d+\.?\d*|\.\d+)\s*(?:\.\.+|-|–|to|…)\s*(\d+\.?\d*|\.\d+)"  # how people write a range elsewhere
 
 
 @dataclass(frozen=True)
@@ -145,8 +146,11 @@ def parse_axis(scene: Scene, option: str, text: str, search: Sequence[Path] = ()
         if ":" in values_text and key.number:
             limits, numbers, log = parse_range(f"{option} {path} =", values_text)
             values: tuple[Any, ...] = tuple(round(number) if key.integer else number for number in numbers)
-        elif re.fullmatch(r"[\d.]+-[\d.]+", values_text):
-            raise InputError(f"{option} {text}: a range is START:STOP:COUNT, as {values_text.replace('-', ':')}:4")
+        elif key.number and (ends := re.fullmatch(_SPAN, values_text)) is not None:
+            raise InputError(
+                f"{option} {path}={values_text}: a range is START:STOP:COUNT: write {path}={ends[1]}:{ends[2]}:5 "
+                f"for five values, or the values themselves, as {path}={ends[1]},{ends[2]}"
+            )
         else:
             values = tuple(parse_value(key, part) for part in values_text.split(","))
         axis = Axis(path, values, tuple(label(value) for value in values), limits, log)

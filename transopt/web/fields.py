@@ -16,9 +16,7 @@ ELSEWHERE = (
     (r"--accept takes it, or recordings\.implausible = \"accept\" in the scene", 'tick "take numbers as they are"'),
     (r"name it: recordings\.speed_by_file_m_s = .*\)$", 'fill in the field "speed where a file states none"'),
     (r"(--|recordings\.)speed(_m_s)?\b", 'the field "speed where a file states none"'),
-    (r"^limits: transient", "transient"),
     (r"the motor's i_peak_A = ", "the motor's peak current of "),
-    (r"lower beta or current_A", 'lower "current" or "transient limit over the steady one"'),
     (r"--recordings( FOLDER)?", "the option --recordings of transopt page"),
 )
 

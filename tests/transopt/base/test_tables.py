@@ -27,7 +27,7 @@ def made(seed: int) -> tuple[Table, list[str]]:
     columns = int(rng.integers(3, 18))
     is_number = rng.random(columns) < 0.75
     for column, right in enumerate(is_number):
-        table.add_column(f"head {column} m/s", justify="right" if right else "left", no_wrap=bool(rng.random() < 0.3))
+        table.add_column(f"head {column} m/s", justify="right" if right else "left")
     cells = []
     for _ in range(4):
         values = 10.0 ** rng.uniform(-9, 5, columns) * rng.choice([-1, 1], columns)
@@ -48,6 +48,20 @@ def test_no_number_is_cut_or_split(seed: int, width: int) -> None:
     there = set(NUMBER.findall(out))
     assert {number for cell in cells for number in NUMBER.findall(cell)} <= there
     assert "…" not in out
+    assert max(map(len, out.splitlines())) <= width
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_column_that_is_not_to_wrap_is_whole(width: int) -> None:
+    table, key = Table(), "recordings.simulated.object_mass_kg"
+    table.add_column("key", no_wrap=True)
+    for head in ("default", "about"):
+        table.add_column(head)
+    table.add_row(
+        key, "to be stated", "of what is struck, by the stylus that nothing drives, as it stands in the scene"
+    )
+    out = printed(table, width)
+    assert key in out
     assert max(map(len, out.splitlines())) <= width
 
 

@@ -5,9 +5,13 @@ import subprocess
 import sys
 
 import pytest
+import typer
 
+from controller.cli.play import app as play_app
 from tests.benches.commands import MAINS, Terminal, assert_refused
 from transopt.base.terminal import run
+from transopt.cli.main import app as transopt_app
+from transopt.cli.start import COMMANDS
 
 
 @pytest.mark.parametrize(
@@ -42,6 +46,11 @@ def test_python_runs_them_as_modules(module: str, name: str) -> None:
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     assert done.stderr == f"error: --nosuch: no such option; `{name} --help` lists what there is\n"
+
+
+@pytest.mark.parametrize(("name", "app"), [("transopt", transopt_app), ("transopt-play", play_app)])
+def test_each_program_knows_the_commands_of_the_other(name: str, app: typer.Typer) -> None:
+    assert sorted(COMMANDS[name]) == sorted(typer.main.get_group(app).commands)
 
 
 def test_the_version(terminal: Terminal) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from controller.device.circuit_file import CIRCUITS
 from tests.benches.commands import MAINS, Terminal, assert_refused
 from tests.benches.places import ROOT
 from transopt.library.library import Library
@@ -28,6 +29,9 @@ FILES = {
     "lost.toml": SCENE.replace(SIMULATED, "").replace("[recordings]", '[recordings]\nfiles = ["taps/*.csv"]'),
     "falling.toml": SCENE.replace("[0.1, 0.2, 0.3, 0.4]", "[0.4, 0.2]"),
     "both.toml": SCENE.replace("beta = 3.2", "beta = 3.2\ncurrent_A = 4.0"),
+    "beta.toml": SCENE.replace("beta = 3.2", "beta = 9"),
+    "peak.toml": SCENE.replace("beta = 3.2", "current_A = 12.0"),
+    "circuit.toml": CIRCUITS["escon_re25"].read_text(encoding="utf-8"),
     "volt.toml": SCENE.replace("beta = 3.2", "voltage_V = 12.0"),
     "tap.csv": TAP,
     "empty.csv": "",
@@ -45,6 +49,8 @@ FILES = {
 LRA = "--resonance-Hz 150 --quality 8 --force-factor-N-A 0.8 --R-ohm 8 --peak 3"
 MISTAKES = {
     # a word
+    "transopt tap library.npz --simulate": ("tap: a command of transopt-play", "type transopt-play tap"),
+    "transopt-play solve": ("solve: a command of transopt", "type transopt solve"),
     "transopt slove": ("slove: no such command", "did you mean solve?"),
     "transopt identify tap.csv": ("no such command", "choose one of amplifier, device, hand, coil"),
     "transopt solve mine.toml --ouput x": ("--ouput: no such option", "did you mean --out?"),
@@ -70,6 +76,10 @@ MISTAKES = {
     "transopt export library.npz nowhere/x.mat": ("there is no folder nowhere", "create it"),
     "transopt scene new mine.toml": ("mine.toml: exists already", "--force"),
     "transopt scene new other": ("other: ", "name it other.toml"),
+    "transopt-play device new new.toml --from circuit.toml": (
+        "a circuit file",
+        "device circuit circuit.toml` writes offered",
+    ),
     "transopt-play device show never.toml": ("never.toml: no such file", "`transopt-play device new FILE`"),
     # a scene
     "transopt solve typo.toml": ("limits.stedy_current_A: unknown key", "did you mean steady_current_A"),
@@ -86,6 +96,8 @@ MISTAKES = {
     "transopt solve none.toml": ("none.toml: recordings", "files or a simulated table"),
     "transopt solve lost.toml": ("'taps/*.csv' matches no file", "--recordings FOLDER"),
     "transopt solve falling.toml": ("grid.speeds_m_s = [0.4, 0.2]", "strictly increasing"),
+    "transopt solve beta.toml": ("limits.beta = 9: makes 11.25 A", "i_peak_A = 10 A: lower it to 8 or less"),
+    "transopt solve peak.toml": ("limits.current_A = 12", "i_peak_A = 10 A: lower it to 10 or less"),
     "transopt solve both.toml": ("both.toml: limits", "beta or current_A, not both"),
     "transopt solve volt.toml": ("limits.voltage_V", "state its limits in A"),
     # recordings
@@ -98,12 +110,14 @@ MISTAKES = {
     "transopt taps flat.csv": ("flat.csv: ", "constant", "sensor connected"),
     "transopt taps speedless.csv": ("no incoming speed", "--speed 0.2"),
     "transopt taps tap.csv --units acceleration=gg": ("'gg' is no unit", "m/s^2, g"),
+    "transopt taps library.npz": ("a library of currents, no recording", "`transopt show` prints it"),
     "transopt taps mine.toml": ("unknown format '.toml'", "export it as CSV"),
     # a study, a datasheet
     "transopt study": ("study: say what to vary", "--vary limits.current_A=3,4,5 --out cost"),
     "transopt study --vary limits.current_A=3,4": ("--out: give a folder", "--out cost"),
     "transopt study --vary limits.curent_A=3,4 --out x": ("limits.curent_A", "did you mean limits.current_A"),
-    "transopt study --vary limits.current_A=2-5 --out x": ("a range is START:STOP:COUNT", "2:5:4"),
+    "transopt study --vary limits.current_A=2-5 --out x": ("a range is START:STOP:COUNT", "2:5:5"),
+    "transopt study --vary limits.current_A=2..4 --out x": ("write limits.current_A=2:4:5", "limits.current_A=2,4"),
     "transopt study --vary motor.R_ohm=1,2 --out x": ("motor.R_ohm", "motor=A,B"),
     f"transopt plant new lra {LRA} --moving-mass-kg 3 --case-mass-kg 0.1": ("3 kg", "did you mean 3 g", "--accept"),
     "transopt plant fit response.csv --order 4 --out p.npz": ("frequency_Hz, magnitude", "phase_deg", "--columns"),

@@ -82,7 +82,7 @@ class TestTaps:
         files = sorted(Path().glob("tap_*.csv"))
         outcome = run("taps", *files, "--scene", "mine.toml")
         assert outcome.code == 2
-        assert outcome.out.count("check the unit of the acceleration (g called m/s^2?)") == 3
+        assert f"{outcome.out}{outcome.err}".count("check the unit of the acceleration (g called m/s^2?)") == 3
         refuses = "solve refuses it until that is put right or accepted (--accept)"
         assert outcome.out.endswith(f"mine.toml written; {refuses}\n")
         assert_refused(run("solve", "mine.toml"), "tap_0.csv", "of the acceleration", 'implausible = "accept"')
@@ -103,7 +103,7 @@ class TestTaps:
         for number in range(5):
             Path(f"tap_{number}.csv").write_text(text)
         outcome = run("taps", *sorted(Path().glob("tap_*.csv")))
-        assert outcome.out.count("check the unit") == 3
+        assert f"{outcome.out}{outcome.err}".count("check the unit") == 3
         assert "and 2 recordings more" in outcome.out
 
     def test_times_of_a_wrong_unit_are_named_before_what_follows_from_them(self, run: Run) -> None:
@@ -114,7 +114,7 @@ class TestTaps:
         rows = "\n".join(f"{0.02 * k:.6f},{100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
         Path("impact.csv").write_text(f"time_s,acceleration_g\n{rows}\n")
         outcome = run("taps", "impact.csv", "--speed", 1.0)
-        assert outcome.out.count("check the unit of the time (ms called s?)") == 1
+        assert f"{outcome.out}{outcome.err}".count("check the unit of the time (ms called s?)") == 1
 
     def test_refusals(self, run: Run) -> None:
         assert_refused(run("taps", "absent.csv"), "absent.csv")

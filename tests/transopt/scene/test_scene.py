@@ -158,7 +158,16 @@ def test_a_description_is_no_duty(tmp_path: Path) -> None:
             r"skin_stifness_N_m: unknown key \(did you mean skin_stiffness_N_m",
         ),
         ('"drive"', '"second_order"', r"model.stylus_mass_kg: unknown key; known here: kind \(and 1 more\)"),
-        ("beta = 3.2", "beta = 32.0", r"transient limit 40 A is above the motor's i_peak_A = 10 A"),
+        (
+            "beta = 3.2",
+            "beta = 32.0",
+            r"beta = 32: makes 40 A .*, above the motor's i_peak_A = 10 A: lower it to 8 or",
+        ),
+        (
+            "beta = 3.2",
+            "current_A = 11.0",
+            r"limits.current_A = 11: above .* i_peak_A = 10 A: lower it to 10 or less",
+        ),
         ("[recordings]", '[recordings]\nfiles = ["a.csv"]', r"recordings: give either files or a simulated table"),
     ],
 )

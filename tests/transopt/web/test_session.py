@@ -194,7 +194,7 @@ def test_a_file_that_is_no_tap_is_refused_by_its_name(window: Window, name: str,
     ("asked", "words", "key"),
     [
         ({"current_A": -1.0}, "current = -1", "limits.current_A"),
-        ({"current_A": 1e3}, 'peak current of 10 A: lower "current"', ""),
+        ({"current_A": 1e3}, "above the motor's peak current of 10 A: lower it to 10 or less", "limits.current_A"),
         ({"supply_V": 0.0}, "supply = 0", "limits.supply_V"),
     ],
 )
