@@ -54,7 +54,7 @@ RAIL_COUNTS = 8  # so near to an end of the converter's range there is no number
 HEADROOM = 0.97  # of a converter's range that command and over-current may take
 OVER_CURRENT = 1.3  # on the largest current: above what a check and a tap overshoot by, below what harms
 POLE_ROOM = 1.5  # by which the amplifier's pole may differ from the stated one, up and down
-# By table, what a sensor shows: its unit, the least reach that serves a tap, and the most that is read finely enough.
+# Table -> unit of its sensor, the least reach that serves a tap, the most that is still read finely enough.
 REACHES = {"accelerometer": ("g", 5.0, 1000.0), "grip": ("N", 2.0, 1000.0)}
 NOISE_HZ = 10e3  # of the filter before a converter that is read every 100 us
 
