@@ -2,6 +2,7 @@
 
 import _thread
 import faulthandler
+import inspect
 import io
 import os
 import re
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from rich.console import Console
 from rich.text import Text
+from typer.main import get_command
 
 from transopt.base import apart
 from transopt.base.errors import InputError
@@ -163,7 +165,11 @@ def _code(
 ) -> int:
     """The exit code of a command line, its errors said."""
     try:
-        code = app(standalone_mode=False, prog_name=name) if isinstance(app, typer.Typer) else app()
+        code = (
+            readable(get_command(app))(standalone_mode=False, prog_name=name)
+            if isinstance(app, typer.Typer)
+            else app()
+        )
     except InputError as error:
         typer.echo(f"error: {harmless(str(error))}", err=True)
         return 2
@@ -182,6 +188,18 @@ def _code(
             raise
         return SIGNALLED + came[0]
     return code if isinstance(code, int) else 0
+
+
+def readable(command: Any) -> Any:
+    """A command and those below it with help as a person reads it: whole paragraphs, and no type beside a flag."""
+    if command.help:
+        command.help = "\n\n".join(" ".join(each.split()) for each in inspect.cleandoc(command.help).split("\n\n"))
+    for option in command.get_params(command.context_class(command)):
+        if getattr(option, "is_flag", False):
+            option.metavar = ""  # `--force <bool>` asks for a word behind it, which there is not
+    for below in getattr(command, "commands", {}).values():
+        readable(below)
+    return command
 
 
 def _leave(code: int) -> NoReturn:

@@ -81,8 +81,8 @@ def solve(
 ) -> None:
     """Solve a scene: library of proven current transients, report, figures; prints a first look at it.
 
-    Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met. Of a scene with
-    [model.nonlinear] the library holds stationary points, replayed, and the report has the linear design beside them.
+    Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met. For a
+    nonlinear model the library holds stationary points, replayed, and the report has the linear design beside them.
     """
     terminal.if_stopped("stopped; earlier results are untouched")
     from transopt.design.refine_grid import check_tolerance

@@ -1,8 +1,10 @@
 """What all command lines do with words they do not know: one line, exit code 2."""
 
+import re
 import signal
 import subprocess
 import sys
+from itertools import pairwise
 
 import pytest
 import typer
@@ -37,6 +39,18 @@ def test_help_once(line: str, code: int, terminal: Terminal) -> None:
     outcome = terminal(*line.split())
     assert outcome.code == code
     assert (outcome.out + outcome.err).count("Usage:") == 1
+
+
+def test_help_is_of_whole_paragraphs_and_gives_a_flag_no_type(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    said = terminal("transopt", "solve", "--help").out
+    assert "bool>" not in said
+    assert "--grid-cap" in said
+    (paragraph,) = re.findall(r"Exit 1: .*?\n *\n", said, re.DOTALL)
+    lines = [line.strip() for line in paragraph.strip().splitlines()]
+    assert all(len(line) + len(after.split()[0]) >= 76 for line, after in pairwise(lines)), paragraph
 
 
 @pytest.mark.parametrize(("module", "name"), [("transopt", "transopt"), ("controller", "transopt-play")])
