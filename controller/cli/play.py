@@ -20,9 +20,12 @@ from transopt.cli.start import COMMANDS
 LIBRARY = "out/wood_on_foam/library.npz"  # of the examples: where `transopt solve` writes
 PORT = "/dev/ttyACM0"
 FIRST = f"""\
-transopt-play tap {LIBRARY} --simulate   plays on a simulated device (`transopt solve` makes it)
-transopt-play doctor --port PORT   what is installed, which ports there are, what answers
-transopt-play --help   all commands; each has a --help of its own with an example"""
+transopt-play tap {LIBRARY} --simulate
+    plays a tap of the library that `transopt solve` makes on a simulated device
+transopt-play doctor --port PORT
+    says what is installed, which ports there are, and what answers
+transopt-play --help
+    lists all commands; each has a --help of its own with an example"""
 
 app = typer.Typer(
     epilog=f"Example: transopt-play tap {LIBRARY} --simulate",

@@ -117,7 +117,7 @@ def worst_of_production() -> tuple[float, ...]:
 
 
 def gained_by_a_spread() -> tuple[float]:
-    """Largest fall [%] of the error over a spread of grips, in parts of itself, that the spread in the problem brings."""
+    """Largest fall [%], in parts of itself, of the error over a spread of grips by the spread in the problem."""
     own = with_values(scene(), {"robust.grip_spread": 0.2})
     context = Context.recorded(own, recordings_of(own))
     entries = design([context.posed(v, grip) for v in (0.1, 0.4) for grip in own.grid.grips_N])

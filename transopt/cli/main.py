@@ -23,9 +23,12 @@ from transopt.cli.taps import taps
 from transopt.cli.verify import verify
 
 FIRST = """\
-transopt solve                     a first library: currents for taps on wood, proven optimal, into out/wood_on_foam
-transopt-play tap out/wood_on_foam/library.npz --simulate   plays a tap of it on a simulated device, and says how well
-transopt --help                    all commands; each has a --help of its own with an example"""
+transopt solve
+    makes a first library: currents for taps on wood, into out/wood_on_foam
+transopt-play tap out/wood_on_foam/library.npz --simulate
+    plays a tap of it on a simulated device, and says how well
+transopt --help
+    lists all commands; each has a --help of its own with an example"""
 
 app = typer.Typer(
     epilog="Example: transopt solve wood_on_foam",

@@ -264,7 +264,9 @@ def build_references(
                 mean = float(f"{np.mean(alike):.6g}")
                 cells.append(_cell(speed, mean, (mean,), own, grid, free))
                 if alike[-1] > alike[0]:
-                    notes[f"taps of {alike[0]:g} to {alike[-1]:g} N are taken as of one grip, {mean:g} N"] = None
+                    notes[f"taps of {alike[0]:.4g} to {alike[-1]:.4g} N are taken as of one grip, {mean:.4g} N"] = (
+                        None
+                    )
     return References(tuple(cells), tuple(notes))
 
 

@@ -177,7 +177,7 @@ def change_table(found: Comparison) -> Table:
     """What the two libraries state differently, by dotted path."""
     table = Table(title="stated differently")
     for column in CHANGE_COLUMNS:
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", no_wrap=column == CHANGE_COLUMNS[0])
     for row in found.changes:
         table.add_row(*row)
     return table

@@ -54,7 +54,7 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
             "+" if tap.polarity > 0 else "-",
             _speed_cell(tap),
             tap.speed_source,
-            "?" if tap.recording.grip_N is None else f"{tap.recording.grip_N:g}",
+            "?" if tap.recording.grip_N is None else f"{tap.recording.grip_N:.4g}",
             "?" if tap.incoming_source == UNSEPARATED else f"{tap.incoming_acceleration_m_s2:.2f}",
             f"{tap.peak_m_s2 / STANDARD_GRAVITY_M_S2:.3g}",
             str(tap.clipped_samples) if tap.clipped_samples else "no",

@@ -72,7 +72,7 @@ COLUMNS = ("tap", "floor", "peak", "winding", "largest_multiplier", "gap", "ms",
 
 def rows_table(rows: Sequence[Row], keys: Sequence[str], unit: str) -> list[str]:
     """The table of rows; `unit` is that of the commands."""
-    varied = [f"{key} {unit_of(key)}".strip() for key in keys]
+    varied = list(keys)
     places = ["target"] if rows and rows[0]["target"] else ["speed m/s", "grip N"]
     shown = EntryTable(places, COLUMNS, [shown_row(row) for row in rows], unit)
     cells = [[*(row[key] for key in keys), *own] for row, own in zip(rows, shown.cells, strict=True)]
@@ -171,7 +171,7 @@ def study_table(plan: Plan, rows: Sequence[Row]) -> Table | None:
     """The largest tap error at each value of one key, or of two; None for samples, more keys and long ranges."""
     if plan.sample is not None or not 1 <= len(plan.axes) <= 2 or max(plan.shape) > MOST_VALUES:
         return None
-    heads = [f"{axis.key} {unit_of(axis.key)}".strip() for axis in plan.axes]
+    heads = [axis.key for axis in plan.axes]  # which names its unit
     points, shown = points_of(plan, rows), Table(title="largest tap error of a point, %")
     shown.add_column(heads[0], justify="right")
     if len(plan.axes) == 1:
