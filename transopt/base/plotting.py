@@ -12,12 +12,13 @@ from matplotlib.markers import TICKDOWN, TICKLEFT, MarkerStyle
 from matplotlib.ticker import NullLocator
 
 from transopt.base.files import whole_file
+from transopt.base.shown import cut
 from transopt.base.signals import FloatArray
 
 DPI = 150
 LABEL_PT, SMALL_PT = 9.0, 8.0
 OPTIMUM, SEED, CLIPPED = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's blue, vermilion and green
-DARK = "0.15"
+DARK, FAINT = "0.15", "0.4"
 VIRIDIS_RANGE = (0.12, 0.8)  # darker hides a reference drawn over it, lighter fades on white paper
 
 
@@ -33,8 +34,12 @@ class Drawing(Figure):
         return file.getvalue()
 
 
-def save_figure(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path, name: str = "") -> None:
     """Write a PNG whole or not at all.
+
+    Parameters
+    ----------
+    name : of the scene or device that it shows, written into its lower left corner.
 
     Raises
     ------
@@ -46,6 +51,8 @@ def save_figure(figure: Figure, path: Path) -> None:
         # (By "none" a placeholder would stay, for which savefig goes through the whole figure all the same.)
         layout.execute(figure)
         figure.set_layout_engine(None)
+    if name:
+        figure.text(0.01, 0.01, cut(name), size=SMALL_PT, color=FAINT, parse_math=False)
     with whole_file(path) as file:
         figure.savefig(file, format="png", dpi=DPI)
 

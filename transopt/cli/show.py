@@ -53,5 +53,5 @@ def show(
     if figure is not None:
         from transopt.base.plotting import save_figure
 
-        save_figure(loaded.plot(), figure)
+        save_figure(loaded.plot(), figure, loaded.scene().name)
         console.print(f"figure: {figure}", highlight=False)

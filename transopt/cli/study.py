@@ -220,7 +220,7 @@ def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:
 
     started = time.perf_counter()
     rows = run_plan(plan, request.out, pool)
-    save_figure(study_figure(plan, rows), request.out / "tap_error.png")
+    save_figure(study_figure(plan, rows), request.out / "tap_error.png", plan.scene.name)
     head = provenance(_command(), time.perf_counter() - started)
     write_text(study_markdown(plan, rows, "tap_error.png", head), request.out / "report.md")
     console = terminal.console()
@@ -248,7 +248,7 @@ def _answer(request: Request, plan: "Plan", pool: "Pool") -> int:
     assert request.solve_for is not None
     question = parse_question(plan.scene, request.solve_for, request.require, greatest=request.greatest)
     found = run_question(plan, question, request.out, pool)
-    save_figure(question_figure(found, axis_label(question.key.path)), request.out / "answer.png")
+    save_figure(question_figure(found, axis_label(question.key.path)), request.out / "answer.png", plan.scene.name)
     head = provenance(_command(), time.perf_counter() - started)
     write_text(answer_markdown(plan.scene, found, head), request.out / "report.md")
     for sentence in found.sentences:

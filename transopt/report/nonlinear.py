@@ -52,7 +52,7 @@ def write_nonlinear(design: Build, folder: str | Path, *, figures: bool = True) 
         from transopt.base.plotting import save_figure
         from transopt.report.nonlinear_figure import nonlinear_figure
 
-        files[DRAWN] = lambda path: save_figure(nonlinear_figure(list(design.all_entries())), path)
+        files[DRAWN] = lambda path: save_figure(nonlinear_figure(list(design.all_entries())), path, design.scene.name)
     publish(folder, files, [name for name in (COMMANDS, DRAWN) if name not in files])
     return [folder / name for name in files]
 

@@ -80,12 +80,13 @@ def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files
     from transopt.report import figures as drawing
     from transopt.report.trade_off_figure import trade_off_figure
 
-    files["transients.png"] = lambda path: save_figure(library.plot(), path)
-    files["methods.png"] = lambda path: save_figure(drawing.method_figure(build), path)
-    files["bode.png"] = lambda path: save_figure(drawing.bode_figure(library), path)
+    name = build.scene.name
+    files["transients.png"] = lambda path: save_figure(library.plot(), path, name)
+    files["methods.png"] = lambda path: save_figure(drawing.method_figure(build), path, name)
+    files["bode.png"] = lambda path: save_figure(drawing.bode_figure(library), path, name)
     if full and build.trade_offs:
-        files["trade_off.png"] = lambda path: save_figure(trade_off_figure(build), path)
+        files["trade_off.png"] = lambda path: save_figure(trade_off_figure(build), path, name)
     refinement = build.refinement
     if refinement is not None and refinement.entries > 1:
-        files["grid_error.png"] = lambda path: save_figure(refinement.plot(), path)
+        files["grid_error.png"] = lambda path: save_figure(refinement.plot(), path, name)
     return files

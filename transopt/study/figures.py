@@ -36,7 +36,7 @@ def percent_axis(axes: Axes, *, x: bool = False) -> None:
     """A logarithmic axis of percentages with plain numbers."""
     (axes.set_xscale if x else axes.set_yscale)("log")
     axis = axes.xaxis if x else axes.yaxis
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(plain))
     axis.set_minor_formatter(NullFormatter())
     axis.set_minor_locator(NullLocator())

@@ -103,7 +103,7 @@ def _off_node(name: str, scene: Scene, folder: Path) -> Written:
 def _motors(name: str, scene: Scene, folder: Path, pool: Pool, search: Sequence[Path]) -> Written:
     found = motor_selection(scene, folder, pool, search)
     for stem, page in found.pages().items():
-        save_figure(page, folder / f"{stem}.png")
+        save_figure(page, folder / f"{stem}.png", scene.name)
     rows = [row for _, own in found.studies.values() for row in own]
     return Written(
         found.figure(),
@@ -141,7 +141,7 @@ def write(
         written = _off_node(name, scene, folder)
     else:
         written = _motors(name, scene, folder, pool, search)
-    save_figure(written.figure, folder / f"{name}.png")
+    save_figure(written.figure, folder / f"{name}.png", scene.name)
     command = f"transopt study {scene.name} --study {name} --out DIR"
     write_text(written.report(provenance(command, time.perf_counter() - started)), folder / "report.md")
     if figures is not None:

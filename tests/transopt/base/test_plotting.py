@@ -24,6 +24,20 @@ def test_a_saved_figure_is_a_png_at_150_dpi(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["bode.png"]
 
 
+def test_the_name_of_what_is_shown_stands_in_the_lower_left_corner_as_it_is(tmp_path: Path) -> None:
+    pictures = []
+    for name in ("", "$mine"):
+        figure = Figure(figsize=(4, 3), layout="constrained")
+        figure.subplots().set_xlabel("time [ms]")
+        save_figure(figure, tmp_path / "figure.png", name)
+        pictures.append(imread(tmp_path / "figure.png")[..., :3])
+    rows, columns = np.nonzero(np.abs(pictures[1] - pictures[0]).max(axis=2))
+    height, width = pictures[0].shape[:2]
+    assert rows.size
+    assert rows.min() > 0.9 * height
+    assert columns.max() < 0.25 * width
+
+
 def test_a_figure_with_a_layout_is_drawn_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figure = Figure(layout="constrained")
     (line,) = figure.subplots().plot([0.0, 1.0])

@@ -90,7 +90,7 @@ def test_help_with_long_words_is_whole_on_80_columns(
 
 
 @pytest.mark.parametrize(
-    ("program", "words"), [("transopt", "transopt solve "), ("transopt-play", "transopt-play tap ")]
+    ("program", "words"), [("transopt", "transopt solve\n"), ("transopt-play", "transopt-play tap ")]
 )
 def test_alone_a_program_says_by_three_commands_what_to_do_first(
     program: str, words: str, terminal: Terminal
