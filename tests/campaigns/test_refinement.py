@@ -356,9 +356,12 @@ def rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
 
 
 def node_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """One line for each node, over all seeds of a case; before and after, until a hand can react and of the whole."""
+    """One line for each node, over all seeds of a case; before and after, until a hand can react and of the whole.
+
+    A case of which nothing was refined has none.
+    """
     found = []
-    for case in dict.fromkeys(one.case for one in outcomes):
+    for case in dict.fromkeys(one.case for one in outcomes if any(node.refined for node in one.nodes)):
         for nodes in zip(*(one.nodes for one in outcomes if one.case == case), strict=True):
             early, whole = (
                 " → ".join(

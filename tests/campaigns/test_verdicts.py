@@ -52,6 +52,7 @@ from tests.campaigns.harness import (
 )
 from transopt.base.errors import InputError
 from transopt.base.threads import one_blas_thread
+from transopt.base.writing import table
 from transopt.cli.identify_device import identify_device
 from transopt.design.build import build_library
 from transopt.library.library import Library
@@ -255,7 +256,8 @@ def rows(verdicts: Iterable[Verdict]) -> list[list[str]]:
             percent(worst),
             percent(true_worst),
             f"{worst / true_worst:.2f}",
-            f"{percent(one.against_taps)} / {percent(one.nominal_against_taps)}",
+            percent(one.against_taps),
+            percent(one.nominal_against_taps),
             ", ".join(one.causes) or "-",
             "refused" if one.shortfalls else "unsolved" if one.unsolved else one.kind,
             f"{one.seconds:.1f}",
@@ -274,12 +276,28 @@ HEAD = [
     "predicted worst %",
     "true",
     "ratio",
-    "against taps, nominal %",
+    "against taps %",
+    "nominal %",
     "causes",
     "model",
     "s",
     "verdict",
 ]
+
+
+def by_effect(cells: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Lines of all seeds of an effect in one: from the least number of a column to the largest, words once each."""
+
+    def merged(column: Sequence[str]) -> str:
+        different = list(dict.fromkeys(column))
+        try:
+            ordered = sorted(different, key=float)
+        except ValueError:
+            return "; ".join(different)
+        return ordered[0] if len(ordered) == 1 else f"{ordered[0]} to {ordered[-1]}"
+
+    effects = dict.fromkeys(row[0] for row in cells)
+    return [[merged(column) for column in zip(*(r for r in cells if r[0] == each), strict=True)] for each in effects]
 
 
 def parameter_rows(verdicts: Iterable[Verdict]) -> tuple[list[list[str]], int, int]:
@@ -316,7 +334,8 @@ def main(
         verdicts.append(one)
         print("  ".join(rows([one])[0]), flush=True)
         write_json([{**asdict(done), "shortcoming": done.shortcoming} for done in verdicts], json_file)
-    lines = show(HEAD, rows(verdicts))
+    show(HEAD, rows(verdicts))
+    lines = table(HEAD, by_effect(rows(verdicts)))
     for one in verdicts:
         for text in (*one.shortfalls, *one.unsolved):
             print(f"{one.effect} {one.seed}: {text}")
