@@ -17,6 +17,7 @@ reference_pages.write(HERE / "reference" / "generated")
 
 project = "transopt"
 author = "The transopt developers"
+copyright = f"2026, {author}"  # noqa: A001
 release = version = metadata.version("transopt")
 
 extensions = ["myst_nb", "mathml"]
