@@ -300,10 +300,10 @@ def _bombs() -> list[tuple[str, bytes]]:
     packed = io.BytesIO()
     with (
         zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-        archive.open("time_s.npy", "w", force_zip64=True) as member,
+        archive.open("time_s.npy", "w") as member,
     ):
-        member.write(_head("<f8", (3 * 2**26,)))
-        for _ in range(3 * 2**9):
+        member.write(_head("<f8", (2**26,)))
+        for _ in range(2**9):
             member.write(zeros)
     stated = io.BytesIO()
     with zipfile.ZipFile(stated, "w") as archive:

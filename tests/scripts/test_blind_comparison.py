@@ -48,11 +48,11 @@ class TestSimulated:
         self, pair: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         file = tmp_path / "answers.csv"
-        assert main(*pair, csv_file=file, simulate=True, trials=12, taps=1, judge=Judge.INTENSITY) == 0
+        assert main(*pair, csv_file=file, simulate=True, trials=6, taps=1, judge=Judge.INTENSITY) == 0
         rows = list(csv.DictReader(file.read_text().splitlines()))
-        assert len(rows) == 12
+        assert len(rows) == 6
         assert {row["first"] for row in rows} == {"A", "B"}
-        assert sum(row["chosen"] == "B" for row in rows) > 6
+        assert sum(row["chosen"] == "B" for row in rows) > 3
         said = capsys.readouterr().out
         assert "B was nearer in" in said
         assert "intensity.npz" not in said

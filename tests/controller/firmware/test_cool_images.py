@@ -129,13 +129,14 @@ def test_room_is_counted_in_samples_of_16_bit() -> None:
             assert f"second waveforms of {bits} bit are {taken} samples" in words
 
 
-@pytest.mark.parametrize("bits", [8, 16])
-def test_a_device_without_room_refuses(bits: int) -> None:
-    taken = 4 * SAMPLES * (16 + bits) // 16
-    for room, expected in ((taken, None), (taken - 1, Reason.TOO_LARGE)):
-        talker = Talker(started(7, samples=room))
+@pytest.mark.parametrize(("bits", "samples"), [(8, 40), (16, 30)])
+def test_a_device_without_room_refuses(bits: int, samples: int) -> None:
+    for more, expected in ((0, None), (1, Reason.TOO_LARGE)):
+        talker = Talker(started(7, samples=240))
         talker.configure(configuration_of(BARE))
-        assert reason(talker, IMAGES[bits]) is expected
+        table = cooled(smooth_bank(samples=samples + more, peak_A=3.0))
+        image = image_of(table, DT_S, 3e-4, TAIL, cool_bits=bits, amplifier=AMPLIFIER)
+        assert reason(talker, image) is expected
 
 
 def test_the_core_itself_takes_no_other_depth() -> None:

@@ -356,8 +356,11 @@ def cores(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     return found
 
 
-@pytest.mark.parametrize("port", PORTS)
-@pytest.mark.parametrize("core", PORTS)
+ALIKE = [(name, name) for name in PORTS]
+UNLIKE = [("double", "float"), ("float", "double"), ("small", "double"), ("long", "small"), ("double", "long")]
+
+
+@pytest.mark.parametrize(("port", "core"), [*ALIKE, *UNLIKE])
 def test_a_port_links_only_with_a_core_of_its_own_precision_and_capacities(
     cores: dict[str, list[str]], port: str, core: str, tmp_path: Path
 ) -> None:

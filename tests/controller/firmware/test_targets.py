@@ -71,6 +71,7 @@ def test_a_tick_that_is_too_long_is_told(command: int, device: int, said: str) -
     assert said in "".join(lines)
 
 
+@pytest.mark.long
 def test_contracted_products_would_be_seen_and_a_program_that_fails_is_told(
     records: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

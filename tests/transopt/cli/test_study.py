@@ -220,8 +220,8 @@ class TestCommandLine:
         ("sent", "how"),
         [
             pytest.param(signal.SIGINT, ["--jobs", "1"], marks=pytest.mark.long),
-            (signal.SIGINT, ["--executor", "serial"]),
-            (signal.SIGTERM, ["--jobs", "2"]),
+            pytest.param(signal.SIGTERM, ["--executor", "serial"], marks=pytest.mark.long),
+            (signal.SIGINT, ["--jobs", "2"]),
             (signal.SIGKILL, ["--jobs", "1"]),
         ],
     )
