@@ -232,25 +232,24 @@ class CoreDevice:
         self._library.td_probe_start(self._device.at, boot, numbers, heat, simulated)
         self._out = ctypes.create_string_buffer(self.ROOM_BYTES)
         self._in, self._answer = (ctypes.c_double * 3)(), (ctypes.c_double * 4)()
-        self._events, self._contacts = (ctypes.c_uint8 * MOST_EVENTS)(), (ctypes.c_double * (4 * MOST_EVENTS))()
+        self._events = ctypes.create_string_buffer(MOST_EVENTS)
+        self._contacts = (ctypes.c_double * (4 * MOST_EVENTS))()
+        self._at = tuple(map(ctypes.addressof, (self._in, self._answer, self._events, self._contacts)))
 
     def receive(self, data: bytes) -> None:
         self._library.td_device_receive(self._device.at, data, len(data))
 
     def bytes_to_send(self) -> bytes:
         size = self._library.td_device_send(self._device.at, self._out, self.ROOM_BYTES)
-        return ctypes.string_at(self._out, size)
+        return ctypes.string_at(self._out, size) if size else b""
 
     def step(self, readings: Readings) -> Output:
         r, self.tick = readings, readings.tick
-        self._in[:] = [r.grip_N, r.current_A, r.acceleration_m_s2]
-        pointers = (self._in, self._answer, self._events, self._contacts)
-        counts = counts_of(r.encoder_counts)
-        state = self._library.td_probe_step(
-            self._device.at, r.tick, counts, r.emergency_stop | r.late << 1, *pointers
-        )
-        happened = bytes(self._events)
+        self._in[:] = r.grip_N, r.current_A, r.acceleration_m_s2
+        counts, stops = counts_of(r.encoder_counts), r.emergency_stop | r.late << 1
+        state = self._library.td_probe_step(self._device.at, r.tick, counts, stops, *self._at)
         events: tuple[Event, ...] = ()
+        happened = self._events.raw
         if any(happened):  # a step in a thousand
             events = tuple(
                 Event(r.tick, EVENTS[code], *self._contacts[4 * j : 4 * j + 4])  # type: ignore[arg-type]

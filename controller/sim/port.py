@@ -62,7 +62,8 @@ class SimulatedPort:
     def step(self) -> None:
         """One servo period."""
         now_s = self.now_s()
-        self.end.receive(self.link.to_device.arrived(now_s))
+        if arrived := self.link.to_device.arrived(now_s):
+            self.end.receive(arrived)
         self.world.advance(self.end.step(self.world.readings(self.ticks)))
         self.link.device_sends(self.end.bytes_to_send(), now_s)
         self.ticks += 1

@@ -193,18 +193,20 @@ class Simulator:
         self._commands.appendleft(command_A)
         self._take_grip(self._user.grip_N(self.time_s))
         start_s, square = self._tick * self.dt_s, 0.0
-        x, current, ripple_A = self._x, self._at.current, self._ripple_A
-        for segment, (behind, step_s) in enumerate(zip(self.behind, self.step_s, strict=True)):
-            felt = self._felt(self._commands[behind])
+        x, current, ripple_A, loop = self._x, self._at.current, self._ripple_A, self._loop
+        for segment, step_s in enumerate(self.step_s):
+            felt = self._felt(self._commands[self.behind[segment]])
             if self.device.amplifier is None:
                 x[current] = felt
+            after = abs(x.item(current)) + ripple_A
             for j in range(1, self.steps + 1):
-                mean = None if self._loop is None else self._through_bridge(self._loop, felt, step_s)
-                before = abs(x.item(current)) + ripple_A
+                mean = None if loop is None else self._through_bridge(loop, felt, step_s)
+                before = after if loop is None else abs(x.item(current)) + ripple_A
                 self._advance_step(segment, felt, start_s + j * step_s, step_s)
                 after = abs(x.item(current)) + ripple_A
                 square += step_s * ((before * before + before * after + after * after) / 3 if mean is None else mean)
-                self.peak_current_A = max(self.peak_current_A, after - ripple_A)
+                if after - ripple_A > self.peak_current_A:
+                    self.peak_current_A = after - ripple_A
             start_s += self.steps * step_s
         self._tick += 1
         self.time_s = self._tick * self.dt_s
@@ -296,9 +298,9 @@ class Simulator:
     def _felt(self, command_A: float) -> float:
         """What the amplifier's pole follows: the command cut at its range, less the crossover's dead band."""
         amplifier, dead = self.device.amplifier, self.device.crossover_A
-        if amplifier is not None:
-            command_A = min(max(command_A, -amplifier.command_limit), amplifier.command_limit)
-        return command_A - min(max(command_A, -dead), dead)
+        if amplifier is not None and abs(command_A) > amplifier.command_limit:
+            command_A = math.copysign(amplifier.command_limit, command_A)
+        return command_A - (command_A if abs(command_A) <= dead else math.copysign(dead, command_A))
 
     def _friction_N(self, speed_m_s: float) -> float:
         ground = self.device.ground
@@ -323,11 +325,9 @@ class Simulator:
         x[S + CONTACT_FORCE] = self._contact_N(x)
 
     def _advance_step(self, segment: int, felt_A: float, end_s: float, step_s: float) -> None:
-        x, S, user = self._x, self._at.states, self._user
-        before, self._intention_m = self._intention_m, user.intention_m(end_s) + self.ahead_m
-        x[S + COMMAND] = felt_A
-        x[S + INTENTION] = before
-        x[S + INTENTION_SPEED] = (self._intention_m - before) / step_s
+        x, S, before = self._x, self._at.states, self._intention_m
+        self._intention_m = after = self._user.intention_m(end_s) + self.ahead_m
+        x[S + COMMAND], x[S + INTENTION], x[S + INTENTION_SPEED] = felt_A, before, (after - before) / step_s
         if self._nonlinear:
             self._push(x)
             middle = x.copy()

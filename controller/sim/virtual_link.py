@@ -73,6 +73,8 @@ class Direction:
             self._under_way.append((self._last_s, frame * copies))
 
     def arrived(self, now_s: float) -> bytes:
+        if not self._under_way or self._under_way[0][0] > now_s:  # as at most instants
+            return b""
         out = []
         while self._under_way and self._under_way[0][0] <= now_s:
             out.append(self._under_way.popleft()[1])
