@@ -205,8 +205,7 @@ class Simulator:
                 self._advance_step(segment, felt, start_s + j * step_s, step_s)
                 after = abs(x.item(current)) + ripple_A
                 square += step_s * ((before * before + before * after + after * after) / 3 if mean is None else mean)
-                if after - ripple_A > self.peak_current_A:
-                    self.peak_current_A = after - ripple_A
+                self.peak_current_A = max(self.peak_current_A, after - ripple_A)
             start_s += self.steps * step_s
         self._tick += 1
         self.time_s = self._tick * self.dt_s
