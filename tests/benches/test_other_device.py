@@ -9,16 +9,10 @@ import pytest
 
 from tests.benches import other_records
 from tests.benches.identification import DEFAULT, sampled_run
-from tests.benches.other_device import TICK_S, Device, FloatArray, NoCompilerError, Truth, simulate, true_device
+from tests.benches.other_device import TICK_S, Device, FloatArray, Truth, simulate, true_device
 from tests.benches.other_records import EFFECTS, multisine, played, record, sweep, truth
 
-
-@pytest.fixture(autouse=True)
-def _compiled() -> None:
-    try:
-        simulate(Device(), np.zeros(1))
-    except NoCompilerError as missing:
-        pytest.skip(str(missing))
+pytestmark = pytest.mark.usefixtures("c_compiler")
 
 
 def burst() -> FloatArray:

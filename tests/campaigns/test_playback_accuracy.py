@@ -187,11 +187,6 @@ def main(
 test_long_form = long_form(main)
 
 
-@pytest.fixture(scope="module")
-def tables(library: Library) -> Bank:
-    return bank(library)
-
-
 @pytest.mark.parametrize(("iv", "ig"), [(0, 2), (1, 1), (2, 0), (3, 2)])
 def test_a_node_is_on_time_and_as_predicted(library: Library, tables: Bank, iv: int, ig: int) -> None:
     node = at_node(library, tables, iv, ig, np.array([0.0, 0.3, 0.65]), seeds=1)

@@ -274,11 +274,6 @@ def main(
 test_long_form = long_form(main)
 
 
-@pytest.fixture(scope="module")
-def tables(library: Library) -> Bank:
-    return bank(library)
-
-
 @pytest.mark.parametrize("stretch", STRETCHES, ids=lambda s: s.name)
 def test_limits_hold_and_nothing_is_left_unsaid(library: Library, tables: Bank, stretch: Stretch) -> None:
     tally = Tally()

@@ -35,7 +35,7 @@ import numpy as np
 import pytest
 import typer
 
-from tests.benches.other_device import Device, FloatArray, NoCompilerError, simulate
+from tests.benches.other_device import FloatArray
 from tests.benches.other_records import EFFECTS, GRIPS_N, TAPS, make_records, played, truth
 from tests.campaigns.harness import (
     Jobs,
@@ -360,14 +360,6 @@ test_long_form = long_form(main)
 PLAIN_DEVICES = 39  # of 13 parameters each that are not zero
 
 
-@pytest.fixture
-def _compiled() -> None:
-    try:
-        simulate(Device(), np.zeros(1))
-    except NoCompilerError as missing:
-        pytest.skip(str(missing))
-
-
 def of(effect: str, predicted: float, true: float, **more: list[str]) -> Verdict:
     return Verdict(effect, 0, predicted=[[predicted, predicted]], true=[[true, true]], **more)
 
@@ -405,7 +397,7 @@ def test_a_cause_that_is_none_is_told_apart() -> None:
     assert not found.shortcoming
 
 
-@pytest.mark.usefixtures("_compiled")
+@pytest.mark.usefixtures("c_compiler")
 @pytest.mark.parametrize("effect", ["none", "stiffening"])
 def test_verdicts_in_short(effect: str, tmp_path: Path) -> None:
     found = judge(effect, 0, tmp_path, grips_N=(1.0, 3.0, 5.0), trials=2)
@@ -416,7 +408,7 @@ def test_verdicts_in_short(effect: str, tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(3600)
-@pytest.mark.usefixtures("_compiled")
+@pytest.mark.usefixtures("c_compiler")
 def test_parameters_of_plain_devices_are_as_near_and_as_certain_as_asked(tmp_path: Path) -> None:
     """Five least-squares set-ups one after the other had the errors below on these devices, by sweeps alone."""
     before = {

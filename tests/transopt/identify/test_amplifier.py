@@ -78,8 +78,9 @@ def test_a_current_that_the_end_of_the_record_cuts_off_is_no_bias() -> None:
     assert fit.pole_Hz == pytest.approx(500.0, rel=2e-5)
 
 
-@pytest.mark.parametrize("pole_Hz", [300.0, 1050.0, 2500.0])
-@pytest.mark.parametrize("delay_s", [0.0, 68e-6, 100e-6, 137e-6, 420e-6])
+@pytest.mark.parametrize(
+    ("pole_Hz", "delay_s"), [(300.0, 137e-6), (300.0, 0.0), (1050.0, 68e-6), (2500.0, 100e-6), (2500.0, 420e-6)]
+)
 def test_without_noise_everything_is_recovered(pole_Hz: float, delay_s: float) -> None:
     trial = amplifier_trial(0, crossover_A=0.0, pole_Hz=pole_Hz, delay_s=delay_s, noise_A=0.0, seconds=1.0)
     fit = fit_amplifier([trial])

@@ -66,14 +66,14 @@ def test_a_device_ten_times_as_heavy_is_found_from_the_nominal_one(measured: Mea
 
 def test_intervals_cover_the_truth(measured: Measured, plain: ChainFit) -> None:
     inside = []
-    for seed in range(1, 31):
+    for seed in range(1, 16):
         fit = refit(plain, measured(DEFAULT, seed=seed))
         _, values, covariance = fit.stated()
         _, truth, _ = fit.coordinates.stated(fit.coordinates.of(DEFAULT))
         inside.append(np.abs(values - truth) < 1.96 * np.sqrt(np.diag(covariance)))
         assert 0.8 < fit.scatter < 1.2
     assert 0.90 <= np.mean(inside) <= 0.99
-    assert np.min(np.mean(inside, axis=0)) > 0.75  # no single one of the 14 parameters far off, in 30 draws
+    assert np.min(np.mean(inside, axis=0)) > 0.7  # no single one of the 14 parameters far off, in 15 draws
 
 
 def test_what_the_band_does_not_show_is_called_unknown(measured: Measured, plain: ChainFit) -> None:
