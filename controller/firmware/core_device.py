@@ -234,7 +234,8 @@ class CoreDevice:
         self._in, self._answer = (ctypes.c_double * 3)(), (ctypes.c_double * 4)()
         self._events = ctypes.create_string_buffer(MOST_EVENTS)
         self._contacts = (ctypes.c_double * (4 * MOST_EVENTS))()
-        self._at = tuple(map(ctypes.addressof, (self._in, self._answer, self._events, self._contacts)))
+        of = ctypes.addressof
+        self._at = of(self._in), of(self._answer), of(self._events), of(self._contacts)
 
     def receive(self, data: bytes) -> None:
         self._library.td_device_receive(self._device.at, data, len(data))
@@ -245,7 +246,7 @@ class CoreDevice:
 
     def step(self, readings: Readings) -> Output:
         r, self.tick = readings, readings.tick
-        self._in[:] = r.grip_N, r.current_A, r.acceleration_m_s2
+        self._in[:] = [r.grip_N, r.current_A, r.acceleration_m_s2]
         counts, stops = counts_of(r.encoder_counts), r.emergency_stop | r.late << 1
         state = self._library.td_probe_step(self._device.at, r.tick, counts, stops, *self._at)
         events: tuple[Event, ...] = ()
