@@ -74,3 +74,10 @@ class TestRateHardness:
         times = np.arange(-0.01, 0.03, 1e-5)
         force = 1000.0 * 0.3 * np.maximum(times, 0.0) + 1e5 * np.maximum(times - 8e-3, 0.0)
         assert rate_hardness_N_m(times, force, 0.3) == pytest.approx(1000.0)
+
+    @pytest.mark.parametrize(("begins_s", "share"), [(-1e-3, 1.0), (-1.5e-3, 0.5), (-3e-3, 0.0)])
+    def test_a_rise_in_the_millisecond_before_contact_counts(self, begins_s: float, share: float) -> None:
+        """A rendered force may lead; each of these rises for a millisecond and then stays."""
+        times = np.arange(-0.01, 0.02, 1e-5)
+        force = 2000.0 * 0.3 * np.clip(times - begins_s, 0.0, 1e-3)
+        assert rate_hardness_N_m(times, force, 0.3) == pytest.approx(share * 2000.0, abs=1e-6)
