@@ -58,6 +58,12 @@ class TestFarkas:
         ray = Multipliers.zero(frozen).with_pair("temperature", rest, np.eye(40)[-1])
         assert is_infeasible(frozen, rest, ray)
 
+    @pytest.mark.parametrize("length", [1e-8, 1.0, 1e8])
+    def test_how_long_a_ray_is_does_not_matter(self, warm: TransientProblem, length: float) -> None:
+        frozen, rest = with_headroom(warm, warm.thermal.model.headroom_K - 1.0), np.zeros(40)
+        hot = Multipliers.zero(frozen).with_pair("temperature", rest, length * np.eye(40)[-1])
+        assert is_infeasible(frozen, rest, hot.with_pair("current", 1e-6 * length * np.ones(40), rest))
+
     def test_random_rays_prove_nothing_of_a_feasible_problem(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.4, 5.0, slew_A_per_s=5000.0)
         random = np.random.default_rng(5)
