@@ -106,6 +106,17 @@ def test_noise_and_ringing_do_not_shorten_a_pulse() -> None:
     assert pulse_length_s(Signal(0.0, 1e-6, rough)) == pytest.approx(plain, rel=0.5)
 
 
+def test_the_pulse_of_a_long_recording_is_as_long_as_that_of_a_short_one() -> None:
+    pulse = np.sin(np.linspace(0.0, np.pi, 500))
+    short, long = np.zeros(5_000), np.zeros(250_000)  # of the long one means of samples are looked at
+    short[2_000:2_500] = long[200_000:200_500] = pulse
+    plain = pulse_length_s(Signal(0.0, 1e-5, short))
+    assert plain == pytest.approx(2 * 5e-3 * 2 / np.pi, rel=0.2)  # half as high as the pulse, and of its area
+    assert pulse_length_s(Signal(0.0, 1e-5, long)) == pytest.approx(
+        plain, rel=0.2
+    )  # lengths are tried in steps of a fifth
+
+
 def test_the_position_in_the_place_of_the_acceleration() -> None:
     ramp = Signal(0.0, 1e-4, -0.2 * (np.arange(2500) * 1e-4 - 0.06))
     said = prepare(
