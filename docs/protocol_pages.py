@@ -83,11 +83,11 @@ by grip, within that sample by sample. Flag 1: the grip counts; without it the c
 no event. Flag 2: the nearest waveform instead of a blend. The device computes the transients' norms itself:
 `scale sqrt(sum count^2)`.
 
-A library may have a second waveform for each node, with less heat: `cool_bits` is then 8 or 16, else 0. Their
+A library may have a cool command for each node, with less heat: `cool_bits` is then 8 or 16, else 0. Their
 scales [A] stand as f64 by speed and grip behind the norms, and their counts, i8 or i16, behind all of the first
 waveforms and in their order. Counts are rounded towards zero. `capacity_samples` counts i16 samples of both; two
 counts of 8 bit take the room of one. A coil that may not take all of the first waveform is played a blend of both
-whose norms add up to what it may take, then the second one scaled (SCALED_FOR_HEAT tells how much of what).
+whose norms add up to what it may take, then the cool one scaled (SCALED_FOR_HEAT tells how much of what).
 """
 CONFIGURATION = f"""## Configuration, version {configuration.CONFIGURATION_VERSION}
 

@@ -1,10 +1,10 @@
-"""What second commands with less heat are worth on a warm coil, beside first ones that are scaled down.
+"""What cool commands with less heat are worth on a warm coil, beside first ones that are scaled down.
 
     python scripts/heat_axis.py [--minutes 20] [--blends 1000000] [--page docs/results/heat.md] [--figure FILE.png]
 
 Three parts, on the default scene: what each share of the heat leaves of a tap; whether random blends of the commands
 as a device stores them, over speed, grip and coil, keep the limits on current and command; and minutes of taps on a
-coil that begins 10 K below its limit, played with second commands and without.
+coil that begins 10 K below its limit, played with cool commands and without.
 """
 
 from collections import Counter
@@ -58,12 +58,12 @@ class Left:
 
 @lru_cache(maxsize=len(SHARES) + 1)
 def cooled(share: float) -> Library:
-    """The library of the default scene on a warm coil, with second commands."""
+    """The library of the default scene on a warm coil, with cool commands."""
     return to.solve(with_values(problems.load(SCENE), {**HOT, "grid.cool_share": share}))
 
 
 def cool_of(library: Library) -> Library:
-    """Give the second commands of a library that was asked for them."""
+    """Give the cool commands of a library that was asked for them."""
     assert library.cool is not None
     return library.cool
 
@@ -86,7 +86,7 @@ def shares_table(found: Sequence[Left]) -> list[str]:
         return f"{100 * figures.tap_error:.1f} / {100 * figures.felt_error:.1f} / {figures.felt_dB:+.2f}"
 
     rows = [[f"{100 * x.share:g} %", f"{x.grip_N:g} N", cells(x.scaled), cells(x.optimum)] for x in found]
-    return table(["heat", "grip", "scaled: tap % / felt % / dB", "second command: the same"], rows)
+    return table(["heat", "grip", "scaled: tap % / felt % / dB", "cool command: the same"], rows)
 
 
 def shares_figure(found: Sequence[Left]) -> Figure:
@@ -121,7 +121,7 @@ class Blended:
 
     Attributes
     ----------
-    bits : of a sample of a second command.
+    bits : of a sample of a cool command.
     blends : how many. over : how many leave a limit by more than one count.
     current_A, command_A : the largest of all.
     """
@@ -156,7 +156,7 @@ def blended(library: Library, bits: int, blends: int, seed: int) -> Blended:
 
 
 def _weights(nv: int, ng: int, count: int, random: np.random.Generator) -> FloatArray:
-    """(count, 2 nv ng) weights of the corners of random cells, split at random between first and second commands."""
+    """(count, 2 nv ng) weights of the corners of random cells, split at random between first and cool commands."""
     weights, rows = np.zeros((count, 2, nv, ng)), np.arange(count)
     iv, ig = (random.integers(0, max(nodes - 1, 1), count) for nodes in (nv, ng))
     y, x, m = random.uniform(size=(3, count))
@@ -222,7 +222,7 @@ def taps_for(library: Library, stored: Bank, minutes: float, seed: int) -> Minut
 
 
 def _heard(library: Library) -> dict[tuple[int, int], FloatArray]:
-    """Node -> (4, samples) felt band of r, of a_free, and of what the first and the second command add."""
+    """Node -> (4, samples) felt band of r, of a_free, and of what the first and the cool command add."""
     (by,) = bandpass(*FELT_Hz, library.dt_s, 1)
     found = {}
     for iv, ig in np.ndindex(library.command.shape[:2]):
@@ -240,7 +240,7 @@ def _level_dB(heard: FloatArray, scale: float, second: float) -> float:
 
 
 def minutes_table(found: Sequence[tuple[str, Minutes]]) -> list[str]:
-    """Lines of a Markdown table: what became of the taps, with second commands and without."""
+    """Lines of a Markdown table: what became of the taps, with cool commands and without."""
     head = ["taps at 90 C", "contacts", "whole", "blended", "scaled", "withheld", "felt dB: mean, least", "hottest C"]
     rows = [
         [
@@ -269,14 +269,14 @@ def main(
     alone = replace(stored, cool_command_A=None, cool_transient_A=[])
     played = [
         ("first commands alone", taps_for(library, alone, minutes, seed)),
-        (f"with second ones of {100 * SHARE:g} %", taps_for(library, stored, minutes, seed)),
+        (f"with cool commands of {100 * SHARE:g} %", taps_for(library, stored, minutes, seed)),
     ]
     rows = [
         [f"{x.bits} bit", str(x.blends), str(x.over), f"{x.current_A:.4f} A", f"{x.command_A:.4f} A"] for x in tried
     ]
     lines = [
         *shares_table(found),
-        *table(["second commands of", "blends", "over a limit", "largest current", "largest command"], rows),
+        *table(["cool commands of", "blends", "over a limit", "largest current", "largest command"], rows),
         *minutes_table(played),
     ]
     print("\n".join(lines))

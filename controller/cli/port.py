@@ -62,7 +62,7 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     """Configuration and library in force, with a progress bar where there is a terminal; says what was replaced.
 
     A device holds one library. The name of the scene of each is kept by its hash, which is all that a device knows.
-    Second waveforms that a small device has no room for are coarser there or left out, which is said.
+    Cool commands that a small device has no room for are coarser there or left out, which is said.
     """
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 

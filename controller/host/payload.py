@@ -57,7 +57,7 @@ AnyLoad = TypeVar("AnyLoad", bound=Load)
 def fitted(given: AnyLoad, capacity: Capacity) -> tuple[AnyLoad, str]:
     """What a device of this capacity is given, and what that costs in words; empty where all of it fits.
 
-    Second waveforms, those for a hot coil, go to 8 bit where 16 do not fit, and stay behind where 8 do not either.
+    Cool commands, those for a hot coil, go to 8 bit where 16 do not fit, and stay behind where 8 do not either.
     An image whose first waveforms alone are too large comes back as it is.
     """
     table, head = bank_of(given.image)
@@ -65,8 +65,8 @@ def fitted(given: AnyLoad, capacity: Capacity) -> tuple[AnyLoad, str]:
         return given, ""
     s = given.settings
     for bits, words in (
-        (8, "keeps the second waveforms in 8 bit, so that taps of a hot coil are up to 1 % of their peak off"),
-        (0, "has no room for the second waveforms: taps of a hot coil are scaled down instead of made cooler"),
+        (8, "keeps the cool commands in 8 bit, so that taps of a hot coil are up to 1 % of their peak off"),
+        (0, "has no room for the cool commands: taps of a hot coil are scaled down instead of made cooler"),
     ):
         image = image_of(table, s.dt_s, s.lead_s, head["tail_samples"], cool_bits=bits, amplifier=s.amplifier)
         if too_large(image, capacity) is None:

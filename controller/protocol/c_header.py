@@ -104,9 +104,7 @@ def header_text() -> str:
         lines += _offsets(kind.name, f"TD_{kind.name}", message.layout())
     lines += _offsets("One record of TELEMETRY_DATA", "TD_RECORD", messages.Record.layout())
     lines += [*_offsets("Header of an image", "TD_IMAGE", list(image.IMAGE_FIELDS)), "};", ""]
-    lines += [
-        "/* Image of a library: header; speeds, grips, feedback norms, scales of second waveforms f64; counts. */"
-    ]
+    lines += ["/* Image of a library: header; speeds, grips, feedback norms, scales of cool commands f64; counts. */"]
     lines += [
         _define("TD_IMAGE_MAGIC_VALUE", f"0x{image.IMAGE_MAGIC:08X}u"),
         _define("TD_IMAGE_VERSION_VALUE", image.IMAGE_VERSION),
@@ -141,7 +139,7 @@ def header_text() -> str:
 
 
 def _largest_image() -> str:
-    """`image.image_bytes` of the largest library with second waveforms, by the port's own sizes."""
+    """`image.image_bytes` of the largest library with cool commands, by the port's own sizes."""
     nodes = "TD_MAX_SPEEDS * TD_MAX_GRIPS"
     return f"({image.HEADER.size} + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + 2 * {nodes}) + 2 * TD_MAX_LIBRARY_SAMPLES)"
 

@@ -3,11 +3,11 @@
     header    HEADER, see IMAGE_FIELDS
     speeds    nv float64 [m/s]       grips   ng float64 [N]
     feedback  nv * ng float64 [A]    norms of the feedback's current beside each, row by row (speed), see `bank.Bank`
-    scales    nv * ng float64 [A]    of the second waveforms, one for each; only where cool_bits is not 0
+    scales    nv * ng float64 [A]    of the cool commands, one for each; only where cool_bits is not 0
     waveforms nv * ng * N int16      counts; a command is count * scale_A, row by row
-    second    nv * ng * N int8 or int16, as cool_bits says: counts of the second waveforms, each of its own scale
+    cool      nv * ng * N int8 or int16, as cool_bits says: counts of the cool commands, each of its own scale
 
-A library without second waveforms has cool_bits 0, and neither scales nor counts of them. Counts of the second ones
+A library without cool commands has cool_bits 0, and neither scales nor counts of them. Counts of the cool ones
 are rounded towards zero, so that in 8 bit they ask for no more than was certified.
 
 The norms of the transients do not travel: the device computes them from the counts, as scale * sqrt(sum count^2),
@@ -36,7 +36,7 @@ from transopt.problem.warm_coil import currents
 IMAGE_MAGIC = 0x4D494E54  # "TNIM"
 IMAGE_VERSION = 3
 # (name, struct format) in order; `flags`: bit 0 the grip is looked at, bit 1 nearest node instead of a blend;
-# `cool_bits`: of a count of the second waveforms, 0 without them.
+# `cool_bits`: of a count of the cool commands, 0 without them.
 IMAGE_FIELDS = (
     ("magic", "I"),
     ("version", "H"),
@@ -94,8 +94,8 @@ def image_of(
     Parameters
     ----------
     tail_samples : each waveform ends in at least so many zero commands, one or more.
-    cool_bits : of a count of the second transients, 8 or 16; 0 leaves them out. A table without them has none.
-    amplifier : in which a rounded second transient makes no larger current than before; None for one without a pole.
+    cool_bits : of a count of the cool commands, 8 or 16; 0 leaves them out. A table without them has none.
+    amplifier : in which a rounded cool command makes no larger current than before; None for one without a pole.
 
     Raises
     ------
@@ -194,9 +194,9 @@ def too_large(image: bytes, capacity: Capacity) -> str | None:
             return None
         coarse = bits == 16 and image_samples(nv, ng, N, 8) <= capacity.samples
         return (
-            f"library: {nv} speeds x {ng} grips x {N} samples with second waveforms of {bits} bit are {taken} "
+            f"library: {nv} speeds x {ng} grips x {N} samples with cool commands of {bits} bit are {taken} "
             f"samples, the device holds {capacity.samples} in all: "
-            + ("give the second ones 8 bit" if coarse else "leave the second ones out")
+            + ("give the cool ones 8 bit" if coarse else "leave the cool ones out")
         )
     advice = []
     # A grid of the same proportions, then the same grid at a lower rate or over a shorter time.

@@ -332,7 +332,7 @@ class Event(Packed):
 
     lost : events that found no room in the device's queue so far. speed, grip : NaN where no contact is meant.
     scale, cooled : of SCALED_FOR_HEAT, else NaN: what is played is scale times a blend with a part `cooled`, 0 to 1,
-    of the second waveform and the rest of the first.
+    of the cool command and the rest of the first.
     """
 
     number: U32

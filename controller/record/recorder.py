@@ -49,8 +49,8 @@ class Contact:
     missed : records that were lost in between; with any there is no file.
     path : of its file, None without one.
     surface_counts : of the encoder at the surface, as it was then; None for that of the settings.
-    scale, cooled : what the coil's heat left of the transient: scale times a blend with a part `cooled` of the second
-        one.
+    scale, cooled : what the coil's heat left of the transient: scale times a blend with a part `cooled` of the cool
+        command.
     """
 
     number: int

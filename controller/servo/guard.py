@@ -80,5 +80,5 @@ class Guard:
         return self.allowed(transient_A, math.inf, feedback_A, ticks)[0]
 
     def allowed(self, transient_A: float, cool_A: float, feedback_A: float, ticks: int) -> tuple[float, float]:
-        """Scale, and part of the second transient in what is scaled, see `WarmCoil.allowed`."""
+        """Scale, and part of the cool command in what is scaled, see `WarmCoil.allowed`."""
         return self._warm.allowed(self.winding_C, self.housing_C, transient_A, cool_A, feedback_A, ticks)

@@ -76,7 +76,7 @@ class Readings:
 class Event:
     """Something that happened at a tick; `speed_m_s` and `grip_N` where a contact is meant.
 
-    `scale` and `cooled` with SCALED_FOR_HEAT: how much of the blend is played, and the second transient's part in it.
+    `scale` and `cooled` with SCALED_FOR_HEAT: how much of the blend is played, and the cool command's part in it.
     """
 
     tick: int

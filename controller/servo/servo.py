@@ -36,7 +36,7 @@ class Servo:
     ----------
     state, fault : what it does; the fault it latched, None without.
     counts : how often each notice was given.
-    play : what was played last, None before anything. cooled : the part of its second transient in the blend that
+    play : what was played last, None before anything. cooled : the part of its cool command in the blend that
         the heat allowed. scale : how much of that blend it allowed, below 0 with the other sign.
     expected_A : current of the amplifier model at the coming switching instant.
     gain : in force, follows `wanted_gain`.

@@ -30,7 +30,7 @@ class Method(Enum):
     CLIPPED_OPTIMUM = "clipped-optimum"  # the unlimited optimum, cut
 
 
-COOLED = (Method.BILINEAR, Method.NEAREST, Method.BLIND)  # a hot coil gets the library's second commands with these
+COOLED = (Method.BILINEAR, Method.NEAREST, Method.BLIND)  # a hot coil gets the library's cool commands with these
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Play:
     out_of_grid : whether the wanted point lay outside.
     silent : nothing may be played, for want of speed or grip.
     transient_A, feedback_A : bounds on the norms of the currents, as `Guard.allowed` takes them.
-    cool_samples_A : the second transient, of less heat, as long as the first; empty where the table has none.
+    cool_samples_A : the cool command, of less heat, as long as the first; empty where the table has none.
     cool_transient_A : bound on the norm of its current; infinite where the table has none.
     """
 
@@ -59,7 +59,7 @@ class Play:
     cool_transient_A: float = math.inf
 
     def blended(self, cooled: float) -> list[float]:
-        """The samples with a part `cooled` (0 to 1) of the second transient and the rest of the first [A]."""
+        """The samples with a part `cooled` (0 to 1) of the cool command and the rest of the first [A]."""
         if not cooled > 0.0:
             return self.samples_A
         first = 1.0 - cooled
@@ -94,7 +94,7 @@ class Bank:
     transient_A, feedback_A : [nv][ng] norms sqrt(sum over servo periods of the mean i^2) of the currents.
     grip_min_N : nothing plays below it; 0 for the free device.
     by_grip : whether the method looks at the grip. nearest : take the nearest node instead of a blend.
-    cool_command_A : (nv, ng, N) second transients, with less heat; None where there are none.
+    cool_command_A : (nv, ng, N) cool commands, with less heat; None where there are none.
     cool_transient_A : [nv][ng] norms of their currents; empty where there are none.
     """
 
@@ -157,7 +157,7 @@ def bank(
 ) -> Bank:
     """The table of one method for one library.
 
-    The methods that blend the library's own commands carry its second ones too, if it has them; `online` solves with
+    The methods that blend the library's own commands carry its cool ones too, if it has them; `online` solves with
     the coil's temperature instead.
 
     Parameters

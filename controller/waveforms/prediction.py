@@ -79,14 +79,14 @@ def predict(
     ----------
     gain : multiplies the transient and a wall's feedback.
     scale, cooled : of a hot coil, whose servo played `scale` times a blend with a part `cooled`, 0 to 1, of the
-        second transient.
+        cool command.
 
     Raises
     ------
-    InputError : speed or grip is not a finite number; a blend with second transients that the library does not have.
+    InputError : speed or grip is not a finite number; a blend with cool commands that the library does not have.
     """
     if cooled > 0.0 and library.cool is None:
-        raise InputError(f"cooled = {cooled:g}: this library has no second commands: solve it with grid.cool_share")
+        raise InputError(f"cooled = {cooled:g}: this library has no cool commands: solve it with grid.cool_share")
     wave = library.at(speed_m_s, grip_N)
     v, F = wave.speed_m_s, wave.grip_N
     wanted = library.wanted(v, F)

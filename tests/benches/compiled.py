@@ -23,7 +23,7 @@ def plant_of(user: User, period_s: float) -> bytes:
 
 
 def cooled(bank: Bank, share: float = 0.5) -> Bank:
-    """A table whose second transients are this share of the first ones, and a little later."""
+    """A table whose cool commands are this share of the first ones, and a little later."""
     command = share * (0.9 * bank.command_A + 0.1 * np.roll(bank.command_A, 2, axis=-1))
     command[..., -TAIL:] = 0.0
     transient = norms(currents(command, SETTINGS.amplifier, DT_S), SETTINGS.amplifier, DT_S)

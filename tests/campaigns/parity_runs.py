@@ -33,7 +33,7 @@ Random = np.random.Generator
 
 
 def draw_bank(random: Random, amplifier: Amplifier | None, *, free: bool) -> Bank:
-    """A table of noise, with one to five speeds and one to four grips, as a rule with second transients."""
+    """A table of noise, with one to five speeds and one to four grips, as a rule with cool commands."""
     nv, ng, N = int(random.integers(1, 6)), int(random.integers(1, 5)), int(random.integers(TAIL + 1, 400))
     speeds = np.cumsum(random.uniform(0.05, 0.2, nv))
     grips = np.zeros(1) if free else np.cumsum(random.uniform(0.5, 2.0, ng))
@@ -61,7 +61,7 @@ def draw_bank(random: Random, amplifier: Amplifier | None, *, free: bool) -> Ban
 def draw_cool(
     random: Random, command: FloatArray, amplifier: Amplifier | None
 ) -> tuple[FloatArray | None, list[list[float]]]:
-    """Second transients of less heat at most nodes, and their norms; at times none, or some of no current at all."""
+    """Cool commands of less heat at most nodes, and their norms; at times none, or some of no current at all."""
     if random.uniform() < 0.3:
         return None, []
     share = random.uniform(0.1, 1.1, (*command.shape[:2], 1)) * (random.uniform(size=(*command.shape[:2], 1)) < 0.9)
@@ -116,7 +116,7 @@ def draw_amplifier(random: Random) -> Amplifier | None:
 
 
 def stored(settings: Settings, table: Bank, tail: int) -> bytes:
-    """The image of a table for a device with these settings; second transients of odd length in 8 bit."""
+    """The image of a table for a device with these settings; cool commands of odd length in 8 bit."""
     bits = 8 if table.command_A.shape[-1] % 2 else 16
     return image_of(table, settings.dt_s, settings.lead_s, tail, cool_bits=bits, amplifier=settings.amplifier)
 

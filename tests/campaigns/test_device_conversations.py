@@ -50,9 +50,7 @@ IMAGE = image_of(smooth_bank(), DT_S, SETTINGS.lead_s, TAIL)
 LARGE = image_of(smooth_bank(4, 4, 300), DT_S, SETTINGS.lead_s, TAIL)
 EXCITED = configuration_of(replace(SETTINGS, host_starts=True))
 COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
-HOT_C = (
-    94.998  # the first tap is a blend, and what it leaves lets no more of the next than the second waveform, scaled
-)
+HOT_C = 94.998  # the first tap is a blend, and what it leaves lets no more of the next than the cool command, scaled
 HOT = configuration_of(replace(SETTINGS, coil=replace(COIL, start_winding_C=HOT_C, start_housing_C=HOT_C)))
 COOLED = image_of(cooled(smooth_bank(peak_A=3.0)), DT_S, SETTINGS.lead_s, TAIL, cool_bits=8)
 ONE_WAVEFORM = image_of(smooth_bank(1, 1), DT_S, SETTINGS.lead_s, TAIL)
@@ -110,7 +108,7 @@ def taps(table: Table) -> None:
 
 
 def hot_taps(table: Table) -> None:
-    """A coil that is close to its limit gets blends with the second waveforms; then more of them, and scaled."""
+    """A coil that is close to its limit gets blends with the cool commands; then more of them, and scaled."""
     table.ready(HOT, COOLED)
     table.session.set_telemetry(1)
     table.asked().armed()

@@ -1,4 +1,4 @@
-"""Second commands beside scaled first ones, their blends, and minutes on a warm coil."""
+"""Cool commands beside scaled first ones, their blends, and minutes on a warm coil."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def test_random_blends_of_what_is_stored_keep_the_limits(library: Library, bits:
     assert np.all(weights >= 0)
 
 
-def test_a_warm_coil_plays_a_second_command_where_it_scaled_the_first(library: Library) -> None:
+def test_a_warm_coil_plays_a_cool_command_where_it_scaled_the_first(library: Library) -> None:
     """Half a minute is enough where less than a kelvin is left."""
     coil = library.coil()
     assert coil is not None

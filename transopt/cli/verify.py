@@ -35,7 +35,7 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
     first = checks if loaded.cool is None else checks[: len(checks) // 2]
     console.print(verify_table(first, str(library)))
     if len(checks) > len(first):
-        console.print(verify_table(checks[len(first) :], "second commands, for a warm coil"))
+        console.print(verify_table(checks[len(first) :], "cool commands, for a warm coil"))
     failed = sum(bool(check.shortfalls) for check in checks)
     for said in misstated:
         console.print(f"{library}: {said}", style="red", highlight=False, soft_wrap=True)

@@ -46,7 +46,7 @@ CELLS = tuple(name for name in COURSES if name != "nominal_position_at_ticks_m")
 class Build:
     """A designed library: entries speed by speed, `library` only if every entry is admitted.
 
-    `scene` has the grid that was solved: with a `refinement`, the refined one. `cool` has the entries of the second
+    `scene` has the grid that was solved: with a `refinement`, the refined one. `cool` has the entries of the cool
     commands (`grid.cool_share`), speed by speed; none where the scene asks for none or a first one is refused.
     """
 
@@ -150,7 +150,7 @@ class Build:
 
     @property
     def refused(self) -> list[Entry]:
-        """Entries that stand in the way of a library; a second command only where all first ones are admitted."""
+        """Entries that stand in the way of a library; a cool command only where all first ones are admitted."""
         first = [entry for entry in self.all_entries() if not entry.admitted]
         return first or [entry for row in self.cool for entry in row if not entry.admitted]
 
@@ -230,7 +230,7 @@ def build_library(
 
 
 def _cool(context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions) -> list[list[Entry]]:
-    """Entries of the second commands; none where the scene asks for none, or a first one is refused."""
+    """Entries of the cool commands; none where the scene asks for none, or a first one is refused."""
     share = context.scene.grid.cool_share
     if share is None or not all(entry.admitted for row in entries for entry in row):
         return []
@@ -251,7 +251,7 @@ def assemble(
     refinement: Refinement | None = None,
     cool: Sequence[Sequence[Entry]] = (),
 ) -> Library:
-    """The library of admitted entries, speeds outermost, with those of the second commands where there are any.
+    """The library of admitted entries, speeds outermost, with those of the cool commands where there are any.
 
     Everything that it states of a nonlinear plant's problem is of the plant as it is at rest; what the commands do,
     and the errors of the other methods, are of the nonlinear plant.

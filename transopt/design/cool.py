@@ -1,4 +1,4 @@
-"""The second command of an entry: the optimum at a stated share of the first one's heat, found by a price on heat.
+"""The cool command of an entry: the optimum at a stated share of the first one's heat, found by a price on heat.
 
 J + price sum i^2 is convex, and its minimiser is the best tap of all those with no more heat than it makes itself:
 for any admissible command with as little heat J is no smaller, up to the certified gap. The heat falls as the price

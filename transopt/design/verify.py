@@ -44,7 +44,7 @@ def verify_library(library: Library, progress: Callable[[int], None] = lambda do
 
     Returns
     -------
-    Entries made again, speeds outermost, and behind them those of the second commands; one is clean where
+    Entries made again, speeds outermost, and behind them those of the cool commands; one is clean where
     `shortfalls` is empty.
 
     Raises

@@ -98,15 +98,15 @@ def c_header(library: Library) -> str:
 
 
 def _second(library: Library) -> list[str]:
-    """Scale, table and function of the second commands; none where the library has none."""
+    """Scale, table and function of the cool commands; none where the library has none."""
     if library.cool is None:
         return []
     counts, scale_A = _quantise(library.cool.transient_command)
     function = FUNCTION
     for name in ("transopt_command", "transopt_counts", "TRANSOPT_SCALE_A"):
         function = function.replace(name, name.replace("transopt_", "transopt_cool_").replace("OPT_S", "OPT_COOL_S"))
-    function = function.replace("Transient command", "Second transient command, with less heat,")
-    scale = f"#define TRANSOPT_COOL_SCALE_A {literal(scale_A)} /* amperes per count of the second commands */\n"
+    function = function.replace("Transient command", "Cool command command, with less heat,")
+    scale = f"#define TRANSOPT_COOL_SCALE_A {literal(scale_A)} /* amperes per count of the cool commands */\n"
     return [scale, _waveforms(counts, "cool_"), function]
 
 

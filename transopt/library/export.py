@@ -109,7 +109,7 @@ def csv_file(library: Library) -> bytes:
 
 
 def _second_columns(cool: Library) -> dict[str, FloatArray]:
-    """Columns of the second commands, with less heat."""
+    """Columns of the cool commands, with less heat."""
     return {
         "cool_command_A": cool.command,
         "cool_transient_command_A": cool.transient_command,

@@ -167,7 +167,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     has_cool = "cool" in meta
     if has_cool is not (scene.grid.cool_share is not None):
         raise InputError(f"{path}: meta.cool does not go with its scene's grid.cool_share; solve the scene again")
-    # The second commands first, which need what they share with the first ones.
+    # The cool commands first, which need what they share with the first ones.
     files = [(COOL, {**meta, "left_out": _left_out_of(path, meta["cool"])})] if has_cool else []
     files.append(("", meta))
     optional = {prefix: absent(ARRAYS, stated(scene, own)) for prefix, own in files}

@@ -49,7 +49,7 @@ NONLINEAR_CLAIM = (
     "nonlinear plant: each command is a certified stationary point, replayed on that plant; no bound says that there "
     "is no better one, and floor is of the plant as it is at rest"
 )
-COOL = "cool_"  # before the name of an array in the file: it is of the second commands
+COOL = "cool_"  # before the name of an array in the file: it is of the cool commands
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Library(Held):
     stationary point and no proven optimum: its `lower_bound` is 0, below which no J is. `floor` is that of the plant
     at rest.
 
-    `cool` is the library of the second commands, one of every node with less heat (`grid.cool_share`), and None where
+    `cool` is the library of the cool commands, one of every node with less heat (`grid.cool_share`), and None where
     the scene asks for none. It shares everything that is not of a command; in the file its own arrays have `cool_`
     before their names.
     """
@@ -92,7 +92,7 @@ class Library(Held):
         return cls(**named, multipliers_of=multipliers, meta=meta, cool=None)
 
     def with_cool(self, arrays: Mapping[str, NDArray[Any]]) -> "Library":
-        """This library with second commands, from the arrays of their entries by the names of the first ones'."""
+        """This library with cool commands, from the arrays of their entries by the names of the first ones'."""
         shared = {name: self.array(name) for name in ARRAYS if not is_of_entries(name)}
         meta = {**self.meta, "left_out": self.meta["cool"]["left_out"]}
         return replace(self, cool=Library.of({**shared, **arrays}, meta))

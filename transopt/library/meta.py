@@ -67,7 +67,7 @@ META = {
     "derived.felt.b": Stated("numerator in 1/z"),
     "derived.felt.a": Stated("denominator in 1/z"),
     "left_out": _needed("part of the problem -> why it cannot matter, or a table of reasons by entry", whole=True),
-    "cool": Stated("`left_out` of the second commands", "the scene asks for none", whole=True),
+    "cool": Stated("`left_out` of the cool commands", "the scene asks for none", whole=True),
     "repeatability": _needed(
         "by speed and grip: error of single recordings about their mean; null where there is one", whole=True
     ),

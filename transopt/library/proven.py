@@ -82,7 +82,7 @@ def doubts(library: Library) -> Iterator[str]:
             for ig in range(library.grips_N.size):
                 yield from _of_grip(library, ig)
                 if library.cool is not None:
-                    yield from (f"second command of {said}" for said in _of_grip(library.cool, ig))
+                    yield from (f"cool command of {said}" for said in _of_grip(library.cool, ig))
     except (InputError, *BROKEN) as error:
         yield (
             f"it does not describe a problem ({error})"
@@ -371,7 +371,7 @@ def _targets(library: Library) -> Iterator[str]:
 
 
 def _heat_prices(library: Library) -> Iterator[str]:
-    """Prices on heat that are not the scene's, and second commands that are no cooler than the first."""
+    """Prices on heat that are not the scene's, and cool commands that are no cooler than the first."""
     stated, own = library.heat_price, library.posing().heat_price
     if not np.allclose(stated, own, rtol=SAME, atol=0):
         yield f"heat_price reaches {stated.max():.4g}, its scene says {own:.4g}"

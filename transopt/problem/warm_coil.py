@@ -87,16 +87,16 @@ class WarmCoil:
     def allowed(
         self, winding_C: float, housing_C: float, transient_A: float, cool_A: float, feedback_A: float, ticks: int
     ) -> tuple[float, float]:
-        """Scale, and part of the second transient in what is scaled, that keep the winding within `play_limit_C`.
+        """Scale, and part of the cool command in what is scaled, that keep the winding within `play_limit_C`.
 
         A coil that cannot take the first transient gets a blend of both whose norms add up to what it can take: the
         blend's own norm is no larger, and a convex combination of admissible commands is admissible. What cannot
-        take even the second gets it scaled; a scale below the least one is 0. Without a second transient of less
+        take even the cool one gets it scaled; a scale below the least one is 0. Without a cool command of less
         heat the first is scaled. This is the adaptive limit that the seed leaves as future work.
 
         Parameters
         ----------
-        cool_A : norm of the second transient, infinite without one; the others as in `rise`.
+        cool_A : norm of the cool command, infinite without one; the others as in `rise`.
         """
         left = self.play_limit_C - winding_C
         if self.rise(winding_C, housing_C, transient_A, feedback_A, ticks, 1.0) <= left:

@@ -266,13 +266,13 @@ def _spread_lines(build: Build) -> list[str]:
 
 
 def _cool_lines(build: Build) -> list[str]:
-    """The section on the second commands, with less heat; empty where there are none."""
+    """The section on the cool commands, with less heat; empty where there are none."""
     library = build.library
     if library is None or library.cool is None:
         return []
     shown = library.cool.table((*FIGURES, "peak", "binding"))
     said = cool_summary(library)
-    return ["", "## Second commands", "", *table(shown.heads, shown.cells), f"{said[0].upper()}{said[1:]}."]
+    return ["", "## Cool commands", "", *table(shown.heads, shown.cells), f"{said[0].upper()}{said[1:]}."]
 
 
 def build_markdown(build: Build, *, full: bool = True) -> str:

@@ -162,17 +162,17 @@ def warnings(build: Build) -> list[str]:
 
 
 def cool_summary(library: Library) -> str:
-    """One line on the second commands, with less heat; empty where a library has none."""
+    """One line on the cool commands, with less heat; empty where a library has none."""
     cool = library.cool
     if cool is None:
         return ""
     warm = library.heat_A2_s > 0
     if not warm.any():
-        return "second commands: nothing heats the coil"
+        return "cool commands: nothing heats the coil"
     share = cool.heat_A2_s[warm] / library.heat_A2_s[warm]
     least, most = np.nanmin(cool.felt_dB), np.nanmax(cool.felt_dB)
     return (
-        f"second commands, for a warm coil: {_span(share)} % of the heat, tap error {_span(cool.tap_error)} %, "
+        f"cool commands, for a warm coil: {_span(share)} % of the heat, tap error {_span(cool.tap_error)} %, "
         f"felt error {_span(cool.felt_error)} %, felt {least:.2f} to {most:.2f} dB"
     )
 

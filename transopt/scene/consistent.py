@@ -43,7 +43,7 @@ def check(scene: "Scene") -> None:
         raise ValueError('model.nonlinear: only with weights.objective = "waveform"')
     if scene.grid.cool_share is not None and (scene.nonlinear or scene.weights.objective != "waveform"):
         raise ValueError(
-            "grid.cool_share: the second command is the optimum of a linear plant's waveform: leave it out, or "
+            "grid.cool_share: the cool command is the optimum of a linear plant's waveform: leave it out, or "
             'model.nonlinear and weights.objective = "intensity"'
         )
     if scene.nonlinear and scene.robust is not None:

@@ -51,7 +51,7 @@ def _nobody() -> list[float]:
 class Grid(Section):
     """Nodes of the library: no speeds where there are named targets, grip 0 alone where nobody holds the device.
 
-    With `cool_share` each node has a second command, the best that makes no more than this share of the first one's
+    With `cool_share` each node has a cool command, the best that makes no more than this share of the first one's
     heat. A device whose coil is warm blends towards it in place of playing a weaker first one.
 
     Attributes
@@ -59,7 +59,7 @@ class Grid(Section):
     speeds_m_s : incoming speeds of the taps, increasing.
     grips_N : grip forces, increasing; 0 alone is a device that nobody holds.
     grip_min_N : below this grip no transient is played.
-    cool_share : share of the heat that a second command for a warm coil may make.
+    cool_share : share of the heat that a cool command for a warm coil may make.
     """
 
     speeds_m_s: Annotated[list[Speed], Field(max_length=MOST_NODES)] = Field(default_factory=list)

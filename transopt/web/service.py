@@ -155,7 +155,7 @@ class Service:
 
     @property
     def windings_C(self) -> tuple[float, float] | None:
-        """Ambient, and what a transient may bring the winding to; None where the scene has no second commands."""
+        """Ambient, and what a transient may bring the winding to; None where the scene has no cool commands."""
         coil = self._guarded
         if coil is None or self.scene.grid.cool_share is None:
             return None
@@ -194,7 +194,7 @@ class Service:
         scene = self.scene if wanted == self.changes else with_values(self.opened, wanted)
         self._check_probe(scene, probe)
         if winding_C is not None and (self.windings_C is None or not np.isfinite(winding_C)):
-            raise InputError(f"winding {winding_C:g} C: the scene has no second commands: state grid.cool_share")
+            raise InputError(f"winding {winding_C:g} C: the scene has no cool commands: state grid.cool_share")
         self.references(scene)
         self.scene, self.changes, self.probe, self.winding_C = scene, wanted, probe, winding_C
 

@@ -24,8 +24,8 @@ class Warm:
     ----------
     words : what is played.
     scale : of the blend; 0 where no transient is played.
-    cooled : part of the second command in the blend.
-    figures : how near it comes to the recorded tap; None where the second command is needed and not certified.
+    cooled : part of the cool command in the blend.
+    figures : how near it comes to the recorded tap; None where the cool command is needed and not certified.
     heat_A2_ms : integral of the squared current.
     """
 
@@ -41,12 +41,12 @@ def on_warm_coil(
 ) -> tuple[Warm, FloatArray, FloatArray]:
     """A tap on a winding of some temperature, whose housing is no warmer; with it (N + M,) y'' and (N + M,) current.
 
-    The second command is solved only where the coil cannot take the first.
+    The cool command is solved only where the coil cannot take the first.
 
     Parameters
     ----------
     posed, first : the tap and its certified first command. coil : as the servo estimates it.
-    share : of the first command's heat that the second one may make.
+    share : of the first command's heat that the cool one may make.
     """
     problem = first.problem
     amplifier, dt_s, ticks = problem.stage.amplifier, problem.grid.dt_s, problem.grid.stages + 1
@@ -64,7 +64,7 @@ def on_warm_coil(
         (second,) = design([replace(posed, warmer=first.designed, cool_share=share)], options=options)
         if not second.certificate.accepted:
             unknown = np.full(problem.grid.stages + problem.grid.after_stages, np.nan)
-            said = f"its second command is not certified: {second.solution.status.value}"
+            said = f"its cool command is not certified: {second.solution.status.value}"
             return Warm(said, np.nan, np.nan, None, np.nan), unknown, unknown
         cool = second.transient_command
         feedback_A = max(feedback_A, beside(second))
@@ -83,7 +83,7 @@ def _words(scale: float, cooled: float) -> str:
     """What is played: whole, a blend, a scaled command, or nothing."""
     if scale <= 0:
         return "no transient"
-    of = "the first command" if cooled <= 0 else "the second command"
+    of = "the first command" if cooled <= 0 else "the cool command"
     if 0 < cooled < 1:
-        return f"{percent(1 - cooled)} % of the first command and {percent(cooled)} % of the second"
+        return f"{percent(1 - cooled)} % of the first command and {percent(cooled)} % of the cool command"
     return of if scale >= 1 else f"{of}, scaled to {percent(scale)} %"

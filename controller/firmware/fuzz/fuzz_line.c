@@ -229,7 +229,7 @@ void upload(uint8_t how, int changes)
             td_put_u16(at, (uint16_t)count);
         }
     }
-    /* The second waveforms last longer at a time, at the size of their scales. */
+    /* The cool commands last longer at a time, at the size of their scales. */
     for (k = 0; cool_bits != 0 && k < nodes; k++) {
         for (j = 0; j < samples; j++, at += cool_bits / 8) {
             const uint32_t count = j + 2 >= samples ? 0 : (j & 32u ? 0 - full : full);

@@ -20,7 +20,7 @@ size_t td_probe_decoder_size(void);
 void td_probe_start(td_probe *probe, uint32_t boot, const double *hardware, const double *heat_C, bool simulated);
 
 /* One period: what the sensors say in, `stops` bit 0 pressed and bit 1 late; command, transient, feedback, temperature out, and the
- * state; of each event its kind and four numbers: speed, grip, scale, part of the second waveform. */
+ * state; of each event its kind and four numbers: speed, grip, scale, part of the cool command. */
 uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, uint8_t stops,
                       const double *grip_current_acceleration, double *answer, uint8_t *events, double *contacts);
 

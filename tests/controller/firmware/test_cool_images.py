@@ -1,4 +1,4 @@
-"""Second waveforms, of less heat: what a device asks of them, and that it plays what the Python servo plays."""
+"""Cool commands, of less heat: what a device asks of them, and that it plays what the Python servo plays."""
 
 import math
 import struct
@@ -28,7 +28,7 @@ SAMPLES = 41
 BARE = Settings(DT_S, 3e-4, 4.0, AMPLIFIER)
 TABLE = cooled(smooth_bank(samples=SAMPLES, peak_A=3.0))
 IMAGES = {bits: image_of(TABLE, DT_S, 3e-4, TAIL, cool_bits=bits, amplifier=AMPLIFIER) for bits in (0, 8, 16)}
-SCALES = HEADER.size + 8 * (2 + 2 + 4)  # where the first scale of a second waveform stands
+SCALES = HEADER.size + 8 * (2 + 2 + 4)  # where the first scale of a cool command stands
 
 
 def headed(image: bytes, **values: float) -> bytes:
@@ -42,7 +42,7 @@ def scaled(image: bytes, node: int, scale_A: float) -> bytes:
 
 
 def counted(image: bytes, bits: int, sample: int, count: int) -> bytes:
-    """An image with another count of its last waveform, which is a second one."""
+    """An image with another count of its last waveform, which is a cool one."""
     at = len(image) + (sample - SAMPLES) * bits // 8
     return image[:at] + struct.pack("<b" if bits == 8 else "<h", count) + image[at + bits // 8 :]
 
@@ -85,14 +85,14 @@ def test_forged_ones_are_refused_by_name(device: Talker, bits: int) -> None:
         assert reason(device, damaged) is Reason.BAD_FORMAT
     for sizes in ({"samples": 2**32 - 1}, {"speeds": 65535, "grips": 65535}, {"samples": 2**31, "speeds": 65535}):
         assert reason(device, headed(image, **sizes)) is Reason.BAD_FORMAT
-    # A large count of the first waveforms makes no room for the second ones.
+    # A large count of the first waveforms makes no room for the cool ones.
     silent = replace(TABLE, command_A=np.zeros_like(TABLE.command_A))
     loud = image_of(silent, DT_S, 3e-4, TAIL, cool_bits=bits)
     assert reason(device, headed(scaled(loud, 0, 9.0 / full), scale_A=1e3)) is Reason.OVER_LIMIT
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_a_long_second_current_is_refused_though_its_command_is_not(device: Talker, bits: int) -> None:
+def test_a_long_cool_current_is_refused_though_its_command_is_not(device: Talker, bits: int) -> None:
     command = np.zeros_like(TABLE.command_A)
     command[..., :20] = 4.5
     image = image_of(replace(TABLE, cool_command_A=command), DT_S, 3e-4, TAIL, cool_bits=bits)
@@ -126,7 +126,7 @@ def test_room_is_counted_in_samples_of_16_bit() -> None:
         words = too_large(IMAGES[bits], Capacity(samples=taken - 1))
         assert words is not None
         if bits:
-            assert f"second waveforms of {bits} bit are {taken} samples" in words
+            assert f"cool commands of {bits} bit are {taken} samples" in words
 
 
 @pytest.mark.parametrize(("bits", "samples"), [(8, 40), (16, 30)])

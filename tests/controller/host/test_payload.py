@@ -1,4 +1,4 @@
-"""What a device of a small memory is given of a library with second waveforms."""
+"""What a device of a small memory is given of a library with cool commands."""
 
 from dataclasses import replace
 

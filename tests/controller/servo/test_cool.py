@@ -1,4 +1,4 @@
-"""A hot coil's second transient: what the guard allows, and that no blend passes a limit or the predicted heat."""
+"""A hot coil's cool command: what the guard allows, and that no blend passes a limit or the predicted heat."""
 
 import math
 from dataclasses import replace

@@ -78,5 +78,5 @@ def test_a_coil_with_room_plays_the_optimum_and_one_without_nothing(shown: tuple
 def test_without_second_commands_no_coil_is_warm() -> None:
     service = Service(to.with_values(problems.load("wood_on_foam"), {**ONE, "grid.cool_share": None}))
     assert service.windings_C is None
-    with pytest.raises(InputError, match=r"no second commands: state grid\.cool_share"):
+    with pytest.raises(InputError, match=r"no cool commands: state grid\.cool_share"):
         service.change({}, winding_C=90.0)

@@ -1,4 +1,4 @@
-"""A hot coil on a simulated device: its taps are blends with the library's second commands, as predicted."""
+"""A hot coil on a simulated device: its taps are blends with the library's cool commands, as predicted."""
 
 from dataclasses import replace
 
@@ -75,5 +75,5 @@ def test_methods_that_blend_the_library_carry_its_second_commands(cooled: Librar
 
 
 def test_a_blend_is_predicted_only_of_a_library_that_has_one(cooled: Library) -> None:
-    with pytest.raises(InputError, match="no second commands"):
+    with pytest.raises(InputError, match="no cool commands"):
         predict(replace(cooled, cool=None), SPEED_M_S, GRIP_N, 1.0, 1.0, 0.5)

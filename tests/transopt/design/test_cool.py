@@ -1,4 +1,4 @@
-"""Second commands with less heat: what they are worth beside an independent program, and how a library keeps them."""
+"""Cool commands with less heat: what they are worth beside an independent program, and how a library keeps them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -114,8 +114,8 @@ class TestLibrary:
     @pytest.mark.parametrize(
         ("changed", "said"),
         [
-            (lambda own: {"command": 1.001 * own.command}, "second command of entry 0.2 m/s, 1 N"),
-            (lambda own: {"heat_price": 0.9 * own.heat_price}, "second command of entry 0.2 m/s, 1 N"),
+            (lambda own: {"command": 1.001 * own.command}, "cool command of entry 0.2 m/s, 1 N"),
+            (lambda own: {"heat_price": 0.9 * own.heat_price}, "cool command of entry 0.2 m/s, 1 N"),
             (lambda own: {"felt_error": 0.5 * own.felt_error}, "felt_error says"),
             (lambda own: {"heat_A2_s": 3 * own.heat_A2_s}, "cool_heat_A2_s is above"),
             (lambda own: {"heat_price": -own.heat_price}, "cool_heat_price falls to"),
@@ -130,7 +130,7 @@ class TestLibrary:
     def test_a_first_command_may_not_have_another_price_than_its_scene(self, cooled: Library) -> None:
         warm = replace(cooled, heat_price=cooled.heat_price + 1e-5)
         assert "heat_price reaches" in next(doubts(warm))
-        # Nor may the second command stand in for the first.
+        # Nor may the cool command stand in for the first.
         assert any("heat_price reaches" in said for said in doubts(replace(cool(cooled), cool=None)))
 
     def test_both_follow_a_correction(self, cooled: Library, tmp_path: Path) -> None:

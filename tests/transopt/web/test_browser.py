@@ -116,7 +116,7 @@ def test_what_is_drawn_is_the_library_of_the_scene(window: Window, address: str,
         assert row.locator("td.state").inner_text() == "replayed"
         drawn = window.state(f"frame.taps[{iv}].input")
         assert drawn[: library.plant_input.shape[-1]] == pytest.approx(library.plant_input[iv, 0], abs=1e-4)
-    playwright.expect(window.see("#warmed")).to_be_hidden()  # the scene has no second commands
+    playwright.expect(window.see("#warmed")).to_be_hidden()  # the scene has no cool commands
     percent = COLUMNS["tap"].show(float(library.tap_error[1, 0]))
     assert window.see("#cells .came").nth(1).inner_text() == f"{percent} % *"
     assert f"tap error {percent} %, " in window.see("#selected").inner_text()
@@ -322,12 +322,12 @@ def test_a_warm_coil_is_played_beside_the_optimum(browser: Any, small: Scene) ->
         playwright.expect(window.see("#key .warm")).to_be_hidden()
         window.see("#warm").check()
         playwright.expect(window.see("#key .warm")).to_be_visible()
-        window.says("#selected", "of the second: tap error")
+        window.says("#selected", "of the cool command: tap error")
         window.rests()
         assert window.state("frame.taps[1].warm_input.length") == window.state("frame.taps[1].input.length")
         part = window.state("frame.taps[1].warm.cooled")
         assert 0 < part < 1
-        window.says("#selected", f"{100 * part:.1f} % of the second: tap error")
+        window.says("#selected", f"{100 * part:.1f} % of the cool command: tap error")
         played = window.state("frame.taps[1].warm.figures.tap_error")
         assert window.see("#table tbody tr").nth(1).locator("td.warm").inner_text() == f"{100 * played:.1f}"
         assert window.state("frame.taps[1].warm.heat_A2_ms") < window.state("frame.taps[1].heat_A2_ms")

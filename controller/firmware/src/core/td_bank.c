@@ -112,7 +112,7 @@ static interval find(const td_wide *nodes, int32_t count, td_wide value, bool ne
     return found;
 }
 
-/* The second waveform for the same place, if there is one. */
+/* The cool command for the same place, if there is one. */
 static void cooler(const td_bank *bank, const td_wide *w, const int32_t *node, td_play *play)
 {
     const size_t bytes = bank->cool_bits / 8;

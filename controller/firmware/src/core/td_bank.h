@@ -20,22 +20,22 @@ typedef struct {
     td_wide transient_A[TD_MAX_SPEEDS * TD_MAX_GRIPS];      /* (speeds, grips) scale_A sqrt(sum count^2) */
     const uint8_t *feedback_A;                              /* (speeds, grips) norms, float64 */
     const uint8_t *counts;                                  /* (speeds, grips, samples) int16 */
-    uint32_t cool_bits; /* of a count of the second waveforms, which make less heat: 8 or 16, 0 without them */
+    uint32_t cool_bits; /* of a count of the cool commands, which make less heat: 8 or 16, 0 without them */
     td_wide cool_A[TD_MAX_SPEEDS * TD_MAX_GRIPS];           /* their norms; what follows is set where cool_bits is */
     const uint8_t *cool_scale_A;                            /* (speeds, grips) float64 */
     const uint8_t *cool_counts;                             /* (speeds, grips, samples) int8 or int16 */
     td_wide peak_A; /* the largest command of any, set by td_check_image */
 } td_bank;
 
-/* What is played at one contact: four corners and their weights, of the first waveforms and of the second. */
+/* What is played at one contact: four corners and their weights, of the first commands and of the cool ones. */
 typedef struct {
     bool silent; /* nothing may be played, for want of speed or grip; the rest is then not set */
     bool out_of_grid;
     td_real weight[4];
     const uint8_t *corner[4];
     td_wide transient_A, feedback_A; /* bounds on the norms of the currents, for td_guard_allowed */
-    td_wide cool_A;                  /* of the second waveform, infinite without one */
-    td_real cooled;                  /* part of the second waveform in what is played, 0 until somebody says otherwise */
+    td_wide cool_A;                  /* of the cool command, infinite without one */
+    td_real cooled;                  /* part of the cool command in what is played, 0 until somebody says otherwise */
     td_real cool_scale_A[4];
     const uint8_t *cool_corner[4];
 } td_play;

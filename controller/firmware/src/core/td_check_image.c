@@ -64,8 +64,8 @@ static bool is_axis(const td_wide *nodes, int32_t count)
     return true;
 }
 
-/* The feedback's norms, which are the host's word and serve the prediction of heat alone, and the scales of the second
- * waveforms: finite in the core's own precision too, none negative. */
+/* The feedback's norms, which are the host's word and serve the prediction of heat alone, and the scales of the cool
+ * commands: finite in the core's own precision too, none negative. */
 static bool are_sizes(const td_bank *bank)
 {
     const int32_t nodes = bank->speeds * bank->grips;
@@ -125,8 +125,8 @@ static td_refusal check_peaks(const reach *found, const td_config *config, doubl
     return td_granted;
 }
 
-/* Every waveform, first and second: that it ends in zeros and keeps the limits from rest. The room for rounding is one
- * count, the finer one for the second: those are rounded towards zero. */
+/* Every waveform, first and cool: that it ends in zeros and keeps the limits from rest. The room for rounding is one
+ * count, the finer one for the cool ones: those are rounded towards zero. */
 static td_refusal check_waveforms(td_bank *bank, const td_config *config, double scale_A, uint32_t tail)
 {
     const size_t samples = (size_t)bank->samples;

@@ -22,11 +22,11 @@ bool td_guard_too_hot(const td_guard *guard, const td_coil *coil);
 /* What keeps the winding at or below the play limit. */
 typedef struct {
     td_wide scale;  /* of what is played, 0 if it is withheld */
-    td_wide cooled; /* part of the second transient in it, 0 to 1 */
+    td_wide cooled; /* part of the cool command in it, 0 to 1 */
 } td_allowed;
 
-/* All of the first transient, else a blend with the second whose norms add up to what the coil can take, else the second
- * scaled, or nothing below the least scale; without a second one of less heat the first is scaled.
+/* All of the first command, else a blend with the cool one whose norms add up to what the coil can take, else the cool
+ * one scaled, or nothing below the least scale; without a cool one of less heat the first is scaled.
  * `transient_A`, `cool_A` (infinite without), `feedback_A`: norms sqrt(sum i^2) over the `ticks` servo periods that a
  * transient takes; their root comes from the caller, since a square root in software costs more than all the rest at a
  * contact. */

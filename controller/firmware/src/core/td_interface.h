@@ -28,7 +28,7 @@ typedef struct {
 } td_readings;
 
 /* Something that happened at a tick; speed and grip where a contact is meant, else NaN. With SCALED_FOR_HEAT how much of
- * the blend is played, and the second waveform's part in it, else NaN. */
+ * the blend is played, and the cool command's part in it, else NaN. */
 typedef struct {
     uint64_t tick;
     uint8_t what; /* TD_WHAT_... */

@@ -168,7 +168,7 @@ enum {
     TD_IMAGE_LEAD_S = 32, TD_IMAGE_SCALE_A = 40, TD_IMAGE_GRIP_MIN_N = 48, TD_IMAGE_BYTES = 56,
 };
 
-/* Image of a library: header; speeds, grips, feedback norms, scales of second waveforms f64; counts. */
+/* Image of a library: header; speeds, grips, feedback norms, scales of cool commands f64; counts. */
 #define TD_IMAGE_MAGIC_VALUE 0x4D494E54u
 #define TD_IMAGE_VERSION_VALUE 3
 #define TD_IMAGE_BY_GRIP 1 /* flag */
