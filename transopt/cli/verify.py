@@ -18,24 +18,23 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
     from transopt.base.errors import InputError
     from transopt.design.verify import verify_library
     from transopt.library.file import BROKEN, load_library
-    from transopt.library.proven import misstatements
+    from transopt.library.statements import misstatements
     from transopt.report.tables import verify_table
 
     loaded = load_library(library)
     try:
         with terminal.progress() as bar:
-            entries = loaded.axes.entries * (1 if loaded.cool is None else 2)
-            task = bar.add_task("entries", total=entries)
+            task = bar.add_task("entries", total=loaded.axes.entries * (1 if loaded.cool is None else 2))
             checks = verify_library(loaded, lambda done: bar.advance(task, done))
         with np.errstate(all="ignore"):  # what overflows is found as not finite, and said
             misstated = list(misstatements(loaded))
     except BROKEN:
         raise InputError(f"{library}: does not describe a problem; solve the scene again") from None
     console = terminal.console()
-    first = checks if loaded.cool is None else checks[: len(checks) // 2]
+    first, cool = checks[: loaded.axes.entries], checks[loaded.axes.entries :]
     console.print(verify_table(first, str(library)))
-    if len(checks) > len(first):
-        console.print(verify_table(checks[len(first) :], "cool commands, for a warm coil"))
+    if cool:
+        console.print(verify_table(cool, "cool commands, for a warm coil"))
     failed = sum(bool(check.shortfalls) for check in checks)
     for said in misstated:
         console.print(f"{library}: {said}", style="red", highlight=False, soft_wrap=True)

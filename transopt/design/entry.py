@@ -16,17 +16,18 @@ from transopt.design.batch import Baselines, Batch
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.price import Price, binding, prices
+from transopt.library.answered import Answered
 from transopt.library.columns import COLUMNS, NAN, PAIR, EntryTable
 from transopt.library.multipliers import ARRAYS
 from transopt.plant.discretise import acting_states
-from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
+from transopt.problem.answer import Multipliers, Status, verdict
 from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
-from transopt.proof.certify import Box, binding_limits, boxes
+from transopt.proof.certify import Box, boxes
 from transopt.proof.designed import Attained, Designed
 from transopt.proof.replay import Replay
 from transopt.solvers import unlimited
@@ -62,7 +63,7 @@ class SpreadErrors:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Entry:
+class Entry(Answered):
     """One (speed, grip) or named target of a scene, and everything that is said about it.
 
     What is said is made when it is first read and then kept: the replay with those of the other answers of the same
@@ -97,21 +98,6 @@ class Entry:
         vars(found).update({name: value for name, value in made.items() if name not in named})
         return found
 
-    @property
-    def problem(self) -> TransientProblem:
-        """Problem with every limit of the scene; of a nonlinear plant that of the plant at rest."""
-        return self.designed.problem
-
-    @property
-    def solution(self) -> Solution:
-        """Command (N,) and multipliers."""
-        return self.designed.solution
-
-    @property
-    def certificate(self) -> Certificate:
-        """Proof of the answer."""
-        return self.designed.certificate
-
     @cached_property
     def played(self) -> Replay:
         """The command in continuous time."""
@@ -121,21 +107,6 @@ class Entry:
     def baselines(self) -> Baselines:
         """Errors of the two other methods."""
         return self.batch.rivals[self.index]
-
-    @property
-    def predicted_m_s2(self) -> FloatArray:
-        """(N,) y'' of the command at the switching instants."""
-        return self.designed.effect.motion.acceleration_m_s2
-
-    @property
-    def plant_input(self) -> FloatArray:
-        """(N,) what drives the plant there [A or V]."""
-        return self.designed.effect.motion.plant_input
-
-    @cached_property
-    def transient_command(self) -> FloatArray:
-        """(N,) the command without the wall's predicted feedback; the command itself without a wall."""
-        return self.problem.transient_command(self.solution.command)
 
     @cached_property
     def told(self) -> Target:
@@ -178,14 +149,6 @@ class Entry:
         return self.status in ADMITTED
 
     @cached_property
-    def binding(self) -> str:
-        """The limits that bind, and when; empty where the command is not finite."""
-        command, effect = self.solution.command, self.designed.effect
-        if not np.isfinite(command).all():
-            return ""
-        return binding_limits(self.problem, command, self.solution.multipliers, effect=effect)
-
-    @cached_property
     def prices(self) -> list[Price]:
         """What each limit that binds costs, the dearest first; each is two to four optima more."""
         designed = self.designed
@@ -216,12 +179,6 @@ class Entry:
         """What would do for a refused entry, or what was tried; empty unless a build has looked for it."""
         return ()
 
-    @property
-    def linear_command(self) -> FloatArray | None:
-        """(N,) the command of the design for the plant at rest, beside that for a nonlinear plant."""
-        linear = self.designed.linear
-        return None if linear is None else np.nan_to_num(linear.solution.command)
-
     @cached_property
     def linear_played(self) -> Replay | None:
         """Replay of `linear_command` on the nonlinear plant."""
@@ -233,13 +190,6 @@ class Entry:
         played = self.linear_played
         error = NAN if played is None else played.figures.tap_error
         return error if np.isfinite(error) else NAN
-
-    @cached_property
-    def linear_promised(self) -> float:
-        """Tap error that the plant at rest would have under that command; NaN for a linear plant."""
-        if self.linear_command is None:
-            return NAN
-        return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(self.linear_command)[0])
 
     @cached_property
     def linear_leaves(self) -> list[str]:
@@ -313,11 +263,6 @@ class Entry:
         """Why it is refused, in the words of its status; empty for an entry that is admitted."""
         return "" if self.admitted else self.status.value
 
-    @property
-    def unit(self) -> str:
-        """Unit of the commands: "A" or "V"."""
-        return self.problem.driven_by.unit
-
     def _repr_html_(self) -> str:
         """Table, a row for each column, and figure in a notebook."""
         names = ("tap", "floor", "felt", "felt_dB", "speed", "bump", "heat", "peak", "gap", "binding", "verdict")
@@ -344,21 +289,6 @@ class Entry:
     def figures(self) -> Figures:
         """How near the played tap comes to the recorded one."""
         return self.played.figures
-
-    @cached_property
-    def heat_A2_s(self) -> float:
-        """Integral of i^2 through the window and after it [A^2 s]; NaN where a voltage drives the plant."""
-        if self.unit != "A":
-            return NAN
-        current = self.designed.effect.lasting.plant_input
-        return self.problem.grid.dt_s * float(current @ current)
-
-    @property
-    def energy_dB(self) -> float:
-        """Energy of y'' over that of r within the window, as the error filter hears it [dB]; 0 where r is zero."""
-        if self.problem.reference_is_zero:
-            return 0.0
-        return self.problem.tracking.energy_dB(self.problem.accelerations(self.solution.command))
 
     @property
     def slopes(self) -> dict[str, float]:

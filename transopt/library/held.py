@@ -61,7 +61,7 @@ class Held:
             "vgM",
             "m/s^2",
             "y'' after the last command, as predicted",
-            made=lambda entry: entry.designed.effect.lasting.acceleration_m_s2[entry.problem.grid.stages :],
+            made=lambda entry: entry.after_m_s2,
             replayed=True,
         ),
     ]
@@ -206,7 +206,7 @@ class Held:
             "vg",
             "",
             "|y'' + a_free - r| after the last command, relative to the target in the window",
-            made=lambda entry: entry.played.figures.error_after,
+            made=lambda entry: entry.figures.error_after,
             replayed=True,
         ),
     ]
@@ -262,7 +262,8 @@ class Held:
             "",
             "of that command on the plant as it is at rest",
             needs="nonlinear",
-            made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_promised,
+            made=lambda entry: 0.0 if entry.linear_command is None else entry.linear_promised,
+            replayed=True,
         ),
     ]
     tap_error_linear: Annotated[
@@ -273,7 +274,8 @@ class Held:
             "of that command on the nonlinear plant after replay",
             may_be_nan=True,
             needs="nonlinear",
-            made=lambda entry: 0.0 if entry.linear_played is None else entry.linear_tap_error,
+            made=lambda entry: 0.0 if entry.linear_command is None else entry.linear_tap_error,
+            replayed=True,
         ),
     ]
     instants_within: Annotated[

@@ -199,17 +199,33 @@ class Certificate:
     @property
     def is_stationary(self) -> bool:
         """Feasible, and no better nearby: all but the rigorous bound where the temperature binds."""
+        return self.finite and self._inside and self.relative_gap <= self.GAP_TOLERANCE
+
+    @property
+    def _inside(self) -> bool:
         # Written so that a NaN anywhere rejects.
-        return (
-            self.finite
-            and all(by <= self.VIOLATION_TOLERANCE for by in self.violations.values())
-            and self.excess <= 1
-            and self.relative_gap <= self.GAP_TOLERANCE
-        )
+        return self.excess <= 1 and all(by <= self.VIOLATION_TOLERANCE for by in self.violations.values())
 
     @property
     def accepted(self) -> bool:
         return self.is_stationary and -self.GAP_TOLERANCE <= self.relative_bound <= self.BOUND_TOLERANCE
+
+    @property
+    def shortfall(self) -> str:
+        """What it lacks of an optimum's, in a phrase; empty where it is accepted."""
+        if self.accepted:
+            return ""
+        if not self.finite:
+            return "not certified: its numbers do not stay finite"
+        if not self._inside:
+            over = ", ".join(f"{by:.3g} {unit}" for unit, by in self.stated_violations.items() if not by <= 0)
+            return f"not certified: a limit is exceeded by {over}"
+        if not self.is_stationary:
+            said, most = f"{self.relative_gap:.1e} above the optimum", f"{self.GAP_TOLERANCE:.0e}"
+            return f"not certified: no stationary point, may lie {said}, limit {most}"
+        if self.relative_bound > self.BOUND_TOLERANCE:
+            return f"J lies {self.relative_bound:.1%} above the convex lower bound, limit {self.BOUND_TOLERANCE:.0%}"
+        return f"not certified: its lower bound {self.lower_bound:.8g} lies above it, at {self.merit:.8g}"
 
 
 def held_back(tap_error: float, floor: float, binding: str) -> list[str]:

@@ -11,7 +11,7 @@ from scipy import io
 import transopt as to
 from tests.benches.actuators import file_scene, lra_scene, ten_states
 from transopt.base.errors import InputError
-from transopt.library.proven import misstatements
+from transopt.library.statements import misstatements
 from transopt.plant.state_space import Output, StateSpace
 from transopt.scene.builtin import load_scene
 from transopt.scene.file import with_plant

@@ -1,0 +1,205 @@
+"""An answer as its command and its model alone have it, and the answers that a library file holds."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.library.library import Library
+from transopt.library.nonlinear import as_on_linear, nonlinear_problem
+from transopt.plant.discretise import StageModel
+from transopt.plant.nonlinear import NonlinearCoil
+from transopt.problem.answer import Certificate, Multipliers, Solution, Status
+from transopt.problem.objective.figures import Figures
+from transopt.problem.objective.target import Target
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import Effect, binding_limits, certify
+from transopt.proof.designed import Designed
+from transopt.proof.nonlinear import certify_nonlinear
+
+NAN = float("nan")
+
+
+class Answered:
+    """What is said of an answer by its command and its model, whether or not it was replayed.
+
+    Attributes
+    ----------
+    designed : the answer with its proof.
+    """
+
+    designed: Designed
+
+    @property
+    def told(self) -> Target:
+        """Target against which errors are told."""
+        return self.problem.target
+
+    @property
+    def problem(self) -> TransientProblem:
+        """Problem with every limit of the scene; of a nonlinear plant that of the plant at rest."""
+        return self.designed.problem
+
+    @property
+    def solution(self) -> Solution:
+        """Command (N,) and multipliers."""
+        return self.designed.solution
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof of the answer."""
+        return self.designed.certificate
+
+    @property
+    def unit(self) -> str:
+        """Unit of the commands: "A" or "V"."""
+        return self.problem.driven_by.unit
+
+    @property
+    def predicted_m_s2(self) -> FloatArray:
+        """(N,) y'' of the command at the switching instants."""
+        return self.designed.effect.motion.acceleration_m_s2
+
+    @property
+    def after_m_s2(self) -> FloatArray:
+        """(M,) y'' after the last command."""
+        return self.designed.effect.lasting.acceleration_m_s2[self.problem.grid.stages :]
+
+    @property
+    def plant_input(self) -> FloatArray:
+        """(N,) what drives the plant there [A or V]."""
+        return self.designed.effect.motion.plant_input
+
+    @cached_property
+    def transient_command(self) -> FloatArray:
+        """(N,) the command without the wall's predicted feedback; the command itself without a wall."""
+        return self.problem.transient_command(self.solution.command)
+
+    @cached_property
+    def binding(self) -> str:
+        """The limits that bind, and when; empty where the command is not finite."""
+        command, effect = self.solution.command, self.designed.effect
+        if not np.isfinite(command).all():
+            return ""
+        return binding_limits(self.problem, command, self.solution.multipliers, effect=effect)
+
+    @cached_property
+    def heat_A2_s(self) -> float:
+        """Integral of i^2 through the window and after it [A^2 s]; NaN where a voltage drives the plant."""
+        if self.unit != "A":
+            return NAN
+        current = self.designed.effect.lasting.plant_input
+        return self.problem.grid.dt_s * float(current @ current)
+
+    @property
+    def energy_dB(self) -> float:
+        """Energy of y'' over that of r within the window, as the error filter hears it [dB]; 0 where r is zero."""
+        if self.problem.reference_is_zero:
+            return 0.0
+        return self.problem.tracking.energy_dB(self.problem.accelerations(self.solution.command))
+
+    @property
+    def linear_command(self) -> FloatArray | None:
+        """(N,) the command of the design for the plant at rest, beside that for a nonlinear plant."""
+        linear = self.designed.linear
+        return None if linear is None else np.nan_to_num(linear.solution.command)
+
+    @cached_property
+    def linear_promised(self) -> float:
+        """Tap error that the plant at rest would have under that command; NaN for a linear plant."""
+        if self.linear_command is None:
+            return NAN
+        return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(self.linear_command)[0])
+
+
+class Stored(Answered):
+    """An answer as a library file states it, predicted by its stage and not replayed.
+
+    Parameters
+    ----------
+    told : target against which errors are told. objective : "waveform" or "intensity", as the scene asks.
+    """
+
+    def __init__(self, designed: Designed, told: Target, objective: str) -> None:
+        self.designed, self._told, self.objective = designed, told, objective
+
+    @property
+    def told(self) -> Target:
+        return self._told
+
+    @property
+    def floor(self) -> float:
+        """Tap error of the optimum without limits; NaN where it was not found."""
+        free = self.problem.stage.rollout(self.designed.unlimited_command)[0]
+        return self.problem.yardstick.tap_error(self.told, free)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """How near the predicted motion comes to the recorded tap."""
+        return self.problem.yardstick.figures(self.told, self.designed.effect.lasting.acceleration_m_s2)
+
+    @property
+    def linear_tap_error(self) -> float:
+        """Tap error of `linear_command` on the nonlinear plant; NaN without a finite motion."""
+        if self.designed.nonlinear is None or self.linear_command is None:
+            return NAN
+        return self.designed.nonlinear.figures(self.linear_command).tap_error
+
+
+Prove = Callable[[Effect, Multipliers], Certificate]
+Free = Callable[[TransientProblem], FloatArray | None]
+
+
+def answer_of(
+    library: Library,
+    iv: int,
+    ig: int,
+    stage: StageModel,
+    plant: NonlinearCoil | None,
+    prove: Prove,
+    unlimited: Free,
+) -> Designed:
+    """The answer that an entry of a library states, proven anew.
+
+    Parameters
+    ----------
+    stage : of the grip. plant : the nonlinear one; None for a linear plant.
+    prove : certificate of a command and its multipliers in a linear problem.
+    unlimited : (N,) the optimum of a problem without limits; None where it cannot be had.
+    """
+    problem, command, multipliers = (
+        library.problem(iv, ig, stage),
+        library.command[iv, ig],
+        library.multipliers(iv, ig),
+    )
+    claimed = str(library.status[iv, ig])
+    accepted = Status.OPTIMAL if plant is None else Status.STATIONARY
+    status = Status.OPTIMAL if claimed == accepted.value else Status.NOT_CERTIFIED
+    answer = Solution(status, command, multipliers, "", claimed, 0, float(library.solve_time_s[iv, ig]))
+    free = np.zeros(problem.grid.stages)
+    if not problem.reference_is_zero:
+        found = unlimited(problem.without_intensity())
+        free = np.full_like(free, NAN) if found is None else found
+    with np.errstate(invalid="ignore"):
+        motion = problem.stage.motion(free)
+    floor = problem.yardstick.tap_error(problem.target, motion.acceleration_m_s2)
+    peak = float(np.abs(motion.plant_input).max())
+
+    def designed(answer: Solution, proof: Certificate, effect: Effect) -> Designed:
+        return Designed(problem, answer, proof, effect, free, floor, peak, {}, None, [])
+
+    if plant is None:
+        effect = Effect(problem, command)
+        return designed(answer, prove(effect, multipliers), effect)
+    nonlinear = nonlinear_problem(library, iv, ig, plant)
+    on_plant = nonlinear.effect(command)
+    proof = certify_nonlinear(nonlinear, command, multipliers, effect=on_plant)
+    # Below 0 no sum of squares is.
+    proof = replace(proof, lower_bound=0.0) if proof.finite else proof
+    # The file has no multipliers of the linear design, so that its certificate proves no more than its limits.
+    none, at_rest = Multipliers.zero(problem), Effect(problem, library.linear_command[iv, ig])
+    stated = Solution(Status.NOT_CERTIFIED, at_rest.command, none, "", "", 0, 0.0)
+    linear = designed(stated, certify(problem, at_rest.command, none, effect=at_rest), at_rest)
+    return replace(designed(answer, proof, as_on_linear(on_plant)), nonlinear=nonlinear, linear=linear)

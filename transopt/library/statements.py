@@ -1,0 +1,145 @@
+"""Whether a library states what follows from the scene and the recordings that it carries, all entries alike.
+
+Its plants, its nodes and the numbers in `meta.derived` are those of the scene, which alone states limits, weights and
+time axis; its targets and nominal motions follow from what was recorded.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from transopt.base.signals import FloatArray, integral
+from transopt.library.derived import derived
+from transopt.library.library import PLANT, Library
+from transopt.library.meta import heat_is_in
+from transopt.plant.discretise import TimeGrid
+from transopt.proof.certify import BINDING_MULTIPLIER
+
+SAME = 1e-6  # relative, between what a file states of its scene and what the scene it carries comes to
+MOTION = 1e-2  # relative, between a motion that was integrated in fine steps and in those of the file
+COOLER = 1e-4  # relative, by which a cool command's heat may lie above the first one's
+
+
+def misstatements(library: Library) -> Iterator[str]:
+    """Statements of a library that differ from the scene and the recordings it carries, all entries alike."""
+    yield from _against_scene(library)
+    yield from _targets(library)
+    yield from _nominal(library)
+    yield from _heat_prices(library)
+    for name, array in library.multipliers_of.items():
+        if (least := float(array.min())) < -BINDING_MULTIPLIER:
+            yield f"{name} reaches {least:.3g}: multipliers must be >= 0"
+
+
+def _against_scene(library: Library) -> Iterator[str]:
+    """Differences between the file's problem and the scene that it carries: limits, weights, time axis, plants."""
+    scene, at_rest = library.scene(), library.scene().at_rest()
+    problems = [library.problem(iv, 0) for iv in range(library.speeds_m_s.size)]
+    warm = heat_is_in(library.meta["left_out"])
+    own = derived(library.posing(), problems, warm=warm)
+    yield from _different("derived", library.meta["derived"], own)
+    if stray_targets := set(library.axes.targets) - set(scene.axes.targets):
+        yield f"targets: {min(stray_targets)} is no target of its scene"
+    for name, nodes in (("speeds_m_s", scene.axes.speeds_m_s), ("grips_N", scene.grid.grips_N)):
+        # A library may be a part of what its scene asked for.
+        stray = [node for node in getattr(library, name) if not np.isclose(node, nodes, rtol=SAME, atol=0).any()]
+        if stray:
+            yield f"{name}: {stray[0]:g} is no node of its scene"
+    for ig, grip in enumerate(library.grips_N):
+        plant = at_rest.plant(float(grip))
+        for name in PLANT:
+            stored, value = getattr(library, f"plant_{name}")[ig], getattr(plant, name)
+            if stored.shape != value.shape or not np.abs(stored - value).max() <= SAME * np.abs(value).max():
+                yield f"plant_{name} at {grip:g} N is not the device of its scene"
+        for name, output in library.plant(ig).outputs.items():
+            yield from _different(f"output {name} at {grip:g} N", output, plant.outputs.get(name))
+
+
+def _nominal(library: Library) -> Iterator[str]:
+    """Nominal motions that are not the integrals of a_free, from minus the speed and the surface on."""
+    grid, free, after = library.time_grid(), library.free_m_s2, library.free_after_m_s2
+    times = grid.switching_times_s
+    for iv, ig in np.ndindex(free.shape[:2]):
+        speed, where = float(library.speeds_m_s[iv]), library.axes.place(iv, ig)
+        velocity, position = library.nominal_velocity_m_s[iv, ig], library.nominal_position_m[iv, ig]
+        at_ticks = library.nominal_position_at_ticks_m[iv, ig]
+        for name, stated, integrated, size in (
+            ("nominal_velocity_m_s", velocity, _from_contact(times, free[iv, ig]) - speed, np.abs(velocity).max()),
+            ("nominal_position_m", position, _from_contact(times, velocity), np.abs(position).max()),
+            ("nominal_position_at_ticks_m", at_ticks + grid.delay_s * velocity, position, np.abs(position).max()),
+        ):
+            step = speed * grid.dt_s if name != "nominal_velocity_m_s" else 0.0
+            if not np.abs(stated - integrated).max() <= MOTION * size + step:
+                yield f"{name} at {where} is not the motion of a_free"
+        later = library.nominal_after_at_ticks_m[iv, ig]
+        onward = _onward(grid, velocity[-1], position[-1], np.append(free[iv, ig, -1], after[iv, ig]))
+        size = max(float(np.abs(position).max()), float(np.abs(onward).max(initial=0.0)))
+        if not np.abs(later - onward).max(initial=0.0) <= MOTION * size + speed * grid.dt_s:
+            yield f"nominal_after_at_ticks_m at {where} is not the motion of a_free"
+
+
+def _targets(library: Library) -> Iterator[str]:
+    """Targets that are not the recorded acceleration less the free one, with the correction of a refined library."""
+    for part, correction in (("before_", 0.0), ("", library.correction_m_s2), ("after_", 0.0)):
+        target, recorded, free = (getattr(library, f"{of}_{part}m_s2") for of in ("target", "recorded", "free"))
+        size = max(float(np.abs(course).max(initial=0.0)) for course in (target, recorded, free))
+        off = np.abs(target - (recorded - free + correction)).max(axis=2, initial=0.0)
+        for iv, ig in np.argwhere(~(off <= SAME * size)):
+            yield f"entry {library.axes.place(iv, ig)}: target_{part}m_s2 is not what was recorded less a_free"
+
+
+def _heat_prices(library: Library) -> Iterator[str]:
+    """Prices on heat that are not the scene's, and cool commands that are no cooler than the first."""
+    stated, own = library.heat_price, library.posing().heat_price
+    if not np.allclose(stated, own, rtol=SAME, atol=0):
+        yield f"heat_price reaches {stated.max():.4g}, its scene says {own:.4g}"
+    if library.cool is None:
+        return
+    if not np.all(library.cool.heat_price >= own * (1 - SAME)):
+        yield f"cool_heat_price falls to {library.cool.heat_price.min():.4g}, below that of the first commands"
+    if not np.all(library.cool.heat_A2_s <= library.heat_A2_s * (1 + COOLER)):
+        yield "cool_heat_A2_s is above that of the first commands"
+
+
+def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:
+    """(M,) position at the ticks after the window, from that at tau_(N-1) on and its second derivative (M + 1,)."""
+    velocity = velocity_m_s + integral(rate_m_s2, grid.dt_s)
+    course = position_m + integral(velocity, grid.dt_s)
+    return np.asarray((course - grid.delay_s * velocity)[1:])
+
+
+def _from_contact(times_s: FloatArray, rate: FloatArray) -> FloatArray:
+    """(N,) integral of a rate by the trapezoidal rule, zero at contact, which may lie before the first instant."""
+    steps = 0.5 * np.diff(times_s) * (rate[1:] + rate[:-1])
+    course = np.append(0.0, np.cumsum(steps))
+    before = min(times_s[0], 0.0) - times_s[0]  # of the first instant, where contact comes before it
+    return np.asarray(course - np.interp(0.0, times_s, course) - before * rate[0])
+
+
+def _different(name: str, stated: Any, own: Any) -> Iterator[str]:
+    """Numbers and words in `stated` that differ from those of the same place in `own`, the scene's."""
+    if is_dataclass(own) and type(stated) is type(own):
+        for field in fields(own):
+            yield from _different(f"{name}.{field.name}", getattr(stated, field.name), getattr(own, field.name))
+    elif isinstance(own, Mapping) and isinstance(stated, Mapping):
+        for key, value in own.items():
+            yield from _different(f"{name}.{key}", stated.get(key), value)
+        if stray := sorted(map(str, set(stated) - set(own))):
+            yield f"{name} has keys that follow from nothing: {', '.join(stray)}"
+    elif isinstance(own, np.ndarray):
+        if np.shape(stated) != own.shape or not np.allclose(stated, own, rtol=SAME, atol=0):
+            yield f"{name} is not what its scene says"
+    elif isinstance(own, Sequence) and not isinstance(own, str):
+        if not isinstance(stated, Sequence) or len(stated) != len(own):
+            yield f"{name} has other items than its scene"
+            return
+        for one, other in zip(stated, own, strict=True):
+            yield from _different(name, one, other)
+    elif isinstance(own, float) and isinstance(stated, int | float):
+        if not math.isclose(stated, own, rel_tol=SAME):
+            yield f"{name} is {stated:g}, its scene says {own:g}"
+    elif stated != own:
+        yield f"{name} is {stated!r}, its scene says {own!r}"
