@@ -6,8 +6,9 @@ declarations, so that an array is added or changed in one place.
 
 import hashlib
 from collections.abc import Callable, Set
-from dataclasses import dataclass
-from typing import Any, get_type_hints
+from dataclasses import dataclass, field, fields
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,11 +56,15 @@ class Array:
         return dtype.kind == "U" if self.is_text else (dtype.kind, dtype.itemsize) == ("f", 8)
 
 
+def kept(shape: str, unit: str, meaning: str, made: str | Callable[[Any], Any] = "", **more: Any) -> Any:
+    """A field of a dataclass that declares an array; `made` may name an attribute of the entry, with dots."""
+    of_entry = (attrgetter(made) if made else None) if isinstance(made, str) else made
+    return field(metadata={"array": Array(shape, unit, meaning, made=of_entry, **more)})
+
+
 def declared(owner: type) -> dict[str, Array]:
-    """Name -> declaration of every field that is annotated with one, in their order."""
-    hints = get_type_hints(owner, include_extras=True)
-    noted = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: note for name, notes in noted.items() for note in notes if isinstance(note, Array)}
+    """Name -> declaration of every field that has one, in their order."""
+    return {each.name: each.metadata["array"] for each in fields(owner)}
 
 
 def absent(arrays: dict[str, Array], stated: Set[str]) -> list[str]:

@@ -105,7 +105,7 @@ def _second(library: Library) -> list[str]:
     function = FUNCTION
     for name in ("transopt_command", "transopt_counts", "TRANSOPT_SCALE_A"):
         function = function.replace(name, name.replace("transopt_", "transopt_cool_").replace("OPT_S", "OPT_COOL_S"))
-    function = function.replace("Transient command", "Cool command command, with less heat,")
+    function = function.replace("Transient command", "Cool command, with less heat,")
     scale = f"#define TRANSOPT_COOL_SCALE_A {literal(scale_A)} /* amperes per count of the cool commands */\n"
     return [scale, _waveforms(counts, "cool_"), function]
 
