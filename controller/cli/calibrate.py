@@ -158,23 +158,23 @@ def _calibrate(
         before, settings = play.contacts(library, 0, nodes)
         result, complaints = calibrated(before, settings, library, hands, accelerometer_Hz, [source])
         for words in complaints:
-            console.print(words, style="yellow", highlight=False, soft_wrap=True)
+            console.print(words, style="yellow")
         save_model(model, library.scene(), result.device)
         console.print(hand_table(result, hands))
-        console.print(result.device.verdict, highlight=False, soft_wrap=True)
+        console.print(result.device.verdict)
         build = built_on(library, model, as_recorded=as_recorded)
         if build.library is None:
             refused = build.refused[0]
             reason = "; ".join(refused.shortfalls) or refused.status.value
-            console.print(f"{refused.place}: refused: {reason}; {model} has the hand", style="red", soft_wrap=True)
+            console.print(f"{refused.place}: refused: {reason}; {model} has the hand", style="red")
             raise typer.Exit(1)
         build.library.save(written)
         after, new_settings = play.contacts(build.library, 1, nodes)
     each = tried(nodes, build.library, before, after, (settings, new_settings), accelerometer_Hz)
     console.print(tried_table(build.library, each))
     words, good = judged(each)
-    console.print(f"{out}: model.json, library.npz", highlight=False, soft_wrap=True)
-    console.print(words, style=None if good else "red", highlight=False, soft_wrap=True)
+    console.print(f"{out}: model.json, library.npz")
+    console.print(words, style=None if good else "red")
     if not good:
         raise typer.Exit(1)
 

@@ -54,9 +54,7 @@ def new(
     write_device(file, described, "What this device is; every command of transopt-play reads it.")
     terminal.console().print(
         f"{file}: written\nnext: transopt-play zero --device {file} --port PORT, then "
-        f"transopt-play check --device {file} --port PORT --sweep",
-        highlight=False,
-        soft_wrap=True,
+        f"transopt-play check --device {file} --port PORT --sweep"
     )
 
 
@@ -89,7 +87,7 @@ def show(
     console = terminal.console()
     console.print(table)
     if file is None:
-        console.print(f"built-in examples: {', '.join(examples())}", highlight=False)
+        console.print(f"built-in examples: {', '.join(examples())}")
 
 
 @device_app.command("circuit", epilog="Example: transopt-play device circuit circuit.toml")
@@ -125,9 +123,7 @@ def circuit(
     console.print(
         f"written: {', '.join(map(str, written))}\n"
         f"next: put {header.name} beside the sketch and flash it, then "
-        f"transopt-play device new {file.with_name('device.toml')} --from {offered}",
-        highlight=False,
-        soft_wrap=True,
+        f"transopt-play device new {file.with_name('device.toml')} --from {offered}"
     )
 
 
@@ -138,7 +134,7 @@ def _asked(offered: Any) -> dict[str, Any]:
     console = terminal.console()
     answers: dict[str, Any] = {"name": answer("name", "what you call it", "", offered.name, str, without=NO_ANSWERS)}
     for table, kind in TABLES.items():
-        console.print(f"\n{table}: {(kind.__doc__ or '').splitlines()[0]}", highlight=False)
+        console.print(f"\n{table}: {(kind.__doc__ or '').splitlines()[0]}")
         given: dict[str, Any] = {}
         answers[table] = given
         for key, field in kind.model_fields.items():
@@ -188,7 +184,7 @@ def described(named: str | None, library: Path | None = None, *, quiet: bool = F
 
     found = find(named, library)
     if found.stated or not quiet:
-        terminal.console().print(found.in_words, highlight=False, soft_wrap=True)
+        terminal.console().print(found.in_words)
     return found
 
 

@@ -40,9 +40,9 @@ def doctor(port: AnyPort = None) -> None:
     for one in [*installed(), *on_ports(port is not None), *([] if port is None else answering(port))]:
         short |= bool(one.remedy)
         words = f"{one.what}: {one.found}" + (f": {one.remedy}" if one.remedy else "")
-        console.print(words, style="red" if one.remedy else None, highlight=False, soft_wrap=True)
+        console.print(words, style="red" if one.remedy else None)
     if port is None:
-        console.print("no port was asked: --port NAME says what answers there", highlight=False)
+        console.print("no port was asked: --port NAME says what answers there")
     if short:
         raise typer.Exit(1)
 

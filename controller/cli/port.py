@@ -90,12 +90,12 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
         words = f"uploaded {took}"
         named += f", in place of {library_names.in_words(before)}" if any(before) else ""
     words = f"{words}: {named}"
-    console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
+    console.print(f"{device.name}: {words}")
     if cost:
-        console.print(f"{device.name}: {cost}", highlight=False, soft_wrap=True)
+        console.print(f"{device.name}: {cost}")
     assumed = grip_in_words(given.device, given.library) if isinstance(given, Payload) else ""
     if assumed:
-        console.print(assumed, highlight=False, soft_wrap=True)
+        console.print(assumed)
 
 
 class StoppedError(Exception):
@@ -173,9 +173,9 @@ def ports() -> None:
     found = listed_ports()
     console = terminal.console()
     for port in found:
-        console.print(f"{port.name}  {port.description}".rstrip(), highlight=False)
+        console.print(f"{port.name}  {port.description}".rstrip())
     if not found:
-        console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
+        console.print("no serial port: plug the device in, or give --port socket://HOST:PORT")
 
 
 def upload(library: LibraryFile, port: Port, device: DeviceName = None, reset: Reset = False) -> None:
@@ -205,7 +205,7 @@ def monitor(
     encoder = described(device).device.encoder
     with connected(port) as opened:
         hello = opened.hello
-        console.print(who(port, hello), highlight=False, soft_wrap=True)
+        console.print(who(port, hello))
         with Monitor(console, port, hello.dt_s, encoder.count_m, encoder.surface_counts) as shown:
             shown.take(Changed(opened.state, opened.fault))
             opened.listeners.append(shown.take)
@@ -318,7 +318,7 @@ def _try_out(device: "Device", console: "Console", seconds: float | None) -> Non
     from controller.protocol.events import Happened
     from controller.servo.interface import Notice, State
 
-    console.print("this library is new to the device: tap the surface once, it is played at a tenth", highlight=False)
+    console.print("this library is new to the device: tap the surface once, it is played at a tenth")
     ended: list[bool] = []
 
     def take(news: "News") -> None:
@@ -348,9 +348,7 @@ def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Co
         stored = f", stored in {file}"
     console.print(
         f"the counts have drifted: three rests in a row at {moved:+.0f} counts; the surface is at "
-        f"{drift.surface_counts:g} counts from here on{stored}",
-        highlight=False,
-        soft_wrap=True,
+        f"{drift.surface_counts:g} counts from here on{stored}"
     )
 
 
@@ -358,7 +356,7 @@ class ConsolePerson:
     """Whoever reads the terminal."""
 
     def asked(self, what: str) -> None:
-        terminal.console().print(f"  please {what}", highlight=False)
+        terminal.console().print(f"  please {what}")
 
 
 def check(
@@ -399,7 +397,7 @@ def check(
     console = terminal.console()
 
     def tell(result: Result) -> None:
-        console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
+        console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}")
 
     with connected(port, reset) as opened:
         if sweep:
@@ -440,16 +438,14 @@ def check(
     if any(result.passed is False for result in results):
         off = "; ".join(bench.off) or "see the steps that failed"
         words = f"failed: {off}; put it right, or state it in the device file, then check again"
-        console.print(words, style="red", highlight=False, soft_wrap=True)
+        console.print(words, style="red")
         raise typer.Exit(1)
     if only is not None:
-        console.print(f"{only}: as it should be; the whole check goes through all steps", highlight=False)
+        console.print(f"{only}: as it should be; the whole check goes through all steps")
         return
     without = f" without {', '.join(skipped)}" if skipped else ""
     console.print(
         f"passed{without}: this configuration may be armed until the device starts anew"
         if good
-        else "the sensors are as they should be; give a library for the rest of the check",
-        highlight=False,
-        soft_wrap=True,
+        else "the sensors are as they should be; give a library for the rest of the check"
     )

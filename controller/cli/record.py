@@ -270,7 +270,5 @@ def record_heat(
     write_measurement(out / "heat.npz", columns, {})
     terminal.console().print(
         f"{out}: heat.npz, {heating:g} s at {amount:g} A and {cooling:g} s of cooling, winding at most "
-        f"{columns['winding_C'].max():.1f} °C\nnext: transopt identify coil {out}/heat.npz --out MODEL.json",
-        highlight=False,
-        soft_wrap=True,
+        f"{columns['winding_C'].max():.1f} °C\nnext: transopt identify coil {out}/heat.npz --out MODEL.json"
     )

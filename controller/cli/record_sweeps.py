@@ -74,7 +74,7 @@ def record_sweeps(bench: Bench, series: Series) -> None:
     stopped, why = False, ""
 
     def say(words: str) -> None:
-        bench.console.print(f"  {words}", highlight=False, soft_wrap=True)
+        bench.console.print(f"  {words}")
 
     with connected(bench.port, series.reset) as device:
         hello = device.hello
@@ -136,12 +136,12 @@ def record_sweeps(bench: Bench, series: Series) -> None:
     console.print(sweep_table(written, title))
     whole = len(written) == len(planned) and series.told
     files = series.told if whole else f"{out}: {len(written)} of {len(planned)} trials, all whole"
-    console.print(files, highlight=False, soft_wrap=True)
+    console.print(files)
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
     if why:
-        console.print(why, style="red", highlight=False, soft_wrap=True)
+        console.print(why, style="red")
         raise typer.Exit(1)
 
 

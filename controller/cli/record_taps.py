@@ -39,7 +39,7 @@ def taps_by_a_person(
         recorder = Recorder(out, device.hello.dt_s, encoder.count_m, encoder.surface_counts, trigger_m_s2)
         title, enough = f"recording on {bench.name}", lambda: taps is not None and len(recorder.contacts) >= taps
         _, stopped = run(bench, device, recorder, title, enough=enough, seconds=seconds)
-    bench.console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
+    bench.console.print(recorder.in_words().removeprefix("; ") or "nothing came")
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
@@ -141,9 +141,7 @@ class TapFiles:
             typer.echo(f"{nothing} in {', '.join(self._silent)}", err=True)
             raise typer.Exit(1)
         files = f"{self._out}: {len(self._written)} taps, {self._written[0]} to {self._written[-1]}"
-        terminal.console().print(
-            f"{files}\nnext: {following}" if following else files, highlight=False, soft_wrap=True
-        )
+        terminal.console().print(f"{files}\nnext: {following}" if following else files)
 
 
 def measured(

@@ -188,7 +188,7 @@ def _tell(learner: "Learner", results: "Round") -> None:
     from controller.refine.tables import following_line, round_line
 
     for line in filter(None, (round_line(learner.number - 1, learner, results), following_line(learner))):
-        terminal.console().print(line, highlight=False, soft_wrap=True)
+        terminal.console().print(line)
 
 
 @contextmanager
@@ -203,7 +203,7 @@ def ended_in_words() -> Iterator[None]:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130) from None
     except EndedError as ended:
-        terminal.console().print(str(ended), style="red", highlight=False, soft_wrap=True)
+        terminal.console().print(str(ended), style="red")
         raise typer.Exit(1) from None
 
 
@@ -236,12 +236,12 @@ def _finish(refined: "Refined", path: Path, out: Path) -> None:
 
     console = terminal.console()
     console.print(refine_table(refined, f"{path}, playback error in %"))
-    console.print(LEGEND, style="dim", highlight=False)
-    console.print(reasons(refined), highlight=False, soft_wrap=True)
+    console.print(LEGEND, style="dim")
+    console.print(reasons(refined))
     words, good = summary(refined, out / "library.npz")
     refined.library.save(out / "library.npz")
     save_figure(refine_figure(refined), out / "refinement.png")
-    console.print(f"{out}: library.npz, refinement.png", highlight=False, soft_wrap=True)
-    console.print(words, style=None if good else "red", highlight=False, soft_wrap=True)
+    console.print(f"{out}: library.npz, refinement.png")
+    console.print(words, style=None if good else "red")
     if not good:
         raise typer.Exit(1)

@@ -68,27 +68,25 @@ def step(
     console, number = terminal.console(), learner.number
     results = learner.learn(_by_node(learner, [recorded_tap(one, library, accelerometer_Hz) for one in read]))
     for line in filter(None, (round_line(number, learner, results), following_line(learner))):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line)
     written = out / "library.npz"
     if not learner.over:
         learner.library.save(written)
         wanted = ", ".join(place(library, node) for node in learner.asked)
         console.print(
             f"next: play {written} and record {taps} taps at each of: {wanted}; then\n"
-            f"transopt-play refine {written} --from-files TAPS... --out ANOTHER_FOLDER",
-            highlight=False,
-            soft_wrap=True,
+            f"transopt-play refine {written} --from-files TAPS... --out ANOTHER_FOLDER"
         )
         return
     refined = Refined.of(library, learner)
     console.print(refine_table(refined, f"{path}, playback error in %"))
-    console.print(LEGEND, style="dim", highlight=False)
-    console.print(reasons(refined), highlight=False, soft_wrap=True)
+    console.print(LEGEND, style="dim")
+    console.print(reasons(refined))
     words, good = summary(refined, written)
     learner.library.save(written)
     save_figure(refine_figure(refined), out / "refinement.png")
-    console.print(f"{out}: library.npz, refinement.png", highlight=False, soft_wrap=True)
-    console.print(words, style=None if good else "red", highlight=False, soft_wrap=True)
+    console.print(f"{out}: library.npz, refinement.png")
+    console.print(words, style=None if good else "red")
     if not good:
         raise typer.Exit(1)
 
@@ -114,7 +112,7 @@ def _by_node(learner: Learner, taps: Sequence[RecordedTap]) -> dict[Node, list[H
         else:
             found[tap.node].append(tap.heard)
             continue
-        terminal.console().print(f"{tap.name} does not count: {why}", style="yellow", highlight=False, soft_wrap=True)
+        terminal.console().print(f"{tap.name} does not count: {why}", style="yellow")
     counted = {node: len(each) for node, each in found.items()}
     if all(count < LEAST_TAPS for count in counted.values()):
         wanted = ", ".join(f"{place(learner.library, node)} ({count})" for node, count in counted.items())
@@ -126,9 +124,6 @@ def _by_node(learner: Learner, taps: Sequence[RecordedTap]) -> dict[Node, list[H
     few = [f"{place(learner.library, node)} ({count})" for node, count in counted.items() if count < LEAST_TAPS]
     if few:
         terminal.console().print(
-            f"fewer than {LEAST_TAPS} taps, which stay as they were: {', '.join(few)}",
-            style="yellow",
-            highlight=False,
-            soft_wrap=True,
+            f"fewer than {LEAST_TAPS} taps, which stay as they were: {', '.join(few)}", style="yellow"
         )
     return found

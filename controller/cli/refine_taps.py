@@ -61,7 +61,7 @@ class PersonsHand:
     def asked(self, library: Library, number: int, nodes: Sequence[Node], taps: int) -> None:
         missing = dict.fromkeys(nodes, taps)
         words = f"round {number}: tap {taps} times at each of {len(missing)} nodes: {_nodes(library, missing)}"
-        self._console.print(words, highlight=False, soft_wrap=True)
+        self._console.print(words)
 
     def __enter__(self) -> Self:
         return self
@@ -186,7 +186,7 @@ class Taps:
         return self._tapped(library, given, folder, number, nodes), given.settings
 
     def _say(self, words: str) -> None:
-        self._bench.console.print(words, highlight=False, soft_wrap=True)
+        self._bench.console.print(words)
 
     def _tapped(
         self, library: Library, given: Payload, folder: Path | None, number: int, nodes: Sequence[Node]

@@ -220,19 +220,19 @@ def _play(
     console.print(figures_table(played, given.library, shown.events, _yardstick(given.library, played)))
     remark = bench.remark()
     if remark:
-        console.print(remark, highlight=False)
+        console.print(remark)
     if out is not None:
         drawn = _draw(played, title, out, walled=settings.wall is not None)
-        console.print(recorder.in_words().removeprefix("; ") + drawn, highlight=False, soft_wrap=True)
+        console.print(recorder.in_words().removeprefix("; ") + drawn)
     finished = shown.events[Notice.FINISHED] > 0 and played_at > 0
     if shown.faults:
-        console.print(f"fault: {shown.faults[0].value}", style="red", highlight=False, soft_wrap=True)
+        console.print(f"fault: {shown.faults[0].value}", style="red")
     if stopped:
         typer.echo(sessions.STOPPED, err=True)
         raise typer.Exit(130)
     lost = shown.events[LinkNotice.LEASE_LOST]
     if lost:
-        console.print(LinkNotice.LEASE_LOST.value, style="red", highlight=False)
+        console.print(LinkNotice.LEASE_LOST.value, style="red")
     if shown.faults or lost or not finished:
         raise typer.Exit(1)
 

@@ -49,8 +49,4 @@ def zero(
             opened.surface(surface)
     restate(found.path, "encoder.surface_counts", surface)
     moved = 1e3 * (surface - encoder.surface_counts) * encoder.count_m
-    console.print(
-        f"{found.path}: encoder.surface_counts = {surface:g}, {moved:+.3f} mm from before",
-        highlight=False,
-        soft_wrap=True,
-    )
+    console.print(f"{found.path}: encoder.surface_counts = {surface:g}, {moved:+.3f} mm from before")

@@ -100,7 +100,7 @@ class Monitor:
     def _say(self, line: str) -> None:
         self._recent.append(line)
         if self._live is None:
-            self._console.print(line, highlight=False, soft_wrap=True)
+            self._console.print(line)
 
 
 def event_line(event: Happened, dt_s: float) -> str:

@@ -45,7 +45,7 @@ def stress(
         chosen = [*directed(), *long_cases()]
     else:
         seed = secrets.randbelow(SEEDS) if seed is None else seed
-        output.print(f"seed {seed}, again by {command} --seed {seed} --cases {cases}", soft_wrap=True)
+        output.print(f"seed {seed}, again by {command} --seed {seed} --cases {cases}")
         command += f" --seed {seed}"
         chosen = [drawn(seed, index) for index in range(cases)]
     if case is not None:
@@ -53,7 +53,7 @@ def stress(
             raise InputError(f"--case {case}: there are {len(chosen)} directed cases, from 0 on")
         one = chosen[case] if seed is None else drawn(seed, case)
         found = judge(one)
-        output.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}", soft_wrap=True)
+        output.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}")
         if found.kind == CERTIFIED:
             output.print(f"gap {found.gap:.1e}, replay difference {found.difference:.1e}")
         return int(found.bad)
@@ -67,11 +67,11 @@ def stress(
             if not progress.console.is_terminal and len(outcomes) % LOG_EVERY == 0:
                 progress.console.print(f"{len(outcomes)} of {len(chosen)} cases")
             if outcome.bad:
-                progress.console.print(f"{command} --case {index}: {outcome.kind}", soft_wrap=True)
+                progress.console.print(f"{command} --case {index}: {outcome.kind}")
     table, lines = summary(chosen, outcomes, command)
     output.print(table)
     for line in lines:
-        output.print(line, soft_wrap=True)
+        output.print(line)
     if write is not None:
         write_text("".join(f"{index} {outcomes[index].kind}\n" for index in sorted(outcomes)), write)
     return int(any(outcome.bad for outcome in outcomes.values()))

@@ -58,14 +58,15 @@ class _HarmlessConsole(Console):
     def render_str(self, text: str, **how: Any) -> Text:
         return super().render_str(harmless(text, keep="\n\t"), **how)
 
-    def print(self, *objects: Any, soft_wrap: bool | None = None, **how: Any) -> None:
-        """Print; sentences in whole lines (`soft_wrap`) break on a terminal too, but between words.
+    def print(self, *objects: Any, **how: Any) -> None:
+        """Print; sentences stand in whole lines, and break on a terminal alone, between words.
 
         A command stays one line, so that it can be copied.
         """
-        if soft_wrap and self.is_terminal:
-            objects = tuple(self._broken(each) if isinstance(each, str) else each for each in objects)
-        super().print(*objects, soft_wrap=soft_wrap, **how)
+        sentences = all(isinstance(each, str) for each in objects)
+        if sentences and self.is_terminal:
+            objects = tuple(map(self._broken, objects))
+        super().print(*objects, **{"soft_wrap": sentences, **how})
 
     def _broken(self, text: str) -> str:
         fill = partial(textwrap.fill, width=self.width, break_long_words=False, break_on_hyphens=False)
@@ -79,7 +80,7 @@ def console() -> Console:
     """
     # No markup: names and descriptions are the user's and may hold brackets.
     known = sys.stdout.isatty() or os.environ.get("COLUMNS")
-    return _HarmlessConsole(markup=False, width=None if known else WIDTH)
+    return _HarmlessConsole(markup=False, highlight=False, width=None if known else WIDTH)
 
 
 def progress() -> "Progress":

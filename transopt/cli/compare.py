@@ -36,5 +36,5 @@ def compare(
         from transopt.base.writing import write_text
 
         write_text(comparison_markdown(found, names), out)
-        console.print(f"{out} written", highlight=False)
-    console.print(comparison_summary(found), highlight=False, soft_wrap=True)
+        console.print(f"{out} written")
+    console.print(comparison_summary(found))

@@ -73,7 +73,7 @@ def export(
     console = terminal.console()
     console.print(drive_table(loaded, left))
     for said in (TRADE_LEGEND, *drive_remarks(loaded, left)):
-        console.print(said, highlight=False)
+        console.print(said)
     for written in files:
         typer.echo(f"{terminal.harmless(str(written))} written")
     if any(each.limits_left for each in left):

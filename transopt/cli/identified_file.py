@@ -31,7 +31,7 @@ def tell(*lines: "str | Table", style: str | None = None) -> None:
     console = terminal.console()
     for line in lines:
         if isinstance(line, str):
-            console.print(line, style=style, highlight=False, soft_wrap=True)
+            console.print(line, style=style)
         else:
             console.print(line)
 

@@ -172,7 +172,7 @@ def _check_plausible(
     if wrong and not accept:
         raise InputError(f"{source}: {wrong}; {ACCEPTED}")
     if wrong:
-        terminal.console().print(f"accepted as it is: {wrong}", style="yellow", highlight=False, soft_wrap=True)
+        terminal.console().print(f"accepted as it is: {wrong}", style="yellow")
 
 
 def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Path, sure: str = "") -> None:
@@ -186,7 +186,7 @@ def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Pa
     console = terminal.console()
 
     def line(text: str, style: str | None = None) -> None:
-        console.print(text, style=style, highlight=False, soft_wrap=True)
+        console.print(text, style=style)
 
     picture = out.with_name(f"{out.stem}.png")
     save_figure(response_figure(fit), picture)

@@ -97,10 +97,10 @@ def _asked(unclear: UnclearError, tried: list[tuple[Answer, str]], words: Vocabu
     console = terminal.console()
     if unclear.file is not None:
         for line in sketched(columns_of(unclear.file, words)):
-            console.print(line, highlight=False, soft_wrap=True)
-    console.print(f"{shown_path(unclear.file)}{unclear.problem}", highlight=False, soft_wrap=True)
+            console.print(line)
+    console.print(f"{shown_path(unclear.file)}{unclear.problem}")
     for number, (answer, said) in enumerate(tried, 1):
-        console.print(f"  {number}  {options(answer)}: {said}", highlight=False, soft_wrap=True)
+        console.print(f"  {number}  {options(answer)}: {said}")
 
     def parsed(text: str) -> Answer:
         if text.isdecimal() and 1 <= int(text) <= len(tried):

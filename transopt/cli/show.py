@@ -27,7 +27,7 @@ def show(
     console = terminal.console()
 
     def line(text: str, style: str | None = None) -> None:
-        console.print(text, style=style, highlight=False, soft_wrap=True)
+        console.print(text, style=style)
 
     if table:
         described = loaded.meta["scene"]["description"]
@@ -54,4 +54,4 @@ def show(
         from transopt.base.plotting import save_figure
 
         save_figure(loaded.plot(), figure, loaded.scene().name)
-        console.print(f"figure: {figure}", highlight=False)
+        console.print(f"figure: {figure}")

@@ -206,7 +206,7 @@ def _print(console: "Console", build: "Build", wanted: Wanted, names: "list[str]
     from transopt.report.taps import implausible_lines
 
     def line(text: str, style: str | None = None) -> None:
-        console.print(text, style=style, highlight=False, soft_wrap=True)
+        console.print(text, style=style)
 
     if wanted.table:
         described = ": ".join(filter(None, (build.scene.name, build.scene.description)))

@@ -231,7 +231,7 @@ def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:
         f"{summary(rows)}.",
         _written(request.out, "tap_error.png"),
     ):
-        console.print(said, highlight=False, soft_wrap=True)
+        console.print(said)
     return exit_code(rows)
 
 

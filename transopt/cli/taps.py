@@ -120,7 +120,7 @@ def taps(
     if cells is not None:
         console.print(cells)
     for hint in hints(prepared, settings):
-        console.print(hint, style="yellow", highlight=False, soft_wrap=True)
+        console.print(hint, style="yellow")
     if out is not None:
         from transopt.base.plotting import save_figure
         from transopt.report.figures import taps_figure
@@ -131,7 +131,7 @@ def taps(
     refusal = tried.refusal(found, read)
     for line in implausible_lines(prepared):
         if line not in str(refusal):  # which is said last
-            console.print(line, style="red", highlight=False, soft_wrap=True)
+            console.print(line, style="red")
     if refusal is not None and any(tap.speed_source == UNKNOWN for tap in prepared):
         raise refusal  # a scene needs a speed
     if scene is not None:

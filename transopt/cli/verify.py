@@ -37,9 +37,9 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
         console.print(verify_table(cool, "cool commands, for a warm coil"))
     failed = sum(bool(check.shortfalls) for check in checks)
     for said in misstated:
-        console.print(f"{library}: {said}", style="red", highlight=False, soft_wrap=True)
+        console.print(f"{library}: {said}", style="red")
     if loaded.claim:
-        console.print(loaded.claim, highlight=False, soft_wrap=True)
-    console.print(f"{len(checks) - failed} of {len(checks)} entries certified and replayed clean", highlight=False)
+        console.print(loaded.claim)
+    console.print(f"{len(checks) - failed} of {len(checks)} entries certified and replayed clean")
     if failed or misstated:
         raise typer.Exit(1)

@@ -188,16 +188,14 @@ def show(console: Console, result: DeviceResult) -> None:
         "unknown to the model: error at this grip of a fit without it. residual: mean square over the noise's, 1 for "
         "a model that is right; hand of its own: the same with a hand fitted to this grip alone",
         style="dim",
-        highlight=False,
-        soft_wrap=True,
     )
     if result.other is not None and recorded:
         ours, theirs = 100 * result.chosen.off, 100 * result.other.off
         console.print(f"{result.chosen.kind} chosen: response {ours:.2g} % off, {result.other.kind} {theirs:.2g} %")
     for finding in result.findings:
-        console.print(f"note: {finding}", soft_wrap=True)
+        console.print(f"note: {finding}")
     for text in result.advice:
-        console.print(f"record again: {text}", soft_wrap=True)
-    console.print(f"verdict: {result.verdict}", soft_wrap=True)
+        console.print(f"record again: {text}")
+    console.print(f"verdict: {result.verdict}")
     for text in result.short:
-        console.print(f"short: {text}", soft_wrap=True)
+        console.print(f"short: {text}")
