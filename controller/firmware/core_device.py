@@ -15,14 +15,23 @@ from pathlib import Path
 from typing import Protocol
 
 from controller.firmware.build import CORE, FIRMWARE, NoCompilerError, build, sources
-from controller.firmware.replay import MOST_EVENTS, REPLAY, counts_of
 from controller.protocol.capacity import Hardware
 from controller.protocol.codes import EVENTS, NOTHING, STATES
+from controller.protocol.messages import NO_COUNTS
 from controller.protocol.packed import HASH_BYTES
 from controller.protocol.wire import ENCODED_LIMIT, PAYLOAD_LIMIT
 from controller.servo.interface import Event, Fault, Output, Readings, State
 
+REPLAY = FIRMWARE / "replay"
+MOST_EVENTS = len(Fault)
 INSTALLED = FIRMWARE / ("_core.pyd" if os.name == "nt" else "_core.so")
+
+
+def counts_of(encoder_counts: float) -> int:
+    """What an encoder that gives 32 bits says instead: no number stays none, what is too large stays too large."""
+    if not -(2**31) < encoder_counts < 2**31:
+        return NO_COUNTS
+    return int(encoder_counts)
 
 
 class DeviceEnd(Protocol):

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from controller.firmware.replay import ARM, DISARM, EXCITE, GAIN, NEGATIVE, RESET, Recorder
 from controller.protocol.image import bank_of, image_of
 from controller.servo.interface import Readings, State
 from controller.servo.settings import Settings
@@ -17,6 +16,7 @@ from controller.sim.true_device import device_of
 from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, Method, bank
 from controller.waveforms.prediction import scene_of
+from tests.benches.core_replay import ARM, DISARM, EXCITE, GAIN, NEGATIVE, RESET, Recorder
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.plant.amplifier import Amplifier

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.firmware.core_device import DeviceEnd
-from controller.firmware.replay import counts_of
+from controller.firmware.core_device import DeviceEnd, counts_of
 from controller.servo.interface import Output, Readings
 
 BOOT = 1  # of every device in a conversation

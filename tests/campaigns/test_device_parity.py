@@ -17,11 +17,11 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
-from controller.firmware.replay import Core, Recorder, Rows, write_runs
 from controller.protocol.codes import EVENTS
 from controller.protocol.image import image_of
 from controller.servo.guard import Guard
 from controller.servo.settings import Settings
+from tests.benches.core_replay import Core, Recorder, Rows, write_runs
 from tests.campaigns.harness import LibraryFile, Seed, at_least, library_of, long_form
 from tests.campaigns.parity_runs import TAIL, draw_bank, random_run, tap_run
 from transopt.plant.coil import CoilModel

@@ -24,9 +24,10 @@ import pytest
 from typer import Argument
 
 from controller.firmware.build import CORE, FIRMWARE, FLAGS, STRICT, build, sources
-from controller.firmware.replay import REPLAY, write_runs
+from controller.firmware.core_device import REPLAY
 from tests.benches import board
 from tests.benches.board import MissingToolError
+from tests.benches.core_replay import write_runs
 from tests.campaigns.harness import PartFile, Seed, library_of, long_form, write_part
 from tests.campaigns.parity_runs import random_run, tap_run
 from tests.campaigns.test_device_conversations import random_talk

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.firmware.replay import Core
 from controller.protocol import messages as m
 from controller.protocol.capacity import Capacity
 from controller.protocol.codes import REASONS, Reason
@@ -16,6 +15,7 @@ from controller.protocol.image import HEADER, IMAGE_FIELDS, bank_of, image_bytes
 from controller.servo.interface import Notice
 from controller.servo.settings import Settings
 from tests.benches.compiled import DT_S, TAIL, cooled, smooth_bank
+from tests.benches.core_replay import Core
 from tests.benches.device import Talker, started
 from tests.benches.servo import AMPLIFIER
 from tests.campaigns.test_device_conversations import Table as Conversation

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from controller.firmware import core_device
 from controller.firmware.build import CORE, NoCompilerError, sources
-from controller.firmware.core_device import CoreDevice, Decoder, crc32, encode, sha256
-from controller.firmware.replay import REPLAY
+from controller.firmware.core_device import REPLAY, CoreDevice, Decoder, crc32, encode, sha256
 from controller.protocol import wire
 from controller.servo.interface import State
 from tests.benches.device import World, clean_answers

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from controller.firmware.build import CORE, FLAGS, STRICT, build, compiler, sources
-from controller.firmware.replay import EXCITE, NEGATIVE, REPLAY, Core, Recorder, write_runs
+from controller.firmware.core_device import REPLAY
 from controller.protocol.codes import EVENT_CODES, EVENTS
 from controller.protocol.image import image_of
 from controller.servo.interface import Fault, Notice
+from tests.benches.core_replay import EXCITE, NEGATIVE, Core, Recorder, write_runs
 from tests.benches.device import clean_answers
 from tests.campaigns.parity_runs import random_run, tap_run
 from tests.campaigns.test_device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_differences_K

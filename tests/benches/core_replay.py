@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.firmware.build import CORE, FIRMWARE, build, sources
+from controller.firmware.build import CORE, build, sources
+from controller.firmware.core_device import MOST_EVENTS, REPLAY, counts_of
 from controller.protocol.codes import EVENT_CODES, STATES
 from controller.protocol.configuration import configuration_of
-from controller.protocol.messages import NO_COUNTS
-from controller.servo.interface import Fault, Output, Readings
+from controller.servo.interface import Output, Readings
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank
 from transopt.base.signals import FloatArray
 
-REPLAY = FIRMWARE / "replay"
-MOST_EVENTS = len(Fault)
 RESET, DISARM, GAIN, ARM, EXCITE = 1, 2, 4, 8, 16  # wishes, carried out before a tick in this order
 NEGATIVE = 32  # the excitation with the other sign
 # Types as td_replay.h has them.
@@ -52,13 +50,6 @@ OUTPUT = np.dtype(
     ]
 )
 Rows = NDArray[Any]
-
-
-def counts_of(encoder_counts: float) -> int:
-    """What an encoder that gives 32 bits says instead: no number stays none, what is too large stays too large."""
-    if not -(2**31) < encoder_counts < 2**31:
-        return NO_COUNTS
-    return int(encoder_counts)
 
 
 @dataclass
