@@ -6,14 +6,13 @@ the commands, so that help and errors come at once.
 
 import typer
 
-from controller.cli import port as port_commands
 from controller.cli import record as record_commands
 from controller.cli.calibrate import calibrate
 from controller.cli.describe import device_app
 from controller.cli.doctor import doctor
+from controller.cli.look import check, monitor, ports, upload, zero
 from controller.cli.refine import refine
 from controller.cli.tap import tap
-from controller.cli.zero import zero
 from transopt.base import terminal
 from transopt.cli.start import COMMANDS
 
@@ -33,11 +32,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Play a library of transients.",
 )
-app.command(epilog="Example: transopt-play ports")(port_commands.ports)
+app.command(epilog="Example: transopt-play ports")(ports)
 app.command(epilog=f"Example: transopt-play doctor --port {PORT}")(doctor)
-app.command(epilog=f"Example: transopt-play upload {LIBRARY} --port {PORT}")(port_commands.upload)
-app.command(epilog=f"Example: transopt-play monitor --port {PORT} --for 10")(port_commands.monitor)
-app.command(epilog=f"Example: transopt-play check {LIBRARY} --port {PORT}")(port_commands.check)
+app.command(epilog=f"Example: transopt-play upload {LIBRARY} --port {PORT}")(upload)
+app.command(epilog=f"Example: transopt-play monitor --port {PORT} --for 10")(monitor)
+app.command(epilog=f"Example: transopt-play check {LIBRARY} --port {PORT}")(check)
 app.command(epilog=f"Example: transopt-play zero --device device.toml --port {PORT}")(zero)
 app.command(epilog=f"Example: transopt-play refine {LIBRARY} --simulate --out refined")(refine)
 app.command(epilog=f"Example: transopt-play calibrate {LIBRARY} --simulate --out my_hand")(calibrate)

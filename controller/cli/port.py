@@ -1,4 +1,4 @@
-"""`transopt-play ports|upload|monitor|check`, and what every command does with a device on a port of any kind.
+"""What every command does with a device on a port of any kind: connect, load, run, and stop on Ctrl-C.
 
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from controller.cli.options import SIMULATED, DeviceName, LibraryFile, Port, Reset, Seconds, within
+from controller.cli.options import SIMULATED
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -147,7 +147,7 @@ def connected(port: "str | Connection", reset: bool | None = None) -> "Iterator[
         raise typer.Exit(130) from None
 
 
-def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, armed: bool | None) -> None:
+def listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, armed: bool | None) -> None:
     """Until it is so, or for so long, or for ever.
 
     Parameters
@@ -164,56 +164,6 @@ def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool
             # The event that says why may come after the state.
             device.listen(2 * LISTEN_S)
             return
-
-
-def ports() -> None:
-    """List the serial ports there are."""
-    from controller.host.transport import listed_ports
-
-    found = listed_ports()
-    console = terminal.console()
-    for port in found:
-        console.print(f"{port.name}  {port.description}".rstrip())
-    if not found:
-        console.print("no serial port: plug the device in, or give --port socket://HOST:PORT")
-
-
-def upload(library: LibraryFile, port: Port, device: DeviceName = None, reset: Reset = False) -> None:
-    """Put a library into a device, in place of the one it holds; whole or not at all, going on where it was cut."""
-    from controller.cli.describe import described
-    from controller.host.payload import payload
-
-    given = payload(library, described(device, library).device)
-    with connected(port, reset) as opened:
-        load(opened, given, terminal.console())
-
-
-def monitor(
-    port: Port,
-    device: DeviceName = None,
-    every: Annotated[int, typer.Option(help="One record every so many ticks.")] = 100,
-    seconds: Seconds = None,
-) -> None:
-    """Watch a device; it is neither configured nor armed."""
-    from controller.cli.describe import described
-    from controller.host.monitor import Monitor
-    from controller.protocol.events import Changed
-
-    within("every", every, 1, 65535, " ticks")
-    within("for", seconds, 0.0, 1e9, " s")
-    console = terminal.console()
-    encoder = described(device).device.encoder
-    with connected(port) as opened:
-        hello = opened.hello
-        console.print(who(port, hello))
-        with Monitor(console, port, hello.dt_s, encoder.count_m, encoder.surface_counts) as shown:
-            shown.take(Changed(opened.state, opened.fault))
-            opened.listeners.append(shown.take)
-            opened.set_telemetry(every)
-            try:
-                _listen(opened, seconds, lambda: False, armed=None)
-            finally:
-                console.print(shown.table())
 
 
 def who(port: str, hello: "HelloReply") -> str:
@@ -299,7 +249,7 @@ def run(
                         _follow(drift, device, recorder, bench.console, file)
                     return bench.done(enough())
 
-                _listen(device, seconds, ended, armed=gain is not None)
+                listen(device, seconds, ended, armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:
@@ -328,7 +278,7 @@ def _try_out(device: "Device", console: "Console", seconds: float | None) -> Non
     device.listeners.append(take)
     try:
         device.arm(TRIAL_GAIN, trial=True)
-        _listen(device, seconds, lambda: bool(ended), armed=True)
+        listen(device, seconds, lambda: bool(ended), armed=True)
         if device.state is not State.FAULT:
             device.disarm()
     finally:
@@ -357,95 +307,3 @@ class ConsolePerson:
 
     def asked(self, what: str) -> None:
         terminal.console().print(f"  please {what}")
-
-
-def check(
-    port: Port,
-    library: Annotated[Path | None, typer.Argument(help="library.npz; without it only the sensors.")] = None,
-    device: DeviceName = None,
-    skip: Annotated[list[str] | None, typer.Option(help="A step that this device cannot pass.")] = None,
-    patience: Annotated[float, typer.Option(help="How long to wait for you at each step, in s.")] = 30.0,
-    sweep: Annotated[
-        bool, typer.Option("--sweep", help="For `record sweep`, with the library's limits or the built-in ones.")
-    ] = False,
-    step: Annotated[str | None, typer.Option(help="Do this step alone, once more.")] = None,
-    grip_weight_g: Annotated[
-        float | None, typer.Option(help="A known weight to check the grip sensor's scale with.")
-    ] = None,
-    reset: Reset = False,
-) -> None:
-    """Go through a device step by step before it is armed; it asks you to do things and sees whether you did.
-
-    Exit 1: a step failed.
-    """
-    from controller.cli.describe import described
-    from controller.cli.tables import VERDICTS, check_table
-    from controller.device.stated import servo_numbers
-    from controller.host.bringup import Result, check_skipped, check_step, drop_evidence, passed, run_steps
-    from controller.host.check_state import Check
-    from controller.host.measured_pulse import remember
-    from controller.host.payload import Payload, payload, trial_sweep
-    from controller.servo.settings import Settings
-    from controller.waveforms.playable import load_playable
-    from transopt.base.signals import STANDARD_GRAVITY_M_S2
-
-    within("grip-weight-g", grip_weight_g, 10.0, 5000.0, " g")
-    within("patience", patience, 0.1, 3600.0, " s")
-    skipped, only = check_skipped(skip or ()), None if step is None else check_step(step)
-    found = described(device, library)
-    given: Load | None = None if library is None else payload(library, found.device)
-    console = terminal.console()
-
-    def tell(result: Result) -> None:
-        console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}")
-
-    with connected(port, reset) as opened:
-        if sweep:
-            given = trial_sweep(opened.hello, library, found.device)
-        if given is not None:
-            load(opened, given, terminal.console())
-
-        def take_measured(acceleration_m_s2: float) -> Settings:
-            remember(opened.hello.boot, acceleration_m_s2)
-            anew = trial_sweep(opened.hello, None, found.device, acceleration_m_s2)
-            load(opened, anew, terminal.console())
-            return anew.settings
-
-        dt_s = opened.hello.dt_s
-        settings = Settings(dt_s, 0.0, 1.0, **servo_numbers(found.device, dt_s)) if given is None else given.settings
-        opened.set_telemetry(1)
-        bench = Check(
-            opened,
-            settings,
-            ConsolePerson(),
-            loaded=given is not None,
-            described=found.device,
-            library=given.library
-            if isinstance(given, Payload)
-            else None
-            if library is None
-            else load_playable(library),
-            grip_weight_N=None if grip_weight_g is None else 1e-3 * grip_weight_g * STANDARD_GRAVITY_M_S2,
-            configuration=None if given is None else given.configuration,
-            take_measured=take_measured if sweep and library is None else None,
-            patience_s=patience,
-        )
-        results = run_steps(bench, skipped, tell, only)
-        good = passed(bench, results, skipped)
-        if any(result.passed is False for result in results):
-            drop_evidence(bench)
-    console.print(check_table(results, f"{port}: bring-up check"))
-    if any(result.passed is False for result in results):
-        off = "; ".join(bench.off) or "see the steps that failed"
-        words = f"failed: {off}; put it right, or state it in the device file, then check again"
-        console.print(words, style="red")
-        raise typer.Exit(1)
-    if only is not None:
-        console.print(f"{only}: as it should be; the whole check goes through all steps")
-        return
-    without = f" without {', '.join(skipped)}" if skipped else ""
-    console.print(
-        f"passed{without}: this configuration may be armed until the device starts anew"
-        if good
-        else "the sensors are as they should be; give a library for the rest of the check"
-    )

@@ -22,9 +22,10 @@ from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.columns import FIGURES, EntryTable
 from transopt.library.derived import derived
-from transopt.library.library import PLANT, Library
+from transopt.library.library import Library
 from transopt.library.meta import SCHEMA, heat_is_in, most_parts, shared_left_out
 from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arrays
+from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import COURSES, Reference

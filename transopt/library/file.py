@@ -26,10 +26,10 @@ from transopt.base.sizes import (
 )
 from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.library import COOL, Library, posing_of
+from transopt.library.library import COOL, Library
 from transopt.library.meta import SCHEMA, lacking, most_parts, stated
 from transopt.library.multipliers import ARRAYS, further_arrays, is_of_entries
-from transopt.library.own_scene import scene_in
+from transopt.library.posed import posing_of, scene_in
 
 ADVICE = "give a library.npz written by `transopt solve`"
 TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of meta, from which nothing is computed

@@ -9,14 +9,14 @@ over a period is another one.
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.library.library import Library
+from transopt.library.posed import Posed
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.nonlinear_stage import MOST_SUBSTEPS, NonlinearStage
 from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
 from transopt.proof.certify import Effect
 
 
-def nonlinear_problem(library: Library, iv: int, ig: int, plant: NonlinearCoil | None = None) -> NonlinearProblem:
+def nonlinear_problem(library: Posed, iv: int, ig: int, plant: NonlinearCoil | None = None) -> NonlinearProblem:
     """The problem of which an entry claims to be a stationary point.
 
     Parameters

@@ -13,8 +13,9 @@ import numpy as np
 
 from transopt.base.signals import FloatArray, integral
 from transopt.library.derived import derived
-from transopt.library.library import PLANT, Library
+from transopt.library.library import Library
 from transopt.library.meta import heat_is_in
+from transopt.library.posed import PLANT
 from transopt.plant.discretise import TimeGrid
 from transopt.proof.certify import BINDING_MULTIPLIER
 

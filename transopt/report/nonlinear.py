@@ -12,7 +12,7 @@ from transopt.base.writing import csv_text, table, write_text
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.library.columns import EntryTable, TableRow
-from transopt.library.library import NONLINEAR_CLAIM
+from transopt.library.posed import NONLINEAR_CLAIM
 from transopt.problem.answer import Status
 from transopt.report.publish import publish
 

@@ -15,7 +15,8 @@ from tests.benches.libraries import under
 from tests.benches.nonlinear_scene import stated
 from transopt.base.errors import InputError
 from transopt.design.resolve import resolve
-from transopt.library.library import NONLINEAR_CLAIM, Library
+from transopt.library.library import Library
+from transopt.library.posed import NONLINEAR_CLAIM
 from transopt.library.proven import doubts, load_proven
 from transopt.problem.answer import Status
 

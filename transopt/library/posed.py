@@ -1,0 +1,313 @@
+"""The problems that a library file states, from its scene and arrays: devices, limits, targets, nominal motions."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from transopt.base.axes import Axes
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.library.held import Held
+from transopt.library.meta import most_parts, parts_of
+from transopt.library.multipliers import row_of
+from transopt.library.place import interpolation_weights, speed_weights
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.state_space import Input, Output, StateSpace
+from transopt.plant.wall import Wall
+from transopt.problem.answer import Multipliers
+from transopt.problem.limits import OF_OUTPUTS
+from transopt.problem.limits.limit import SIDES
+from transopt.problem.limits.own import OwnLimit
+from transopt.problem.objective.figures import Yardstick
+from transopt.problem.objective.target import Target
+from transopt.problem.posing import Posing, Wanted
+from transopt.problem.problem import TransientProblem
+from transopt.problem.wall_ticks import pressing_under
+
+if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor pydantic for it
+    from transopt.scene.scene import Scene
+
+PLANT = ("A", "B", "C", "D", "Ce")
+# What is proven of the commands of a nonlinear plant, in the words of whatever shows such a library.
+NONLINEAR_CLAIM = (
+    "nonlinear plant: each command is a certified stationary point, replayed on that plant; no bound says that there "
+    "is no better one, and floor is of the plant as it is at rest"
+)
+
+
+@dataclass(frozen=True)
+class Posed(Held):
+    """What a library was asked; `transopt.library.library.Library` has the answers.
+
+    The problem of an entry is that of the scene in `meta` with the plants and the targets of the arrays; nothing else
+    states it.
+    """
+
+    multipliers_of: Mapping[str, FloatArray]
+    meta: dict[str, Any]
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether its commands are for a nonlinear plant."""
+        return self.scene().nonlinear
+
+    @property
+    def claim(self) -> str:
+        """What is proven of its commands where that is not that each is an optimum, in a sentence; empty else."""
+        return NONLINEAR_CLAIM if self.nonlinear else ""
+
+    def check_linear(self, what: str) -> None:
+        """Refuse what only a linear plant allows.
+
+        Raises
+        ------
+        InputError : a nonlinear plant.
+        """
+        if self.nonlinear:
+            raise InputError(
+                f"{what}: this library's plant is nonlinear, and this is done with linear plants alone: verify, "
+                "show, compare and export take it; for all else solve the scene without model.nonlinear"
+            )
+
+    @property
+    def axes(self) -> Axes:
+        """What its entries are for: speeds and grips, or named targets."""
+        names = tuple(map(str, self.targets)) if self.scene().targets else ()
+        return Axes(tuple(self.speeds_m_s.tolist()), tuple(self.grips_N.tolist()), names)
+
+    @property
+    def dt_s(self) -> float:
+        """The servo period."""
+        return self.time_grid().dt_s
+
+    @property
+    def lead_s(self) -> float:
+        """How long before contact the first command is issued."""
+        return self.time_grid().lead_s
+
+    @property
+    def hand_over_samples(self) -> int:
+        """So many commands at the end are the wall's own, zero without one."""
+        return self.posing().hand_over_samples
+
+    @property
+    def grip_min_N(self) -> float:
+        """Below this grip nothing is played; 0 for the free device, which has no such bound."""
+        return 0.0 if self.grips_N[0] == 0 else self.scene().grid.grip_min_N
+
+    @property
+    def input_limit(self) -> float:
+        """The transient limit on the plant's input."""
+        return float(self.posing().asked[f"{self.driven_by.name}_{self.driven_by.unit}"])
+
+    @property
+    def steady_input(self) -> float:
+        """What the actuator stands for ever, at which the baselines are looked at besides."""
+        return float(self.posing().asked[f"steady_{self.driven_by.name}_{self.driven_by.unit}"])
+
+    @property
+    def yardstick(self) -> Yardstick:
+        """How its entries are compared with the recorded taps."""
+        named = bool(self.axes.targets)
+        grid = self.time_grid()
+        return Yardstick(grid, grid.end_s if named else self.posing().intention_s, named)
+
+    def scene(self) -> "Scene":
+        """The scene that the library was solved from, as the file tells it.
+
+        Raises
+        ------
+        InputError : a scene of another version, or changed by hand.
+        """
+        return self._scene
+
+    @cached_property
+    def _scene(self) -> "Scene":
+        return scene_in(self.meta)
+
+    def posing(self) -> Posing:
+        """What the problems of all taps with these limits share; of a nonlinear plant as it is at rest."""
+        return self._posing
+
+    @cached_property
+    def _posing(self) -> Posing:
+        posing = posing_of(self.scene())
+        if all(table["function"] is None for table in posing.asked.get(OwnLimit.key) or ()):
+            return posing
+        # Only a limit of the user's own that is not linear needs CasADi.
+        from transopt.solvers.own import law
+
+        return replace(posing, law_of=law)
+
+    def time_grid(self) -> TimeGrid:
+        """Ticks and switching instants, and how many samples after them count."""
+        return self.posing().grid
+
+    @property
+    def driven_by(self) -> Input:
+        """What drives the plant: a current, or a voltage."""
+        return self.posing().driven_by
+
+    def coil(self) -> CoilModel | None:
+        """The motor's coil; None where nothing is known of it."""
+        return self.posing().coil
+
+    def wall(self) -> Wall | None:
+        """The virtual wall; None without one."""
+        return self.posing().wall
+
+    def amplifier(self) -> Amplifier | None:
+        """The amplifier; None for an ideal one, whose command is the plant's input."""
+        return self.posing().amplifier
+
+    def plant(self, ig: int) -> StateSpace:
+        """The device of one grip, with the outputs that limits of a user's own look at."""
+        by_grip = self.meta.get("outputs")  # not there where no limit looks at any
+        A, B, C, D, Ce = (getattr(self, f"plant_{name}")[ig] for name in PLANT)
+        outputs = _outputs(by_grip[ig] if by_grip else {})
+        return StateSpace.from_matrices(A, B, C, D, Ce, outputs, self.driven_by)
+
+    def stage(self, ig: int) -> StageModel:
+        """Stage model of one grip, discretised anew from the plant in the file."""
+        return self.posing().stage(self.plant(ig))
+
+    def spread(self, ig: int) -> tuple[StageModel, ...]:
+        """Further devices that the entries of one grip were designed for."""
+        by_grip, found = self.meta.get("spread_outputs"), list[StageModel]()
+        for j in range(self.spread_A.shape[1]):
+            A, B, C, D, Ce = (getattr(self, f"spread_{name}")[ig, j] for name in PLANT)
+            outputs = _outputs(by_grip[ig][j] if by_grip else {})
+            plant = StateSpace.from_matrices(A, B, C, D, Ce, outputs, self.driven_by)
+            found.append(self.posing().stage(plant))
+        return tuple(found)
+
+    def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
+        """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it.
+
+        Of a nonlinear plant it is the problem of the plant as it is at rest, whose limits and objective
+        `transopt.library.nonlinear.nonlinear_problem` puts on the nonlinear one.
+        """
+        wanted = self.wanted_of(iv, ig)
+        wanted = replace(wanted, target=self.told(iv, ig).moved(self.correction_m_s2[iv, ig]))
+        stage = self.stage(ig) if stage is None else stage
+        problem = self.posing().problem(wanted, stage, self.spread(ig))
+        problem = replace(
+            problem,
+            intensity=float(self.intensity[iv, ig]),
+            heat_price=float(self.heat_price[iv, ig]),
+            shares=self._shares(iv, ig),
+        )
+        problem = problem.within(self.parts(iv, ig))
+        if problem.wall is None:
+            return problem
+        return pressing_under(problem, self.command[iv, ig])
+
+    def parts(self, iv: int, ig: int) -> dict[str, int]:
+        """Name of a limit on an output -> parts of a servo period at whose ends an entry has it.
+
+        Raises
+        ------
+        InputError : a number of parts that no entry of the library has.
+        """
+        stated = self.instants_within[iv, ig].tolist()
+        found = {kind.name: parts_of(within) for kind, within in zip(OF_OUTPUTS, stated, strict=True)}
+        if max(found.values()) > most_parts(self.meta):
+            raise InputError(f"instants_within = {max(stated):g}: more than meta.instants_within")
+        return found
+
+    def _shares(self, iv: int, ig: int) -> FloatArray | None:
+        """(S,) shares of the devices in J, the own first; None where all have the same."""
+        if not self.posing().worst:
+            return None
+        others = self.spread_share[iv, ig]
+        return np.append(max(1.0 - others.sum(), 0.0), others)
+
+    def lasting(self, iv: int, ig: int) -> tuple[FloatArray, FloatArray]:
+        """(N + M,) y'' and i of an entry at the switching instants, as predicted through its window and after it."""
+        if self.nonlinear:
+            # Only a nonlinear plant needs this import, which takes the scene with all that reads one.
+            from transopt.library.nonlinear import nonlinear_problem
+
+            lasting = nonlinear_problem(self, iv, ig).effect(self.command[iv, ig]).lasting
+            return lasting.acceleration_m_s2, lasting.plant_input
+        problem = self.problem(iv, ig)
+        return problem.stage.rollout(problem.continued(self.command[iv, ig]))
+
+    def told(self, iv: int, ig: int) -> Target:
+        """r - a_free of an entry, against which errors are told; a correction is none of it."""
+        return self.wanted_of(iv, ig).target
+
+    def wanted_of(self, iv: int, ig: int) -> Wanted:
+        """What was recorded for an entry, and the nominal motion under it; a correction is none of it."""
+        ends_s = float(self.target_ends_s[iv]) if self.axes.targets else np.inf
+        known = self.meta["slow_part_known"][iv][ig]
+        return self._wanted(float(self.speeds_m_s[iv]), lambda course: course[iv, ig], ends_s, known)
+
+    def wanted(self, speed_m_s: float, grip_N: float) -> Wanted:
+        """What a tap between the nodes asks for: the shape r / v linear in speed (`speed_weights`), and in grip."""
+        by_grip = interpolation_weights(self.grips_N, grip_N)
+        weights = np.outer(speed_weights(self.speeds_m_s, speed_m_s), by_grip)
+        known = bool(np.all(np.array(self.meta["slow_part_known"])[weights > 0]))
+        return self._wanted(speed_m_s, lambda course: np.tensordot(weights, course, 2), np.inf, known)
+
+    def _wanted(self, speed_m_s: float, of: Callable[[FloatArray], FloatArray], ends_s: float, known: bool) -> Wanted:
+        """What is wanted, `of` being what picks or blends a course (vg...) of the nodes."""
+        free, before, after = of(self.free_m_s2), of(self.free_before_m_s2), of(self.free_after_m_s2)
+        target = Target(
+            of(self.recorded_m_s2) - free,
+            of(self.recorded_after_m_s2) - after,
+            of(self.recorded_before_m_s2) - before,
+            free,
+            after,
+            before,
+        )
+        at_ticks = np.append(of(self.nominal_position_at_ticks_m), of(self.nominal_after_at_ticks_m))
+        velocity, position = of(self.nominal_velocity_m_s), of(self.nominal_position_m)
+        return Wanted(speed_m_s, target, velocity, position, at_ticks, ends_s, known)
+
+    def multipliers(self, iv: int, ig: int) -> Multipliers:
+        """Multipliers of one entry."""
+        stages, pairs = self.command.shape[2], {}
+        for row in dict.fromkeys(row_of(name) for name in self.multipliers_of):
+            lower, upper = (self.multipliers_of.get(f"mu_{row}_{side}") for side in SIDES)
+            if lower is not None or upper is not None:
+                nothing = np.zeros(stages)
+                pairs[row] = (
+                    nothing if lower is None else lower[iv, ig],
+                    nothing if upper is None else upper[iv, ig],
+                )
+        return Multipliers(stages, pairs, self.mu_end[iv, ig], self.current_sign[iv, ig])
+
+
+def scene_in(meta: dict[str, Any]) -> "Scene":
+    """The scene of a library's `meta`.
+
+    Raises
+    ------
+    InputError : a scene of another version, or changed by hand.
+    """
+    # A program that only names a library's type loads no pydantic.
+    from pydantic import ValidationError
+
+    from transopt.scene.file import explain
+    from transopt.scene.scene import Scene
+
+    try:
+        return Scene.model_validate(meta["scene"])
+    except ValidationError as error:
+        raise InputError(f"{explain('meta.scene', error, meta['scene'])}; solve the scene again") from None
+
+
+def posing_of(scene: "Scene") -> Posing:
+    """How the problems of a scene are posed; of a nonlinear plant those of the plant as it is at rest."""
+    return scene.at_rest().posing()
+
+
+def _outputs(stored: Mapping[str, Mapping[str, Any]]) -> dict[str, Output]:
+    """Further outputs of a plant as `StateSpace.stored` writes them."""
+    return {name: Output(**{**each, "row": np.array([each["row"]])}) for name, each in stored.items()}
