@@ -23,8 +23,7 @@ TIES = {
 FOLDERS = {
     ("controller/firmware/build.py", "firmware"),
     ("controller/firmware/build.py", "transopt"),
-    ("controller/host/library_names.py", "transopt"),
-    ("controller/host/measured_pulse.py", "transopt"),
+    ("controller/host/kept.py", "transopt"),
 }
 
 

@@ -91,7 +91,7 @@ def check(
     from controller.device.stated import servo_numbers
     from controller.host.bringup import Result, check_skipped, check_step, drop_evidence, passed, run_steps
     from controller.host.check_state import Check
-    from controller.host.measured_pulse import remember
+    from controller.host.kept import remember_pulse
     from controller.host.payload import Payload, payload, trial_sweep
     from controller.servo.settings import Settings
     from controller.waveforms.playable import load_playable
@@ -114,7 +114,7 @@ def check(
             sessions.load(opened, given, terminal.console())
 
         def take_measured(acceleration_m_s2: float) -> Settings:
-            remember(opened.hello.boot, acceleration_m_s2)
+            remember_pulse(opened.hello.boot, acceleration_m_s2)
             anew = trial_sweep(opened.hello, None, found.device, acceleration_m_s2)
             sessions.load(opened, anew, terminal.console())
             return anew.settings

@@ -67,7 +67,7 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
     from controller.device.stated import grip_in_words
-    from controller.host import library_names
+    from controller.host.kept import library_in_words, remember_library
     from controller.host.payload import Payload, fitted, need_hardware
     from controller.protocol.events import capacity_of
     from controller.protocol.image import sha256
@@ -76,7 +76,7 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     given, cost = fitted(given, capacity_of(device.hello))
     before, after = device.hello.library_sha256, sha256(given.image)
     if isinstance(given, Payload) and not device.harmless:
-        library_names.remember(after, given.library.meta["scene"]["name"])
+        remember_library(after, given.library.meta["scene"]["name"])
     device.configure(given.configuration)
     began_s = time.monotonic()
     columns = (TextColumn("upload"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
@@ -85,10 +85,10 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
         sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
     device.surface(given.settings.surface_counts)
     took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
-    words, named = "the device has this library already", library_names.in_words(after)
+    words, named = "the device has this library already", library_in_words(after)
     if sent:
         words = f"uploaded {took}"
-        named += f", in place of {library_names.in_words(before)}" if any(before) else ""
+        named += f", in place of {library_in_words(before)}" if any(before) else ""
     words = f"{words}: {named}"
     console.print(f"{device.name}: {words}")
     if cost:
@@ -169,7 +169,7 @@ def listen(device: "Device", duration_s: float | None, ended: Callable[[], bool]
 def who(port: str, hello: "HelloReply") -> str:
     """One line about a device."""
     version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
-    from controller.host.library_names import in_words
+    from controller.host.kept import library_in_words
     from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED
 
     there = any(hello.configuration_sha256)
@@ -178,7 +178,7 @@ def who(port: str, hello: "HelloReply") -> str:
         f"{port}: firmware {version} ({'double' if hello.real_bytes == 8 else 'float'}), boot {hello.boot:08x}, "
         f"period {hello.dt_s * 1e6:g} us, limits {hello.current_A:g} A and {hello.command_A:g} A, "
         + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
-        + in_words(hello.library_sha256)
+        + library_in_words(hello.library_sha256)
     )
 
 

@@ -122,7 +122,7 @@ def record_sweep(
         record_sweeps(bench, series)
         return
     from controller.cli.port import person_at
-    from controller.host.measured_pulse import recall
+    from controller.host.kept import measured_pulse
     from controller.host.payload import excitation_settings
     from controller.host.sweeps import free_numbers
 
@@ -135,7 +135,7 @@ def record_sweep(
     series = Series(
         planned,
         free_numbers(out, len(planned)),
-        lambda hello: excitation_settings(hello, library, found.device, recall(hello.boot)),
+        lambda hello: excitation_settings(hello, library, found.device, measured_pulse(hello.boot)),
         remedy=f"--port {port}"
         + ("" if library is None else f" {library}")
         + ("" if device is None else f" --device {device}"),

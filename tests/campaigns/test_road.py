@@ -30,7 +30,7 @@ from controller.device.reading import read_device
 from controller.firmware.core_device import CoreDevice
 from controller.host.connection import Connection
 from controller.host.driver import Device
-from controller.host.measured_pulse import remember
+from controller.host.kept import remember_pulse
 from controller.servo.interface import Output, State
 from tests.benches.own_device import ABOVE_M, OwnWorld, Sensing, Truth, eased
 from tests.campaigns.harness import JsonFile, Seed, long_form, show, words_of, write_json
@@ -276,7 +276,7 @@ def test_the_road_to_the_first_current(c_compiler: None, tmp_path: Path, monkeyp
     """To the end of the first check, where each motor but the built-in one was refused."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     checks = [line for line in commands() if "transopt-play check" in line]
-    remember(1, 15.0)  # on another device, which had started as often
+    remember_pulse(1, 15.0)  # on another device, which had started as often
     with chdir(tmp_path):
         walk(DEVICES["triple"], 0, commands().index(checks[0]) + 1)
         surface = read_device(Path("device.toml")).device.encoder.surface_counts

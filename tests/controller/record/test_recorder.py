@@ -10,7 +10,6 @@ from rich.console import Console
 from scipy import integrate
 
 from controller.cli.tables import check_table
-from controller.host import measured_pulse
 from controller.host.bringup import Result
 from controller.host.monitor import Monitor, event_line
 from controller.protocol.codes import LinkNotice
@@ -321,37 +320,6 @@ def test_without_a_terminal_events_are_lines() -> None:
 
 
 # What a test pulse was measured to do.
-
-
-@pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    return tmp_path / "transopt" / "pulses"
-
-
-def test_a_measured_pulse_is_that_of_one_start(home: Path) -> None:
-    assert measured_pulse.recall(7) is None
-    for value in (3.0, 15.25):
-        measured_pulse.remember(7, value)
-    assert measured_pulse.recall(7) == pytest.approx(15.25)
-    assert measured_pulse.recall(8) is None
-    assert len(home.read_text().splitlines()) == 1
-
-
-def test_the_file_stays_small_and_a_damaged_one_means_not_measured(home: Path) -> None:
-    for boot in range(measured_pulse.KEPT + 50):
-        measured_pulse.remember(boot, 2.0)
-    assert len(home.read_text().splitlines()) == measured_pulse.KEPT
-    assert measured_pulse.recall(measured_pulse.KEPT + 49) == pytest.approx(2.0)
-    assert measured_pulse.recall(0) is None
-    home.write_text("00000001 -3.0\n00000002 many\n")
-    assert [measured_pulse.recall(boot) for boot in (1, 2)] == [None, None]
-    home.write_bytes(b"\xff\xfe")
-    assert measured_pulse.recall(1) is None
-    home.unlink()
-    home.mkdir()
-    measured_pulse.remember(1, 2.0)
-    assert measured_pulse.recall(1) is None
 
 
 @pytest.mark.parametrize("width", [60, 80])

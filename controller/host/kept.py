@@ -1,0 +1,89 @@
+"""What a host keeps of devices from one command to the next: a line for each, in small files of the user's.
+
+A device knows only the hash of the library that it was sent; the name of the scene that it was solved from is kept
+here. A library that was uploaded elsewhere has no name.
+
+Sweeps identify a device, so there may be no library that predicts its test pulses. The check then measures the
+acceleration per ampere with a few single pulses, and what it found is the prediction that the device judges its own
+pulses by: so the current is checked, the sign, and that the pulses come back alike. `record sweep` needs the same
+number for the same configuration; it is kept for one start of a device.
+"""
+
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from transopt.base.errors import InputError
+from transopt.base.files import whole_file
+
+SHOWN = 8  # hexadecimal digits
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A file of lines with a key and a value, the last one of a key.
+
+    Attributes
+    ----------
+    name : of the file. most : how many lines it keeps, the newest.
+    """
+
+    name: str
+    most: int
+
+    @property
+    def _path(self) -> Path:
+        base = os.environ.get("XDG_STATE_HOME")
+        return (Path(base) if base else Path.home() / ".local" / "state") / "transopt" / self.name
+
+    def _values(self) -> dict[str, str]:
+        # A file that cannot be read says nothing: a library has no name, and nothing was measured.
+        with suppress(OSError, UnicodeDecodeError):
+            lines = self._path.read_text(encoding="utf-8").splitlines()
+            return {key: value for key, _, value in (line.partition(" ") for line in lines) if value}
+        return {}
+
+    def recall(self, key: str) -> str:
+        """The value of a key; empty where none is kept."""
+        return self._values().get(key, "")
+
+    def remember(self, key: str, value: str) -> None:
+        """Keep a value. Where nothing can be written there is none the next time."""
+        values = self._values()
+        values.pop(key, None)
+        lines = [*list(values.items())[1 - self.most :], (key, " ".join(value.split()))]
+        with suppress(OSError, InputError):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(self._path) as file:
+                file.write("".join(f"{key} {value}\n" for key, value in lines).encode())
+
+
+LIBRARIES, PULSES = Kept("libraries", 1000), Kept("pulses", 200)
+
+
+def library_in_words(library_sha256: bytes) -> str:
+    """`wood_on_foam (3fa2b1c0)`, or only the hash of a library without a name; `no library` for zeros."""
+    if not any(library_sha256):
+        return "no library"
+    digest = library_sha256.hex()
+    name = LIBRARIES.recall(digest)
+    return f"{name} ({digest[:SHOWN]})" if name else f"library {digest[:SHOWN]}"
+
+
+def remember_library(library_sha256: bytes, name: str) -> None:
+    """Give a library its name."""
+    LIBRARIES.remember(library_sha256.hex(), name)
+
+
+def measured_pulse(boot: int) -> float | None:
+    """Acceleration per ampere [m/s^2] as measured since this start; None where it was not."""
+    with suppress(ValueError):
+        found = float(PULSES.recall(f"{boot:08x}"))
+        return found if 0 < found < float("inf") else None
+    return None
+
+
+def remember_pulse(boot: int, acceleration_m_s2: float) -> None:
+    """Keep a measured pulse; if nothing can be written, `record sweep` asks for the check again."""
+    PULSES.remember(f"{boot:08x}", repr(acceleration_m_s2))
