@@ -80,7 +80,7 @@ def calibrate(
     within("user", user, 0, USERS)
     within("for", seconds, 1.0, 1e6, " s")
     wrong = imperfect(mismatch, seed, crossover)
-    from controller.waveforms.playable import load_playable
+    from controller.host.payload import load_playable
     from transopt.scene import builtin
     from transopt.scene.population import load_population
 

@@ -57,9 +57,8 @@ def simulated(
     InputError : the file is none of these.
     """
     from controller.sim.chosen_device import scene_like
-    from controller.sim.default_device import DEFAULT_DEVICE
     from controller.sim.simulator import Imperfections, Simulator
-    from controller.sim.true_device import device_of
+    from controller.sim.true_device import DEFAULT_DEVICE, device_of
     from controller.sim.user import StillHand, TapsInTurn
 
     device = DEFAULT_DEVICE

@@ -92,9 +92,8 @@ def check(
     from controller.host.bringup import Result, check_skipped, check_step, drop_evidence, passed, run_steps
     from controller.host.check_state import Check
     from controller.host.kept import remember_pulse
-    from controller.host.payload import Payload, payload, trial_sweep
+    from controller.host.payload import Payload, load_playable, payload, trial_sweep
     from controller.servo.settings import Settings
-    from controller.waveforms.playable import load_playable
     from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
     within("grip-weight-g", grip_weight_g, 10.0, 5000.0, " g")

@@ -13,7 +13,7 @@ from controller.cli.port import STOPPED, connected, load, run
 from controller.device.device_file import BUILT_IN, DeviceFile, Encoder
 from controller.device.stated import servo_numbers
 from controller.host.driver import Device
-from controller.host.payload import payload_of
+from controller.host.payload import load_playable, payload_of
 from controller.record.played import height_m, met_surface
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.record.trial_file import refuse_old, write_measurement
@@ -23,7 +23,6 @@ from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import Motion, TappingHand, strike_of, tap_of
-from controller.waveforms.playable import load_playable
 from controller.waveforms.prediction import scene_of
 from transopt.base import terminal
 from transopt.base.errors import InputError

@@ -109,7 +109,7 @@ def refine(
     within("taps", taps, 2, 100)
     within("for", seconds, 1.0, 1e6, " s")
     wrong = imperfect(mismatch, seed, crossover)
-    from controller.waveforms.playable import load_playable
+    from controller.host.payload import load_playable
 
     loaded = load_playable(library)
     if loaded.wall() is not None:

@@ -120,13 +120,12 @@ def _simulated(
 ) -> "tuple[Payload, Bench, str]":
     """What the simulated device shall play, the bench it is on, and both in words."""
     from controller.cli.bench import simulated_bench
-    from controller.host.payload import payload_of
+    from controller.host.payload import load_playable, payload_of
     from controller.servo.loop import WallClock
     from controller.sim.chosen_device import scene_like
     from controller.sim.simulated_tap import SimulatedTap
     from controller.sim.true_device import device_of
     from controller.waveforms.bank import Method, bank
-    from controller.waveforms.playable import load_playable
     from controller.waveforms.prediction import scene_of
     from transopt.plant.intention import YIELDINGS
 

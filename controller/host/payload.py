@@ -14,9 +14,8 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.image import bank_of, image_of, too_large
 from controller.protocol.messages import HelloReply
 from controller.record.excitation import sweep_command
-from controller.servo.default_drive import AMPLIFIER, RE_25
 from controller.servo.guard import Guard
-from controller.servo.settings import Settings
+from controller.servo.settings import AMPLIFIER, RE_25, Settings
 from controller.waveforms.bank import Bank, Method, bank
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
@@ -32,6 +31,22 @@ TRIAL_HZ, TRIAL_S, TRIAL_A = (20.0, 500.0), 0.5, 0.5  # of the bring-up check, a
 ROUNDED = 1e-9  # of a limit
 # A blocked rotor stands still, and a held stylus moves less than a count at high frequencies.
 NEVER_STUCK: dict[str, Any] = {"stuck_A_s": 1e3, "stuck_s": LONGEST_S}
+
+
+def load_playable(path: str | Path) -> Library:
+    """Read, prove and look at a library before anything of it is played.
+
+    Raises
+    ------
+    InputError : what `load_proven` refuses; a library of voltages or of named targets.
+    """
+    library = load_proven(path)
+    if library.axes.targets or library.driven_by.unit != "A":
+        raise InputError(
+            f"{path}: has {library.axes.said} and commands in {library.driven_by.unit}; a stylus on a motor plays "
+            "currents over speeds and grips: `transopt export` writes the waveforms of this one"
+        )
+    return library
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,9 @@ from transopt.problem.warm_coil import LEAST_SCALE, WITHHOLD_K
 
 SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # size of a calibration's scale: further off something else is wrong
 PULSE_NODES = 4
+# Amplifier and motor of the built-in device (a Maxon RE 25), assumed where neither a library nor the device says.
+AMPLIFIER = Amplifier(1050.0, 68e-6, 6.0)
+RE_25 = CoilModel(R_ohm=2.18, R_wh_K_W=3.1, R_ha_K_W=14.0, tau_w_s=12.0, tau_h_s=612.0, limit_C=100.0)
 PUSH_S = 5e-3  # of a pulse, over which the acceleration is compared with its prediction
 SCALES = ("acceleration_scale", "grip_scale", "monitor_scale", "amplifier_scale")
 SIGNED = ("grip_open_N", "surface_counts", "encoder_direction", "acceleration_rest_m_s2", "grip_zero_N", *SCALES)

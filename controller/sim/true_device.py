@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
+from controller.servo.settings import AMPLIFIER, RE_25
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
@@ -309,3 +310,23 @@ def flow(
         return tuple(np.ascontiguousarray(exponential(G * (h * fraction))[:S]) for h in steps_s)
 
     return Flow(maps(1.0), maps(0.5) if nonlinear(device, target) else (), G[n + device.stylus].copy())
+
+
+def _fixed(value: float) -> LinearInGrip:
+    return LinearInGrip(value, 0.0)
+
+
+# For a run without library and scene: an RE 25 on a Phantom-class transmission.
+DEFAULT_DEVICE = TrueDevice(
+    masses_kg=(_fixed(0.014), _fixed(0.026), _fixed(0.010)),
+    joints=(
+        Joint(_fixed(6e4), _fixed(8.0)),
+        Joint(LinearInGrip(3000.0, 2000.0), LinearInGrip(6.0, 3.0)),
+        Joint(LinearInGrip(160.0, 110.0), LinearInGrip(6.0, 3.0)),
+    ),
+    stylus=1,
+    skin=1,
+    force_per_current_N_A=1.25,
+    amplifier=AMPLIFIER,
+    coil=RE_25,
+)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from controller.servo.settings import Settings
-from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.plant_file import plant_bytes
 from controller.sim.simulator import Simulator
+from controller.sim.true_device import DEFAULT_DEVICE
 from controller.sim.user import User
 from controller.waveforms.bank import Bank, Method
 from transopt.problem.warm_coil import currents, norms

@@ -18,9 +18,8 @@ from transopt.base.units import unit_of
 from transopt.scene.keys import Key, check_value, find_key
 from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, label
-from transopt.study.columns import MEASURES
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, Row, entry_name, number
+from transopt.study.rows import MEASURES, OPTIMAL, Row, entry_name, number
 
 SCAN = 9
 TOLERANCE = 1e-3  # of the range, without one of the user's

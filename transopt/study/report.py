@@ -10,15 +10,14 @@ from transopt.base.machine import machine, versions
 from transopt.base.tables import Table
 from transopt.base.units import unit_of
 from transopt.base.writing import percent, table
-from transopt.design.sweep import REFUSED
+from transopt.design.sweep import MULTIPLIER_COLUMNS, REFUSED
 from transopt.library.columns import EntryTable, TableRow
 from transopt.problem.answer import AT_FLOOR
 from transopt.scene.scene import Scene
 from transopt.study.axes import label
-from transopt.study.columns import MULTIPLIERS, VIOLATIONS
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, Row, entry_name, number
+from transopt.study.rows import OPTIMAL, VIOLATIONS, Row, entry_name, number
 from transopt.study.rows import entry_cells as place_cells
 from transopt.study.store import LIBRARIES
 
@@ -44,7 +43,7 @@ def binding_names(row: Row) -> str:
 
 
 def largest_multiplier(row: Row) -> str:
-    found = {name: number(row, column) for name, column in MULTIPLIERS.items() if row[column]}
+    found = {name: number(row, column) for name, column in MULTIPLIER_COLUMNS.items() if row[column]}
     if not found or max(found.values()) < 1e-9:
         return "-"
     name = max(found, key=lambda each: found[each])

@@ -1,15 +1,45 @@
-"""One row of a study: what its cells hold, and what the rows of a study amount to."""
+"""One row of a study: its columns, what its cells hold, and what the rows of a study amount to."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from transopt.design.sweep import REFUSED, Outcome
+from transopt.design.sweep import MULTIPLIER_COLUMNS, REFUSED, Outcome
 from transopt.problem.answer import Status
 from transopt.study.axes import label
-from transopt.study.columns import MULTIPLIERS, OUTCOME
 
+
+def _outcome() -> list[str]:
+    found: list[str] = []
+    for field in fields(Outcome):
+        found += MULTIPLIER_COLUMNS.values() if field.name == "multipliers" else [field.name]
+    return [name for name in found if name != "index"]
+
+
+# What a solved entry says, in the order of the columns; the number of the row stands before it.
+OUTCOME = _outcome()
+# How far the certificate found a limit exceeded, a column per unit of the limits.
+VIOLATIONS = ("violation_A", "violation_V", "violation_K")
+# What an inverse question may require a bound of.
+MEASURES = (
+    "tap_error",
+    "felt_error",
+    "felt_dB",
+    "speed_change",
+    "bump_m_s2",
+    "heat_A2_s",
+    "energy_dB",
+    "waveform_dB",
+    "intensity",
+    "floor",
+    "peak_input",
+    "peak_command",
+    "peak_temperature_C",
+    "peak_voltage_V",
+    "free_peak",
+)
 OPTIMAL = Status.OPTIMAL.name
 # What a study may well come upon when it varies a scene: the row says that there is no such optimum, and why. Any
 # other status but OPTIMAL is a solver or a proof that fell short.
@@ -32,7 +62,7 @@ def _cell(value: Any) -> str:
 
 def row_of(outcome: Outcome, point: int, labels: Mapping[str, str]) -> Row:
     """The row of an outcome: its number, the number of its point, the varied values, and what came out."""
-    values = {**vars(outcome), **dict.fromkeys(MULTIPLIERS.values(), np.nan), **outcome.multipliers}
+    values = {**vars(outcome), **dict.fromkeys(MULTIPLIER_COLUMNS.values(), np.nan), **outcome.multipliers}
     cells = {name: _cell(values[name]) for name in OUTCOME}
     varied = {key: " ".join(text.split()) for key, text in labels.items()}
     return {"index": str(outcome.index), "point": str(point), **varied, **cells}

@@ -21,8 +21,7 @@ from transopt.base.errors import InputError
 from transopt.base.files import ctrl_c_waits, without_nan
 from transopt.base.machine import versions
 from transopt.base.writing import csv_text, write_text
-from transopt.study.columns import OUTCOME
-from transopt.study.rows import Row
+from transopt.study.rows import OUTCOME, Row
 
 SCHEMA = 2
 LIBRARIES = ("transopt", "casadi", "numpy", "scipy")  # whose versions may move the last digits of a row

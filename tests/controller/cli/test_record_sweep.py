@@ -17,8 +17,8 @@ from controller.protocol.events import News, Samples
 from controller.record.excitation import sweep_command
 from controller.servo.interface import State
 from controller.sim.compiled_device import CompiledDevice
-from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.sensors import SEED_SENSORS
+from controller.sim.true_device import DEFAULT_DEVICE
 from controller.sim.user import StillHand
 from controller.sim.virtual_link import Trouble
 from tests.benches.commands import Run, assert_refused

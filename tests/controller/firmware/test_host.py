@@ -19,11 +19,10 @@ from controller.host.driver import Device
 from controller.protocol import messages as m
 from controller.record.excitation import sweep_command
 from controller.sim.compiled_device import CompiledDevice
-from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.plant_file import plant_bytes
 from controller.sim.sensors import Sensors
 from controller.sim.simulator import Imperfections, Simulator
-from controller.sim.true_device import Ground, device_of
+from controller.sim.true_device import DEFAULT_DEVICE, Ground, device_of
 from controller.sim.user import STRAIGHT, StillHand, TapsInTurn, TapUser
 from tests.benches.commands import Terminal, assert_refused
 from transopt.base.errors import InputError

@@ -11,7 +11,7 @@ import typer
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.cli.identify_coil import identify_coil
+from transopt.cli.identify import identify_coil
 from transopt.identify.coil import NAMES, CoilFit, fit_coil
 from transopt.identify.heat_record import heat_record
 from transopt.identify.measurement import Measurement

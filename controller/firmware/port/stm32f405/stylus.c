@@ -1,4 +1,4 @@
-/* The stylus is the built-in device of transopt (controller/sim/default_device.py) on a level surface, integrated by the
+/* The stylus is the built-in device of transopt (controller/sim/true_device.py) on a level surface, integrated by the
  * semi-implicit Euler method in twelve steps a period, in the frame of the hand. It has no noise.
  *
  * The hand does what a line asks that begins with `please`, in the words in which transopt-play asks a person, so that
