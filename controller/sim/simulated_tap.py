@@ -11,10 +11,10 @@ import numpy as np
 from controller.record.metrics import rate_hardness_N_m
 from controller.sim.simulator import NONE, Imperfections, Simulator
 from controller.sim.true_device import TrueDevice
-from controller.sim.user import STRAIGHT, TapUser, Tremor, User
+from controller.sim.user import TapUser, Tremor, User
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
-from transopt.plant.intention import Intention, Yielding
+from transopt.plant.intention import Yielding
 from transopt.recordings.settings import SimulatedTaps
 
 APPROACH_S, APPROACH_M = 60e-3, 5e-3  # the straight way in: at least so long and so far
@@ -69,14 +69,12 @@ def strike_real(
     grip_N: float,
     duration_s: float,
     dt_s: float,
-    intention: Intention = STRAIGHT,
-    incoming_m_s2: float = 0.0,
 ) -> Struck:
     """Let the undriven stylus strike a real object at z = 0 (seed Fig. 1)."""
     approach = 100
     simulator = Simulator(
         device,
-        TapUser(speed_m_s, grip_N, approach * dt_s, intention, incoming_m_s2=incoming_m_s2),
+        TapUser(speed_m_s, grip_N, approach * dt_s),
         dt_s,
         target=target,
         steps=STEPS_AT_CONTACT,

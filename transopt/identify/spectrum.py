@@ -75,24 +75,24 @@ class TransferEstimate:
         """K, number of trials."""
         return int(self.trial_responses.shape[0])
 
-    def radius(self, level: float = LEVEL) -> FloatArray:
+    def radius(self) -> FloatArray:
         """(m,) of the disc around `response` in the complex plane that holds the truth with that probability."""
         # |error|^2 / (2 deviation^2) is distributed as F(2, degrees), whose quantile is elementary.
         half = self.degrees / 2
-        return np.asarray(self.deviation * np.sqrt(2 * half * ((1 - level) ** (-1 / half) - 1)))
+        return np.asarray(self.deviation * np.sqrt(2 * half * ((1 - LEVEL) ** (-1 / half) - 1)))
 
-    def half_width(self, level: float = LEVEL) -> FloatArray:
+    def half_width(self) -> FloatArray:
         """(m,) of the interval around any one component of the response, magnitude included."""
-        return np.asarray(self.deviation * special.stdtrit(self.degrees, (1 + level) / 2))
+        return np.asarray(self.deviation * special.stdtrit(self.degrees, (1 + LEVEL) / 2))
 
-    def magnitude_band(self, level: float = LEVEL) -> tuple[FloatArray, FloatArray]:
+    def magnitude_band(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest magnitude, (m,) each, pointwise."""
-        size, half = np.abs(self.response), self.half_width(level)
+        size, half = np.abs(self.response), self.half_width()
         return np.maximum(size - half, 0.0), size + half
 
-    def phase_half_width_deg(self, level: float = LEVEL) -> FloatArray:
+    def phase_half_width_deg(self) -> FloatArray:
         """(m,) half the width of the phase's interval; 180 where the phase is not known at all."""
-        ratio = self.half_width(level) / np.maximum(np.abs(self.response), np.finfo(float).tiny)
+        ratio = self.half_width() / np.maximum(np.abs(self.response), np.finfo(float).tiny)
         return np.where(ratio < 1, np.degrees(np.arcsin(np.minimum(ratio, 1.0))), 180.0)
 
     def over(self, response: ComplexArray) -> "TransferEstimate":

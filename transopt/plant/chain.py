@@ -28,7 +28,6 @@ def chain(
     force_per_current_N_A: float,
     driven: int = 0,
     stylus: int,
-    encoder: int = 0,
     names: Sequence[str] = (),
 ) -> StateSpace:
     """Assemble a chain of masses; link j joins mass j and mass j + 1, the last one mass and ground.
@@ -45,9 +44,8 @@ def chain(
     force_per_current_N_A : force on the driven mass per ampere.
     driven : index of the mass that the motor's force acts on.
     stylus : index of the mass whose acceleration is the output.
-    encoder : index of the mass whose position the encoder sees.
     names : of the masses: the model has the outputs "NAME position" and "NAME velocity" of each that has one, beside
-        the "position" and "velocity" of the mass that the encoder sees.
+        the "position" and "velocity" of the first, which the encoder sees.
 
     Raises
     ------
@@ -78,7 +76,7 @@ def chain(
     B = np.zeros((2 * n, 1))
     B[n + driven, 0] = force_per_current_N_A * inverse_mass[driven]
     outputs: dict[str, Output] = {}
-    for mass, name in ((encoder, ""), *enumerate(names)):
+    for mass, name in ((0, ""), *enumerate(names)):
         position, velocity = np.zeros((1, 2 * n)), np.zeros((1, 2 * n))
         position[0, mass:n], velocity[0, n + mass] = 1.0, 1.0
         outputs[f"{name} {POSITION}".strip()] = Output(position, "m", POSITION)

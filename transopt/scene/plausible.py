@@ -176,12 +176,12 @@ def _wrong(path: str, names: str, value: float) -> str:
     return f"{path} = {value:g} {unit}: devices and hands have {low:g} to {high:g} {unit}{meant}"
 
 
-def check_plausible(source: object, content: Mapping[str, Any], accept: str = ACCEPT) -> None:
+def check_plausible(source: object, content: Mapping[str, Any]) -> None:
     """Refuse numbers that no device has.
 
     Parameters
     ----------
-    source : what holds them, first in the line. accept : what to do where they are right.
+    source : what holds them, first in the line.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def check_plausible(source: object, content: Mapping[str, Any], accept: str = AC
     found = implausible(content)
     if found:
         more = f" (and {len(found) - 1} more such numbers)" if len(found) > 1 else ""
-        raise InputError(f"{source}: {found[0]}{more}; {accept}")
+        raise InputError(f"{source}: {found[0]}{more}; {ACCEPT}")
 
 
 def _bounds(names: str) -> tuple[float, float] | None:

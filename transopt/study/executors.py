@@ -11,6 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 from transopt.base.apart import Processes
 from transopt.base.errors import InputError
 
+ANSWERS_S = 10.0  # within which a scheduler answers
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -68,7 +69,7 @@ def processes(workers: int) -> Pool:
     return Pool(name, Processes(workers), lambda: workers)
 
 
-def dask(address: str, timeout_s: float = 10.0) -> Pool:
+def dask(address: str) -> Pool:
     """Workers of a dask scheduler, `dask://HOST:PORT`; transopt must be installed there, of the same version.
 
     Raises
@@ -83,7 +84,7 @@ def dask(address: str, timeout_s: float = 10.0) -> Pool:
         ) from None
     connect: Callable[..., Any] = distributed.Client
     try:
-        client = connect(address.replace("dask://", "tcp://"), timeout=timeout_s, set_as_default=False)
+        client = connect(address.replace("dask://", "tcp://"), timeout=ANSWERS_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"--executor {address}: no dask scheduler answers there ({type(error).__name__})") from None
 

@@ -20,6 +20,7 @@ GRIP_SPACINGS_N = (4.0, 2.0, 1.0, 0.5)
 SPEED_SPACINGS_M_S = (0.3, 0.15, 0.1, 0.05, 0.025)
 LEAST_EXCESS_PERCENT = 0.01  # shown
 FINE = 4  # points looked at in every interval of the finest grid
+CLOSE = 0.02  # between a blend and the optimum, of the tap error: the spacings that keep it are named
 
 
 def soft_hand(scene: Scene) -> Scene:
@@ -145,17 +146,17 @@ def spacing_figure(found: Sequence[Spaced]) -> Figure:
     return figure
 
 
-def spacing_sentence(found: Sequence[Spaced], tolerance: float = 0.02) -> str:
+def spacing_sentence(found: Sequence[Spaced]) -> str:
     """The finding: the widest spacing that keeps a tolerance, per axis."""
     parts = []
     for axis, unit in (("grip", "N"), ("speed", "m/s")):
         own = [s for s in found if s.axis == axis]
         widths = sorted({s.spacing for s in own}, reverse=True)
-        meets = next((w for w in widths if all(s.worst <= tolerance for s in own if s.spacing == w)), None)
+        meets = next((w for w in widths if all(s.worst <= CLOSE for s in own if s.spacing == w)), None)
         worst = max((s for s in own if s.spacing == widths[0]), key=lambda s: s.worst)
         kept = f"{meets:g} {unit} keeps" if meets is not None else f"none of {widths[-1]:g} {unit} or wider keeps"
         parts.append(
-            f"along the {axis}s {kept} every blend within {100 * tolerance:g} percentage points, {widths[0]:g} "
+            f"along the {axis}s {kept} every blend within {100 * CLOSE:g} percentage points, {widths[0]:g} "
             f"{unit} costs up to {100 * worst.worst:.1f} ({worst.device}, {worst.worst_at:.3g} {unit})"
         )
     return f"{'; '.join(parts)[0].upper()}{'; '.join(parts)[1:]}."

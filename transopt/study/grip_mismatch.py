@@ -17,6 +17,7 @@ from transopt.study.optima import Proven, errors_of, proven
 SPEEDS_M_S = (0.2, 0.4)
 GRIPS_N = tuple(float(F) for F in np.arange(1.0, 5.01, 0.5))
 BLIND_GRIPS_N = (1.0, 3.0, 5.0)  # of the libraries for one grip alone that the figure shows
+NAMED_GRIP_N = 3.0  # of the library whose error the sentence names
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def mismatch(
     return found, proven("default", errors)
 
 
-def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GRIPS_N) -> Figure:
+def mismatch_figure(found: Sequence[Played]) -> Figure:
     """Tap error over the grip of the hand: compensated, and blind with a library for one grip."""
     speeds = list(dict.fromkeys(p.speed_m_s for p in found))
     figure = Figure(figsize=(1.0 + 3.1 * len(speeds), 3.5), layout="constrained")
@@ -74,7 +75,7 @@ def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GR
     for axes, speed in zip(panels, speeds, strict=True):
         style(axes)
         own = [p for p in found if p.speed_m_s == speed]
-        for grip, colour in zip(blind_N, colours(len(blind_N)), strict=True):
+        for grip, colour in zip(BLIND_GRIPS_N, colours(len(BLIND_GRIPS_N)), strict=True):
             line = [p for p in own if p.made_for_N == grip]
             axes.plot(
                 [p.played_at_N for p in line],
@@ -90,16 +91,16 @@ def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GR
         axes.set_xlabel("grip of the hand [N]", fontsize=LABEL_PT)
         percent_axis(axes)
     panels[0].set_ylabel("tap error [%]", fontsize=LABEL_PT)
-    shades = zip(blind_N, colours(len(blind_N)), strict=True)
+    shades = zip(BLIND_GRIPS_N, colours(len(BLIND_GRIPS_N)), strict=True)
     handles = [Line2D([], [], color=c, linewidth=1.2, label=f"blind, made for {F:g} N") for F, c in shades]
     handles.append(Line2D([], [], color=SEED, linewidth=1.6, label="made for the grip there is"))
     legend_above(figure, handles, 2)
     return figure
 
 
-def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
+def mismatch_sentence(found: Sequence[Played]) -> str:
     """The finding."""
-    blind = [p for p in found if p.made_for_N == blind_N]
+    blind = [p for p in found if p.made_for_N == NAMED_GRIP_N]
     worst = max(blind, key=lambda p: p.excess)
     near = [
         p
@@ -108,8 +109,8 @@ def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
         == min(abs(q.made_for_N - q.played_at_N) for q in found if q.made_for_N != q.played_at_N)
     ]
     return (
-        f"A library for {blind_N:g} N alone errs by up to {100 * worst.tap_error:.0f} % at {worst.played_at_N:g} N "
-        f"({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
+        f"A library for {NAMED_GRIP_N:g} N alone errs by up to {100 * worst.tap_error:.0f} % at "
+        f"{worst.played_at_N:g} N ({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
         f"{100 * (worst.tap_error - worst.excess):.1f} %; a grip misread by "
         f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to "
         f"{100 * max(p.excess for p in near):.1f} percentage points."

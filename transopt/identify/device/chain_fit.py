@@ -195,7 +195,6 @@ def fit_chain(
     nominal: DriveChain,
     *,
     random_starts: int = RANDOM_STARTS,
-    seed: int = 0,
     tick: Callable[[], None] = lambda: None,
 ) -> ChainFit:
     """The most likely chain and instrument.
@@ -236,7 +235,7 @@ def fit_chain(
     )
     exact = ChainSearch(measured, coordinates, sought, force, free)
     near = coordinates.of(scaled_to(nominal, measured, sought))
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     starts = [near, coordinates.of(nominal)]
     starts += [near + np.log(SPREAD) * random.uniform(-1, 1, near.size) for _ in range(random_starts)]
     reached: list[tuple[FloatArray, float]] = []

@@ -287,7 +287,7 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     return np.asarray(found - after * force[:, :1])
 
 
-def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, seed: int = 0) -> ChainFit:
+def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS) -> ChainFit:
     """Stylus mass and five lines over grip from all taps together.
 
     Parameters
@@ -295,7 +295,6 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, s
     taps : the session's.
     hand : the second-order fit of the same taps; the starts are drawn around it, log-uniform within a factor of 3.
     starts : tried on a few taps; the best goes on with all of them.
-    seed : of their draw.
     """
     taps = [_below(tap, hand.heard_Hz) for tap in taps]
     ends = (float(hand.grips_N.min()), float(hand.grips_N.max()))
@@ -305,7 +304,7 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, s
     few = order[np.unique(np.linspace(0, order.size - 1, _FEW).round().astype(int))]
     part = _Session.of([taps[j] for j in few], coordinates)
     guess = _guess(hand, ends)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
     # No parameter is negative at either end, nor by rounding between them.
     least = _LEAST_SHARE * guess
