@@ -113,20 +113,38 @@ def check_grip(grips_N: list[float], grip_N: float) -> None:
         )
 
 
-def _error_at(nrmse: NrmseByGrip, grip_N: float) -> float:
-    """Held-out error of the model at a grip, NaN without validation.
+class RecordedDevice(ModelPart):
+    """What an identified device states whatever its model is.
 
-    It is linear between the grips where the model was validated.
+    Attributes
+    ----------
+    grips_N : (ng,) recorded, increasing; 0 for the free device.
+    nrmse : grip -> held-out error on trials outside the fit, their noise included.
+    error : how far its response is off; None in files of older versions.
+    predicted : what that makes of the taps of the scene it was identified for; None where there was none.
+    causes : what was found to be in the records or the device beside the model, by name.
     """
-    by_grip = sorted((float(name), value) for name, value in nrmse.items())
-    if grip_N > 0:
-        by_grip = [(grip, value) for grip, value in by_grip if grip > 0] or by_grip
-    if not by_grip:
-        return np.nan
-    return float(np.interp(grip_N, [grip for grip, _ in by_grip], [value for _, value in by_grip]))
+
+    grips_N: Grips
+    nrmse: NrmseByGrip
+    error: ModelError | None = None
+    predicted: Predicted | None = None
+    causes: list[Words] = Field(default_factory=list)
+
+    _grips_ordered = field_validator("grips_N")(_increasing)
+    _nrmse_by_grip = field_validator("nrmse")(_of_grips)
+
+    def error_at(self, grip_N: float) -> float:
+        """Held-out error at a grip, linear between those that were validated; NaN without validation."""
+        by_grip = sorted((float(name), value) for name, value in self.nrmse.items())
+        if grip_N > 0:
+            by_grip = [(grip, value) for grip, value in by_grip if grip > 0] or by_grip
+        if not by_grip:
+            return np.nan
+        return float(np.interp(grip_N, [grip for grip, _ in by_grip], [value for _, value in by_grip]))
 
 
-class DriveDevice(FittedPart):
+class DriveDevice(RecordedDevice, FittedPart):
     """The `drive` chain: device parameters shared by all grips, those of the hand linear in grip.
 
     Attributes
@@ -139,11 +157,6 @@ class DriveDevice(FittedPart):
     transmission_stiffness_N_m : between the two.
     transmission_damping_N_s_m : between the two.
     hand : skin, hand mass and arm.
-    grips_N : recorded, 0 for the free device.
-    nrmse : grip -> held-out error on trials outside the fit, their noise included.
-    error : how far its response is off; None in files of older versions.
-    predicted : what that makes of the taps of the scene it was identified for; None where there was none.
-    causes : what was found to be in the records or the device beside the model, by name.
     """
 
     kind: Literal["drive"]
@@ -153,14 +166,6 @@ class DriveDevice(FittedPart):
     transmission_stiffness_N_m: Positive
     transmission_damping_N_s_m: NonNegative
     hand: ChainHand
-    grips_N: Grips
-    nrmse: NrmseByGrip
-    error: ModelError | None = None
-    predicted: Predicted | None = None
-    causes: list[Words] = Field(default_factory=list)
-
-    _grips_ordered = field_validator("grips_N")(_increasing)
-    _nrmse_by_grip = field_validator("nrmse")(_of_grips)
 
     @model_validator(mode="after")
     def _passive(self) -> Self:
@@ -189,43 +194,26 @@ class DriveDevice(FittedPart):
             driven=1 if struck else 0,
         )
 
-    def error_at(self, grip_N: float) -> float:
-        """Held-out error at a grip, NaN without validation."""
-        return _error_at(self.nrmse, grip_N)
 
-
-class StateSpaceDevice(ModelPart):
+class StateSpaceDevice(RecordedDevice):
     """A black box: one continuous-time state space per grip, from current [A] to stylus acceleration [m/s^2].
 
     Attributes
     ----------
     kind : that it is this one.
     order : n, number of states.
-    grips_N : (ng,) recorded, increasing; 0 for the free device.
     A : (ng, n, n), real and stable.
     B : (ng, n, 1).
     C : (ng, 1, n).
     D : (ng, 1, 1).
-    nrmse : grip -> held-out error on trials outside the fit, their noise included.
-    error : how far its response is off; None in files of older versions.
-    predicted : what that makes of the taps of the scene it was identified for; None where there was none.
-    causes : what was found to be in the records or the device beside the model, by name.
     """
 
     kind: Literal["state_space"]
     order: Annotated[int, Field(ge=1, le=MOST_STATES // 2)]
-    grips_N: Grips
     A: Annotated[list[Matrix], Field(min_length=1)]
     B: Annotated[list[Matrix], Field(min_length=1)]
     C: Annotated[list[Matrix], Field(min_length=1)]
     D: Annotated[list[Matrix], Field(min_length=1)]
-    nrmse: NrmseByGrip
-    error: ModelError | None = None
-    predicted: Predicted | None = None
-    causes: list[Words] = Field(default_factory=list)
-
-    _grips_ordered = field_validator("grips_N")(_increasing)
-    _nrmse_by_grip = field_validator("nrmse")(_of_grips)
 
     @model_validator(mode="after")
     def _stable(self) -> Self:
@@ -268,10 +256,6 @@ class StateSpaceDevice(ModelPart):
         j = min(int(np.searchsorted(held, grip, side="right")) - 1, len(held) - 2)
         share = (grip - held[j]) / (held[j + 1] - held[j])
         return blended(self.node(first + j), self.node(first + j + 1), share)
-
-    def error_at(self, grip_N: float) -> float:
-        """Held-out error at a grip, NaN without validation."""
-        return _error_at(self.nrmse, grip_N)
 
 
 class _HeldHand(FittedPart):
