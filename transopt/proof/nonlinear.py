@@ -12,9 +12,9 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import Certificate, Multipliers
-from transopt.problem.limits.limit import tolerated, transposed
+from transopt.problem.limits.limit import transposed
 from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
-from transopt.proof.certify import boxes
+from transopt.proof.certify import boxes, is_stated, left_over
 
 
 def reduced_gradient(effect: NonlinearEffect, multipliers: Multipliers) -> FloatArray:
@@ -60,21 +60,14 @@ def certify_nonlinear(
     effect : of the command, where it is known already.
     """
     linear = problem.linear
-    N, arrays = linear.grid.stages, [command, *multipliers.arrays()]
-    shapes = [(N,)] * (len(arrays) - 2) + [(linear.hand_over_samples,), (N,)]
-    if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
+    if not is_stated(linear, command, multipliers):
         return Certificate.nothing()
     effect, clipped = effect or problem.effect(command), multipliers.clipped()
     if not effect.finite or not np.isfinite(effect.objective):
         return Certificate.nothing()
     limits, tail = boxes(linear, command, effect.motion, clipped), command[linear.free_stages :]
-    off = float(np.abs(tail).max())
-    violations = {"A": off}
-    for box in limits:
-        unit = box.limit.base_unit()
-        violations[unit] = max(violations.get(unit, 0.0), float(box.excess.max()))
-    excess = [float(box.excess.max()) / box.limit.tolerance for box in limits]
-    excess.append(off / tolerated(linear.limits.input_limit))
+    outside = [(box.limit, float(box.excess.max())) for box in limits]
+    violations, excess = left_over(linear, outside, float(np.abs(tail).max()))
     g = reduced_gradient(effect, clipped)
     gap = float(np.abs(g) @ (linear.command_bound + np.abs(command)))
     gap += sum(box.complementarity for box in limits) + float(np.abs(clipped.hand_over) @ np.abs(tail))
@@ -82,7 +75,7 @@ def certify_nonlinear(
         objective=effect.objective,
         merit=effect.objective,
         violations=violations,
-        excess=max(*excess, 0.0),
+        excess=excess,
         dual_residual=float(np.abs(g).max()),
         duality_gap=gap if np.isfinite(gap) else float("inf"),
         lower_bound=-float("inf"),
