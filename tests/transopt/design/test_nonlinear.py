@@ -80,7 +80,7 @@ class TestRefusedAnswer:
         made = self.designed(tmp_path, monkeypatch, command=lambda found: 0.99 * found.command)
         assert made.entries[0][0].status is Status.NOT_CERTIFIED
         assert "no stationary point" in made.entries[0][0].shortfalls[0]
-        with pytest.raises(InputError, match="click: refused: gap"):
+        with pytest.raises(InputError, match="click: refused: not certified"):
             made.command("click")
 
     def test_a_solver_that_broke_down(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
