@@ -34,7 +34,8 @@ def without_turning(axes: Mapping[str, FloatArray], step_s: float) -> tuple[dict
     np.add.at(edges, np.maximum(loud - round(APPROACH_S / step_s), 0), 1)
     np.add.at(edges, np.minimum(loud + round(RINGING_S / step_s), size), -1)
     quiet = np.cumsum(edges)[:-1] == 0
-    blocks = [at for at in np.array_split(np.arange(size), max(int(size * step_s / BLOCK_S), 1)) if quiet[at].all()]
+    pieces = np.array_split(np.arange(size), np.clip(int(size * step_s / BLOCK_S), 1, size))
+    blocks = [at for at in pieces if quiet[at].all()]
     if len(axes) < len("xyz") or len(blocks) < 2 or not blocks[0][0] < loud[0] < blocks[-1][0]:
         return dict(axes), ""
     means = np.array([table[:, at].mean(axis=1) for at in blocks])

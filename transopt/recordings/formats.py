@@ -33,15 +33,13 @@ from transopt.recordings.names import (
     Vocabulary,
     apart,
     lacking,
-    looks_known,
-    means_acceleration,
-    means_time,
     quantity_of,
     quote,
     stated_for,
 )
+from transopt.recordings.rates import rate_of
 from transopt.recordings.raw_table import LARGEST, RawTable, check_size, without_times
-from transopt.recordings.text import rate_of, read_text, start_of, text_columns, untimed
+from transopt.recordings.text import read_text, text_columns, untimed
 from transopt.recordings.unclear import Answer, UnclearError, options
 from transopt.recordings.units import is_unit, known_units, read_unit
 from transopt.recordings.universal_file import read_universal_file
@@ -155,13 +153,15 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTa
     if words.lacks(reads):
         words = words.labelled(list(numeric(reads)))
     candidates = [name for name in reads if name not in words.header]
-    if "time" in words.required and layout.rate_Hz is None and not any(means_time(name, words) for name in reads):
+    if (
+        "time" in words.required
+        and layout.rate_Hz is None
+        and not any(quantity_of(name, words) == "time" for name in reads)
+    ):
         step_s, start_s = found.step_s, found.start_s
         if step_s is None:
-            notes = [f"{apart(name)[0]} = {value:.17g}" for name, value in _scalars(reads).items()]
-            rate = rate_of(notes)
-            step_s = None if rate is None else 1 / rate[0]
-            start_s = start_of(notes)
+            lines = [f"{apart(name)[0]} = {value:.17g}" for name, value in _scalars(reads).items()]
+            step_s, start_s, _ = rate_of([], lines) or (None, 0.0, "")
         if step_s is not None:
             return _from_variables(found, layout, without_times(words)).timed(step_s, start_s)
     chosen = layout.columns or [
@@ -169,15 +169,15 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTa
         for name in candidates
         if words.unit_suffix.search(name) or apart(name)[1] or stated_for(name, words, units)
     ]
-    if not layout.columns and not all(looks_known(name, words) for name in chosen):
+    if not layout.columns and not all(quantity_of(name, words) is not None for name in chosen):
         vectors = numeric(reads)
-        chosen = [name for name in chosen if looks_known(name, words) or name in vectors]
+        chosen = [name for name in chosen if quantity_of(name, words) is not None or name in vectors]
     if "magnitude" in words.quantities and not layout.columns:
         _refuse_unstated(reads, [name for name in candidates if name not in chosen], units)
     if chosen and not layout.columns and (absent := lacking({quantity_of(name, words) for name in chosen}, words)):
         chosen = [*chosen, *(name for name in numeric(reads) if quantity_of(name, words) in absent)]
     # Names that mean something are asked about where none has a unit.
-    chosen = chosen or [name for name in candidates if looks_known(name, words)] or candidates
+    chosen = chosen or [name for name in candidates if quantity_of(name, words) is not None] or candidates
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
     known = meanings(wanted, words, units, list(reads), lambda: numeric(reads))
     columns = dict[str, FloatArray]()
@@ -242,11 +242,11 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
         above, _, last = name.rpartition(".")
         key = last if short[last] == 1 else name
         unit = next((named[at] for of in UNIT_FIELDS if (at := f"{above}.{of}".strip(".")) in named), "")
-        is_other = isinstance(unit, str) and means_time(key, words) and read_unit(unit, "time") is None
+        is_other = isinstance(unit, str) and quantity_of(key, words) == "time" and read_unit(unit, "time") is None
         if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None and not is_other:
             key = f"{key} [{unit}]"
         found[key] = partial(named.__getitem__, name)
-        if means_acceleration(key, words):
+        if quantity_of(key, words) == "acceleration":
             with guarded(f"variable {name} is not readable", _SAVE_NPZ):
                 values = np.asarray(named[name])
             rows = values if values.ndim == 2 and values.shape[0] == len(_AXES) else values.T

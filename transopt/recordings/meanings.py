@@ -6,6 +6,9 @@ says what is missing, with answers that may be tried.
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
@@ -20,7 +23,6 @@ from transopt.recordings.names import (
     keys_of,
     lacking,
     lacks_unit,
-    looks_known,
     quantity_of,
     quote,
     stated_unit,
@@ -40,6 +42,7 @@ from transopt.recordings.units import (
 )
 
 MOST_ANSWERS = 40
+SAME_SPAN = 0.01  # of a record's length, by which two columns of its times may differ
 Seen = Callable[[], Mapping[str, FloatArray]]
 
 
@@ -81,7 +84,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
 
 def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearError:
     """Columns that mean nothing here, or a quantity that is not there, with what they may be."""
-    unknown = [name for name in names if name != SKIPPED and not looks_known(name, words)]
+    unknown = [name for name in names if name != SKIPPED and quantity_of(name, words) is None]
     electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
     acceleration = "acceleration" in words.quantities
     if electrical and acceleration:
@@ -156,7 +159,7 @@ def meanings(
     unused = [key for key in units if key not in own]
     if unused:
         raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
-    if any(not looks_known(name, words) for name in used):
+    if any(quantity_of(name, words) is None for name in used):
         raise _unknown(used if found else names, words, seen)
     for quantity in lacking({quantity_of(name, words) for name in used}, words):
         if quantity == "time":
@@ -170,6 +173,34 @@ def meanings(
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
     return said
+
+
+def one_clock(
+    names: Sequence[str],
+    words: Vocabulary,
+    units: Mapping[str, str],
+    column: Callable[[int], FloatArray],
+    said: list[str],
+) -> list[str]:
+    """Names with one column of times left, where several have a unit and last equally long: the one of finest steps.
+
+    Parameters
+    ----------
+    column : the numbers (n,) of a column, by its place.
+    said : takes a sentence that names the column that is left.
+    """
+    rivals = [at for at, name in enumerate(names) if quantity_of(name, words) == "time"]
+    factors = dict[int, float]()
+    for at in rivals if len(rivals) > 1 else ():
+        with suppress(InputError):
+            factors[at] = meaning(names[at], words, units).factor
+    times = {at: factor * column(at) for at, factor in factors.items()}
+    spans = [float(each[-1] - each[0]) for each in times.values()]
+    if not spans or not spans[0] > 0 or not np.allclose(spans, spans[0], rtol=SAME_SPAN):
+        return list(names)
+    kept = max(times, key=lambda at: np.unique(times[at]).size)
+    said.append(f"of {len(rivals)} columns of times {quote(names[kept])} is used")
+    return [SKIPPED if at in rivals and at != kept else name for at, name in enumerate(names)]
 
 
 def _refuse_unstated(without: Sequence[str], words: Vocabulary) -> None:

@@ -6,6 +6,9 @@ A name in a file is understood in one of three ways:
 - `acc [g]`, `time (ms)`, `Force/N`: a usual name of the quantity with its unit behind it;
 - `acc` with a unit that the user states (`--units acc=g`, or `units = { acc = "g" }` in a scene).
 
+Where no name is a usual one for a quantity that is needed, those count that have its unit, as `Dev1/ai0 [g]`, or one
+of its usual names among their words, as `field.linear_acceleration.x`.
+
 A unit is never guessed: 9.81 lies between the two that are usual for an acceleration.
 """
 
@@ -15,20 +18,23 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from transopt.base.errors import InputError
-from transopt.recordings.units import (
-    RATIOS,
-    read_unit,
-)
+from transopt.recordings.units import RATIOS, is_electrical, is_unit, read_unit
 
 SKIPPED = "-"
 MOST_CHOICES = 8  # among columns of one quantity
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
-# A unit behind a name: in brackets, behind a stroke, or behind "in".
+# A unit behind a name: in brackets, behind a stroke, or behind "in". A number in brackets is an element's place.
 _WITH_UNIT = (
-    re.compile(r"(?P<base>[^\[\](){}]+?)\s*[\[({](?P<unit>([^\[\](){}]|\([^()]*\))*)[\])}]"),
+    re.compile(r"(?P<base>[^\[\](){}]+?)\s*[\[({](?!\d+[\])}])(?P<unit>([^\[\](){}]|\([^()]*\))*)[\])}]"),
     re.compile(r"(?P<base>[^\[\](){}/]+?)\s*(?:/|\sin\s)\s*(?P<unit>\S+)"),
 )
+# A bracket with a note behind it, as "Time (s) Run #1", or a unit before a note, as "Accel, g (sensor 101)".
+_NOTED = (
+    re.compile(r"(?P<base>[^\[\](){}]+?)\s*[\[({](?P<unit>[^\[\](){}]+)[\])}]\s*(?P<note>.+)"),
+    re.compile(r"(?P<base>.+?)\s+(?P<unit>\S+)\s*(?P<note>\(.*\))"),
+)
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")  # of a name, in camel case too
 # Names of times that say their unit: of programs, of LabVIEW's text, of a processor's counters.
 NAMED_UNITS = {
     **dict.fromkeys(("second", "seconds", "sec", "seconds elapsed", "x value", "in s"), "s"),
@@ -36,6 +42,7 @@ NAMED_UNITS = {
     **dict.fromkeys(("micros", "microseconds"), "us"),
 }
 STEMS = ("linear acceleration", "acceleration", "accelerometer", "accel", "acc", "a", "gf")
+INITIALS = {"a": "acceleration"}  # that mean a quantity only beside a unit: a channel A, in volts too, is any
 # One of three axes, as in accel_x or ay; an underscore is read as a blank.
 AXES = tuple(f"{stem}{mark}{axis}" for stem in STEMS for mark in ("", " ") for axis in "xyz")
 # Quantity -> what else it is called, in small letters.
@@ -54,7 +61,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
         ),
         *NAMED_UNITS,
     ),
-    "acceleration": (*STEMS[:-1], "beschleunigung", *AXES),
+    "acceleration": (*STEMS[:-2], "beschleunigung", *AXES),
     "velocity": ("vel", "geschwindigkeit"),
     "position": ("pos", "displacement", "z"),
     "force": ("f", "hammer", "kraft"),
@@ -134,7 +141,7 @@ class Vocabulary:
         own = {name: [of for of in self.quantities if read_unit(unit, of)] for name, unit in units.items()}
         # A response's unit is that of its magnitude; a complex array is parted into its two parts.
         clear = {name: of[0] for name, of in own.items() if len(of) == 1 or (of and set(of) <= set(RATIOS))}
-        called = {name: of for name, of in clear.items() if called_quantity(name, self) is None}
+        called = {name: of for name, of in clear.items() if quantity_of(name, self) is None}
         return replace(self, called=called) if called else self
 
     def lacks(self, names: Iterable[str]) -> bool:
@@ -142,10 +149,14 @@ class Vocabulary:
         return bool(lacking({quantity_of(name, self) for name in names}, self))
 
     def labelled(self, names: Sequence[str]) -> "Vocabulary":
-        """The words, and names that mean nothing here but have a unit of a required quantity that no other has."""
-        present = {quantity_of(name, self) for name in names}
-        own = [pair for name in names if quantity_of(name, self) is None and (pair := apart(name))[1]]
-        called = {base: of for of in lacking(present, self) for base, unit in own if read_unit(unit or "", of)}
+        """The words, and names of a required quantity that no other has: by their unit, or by one of their words."""
+        absent = lacking({quantity_of(name, self) for name in names}, self)
+        own = [apart(name) for name in names if quantity_of(name, self) is None]
+        called = {base: of for of in absent for base, unit in own if unit and read_unit(unit, of)}
+        for base, unit in own:
+            spoken = [of for of in absent if _words(base) & {of, *ALIASES[of]}]
+            if len(spoken) == 1 and base not in called and not (unit and is_unit(unit)):
+                called[base] = spoken[0]
         return replace(self, called={**self.called, **called}) if called else self
 
     @property
@@ -179,9 +190,21 @@ class Layout:
 
 def with_axes(names: Sequence[str]) -> list[str]:
     """Names of columns in which x, y and z, alone in a name and together, are the axes of an accelerometer."""
-    alone = {apart(name)[0].lower() for name in names}
-    is_axis = [alone >= set("xyz") and apart(name)[0].lower() in set("xyz") for name in names]
-    return [f"acc {name}" if axis else name for name, axis in zip(names, is_axis, strict=True)]
+    alone = [_small(apart(name)[0]) for name in names]
+    are_axes = set(alone) >= set("xyz") and not any(read_unit(apart(name)[1] or "", "position") for name in names)
+    return [
+        f"acc {name}" if are_axes and base in set("xyz") else name for name, base in zip(names, alone, strict=True)
+    ]
+
+
+def _small(base: str) -> str:
+    """A name in small letters, of which an axis is called by its letter alone."""
+    return base.strip().lower().replace("_", " ").removesuffix("-axis").removesuffix(" axis")
+
+
+def _words(base: str) -> set[str]:
+    """The words of a name, in small letters."""
+    return set(map(str.lower, _WORD.findall(base)))
 
 
 def stated_units(text: str) -> dict[str, str]:
@@ -208,52 +231,46 @@ def split_names(line: str) -> list[str]:
 
 def called_quantity(base: str, words: Vocabulary) -> str | None:
     """The quantity that a name without unit means, None if none."""
-    small = base.strip().lower().replace("_", " ")
     if base in words.called:
         return words.called[base]
-    named = (q for q in words.quantities if small == q or small in ALIASES.get(q, ()))
-    return next(named, None)
+    spelt = {base.strip().lower().replace("_", " "), _small(base)}
+    return next((of for of in words.quantities if spelt & {of, *ALIASES.get(of, ())}), None)
 
 
 def quantity_of(name: str, words: Vocabulary) -> str | None:
     """The quantity that a column means by its name, with or without a unit; None if none."""
-    return words.columns[name][0] if name in words.columns else called_quantity(apart(name)[0], words)
+    if name in words.columns:
+        return words.columns[name][0]
+    base, unit = apart(name)
+    initial = INITIALS.get(base.lower()) if unit and not is_electrical(unit) else None
+    return initial if initial in words.quantities else called_quantity(base, words)
 
 
 def axis_of(name: str) -> str:
-    """The axis that a column's name ends in before its unit, as accel_x or ay_g; empty where it names none."""
-    small = apart(name)[0].lower().replace("_", " ")
-    return small[-1] if small in AXES else ""
+    """The axis that the name of an acceleration has, as accel_x or ay_g, or by its place, acc[0]; empty if none."""
+    base = apart(name)[0]
+    if _small(base) in AXES:
+        return _small(base)[-1]
+    found = _words(base) & set("xyz") or {"xyz"[int(at)] for at in re.findall(r"\[([012])\]$", base)}
+    return min(found) if len(found) == 1 else ""
 
 
-def means_acceleration(name: str, words: Vocabulary) -> bool:
-    """Whether a column holds an acceleration, with or without a unit."""
-    return quantity_of(name, words) == "acceleration"
-
-
-def means_time(name: str, words: Vocabulary) -> bool:
-    """Whether a column holds the times of the rows, with or without a unit."""
-    return quantity_of(name, words) == "time"
-
-
-def looks_known(name: str, words: Vocabulary) -> bool:
-    """Whether a name means a quantity, with or without its unit."""
-    return quantity_of(name, words) is not None
-
-
-def spared(names: Sequence[str], words: Vocabulary) -> tuple[list[str], str]:
-    """Columns without those that mean nothing here, where the others suffice; and a sentence that names these.
+def spared(names: Sequence[str], words: Vocabulary, said: list[str]) -> list[str]:
+    """Columns without those that mean nothing here, where the others suffice.
 
     A name that ends in a unit may be a misspelt quantity: it stays, and is refused.
+
+    Parameters
+    ----------
+    said : takes a sentence that names what is left out.
     """
-    idle = [name for name in names if not looks_known(name, words) and not words.unit_suffix.search(name)]
+    idle = [name for name in names if quantity_of(name, words) is None and not words.unit_suffix.search(name)]
     idle = [name for name in idle if name != SKIPPED]
-    present = {quantity_of(name, words) for name in names}
-    if not idle or lacking(present, words):
-        return list(names), ""
+    if not idle or lacking({quantity_of(name, words) for name in names}, words):
+        return list(names)
     plural = "s" if len(idle) > 1 else ""
-    said = f"column{plural} {quote(', '.join(idle))} not used: nothing here goes by such a name"
-    return [SKIPPED if name in idle else name for name in names], said
+    said.append(f"column{plural} {quote(', '.join(idle))} not used: nothing here goes by such a name")
+    return [SKIPPED if name in idle else name for name in names]
 
 
 def lacking(present: Collection[str | None], words: Vocabulary) -> list[str]:
@@ -275,6 +292,9 @@ def apart(name: str) -> tuple[str, str | None]:
     if found is None and (unit := NAMED_UNITS.get(small, "g" if small[:2] == "gf" and small in AXES else None)):
         return name, unit
     if found is None:
+        noted = (each for pattern in _NOTED if (each := pattern.fullmatch(name.strip())) and is_unit(each["unit"]))
+        found = next(noted, None)
+    if found is None:
         return next(
             filter(None, (_unit_in_word(name, at) for at, mark in enumerate(name) if mark == "_")), (name, None)
         )
@@ -285,7 +305,11 @@ def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
     """Quantity and unit of a name like acc_g or pos_mm, parted at an underscore; None if they are none."""
     base, unit = name[:at].strip(), name[at + 1 :].strip()
     small = base.lower().replace("_", " ")
-    of = (quantity for quantity, names in ALIASES.items() if small in (quantity, *names))
+    of = (
+        quantity
+        for quantity, names in ALIASES.items()
+        if small in (quantity, *names) or INITIALS.get(small) == quantity
+    )
     return (base, unit) if any(read_unit(unit, quantity) for quantity in of) else None
 
 
@@ -296,8 +320,8 @@ def stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | Non
 
 def keys_of(name: str) -> tuple[str, ...]:
     """What a user may call a column by: its name, that without unit, that without axis, and the axis alone."""
-    base = apart(name)[0]
-    return (name, base, base[:-1].strip(" _"), base[-1]) if axis_of(name) else (name, base)
+    base, axis = apart(name)[0], axis_of(name)
+    return (name, base, base.removesuffix(axis).strip(" _"), axis) if axis else (name, base)
 
 
 def lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:

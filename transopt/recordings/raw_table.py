@@ -24,19 +24,22 @@ class RawTable:
     meanings : name in the file -> quantity and unit.
     header : name in the file -> what stands there, unchecked.
     place : where in the file a user finds the sample of an index, for messages.
+    notes : what a user should know about how the columns were found, one sentence each.
     """
 
     columns: Mapping[str, FloatArray]
     meanings: Mapping[str, Meaning]
     header: Mapping[str, object]
     place: Callable[[int], str]
+    notes: tuple[str, ...] = ()
 
     def timed(self, step_s: float, start_s: float = 0.0, note: str = "") -> "RawTable":
         """The table with times of the rows, which the file does not have, before its other columns."""
         size = max((values.size for values in self.columns.values()), default=0)
         times_s = np.asarray(start_s + step_s * np.arange(size), dtype=float)
-        meanings = {"time_s": Meaning("time", 1.0, note=note), **self.meanings}
-        return replace(self, columns={"time_s": times_s, **self.columns}, meanings=meanings)
+        meanings = {"time_s": Meaning("time", 1.0), **self.meanings}
+        columns = {"time_s": times_s, **self.columns}
+        return replace(self, columns=columns, meanings=meanings, notes=(*filter(None, [note]), *self.notes))
 
 
 def without_times(words: Vocabulary) -> Vocabulary:

@@ -112,7 +112,7 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
                     scalars[quantity] = value
     except InputError as error:
         raise located(error, path) from error
-    notes = (*joining, *(each.note for each in raw.meanings.values() if each.note))
+    notes = (*joining, *(each.note for each in raw.meanings.values() if each.note), *raw.notes)
     return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing, notes)
 
 
@@ -138,7 +138,11 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
         table = replace(table, columns={name: values[:kept] for name, values in table.columns.items()})
     converted = {name: _to_si(name, values, table) for name, values in table.columns.items()}
     si = {table.meanings[name].quantity: values for name, values in converted.items()}
-    axes = {axis: values for name, values in converted.items() if (axis := axis_of(name))}
+    axes = {
+        axis: values
+        for name, values in converted.items()
+        if table.meanings[name].quantity == "acceleration" and (axis := axis_of(name))
+    }
     if len(axes) > 1:
         step_s = float(np.median(np.diff(si["time"])))
         axes, turned = without_turning(axes, step_s) if step_s > 0 else (axes, "")

@@ -12,28 +12,17 @@ import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.recordings.meanings import meanings
-from transopt.recordings.names import SKIPPED, Layout, Vocabulary, apart, looks_known, means_time, quote, spared
+from transopt.recordings.meanings import meanings, one_clock
+from transopt.recordings.names import SKIPPED, Layout, Vocabulary, apart, quantity_of, quote, spared
+from transopt.recordings.rates import rate_of
 from transopt.recordings.raw_table import MIN_SAMPLES, RawTable, without_times
-from transopt.recordings.text_rows import cells_of, delimiter_of, parted_text
+from transopt.recordings.text_rows import cells_of, delimiter_of, parted_text, with_points
 from transopt.recordings.unclear import UnclearError, guesses
-from transopt.recordings.units import likely_units, read_unit
+from transopt.recordings.units import likely_units
 
 _TIME_OF_DAY = re.compile(r"(?:(?P<hours>\d{1,2}):)?(?P<minutes>\d{1,2}):(?P<s>\d{1,2}(?:[.,:]\d+)?)(?!\d)")
 HALF_A_DAY_S = 43200.0
 _DATE = re.compile(r"\d:\d|\d-\d+-\d|\d/\d+/\d|\d\.\d+\.\d")
-# What a number in a file's head is preceded and followed by: a unit in brackets or none, a mark, and a unit or none.
-_VALUE = (
-    r"\s*(?:[\[(]\s*(?P<before>[a-zµ/]+)\s*[\])])?\s*[:=,;\t ]\s*(?P<number>\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
-    r"\s*(?P<behind>[a-zµ]+(?:/s)?)?(?![\w.])"
-)
-_RATE = re.compile(r"\b(?:sampl\w*[ _]*(?:rate|freq\w*)|rate|fs)" + _VALUE, re.IGNORECASE)
-_STEP = re.compile(
-    r"\b(?:delta[ _]?[xt]|dt|t[ _]?inc|t[ _]?interval|(?:x[ _])?increment|sampl\w*[ _]*(?:interval|period))" + _VALUE,
-    re.IGNORECASE,
-)
-_GROUPED = re.compile(r"\d{1,3},\d{3}")
-_START = re.compile(r"(?:t?start|x[ _]?0|t[ _]?0)\w* *[:=] *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
 
 
 def text_columns(data: bytes, words: Vocabulary) -> dict[str, FloatArray]:
@@ -46,62 +35,62 @@ def text_columns(data: bytes, words: Vocabulary) -> dict[str, FloatArray]:
 def read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     """Remarks, at most one row of names and one of units, rows of numbers; counted as an editor counts them."""
     rows, numbers, found, header, head, told = parted_text(data, words, len(layout.columns))
+    if not rows and not (layout.columns or found):
+        raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
     if not (layout.columns or found):
-        if not rows:
-            raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
-        places = [str(at) for at in range(len(cells_of(rows[0])))]
-        problem = f"row {numbers[0]}: {quote(rows[0])} has no row of names above it"
-        seen = _seen(rows, places) if "acceleration" in words.quantities else {}
-        answers = guesses(seen, likely_units("acceleration"), is_named=False)
-        raise UnclearError(problem, answers or [{"columns": ["time_s", "acceleration_g"]}])
-    names, idle = (_chosen(layout.columns, found, words), "") if layout.columns else (found, "")
-    names = untimed(names, layout, words)
+        raise _nameless(rows, numbers, words)
+    units = layout.units or {}
+    names = untimed(_chosen(layout.columns, found, words) if layout.columns else found, layout, words)
     for k, (name, cell) in enumerate(zip(names, cells_of(rows[0]) if rows else [], strict=False)):
-        if not cell and means_time(name, words):
+        if not cell and quantity_of(name, words) == "time":
             names[k] = SKIPPED  # a column of times that no row has a cell for, as in text of LabVIEW
     words = words.labelled(names)
     at, clock = _clock_of(rows, names, layout, words)
     if clock is not None:
         names[at] = "time_s"  # whatever a user or the file says of a time of day
-    if layout.rate_Hz is None and "time" in words.required and not any(means_time(name, words) for name in names):
-        rate = rate_of([*head, *told])
-        if rate is not None:
-            start_s = start_of(told)
-            raw = read_text(data, replace(layout, rate_Hz=rate[0]), without_times(words))
-            note = (
-                f"no column of times; the sample rate of {rate[0]:g} Hz is that of the file's line {quote(rate[1])}"
-            )
-            return raw.timed(1 / rate[0], start_s, note)
+    is_timed = any(quantity_of(name, words) == "time" for name in names)
+    if layout.rate_Hz is None and "time" in words.required and not is_timed and (rate := rate_of(head, told)):
+        raw = read_text(data, replace(layout, rate_Hz=1 / rate.step_s), without_times(words))
+        return raw.timed(rate.step_s, rate.start_s, rate.note)
+    said = list[str]()
     if not layout.columns:
-        names, idle = spared(names, words)
-    known = meanings(names, words, layout.units or {}, seen=lambda: _seen(rows, names))
+        names = one_clock(names, words, units, lambda k: _column(rows, k), said)
+        names = spared(names, words, said)
+    known = meanings(names, words, units, seen=lambda: _seen(rows, names))
+    if clock is not None and names[at] == SKIPPED:
+        clock = None
     columns, blanks = _parse(
         rows, numbers, [SKIPPED if clock is not None and k == at else n for k, n in enumerate(names)]
     )
     if clock is not None:
         columns = {"time_s": clock, **columns}
     for name, stride in _fill(columns, blanks, numbers).items():
-        note = f"{name} stands in one row of {stride} only, and is interpolated between them"
-        known[name] = known[name]._replace(note="; ".join(filter(None, [known[name].note, note])))
-    if idle:
-        last = list(known)[-1]
-        known[last] = known[last]._replace(note="; ".join(filter(None, [known[last].note, idle])))
-    return RawTable(columns, known, header, lambda k: f"row {numbers[k]}")
+        said.append(f"{name} stands in one row of {stride} only, and is interpolated between them")
+    return RawTable(columns, known, header, lambda k: f"row {numbers[k]}", tuple(said))
+
+
+def _nameless(rows: Sequence[str], numbers: Sequence[int], words: Vocabulary) -> UnclearError:
+    """The question what the columns of numbers are that have no names."""
+    places = [str(at) for at in range(len(cells_of(rows[0])))]
+    problem = f"row {numbers[0]}: {quote(rows[0])} has no row of names above it"
+    seen = _seen(rows, places) if "acceleration" in words.quantities else {}
+    answers = guesses(seen, likely_units("acceleration"), is_named=False)
+    return UnclearError(problem, answers or [{"columns": ["time_s", "acceleration_g"]}])
 
 
 def _seen(rows: Sequence[str], names: Sequence[str]) -> dict[str, FloatArray]:
     """The columns as far as they are numbers, for what may be proposed."""
-    parted = [cells_of(row) for row in rows]
-    parted = [cells for cells in parted if len(cells) >= len(names)]
-    found = dict[str, FloatArray]()
-    for at, name in enumerate(names):
-        times = _clocked(rows, at)
-        column = np.full(len(parted), np.nan) if times is None else times
-        with suppress(ValueError):
-            column = np.array([float(cells[at].replace(",", ".")) for cells in parted])
-        if name != SKIPPED:
-            found[name] = column
-    return found
+    return {name: _column(rows, at) for at, name in enumerate(names) if name != SKIPPED}
+
+
+def _column(rows: Sequence[str], at: int) -> FloatArray:
+    """One column (n,) of numbers, or of the seconds of its times of day; NaN where it holds neither."""
+    if (times := _clocked(rows, at)) is not None:
+        return times
+    parted = [cells for row in rows if len(cells := with_points(cells_of(row))) > at]
+    with suppress(ValueError):
+        return np.array([float(cells[at]) for cells in parted])
+    return np.full(len(parted), np.nan)
 
 
 def _clock_of(
@@ -110,8 +99,8 @@ def _clock_of(
     """Which column holds dates or times of day, and its seconds: one that means the time, or that nobody knows."""
     if layout.rate_Hz or "time" not in words.required:
         return 0, None
-    timed = [at for at, name in enumerate(names) if name != SKIPPED and means_time(name, words)]
-    for at in timed or [at for at, name in enumerate(names) if name != SKIPPED and not looks_known(name, words)]:
+    timed = [at for at, name in enumerate(names) if name != SKIPPED and quantity_of(name, words) == "time"]
+    for at in timed or [at for at, name in enumerate(names) if name != SKIPPED and quantity_of(name, words) is None]:
         if (times := _clocked(rows, at)) is not None:
             return at, times
     return 0, None
@@ -141,35 +130,14 @@ def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> 
         return list(columns)
     units = [apart(name)[1] for name in found]
     return [
-        f"{name} [{unit}]" if unit and looks_known(name, words) and not apart(name)[1] else name
+        f"{name} [{unit}]" if unit and quantity_of(name, words) is not None and not apart(name)[1] else name
         for name, unit in zip(columns, units, strict=True)
     ]
 
 
-def rate_of(lines: Sequence[str]) -> tuple[float, str] | None:
-    """Sample rate [Hz] that a file's head states, and the line; None where none or more than one is stated."""
-    rates: list[tuple[float, str]] = []
-    for line in lines:
-        for pattern, quantity, default in ((_RATE, "frequency", "Hz"), (_STEP, "time", "s")):
-            for found in pattern.finditer(line.replace('"', "")):
-                unit = (found["before"] or found["behind"] or default).replace("S/s", "Hz")
-                factor, number = read_unit(unit, quantity), float(found["number"].replace(",", "."))
-                if quantity == "frequency" and _GROUPED.fullmatch(found["number"]):
-                    return None  # 10,000 Hz is 10 kHz to some and 10 Hz to others
-                if factor is not None and number > 0:
-                    value = factor.factor * number
-                    rates.append((value if quantity == "frequency" else 1 / value, line.strip()))
-    return rates[0] if rates and all(math.isclose(rate, rates[0][0], rel_tol=1e-6) for rate, _ in rates) else None
-
-
-def start_of(lines: Sequence[str]) -> float:
-    """Time of the first sample [s] that lines state, 0 where none does."""
-    return next((float(found[1]) for line in lines if (found := _START.fullmatch(line))), 0.0)
-
-
 def untimed(names: Sequence[str], layout: Layout, words: Vocabulary) -> list[str]:
     """Names of columns, those of times skipped where a user states the rate: they may be dates, or repeat."""
-    return [SKIPPED if layout.rate_Hz and means_time(name, words) else name for name in names]
+    return [SKIPPED if layout.rate_Hz and quantity_of(name, words) == "time" else name for name in names]
 
 
 def _parse(
@@ -192,7 +160,9 @@ def _parse(
     columns, blanks = {name: array("d") for name in used}, dict[str, list[int]]()
     for row, (number, line) in enumerate(zip(numbers, rows, strict=True)):
         # Between semicolons and tabs a comma can only be a decimal comma.
-        cells = (line.replace(",", ".") if delimiter in (";", "\t") else line).split(delimiter, len(names) + 1)
+        cells = line.split(delimiter, len(names) + 1)
+        if delimiter in (";", "\t") and "," in line:
+            cells = with_points(cells)
         if len(cells) == len(names) + 1 and not cells[-1].strip():
             del cells[-1]  # spreadsheets end every row with a delimiter if one row needs it
         if len(cells) < len(names) and set(names[len(cells) :]) == {SKIPPED}:

@@ -14,24 +14,29 @@ from typing import NamedTuple
 from transopt.base.errors import InputError
 from transopt.base.sizes import MOST_COLUMNS, MOST_IN_A_ROW
 from transopt.recordings.encoding import HEAD, encoding_of
-from transopt.recordings.names import SKIPPED, Vocabulary, apart, looks_known, quote, split_names, with_axes
+from transopt.recordings.names import SKIPPED, Vocabulary, apart, quantity_of, quote, split_names, with_axes
 from transopt.recordings.raw_table import MIN_SAMPLES, check_size
 from transopt.recordings.units import is_unit
 
 _REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
 _HEADER_LINE = re.compile(r"(?:[#*%]|//)\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
+_HEAD_ROWS = 4  # last rows above the numbers, among which names, units and comments of columns stand
+_WHEN = re.compile(r"\d:\d|\d/\d+/\d|\d-\d+-\d")  # a date or a time of day, which is no name
+_UNITS_OF_VALUES = ("verticalunits", "yunitlabel", "yunits", "vunit", "units")  # as instruments call them
+_UNITS_OF_TIMES = ("horizontalunits", "xunits", "hunit")
 _UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
 _METADATA = re.compile(r"([A-Za-z]\w*)\s*[:=,;\t]\s*(.*)")
+_NOTE = re.compile(r"[#*%/;\"\s]*([A-Za-z][\w -]*?)[\s\":]*[:=,;\t]+\s*(.*)")
 _QUOTED = re.compile(r'"([^"]*)"')
 _LAST_ROWS = 20  # of a file, which show how its rows are divided
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # in a row that has decimal points
+_POINTED = re.compile(r"[-+]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?")  # in a row that has decimal commas
 _POINT = re.compile(r"(?<![\d.:])\d+\.\d+(?![\d.])")  # of a number, not of a date or a time of day
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
 _STATED = re.compile(r"[A-Za-z]\w*\s*=\s*[-+.\d]\S*")
-_LABELLED = re.compile(r"([A-Za-z]\w*)\s*[:=]\s*[-+.\d]\S*")
-_LABEL = re.compile(r"[A-Za-z]\w*\s*[:=]\s*")
+_LABELLED = re.compile(r"([A-Za-z]\w*)\s*[:=]\s*([-+.\d][^\s,;]*)")
 _SERIAL_STAMP = re.compile(r"\d+:\d+:\d+[.,]\d+ -> ")  # that the serial monitor of Arduino puts before a line
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
@@ -71,29 +76,33 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
     above, first = rows[:start], rows[min(start, len(rows) - 1)]
     if max(columns, *(len(row.split(mark)) for row in (first, *above[-2:]) for mark in ";,\t")) > MOST_COLUMNS:
         raise InputError(f"row {numbers[0]}: more than {MOST_COLUMNS} columns; export the ones that are needed")
-    head = (
-        data[:HEAD].decode(encoding_of(data), errors="ignore").splitlines()[: numbers[min(start, len(rows) - 1)] - 1]
-    )
-    if above:
-        names = _names_above(above, header, words, told)
-    elif not names:
+    width = len(cells_of(first.rstrip(";, \t")))
+    head = data[:HEAD].decode(encoding_of(data), errors="ignore").splitlines()
+    del head[numbers[min(start, len(rows) - 1)] - 1 :]
+    names = names or _names_above(above, width, header, words, told)
+    if not names:
         names = split_names(remark.lstrip("".join(_REMARKS) + "; "))
         if names[:1] and names[0].lower() in ("headers", "columns") and len(names) == len(cells_of(first)) + 1:
             del names[0]
-        if len(names) != len(cells_of(first)) or not any(looks_known(name, words) for name in names):
+        known = words.labelled(names)
+        if len(names) != len(cells_of(first)) or all(quantity_of(name, known) is None for name in names):
             names = []
-    names = with_axes(described(names, [*told, *above]))
+    names = with_axes(described(names, width, [*head, *told]))
     del rows[:start], numbers[:start]
     return Text(rows, numbers, names, header, head, told)
 
 
 def _labelled(rows: list[str]) -> list[str]:
-    """Names that stand before each number of every row, as a serial plotter's; they are taken out of the rows."""
-    names = [found[1] for cell in cells_of(rows[-1]) if (found := _LABELLED.fullmatch(cell))]
-    if names and len(names) == len(cells_of(rows[-1])):
-        rows[:] = [_LABEL.sub("", row) for row in rows]
-        return names
-    return []
+    """Names that stand before each number of a row, as a serial plotter's; they are taken out of the rows."""
+    usual = rows[len(rows) // 2]
+    names = [found[1] for found in _LABELLED.finditer(usual)]
+    unit = _LABELLED.sub("", usual).strip(" ,;\t")
+    if not names or (unit and not is_unit(unit)):
+        return []
+    for at, row in enumerate(rows):
+        numbers = [found[2] for found in _LABELLED.finditer(row)]
+        rows[at] = ",".join(numbers) if len(numbers) == len(names) else row
+    return [f"{name} [{unit}]" if unit else name for name in names]
 
 
 def _beside(rows: list[str]) -> list[str]:
@@ -114,23 +123,29 @@ def _beside(rows: list[str]) -> list[str]:
     return [",".join(cells[:-1]).rstrip(",") for cells in parted if cells[0].strip()]
 
 
-def described(names: Sequence[str], notes: Sequence[str]) -> list[str]:
+def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[str]:
     """The names of columns with sources and units that an instrument notes elsewhere in the file.
 
     Parameters
     ----------
+    width : cells of a row of numbers.
     notes : lines, `Vertical Units,V` for example.
     """
-    stated = {cells[0].lower().replace("_", " "): cells[1:] for cells in map(cells_of, notes) if len(cells) > 1}
-    units = next((stated[key] for key in ("vertical units", "y unit label", "units") if key in stated), [])
-    sources = stated.get("source", [])
-    of_times = stated.get("horizontal units", [""])[0]
-    if not names and sources and of_times:
-        names = ["TIME", *sources]
+    pairs = [(found[1], found[2]) for note in notes if (found := _NOTE.fullmatch(note))]
+    stated = {
+        re.sub(r"[\s_-]", "", key.lower()): re.split(r"\s*[,;\t]\s*", values.replace('"', ""))
+        for key, values in pairs
+    }
+    units = next((stated[key] for key in _UNITS_OF_VALUES if key in stated), [])
+    sources = [each for key in ("source", "tracename") for each in stated.get(key, []) if each]
+    of_times = next((stated[key][0] for key in _UNITS_OF_TIMES if key in stated), "")
+    if not names and width in (len(sources), len(sources) + 1):
+        names = [*["TIME"] * (width - len(sources)), *sources]
     found, used = list[str](), 0
     for at, name in enumerate(names):
-        unit = of_times if at == 0 else ""
-        if at > 0 and used < len(units) and name != "X_Value":  # of which LabVIEW writes one for each channel
+        is_time = at == 0 and width > 1
+        unit = of_times if is_time else ""
+        if not is_time and used < len(units) and name != "X_Value":  # of which LabVIEW writes one for each channel
             unit, used = units[used].rpartition(":")[2], used + 1
         called = sources[at - 1] if name == "Value" and 0 < at <= len(sources) else name
         found.append(
@@ -184,6 +199,17 @@ def cells_of(row: str) -> list[str]:
     return [cell.strip() for cell in row.split(delimiter_of(row), MOST_COLUMNS)]
 
 
+def with_points(cells: list[str]) -> list[str]:
+    """Cells of a row between semicolons, tabs or blanks with decimal points in place of commas.
+
+    Where a number of the row has a decimal comma, points part thousands.
+    """
+    numbers = [cell.strip() for cell in cells]
+    if any("," in cell and (_DECIMAL_COMMA.fullmatch(cell) or _POINTED.fullmatch(cell)) for cell in numbers):
+        cells = [cell.replace(".", "") if _POINTED.fullmatch(cell) else cell for cell in numbers]
+    return [cell.replace(",", ".") for cell in cells]
+
+
 def _first_of_numbers(rows: Sequence[str]) -> int:
     """Place of the first row of numbers: it begins with one, and is divided as the last rows are or has no words.
 
@@ -202,34 +228,40 @@ def _first_of_numbers(rows: Sequence[str]) -> int:
     return next(begins, next(has_number, len(rows)))
 
 
-def _names_above(above: list[str], header: dict[str, object], words: Vocabulary, told: list[str]) -> list[str]:
-    """Names and units of the columns, which end what stands above the numbers.
+def _names_above(
+    above: list[str], width: int, header: dict[str, object], words: Vocabulary, told: list[str]
+) -> list[str]:
+    """Names and units of the columns among the last rows above the numbers; nothing if none of them has as many.
 
     Parameters
     ----------
+    width : cells of a row of numbers.
     header : takes what the other rows state, as `speed_m_s,0.21`; an instrument states much else there.
     told : takes what a row of units states as a number below a name, `Increment: 1e-4`; such a column has no rows.
     """
-    names, rest = split_names(above[-1]), above[:-1]
-    heads = split_names(rest[-1]) if rest else []
-    for at, name in enumerate(names):
-        if _STATED.fullmatch(name):  # t0 = -0.06, tInc = 1e-4
-            told.append(name.replace("=", ":"))
-            names[at] = SKIPPED
-    if len(heads) == len(names) and any(cell and _NUMBER.fullmatch(cell) for cell in names):
-        told += [f"{name}: {cell}" for name, cell in zip(heads, names, strict=True) if _NUMBER.fullmatch(cell)]
-        units = [cell if is_unit(cell) else "" for cell in names]
-        names = [SKIPPED if _NUMBER.fullmatch(cell) else name for name, cell in zip(heads, names, strict=True)]
-        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
-        rest.pop()
-    elif rest and (units := _units_of(names, len(heads))):
-        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(heads, units, strict=True)]
-        rest.pop()
-    for row in rest:
-        found = _METADATA.fullmatch(row)
-        if found and found[1] in words.header:
+    for row in above:
+        if (found := _METADATA.fullmatch(row)) and found[1] in words.header:
             header[found[1]] = _scalar(found[2])
-    return names
+    lines = [cells for row in above[-_HEAD_ROWS:] if len(cells := split_names(row)) >= width or row is above[-1]]
+    lines = [cells for cells in lines if not any(map(_WHEN.search, cells))]
+    if lines and len(lines[-1]) < width and all(quantity_of(name, words) is None for name in lines[-1]):
+        del lines[-1]
+    if not lines:
+        return []
+    for at in range(len(lines) - 1, 0, -1):
+        if units := _units_of(lines[at], len(lines[at - 1])):
+            return _with_units(lines[at - 1], units)
+    names, heads = lines[-1], lines[-2] if len(lines) > 1 else []
+    if len(heads) == len(names) > 2 and any(cell and _NUMBER.fullmatch(cell) for cell in names):
+        told += [f"{name}: {cell}" for name, cell in zip(heads, names, strict=True) if _NUMBER.fullmatch(cell)]
+        heads = [SKIPPED if _NUMBER.fullmatch(cell) else name for name, cell in zip(heads, names, strict=True)]
+        return _with_units(heads, [cell if is_unit(cell) else "" for cell in names])
+    told += [name.replace("=", ":") for name in names if _STATED.fullmatch(name)]  # t0 = -0.06, tInc = 1e-4
+    return [SKIPPED if _STATED.fullmatch(name) else name for name in names]
+
+
+def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    return [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
 
 
 def _units_of(cells: Sequence[str], columns: int) -> list[str]:

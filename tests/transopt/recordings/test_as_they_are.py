@@ -166,7 +166,8 @@ def test_axes_are_called_as_the_file_has_them(tmp_path: Path) -> None:
     ("header", "options", "words"),
     [
         ("time [s],a [furlong]", {}, "column 'a [furlong]': 'furlong' is no unit of acceleration; known: m/s^2"),
-        ("time [s],a [mV]", {}, "column 'a [mV]': 'mV' is no unit of acceleration without the sens"),
+        ("time [s],acc [mV]", {}, "column 'acc [mV]': 'mV' is no unit of acceleration without the sens"),
+        ("time [s],a [mV]", {}, "column 'a [mV]' is what a sensor gives, and its sensitivity is not stated"),
         ("time [s],Temp [C]", {}, "unknown column 'Temp [C]'; known: time_s"),
         ("time [s],a [g]", {"units": {"accel": "g"}}, "--units accel: no column of that name; the file has"),
         ("time [s],acc", {"units": {"acc": "g", "time": "V"}}, "column 'time [s]': 'V' is no unit of time"),

@@ -102,7 +102,7 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         (HEADER + "0,1\n1e-4,nan\n" + text(TIMES_S, TAP_M_S2), "row 3, column acceleration_m_s2: nan: must be"),
         (csv() + "-inf,1\n", "row 202, column time_s: -inf: must be finite"),
         (csv() + "1,1e300\n", "row 202, column acceleration_m_s2: 1e+300: must be finite and at most 1e+12"),
-        ("time_s,acceleration_yd_s2\n0,0\n", "unknown column 'acceleration_yd_s2'; known: time_s, time_ms, acc"),
+        ("time_s,acceleration_yd_s2\n0,0\n", "no unit stated in the column 'acceleration_yd_s2'; known: acc"),
         ("time_s,time_ms\n0,0\n", "2 time columns in 'time_s, time_ms': must be 1"),
         ("time_s,time_s\n0,0\n", "2 time columns in 'time_s, time_s': must be 1"),
         ("time_s,force_N\n0,0\n", "0 acceleration columns in 'time_s, force_N': must be 1; name one acceleration"),
@@ -197,8 +197,11 @@ def test_bad_variables(tmp_path: Path, suffix: str, changed: dict[str, Any], wor
 @pytest.mark.parametrize("suffix", PACKERS)
 def test_missing_variables(tmp_path: Path, suffix: str) -> None:
     message = refusal(tmp_path, PACKERS[suffix](a=TIMES_S, b=TAP_M_S2), suffix)
+    assert message.startswith("unknown column 'a'; known: time_s")  # one letter means no acceleration by itself
+    assert "for example --units 'a=s,b=m/s^2'" in message
+    message = refusal(tmp_path, PACKERS[suffix](acc=TAP_M_S2, b=TAP_M_S2), suffix)
     assert message.startswith(
-        "0 time columns in 'a, b': must be 1; name one time_s or time_ms, or state the sample rate"
+        "0 time columns in 'acc, b': must be 1; name one time_s or time_ms, or state the sample rate"
     )
     assert "for example --rate-Hz 10000 (in a scene recordings.rate_Hz = 10000.0)" in message
     message = refusal(tmp_path, VALID[suffix], suffix, columns=["time_ms", "acceleration_g"])

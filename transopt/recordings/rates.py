@@ -1,0 +1,76 @@
+"""The sample rate of a file that has no times, as its head, its remarks or its scalar variables state it."""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from transopt.recordings.names import quote
+from transopt.recordings.units import read_unit
+
+# What a number is preceded and followed by: a unit in brackets or none, a mark, and a unit or none.
+_VALUE = (
+    r"\s*(?:[\[(]\s*(?P<before>[a-zµ/]+)\s*[\])])?\s*[:=,;\t ]+\s*(?P<number>[-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
+    r"\s*(?P<behind>[a-zµ]+(?:/s)?)?(?![\w.:])"
+)
+_RATE = r"(?<![a-z])(?:(?:data|output)?[ _]*rate|sampl\w*[ _]*(?:rate|freq\w*)|fs|abtastrate|abtastfrequenz|messrate)"
+_STEP = (
+    r"(?<![a-z])(?:delta[ _]?[xt]|x-axis delta|dt|(?:t|x)[ _]?inc|(?:x[ _])?increment|h ?resolution|clock"
+    r"|(?:time|t)[ _]?interval|sampl\w*[ _]*(?:interval|period)|abtastintervall)"
+)
+_STATED = {of: re.compile(names + _VALUE, re.IGNORECASE) for of, names in (("frequency", _RATE), ("time", _STEP))}
+_START = re.compile(r"(?:t?start|x[ _]?0|t[ _]?0)\w* *[:=] *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
+_GROUPED = re.compile(r"\d{1,3},\d{3}")
+_SAMPLES = re.compile(r"sp?s|sa?/s|", re.IGNORECASE)  # per second, or nothing behind a k
+
+
+class Rate(NamedTuple):
+    """A sample rate that a file states.
+
+    Attributes
+    ----------
+    step_s, start_s : of the samples.
+    line : that states the rate.
+    """
+
+    step_s: float
+    start_s: float
+    line: str
+
+    @property
+    def note(self) -> str:
+        """Where the times of the rows come from, in one sentence."""
+        rate = f"the sample rate of {1 / self.step_s:g} Hz is that of the file's line {quote(self.line)}"
+        return f"no column of times; {rate}"
+
+
+def rate_of(lines: Sequence[str], told: Sequence[str] = ()) -> Rate | None:
+    """The sample rate that lines state; None where none or more than one is stated.
+
+    Parameters
+    ----------
+    told : lines that may state the time of the first sample besides; it is 0 where none does.
+    """
+    found: list[tuple[float, str]] = []
+    for line in (*lines, *told):
+        for of, pattern in _STATED.items():
+            for each in pattern.finditer(line.replace('"', "")):
+                if of == "frequency" and _GROUPED.fullmatch(each["number"]):
+                    return None  # 10,000 Hz is 10 kHz to some and 10 Hz to others
+                factor = _factor(each["before"] or each["behind"] or "", of)
+                if factor is not None and (value := factor * float(each["number"].replace(",", "."))) > 0:
+                    found.append((1 / value if of == "frequency" else value, line.strip()))
+    if not found or not all(math.isclose(step, found[0][0], rel_tol=1e-6) for step, _ in found):
+        return None
+    start = next((float(each[1]) for line in told if (each := _START.fullmatch(line))), 0.0)
+    return Rate(found[0][0], start, found[0][1])
+
+
+def _factor(unit: str, quantity: str) -> float | None:
+    """What makes SI of a rate or a step, as kHz, kS/s, ksps or a k alone; SI where no unit stands."""
+    if quantity == "frequency" and unit[:1] in "kM" and _SAMPLES.fullmatch(unit[1:]):
+        return {"": 1.0, "k": 1e3, "M": 1e6}[unit[:1]]
+    if quantity == "frequency" and _SAMPLES.fullmatch(unit):
+        return 1.0
+    known = read_unit(unit or "s", quantity)
+    return None if known is None else known.factor
