@@ -5,93 +5,36 @@ a reader must find. Each kind follows what its maker's manual or an export shows
 """
 
 import io
-import struct
-import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
-import h5py
 import numpy as np
-from nptdms import ChannelObject, TdmsWriter
-from scipy.io import savemat, wavfile
 
+from tests.benches.brought_further import FURTHER
+from tests.benches.tap_formats import (
+    ONSET_S,
+    RATE_HZ,
+    TAP_M_S2,
+    TIMES_S,
+    Brought,
+    V,
+    axes,
+    clock,
+    hdf5,
+    mat,
+    rows,
+    tdms,
+    universal,
+    wave,
+    workbook,
+)
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
-from transopt.base.signals import FloatArray
-
-SPEED_M_S = 0.2
-ONSET_S = 0.1
-RATE_HZ = 10_000.0
-
-
-def tap(rate_Hz: float = RATE_HZ, length_s: float = 0.3) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) [s] and acceleration (n,) [m/s^2] of a mass that meets a spring with a damper, without the hand."""
-    times = np.arange(round(length_s * rate_Hz)) / rate_Hz
-    after = np.maximum(times - ONSET_S, 0.0)
-    # Half a period of 4 ms and what is left of the spring: the speed turns from 0.2 to -0.14 m/s.
-    pulse = np.where(after < 4e-3, np.sin(np.pi * after / 4e-3), 0.0)
-    noise = 0.02 * np.random.default_rng(7).standard_normal(times.size)
-    return times, 0.34 * np.pi / (2 * 4e-3) * pulse * (after > 0) + noise
-
-
-TIMES_S, TAP_M_S2 = tap()
-PEAK_M_S2 = float(TAP_M_S2.max())
-
-
-@dataclass(frozen=True)
-class Brought:
-    """One file.
-
-    Attributes
-    ----------
-    name : of the file, with its suffix; what it is like, then the variant.
-    data : its bytes.
-    options : what a user states at the first try beside the speed: nothing where the file says enough.
-    lacks : the setting of the one fact that the file does not say; empty where it says enough.
-    right : the answer that is right, where a fact lacks.
-    peak_g : what the reader has to find, in g.
-    """
-
-    name: str
-    data: bytes
-    lacks: str = ""
-    right: Mapping[str, Any] = field(default_factory=dict)
-    peak_g: float = PEAK_M_S2 / G
-
 
 FILES: list[Brought] = []
 
 
 def _add(name: str, data: str | bytes, lacks: str = "", right: Mapping[str, Any] | None = None) -> None:
     FILES.append(Brought(name, data if isinstance(data, bytes) else data.encode(), lacks, right or {}))
-
-
-def _rows(*columns: Any, mark: str = ",", end: str = "\n", form: str = "{:.9g}") -> str:
-    """Rows of numbers or words."""
-    cells = [[each if isinstance(each, str) else form.format(each) for each in column] for column in columns]
-    return "".join(mark.join(row) + end for row in zip(*cells, strict=True))
-
-
-def _axes(up: float = 1.0) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Three axes [m/s^2] that read the tap on z with the earth's field, and a little noise."""
-    random = np.random.default_rng(3)
-    x, y = (0.03 * random.standard_normal(TIMES_S.size) for _ in range(2))
-    return x, y + 0.4, TAP_M_S2 + up * G
-
-
-def _clock(form: str) -> list[str]:
-    """Dates and times of day of the samples."""
-    stamps = np.datetime64("2024-03-05T14:11:02.000000") + np.round(1e6 * TIMES_S).astype("m8[us]")
-    found = []
-    for stamp in stamps:
-        day, _, hour = str(stamp).partition("T")
-        year, month, number = day.split("-")
-        found.append(form.format(day=day, hour=hour, y=year, m=month, d=number))
-    return found
-
-
-V = 0.1 / G * TAP_M_S2  # volts of an accelerometer of 100 mV/g
-ASKED_V = {"units": "0.1 V/g"}
 
 
 def _scopes() -> None:
@@ -101,7 +44,7 @@ def _scopes() -> None:
         "Model,MDO3024\nFirmware Version,1.14\n\nWaveform Type,ANALOG\nPoint Format,Y\nHorizontal Units,s\n"
         "Horizontal Scale,0.04\nHorizontal Delay,0\nSample Interval,0.0001\nRecord Length,3000\n"
         "Gating,0.0% to 100.0%\nProbe Attenuation,1\nVertical Units,V\nVertical Offset,0\nVertical Scale,0.5\n"
-        "Vertical Position,0\n,\n,\n,\nLabel,\nTIME,CH1\n" + _rows(TIMES_S, V, form="{:.9e}"),
+        "Vertical Position,0\n,\n,\n,\nLabel,\nTIME,CH1\n" + rows(TIMES_S, V, form="{:.9e}"),
         "units",
         {"units": volts},
     )
@@ -132,16 +75,16 @@ def _scopes() -> None:
         "units",
         {"units": volts},
     )
-    rows = "".join(f"{k},{v:.9g},\n" for k, v in enumerate(V))
+    counted = "".join(f"{k},{v:.9g},\n" for k, v in enumerate(V))
     _add(
         "rigol_ds1000.csv",
-        f"X,CH1,Start,Increment,\nSequence,Volt,0.0e+00,1.0e-04\n{rows}",
+        f"X,CH1,Start,Increment,\nSequence,Volt,0.0e+00,1.0e-04\n{counted}",
         "units",
         {"units": volts},
     )
     _add(
         "rigol_mso5000.csv",
-        "Time(s),CH1(V),t0 = 0.0, tInc = 0.0001,\n" + _rows(TIMES_S, V, end=",,\n"),
+        "Time(s),CH1(V),t0 = 0.0, tInc = 0.0001,\n" + rows(TIMES_S, V, end=",,\n"),
         "units",
         {"units": volts},
     )
@@ -158,42 +101,42 @@ def _scopes() -> None:
         "Vertical Scale,CH1:0.50\n"
         "Vertical Offset,CH1:0.00\nHorizontal Units,s\nHorizontal Scale,0.02\nModel Number,SDS1104X-E\n"
         "Serial Number,SDSMMFCD4R0000\nSoftware Version,8.1.6.1.37R9\nSource,CH1\nSecond,Value\n"
-        + _rows(TIMES_S, V, form="{:.9f}"),
+        + rows(TIMES_S, V, form="{:.9f}"),
         "units",
         {"units": volts},
     )
-    _add("siglent_old.csv", "Source,CH1\nSecond,Volt\n" + _rows(TIMES_S, V), "units", {"units": volts})
+    _add("siglent_old.csv", "Source,CH1\nSecond,Volt\n" + rows(TIMES_S, V), "units", {"units": volts})
     _add(
         "keysight_infiniivision.csv",
-        "x-axis,1\nsecond,Volt\n" + _rows(TIMES_S, V, form="{:+.9E}"),
+        "x-axis,1\nsecond,Volt\n" + rows(TIMES_S, V, form="{:+.9E}"),
         "units",
         {"units": {"1": "V @ 100 mV/g"}},
     )
     _add(
         "keysight_two.csv",
-        "x-axis,1,2\nsecond,Volt,Volt\n" + _rows(TIMES_S, V, 0 * V, form="{:+.9E}"),
+        "x-axis,1,2\nsecond,Volt,Volt\n" + rows(TIMES_S, V, 0 * V, form="{:+.9E}"),
         "units",
         {"units": {"1": "V @ 100 mV/g"}},
     )
     _add(
         "lecroy.csv",
         "LECROYWS3054,12345,Waveform\nSegments,1,SegmentSize,3000\nSegment,TrigTime,TimeSinceSegment1\n"
-        "#1,05-Mar-2024 14:11:02,0\nTime,Ampl\n" + _rows(TIMES_S, V, form="{:.9e}"),
+        "#1,05-Mar-2024 14:11:02,0\nTime,Ampl\n" + rows(TIMES_S, V, form="{:.9e}"),
         "units",
         {"units": {"Time": "s", "Ampl": "V @ 100 mV/g"}},
     )
     head = "Time,Channel A\n(ms),(mV)\n\n"
-    _add("picoscope.csv", head + _rows(1e3 * TIMES_S, 1e3 * V), "units", {"units": {"Channel A": "mV @ 100 mV/g"}})
+    _add("picoscope.csv", head + rows(1e3 * TIMES_S, 1e3 * V), "units", {"units": {"Channel A": "mV @ 100 mV/g"}})
     _add(
         "picoscope_german.csv",
-        "Zeit;Kanal A\n(ms);(mV)\n\n" + _rows(1e3 * TIMES_S, 1e3 * V, mark=";").replace(".", ","),
+        "Zeit;Kanal A\n(ms);(mV)\n\n" + rows(1e3 * TIMES_S, 1e3 * V, mark=";").replace(".", ","),
         "units",
         {"units": {"Kanal A": "mV @ 100 mV/g"}},
     )
-    _add("picoscope_probe.csv", "Time,Channel A\n(ms),(g)\n\n" + _rows(1e3 * TIMES_S, TAP_M_S2 / G))
+    _add("picoscope_probe.csv", "Time,Channel A\n(ms),(g)\n\n" + rows(1e3 * TIMES_S, TAP_M_S2 / G))
     _add(
         "picoscope.mat",
-        _mat(A=V.astype("f4")[:, None], Tstart=0.0, Tinterval=1e-4, Length=3000.0, ExtraSamples=0.0),
+        mat(A=V.astype("f4")[:, None], Tstart=0.0, Tinterval=1e-4, Length=3000.0, ExtraSamples=0.0),
         "units",
         {"units": {"A": "V @ 100 mV/g"}},
     )
@@ -201,85 +144,85 @@ def _scopes() -> None:
         "waveforms.csv",
         "#Digilent WaveForms Oscilloscope Acquisition\n#Device Name: Discovery2\n#Serial Number: SN:210321A\n"
         "#Date Time: 2024-03-05 14:11:02.334\n#Sample rate: 10000Hz\n#Samples: 3000\n#Trigger: Source: Channel 1\n"
-        "#Channel 1: Range: 500 mV/div Offset: 0 V\n\nTime (s),Channel 1 (V)\n" + _rows(TIMES_S, V),
+        "#Channel 1: Range: 500 mV/div Offset: 0 V\n\nTime (s),Channel 1 (V)\n" + rows(TIMES_S, V),
         "units",
         {"units": {"Channel 1": "V @ 100 mV/g"}},
     )
     _add(
         "saleae.csv",
-        "Time [s],Channel 0\n" + _rows(TIMES_S, V, form="{:.9f}"),
+        "Time [s],Channel 0\n" + rows(TIMES_S, V, form="{:.9f}"),
         "units",
         {"units": {"Channel 0": "V @ 100 mV/g"}},
     )
 
 
 def _phones() -> None:
-    x, y, z = _axes()
+    x, y, z = axes()
     total = np.sqrt(x**2 + y**2 + z**2)
     head = (
         '"Time (s)","Acceleration x (m/s^2)","Acceleration y (m/s^2)","Acceleration z (m/s^2)",'
         '"Absolute acceleration (m/s^2)"\n'
     )
-    _add("phyphox.csv", head + _rows(TIMES_S, x, y, z, total, form="{:.9E}"))
+    _add("phyphox.csv", head + rows(TIMES_S, x, y, z, total, form="{:.9E}"))
     linear = head.replace("Acceleration x", "Linear Acceleration x").replace(
         "Acceleration y", "Linear Acceleration y"
     )
     linear = linear.replace("Acceleration z", "Linear Acceleration z").replace(",", ";")
-    rows = _rows(TIMES_S, x, y, z - G, total, mark=";", form="{:.9E}").replace(".", ",")
-    _add("phyphox_linear_comma.csv", linear + rows)
-    _add("phyphox_tabs.csv", head.replace(",", "\t") + _rows(TIMES_S, x, y, z, total, mark="\t", form="{:.9E}"))
+    commas = rows(TIMES_S, x, y, z - G, total, mark=";", form="{:.9E}").replace(".", ",")
+    _add("phyphox_linear_comma.csv", linear + commas)
+    _add("phyphox_tabs.csv", head.replace(",", "\t") + rows(TIMES_S, x, y, z, total, mark="\t", form="{:.9E}"))
     _add(
         "physics_toolbox_g.csv",
-        "time,gFx,gFy,gFz,TgF\n" + _rows(TIMES_S, x / G, y / G, z / G, total / G),
+        "time,gFx,gFy,gFz,TgF\n" + rows(TIMES_S, x / G, y / G, z / G, total / G),
         "units",
         {"units": {"time": "s"}},
     )
     _add(
         "physics_toolbox_a.csv",
-        "time,ax,ay,az,aT\n" + _rows(_clock("{hour}"), x, y, z, total),
+        "time,ax,ay,az,aT\n" + rows(clock("{hour}"), x, y, z, total),
         "units",
         {"units": {"acceleration": "m/s^2"}},
     )
     _add(
         "androsensor.csv",
         "ACCELEROMETER X (m/s²);ACCELEROMETER Y (m/s²);ACCELEROMETER Z (m/s²);Time since start in ms ;"
-        "YYYY-MO-DD HH-MI-SS_SSS\n" + _rows(x, y, z, 1e3 * TIMES_S, _clock("{day} 14-11-02_{hour}"), mark=";"),
+        "YYYY-MO-DD HH-MI-SS_SSS\n" + rows(x, y, z, 1e3 * TIMES_S, clock("{day} 14-11-02_{hour}"), mark=";"),
     )
     _add(
         "matlab_mobile.csv",
-        "Timestamp,X,Y,Z\n" + _rows(_clock("{d}-Mar-{y} {hour}"), x, y, z),
+        "Timestamp,X,Y,Z\n" + rows(clock("{d}-Mar-{y} {hour}"), x, y, z),
         "units",
         {"units": {"acceleration": "m/s^2"}},
     )
     _add(
         "sensor_logger.csv",
-        "seconds_elapsed,z,y,x\n" + _rows(TIMES_S, z, y, x),
+        "seconds_elapsed,z,y,x\n" + rows(TIMES_S, z, y, x),
         "units",
         {"units": {"acceleration": "m/s^2"}},
     )
 
 
 def _boards() -> None:
-    x, y, z = _axes()
+    x, y, z = axes()
     counts = [np.round(each / G * 2048) for each in (x, y, z)]
     us = np.round(1e6 * TIMES_S)
     _add(
-        "arduino_us_mg.txt", "t_us ax_mg ay_mg az_mg\n" + _rows(us, *(1e3 * each / G for each in (x, y, z)), mark=" ")
+        "arduino_us_mg.txt", "t_us ax_mg ay_mg az_mg\n" + rows(us, *(1e3 * each / G for each in (x, y, z)), mark=" ")
     )
     _add(
         "arduino_counts.csv",
-        "time_us,ax,ay,az\n" + _rows(us, *counts, form="{:.0f}"),
+        "time_us,ax,ay,az\n" + rows(us, *counts, form="{:.0f}"),
         "units",
         {"units": {"acceleration": "LSB @ 2048 LSB/g"}},
     )
-    _add("arduino_bare.csv", _rows(TIMES_S, TAP_M_S2 / G), "columns", {"columns": ["time_s", "acceleration_g"]})
+    _add("arduino_bare.csv", rows(TIMES_S, TAP_M_S2 / G), "columns", {"columns": ["time_s", "acceleration_g"]})
     _add(
         "arduino_bare_tabs.txt",
-        _rows(np.round(1e6 * TIMES_S), TAP_M_S2, mark="\t", form="{:.12g}"),
+        rows(np.round(1e6 * TIMES_S), TAP_M_S2, mark="\t", form="{:.12g}"),
         "columns",
         {"columns": ["time [us]", "acc [m/s^2]"]},
     )
-    _add("arduino_millis.csv", "millis,acc (g)\n" + _rows(1e3 * TIMES_S, TAP_M_S2 / G))
+    _add("arduino_millis.csv", "millis,acc (g)\n" + rows(1e3 * TIMES_S, TAP_M_S2 / G))
     _add(
         "arduino_plotter.txt",
         "".join(f"t_us:{t:.0f},acc_g:{a:.6f}\n" for t, a in zip(us, TAP_M_S2 / G, strict=True)),
@@ -295,34 +238,33 @@ def _boards() -> None:
     )
     _add(
         "klipper_adxl.csv",
-        "#time,accel_x,accel_y,accel_z\n" + _rows(1532.4 + TIMES_S, 1e3 * x, 1e3 * y, 1e3 * z, form="{:.6f}"),
+        "#time,accel_x,accel_y,accel_z\n" + rows(1532.4 + TIMES_S, 1e3 * x, 1e3 * y, 1e3 * z, form="{:.6f}"),
         "units",
         {"units": {"time": "s", "acceleration": "mm/s^2"}},
     )
     groups = np.arange(TIMES_S.size) // 32 * 32 / RATE_HZ
     _add(
         "fifo.csv",
-        "time [s],acc [g]\n" + _rows(groups, TAP_M_S2 / G, form="{:.6f}"),
+        "time [s],acc [g]\n" + rows(groups, TAP_M_S2 / G, form="{:.6f}"),
         "rate_Hz",
         {"rate_Hz": 10_000.0},
     )
-    _add("no_times.csv", "acc_g\n" + _rows(TAP_M_S2 / G), "rate_Hz", {"rate_Hz": 10_000.0})
+    _add("no_times.csv", "acc_g\n" + rows(TAP_M_S2 / G), "rate_Hz", {"rate_Hz": 10_000.0})
     _add(
         "openlog_artemis.csv",
         "rtcDate,rtcTime,aX,aY,aZ,imu_degC\n"
-        + _rows(["03/05/2024"] * TIMES_S.size, _clock("{hour}"), *(1e3 * each / G for each in (x, y, z)), 25 + 0 * x),
+        + rows(["03/05/2024"] * TIMES_S.size, clock("{hour}"), *(1e3 * each / G for each in (x, y, z)), 25 + 0 * x),
         "units",
         {"units": {"acceleration": "mg"}},
     )
 
 
 def _loggers() -> None:
-    x, y, z = _axes()
-    _add("iso_dates.csv", "Time,Acc (g)\n" + _rows(_clock("{day} {hour}"), TAP_M_S2 / G))
+    x, y, z = axes()
+    _add("iso_dates.csv", "Time,Acc (g)\n" + rows(clock("{day} {hour}"), TAP_M_S2 / G))
     _add(
         "time_of_day.csv",
-        "Date;Time;Acc (g)\n"
-        + _rows(_clock("{d}.{m}.{y}"), _clock("{hour}"), TAP_M_S2 / G, mark=";").replace(".", ","),
+        "Date;Time;Acc (g)\n" + rows(clock("{d}.{m}.{y}"), clock("{hour}"), TAP_M_S2 / G, mark=";").replace(".", ","),
     )
     _add(
         "gcdc_x16.csv",
@@ -331,21 +273,21 @@ def _loggers() -> None:
         ";Start_time, 2024-03-05, 14:11:02.000\n;Temperature, 25.00, deg C,  Vbat, 3990, mv\n;SampleRate,"
         " 10000,Hz\n;Deadband, 0, counts\n"
         ";Headers, time,Ax,Ay,Az\n"
-        + _rows(TIMES_S, *(np.round(each / G * 2048) for each in (x, y, z)), form="{:.6g}"),
+        + rows(TIMES_S, *(np.round(each / G * 2048) for each in (x, y, z)), form="{:.6g}"),
         "units",
         {"units": {"time": "s", "acceleration": "LSB @ 2048 LSB/g"}},
     )
     _add(
         "msr.csv",
         "*CREATOR\nMSR;2.1\n*STARTTIME\n2024-03-05;14:11:02\n*MODUL\nMSR;165\n*CHANNEL\nTIME;ACC x;ACC y;"
-        "ACC z\ns;G;G;G\n*DATA\n" + _rows(TIMES_S, x / G, y / G, z / G, mark=";"),
+        "ACC z\ns;G;G;G\n*DATA\n" + rows(TIMES_S, x / G, y / G, z / G, mark=";"),
     )
     _add(
         "dewesoft.txt",
         "Data info\n\nFile name: tap.dxd\nStart time: 3/5/2024 2:11:02 PM\nNumber of channels: 1\n"
-        "Sample rate: 10000 Hz\n\nTime (s)\tAcc (g)\n" + _rows(TIMES_S, TAP_M_S2 / G, mark="\t"),
+        "Sample rate: 10000 Hz\n\nTime (s)\tAcc (g)\n" + rows(TIMES_S, TAP_M_S2 / G, mark="\t"),
     )
-    _add("sample_rate_head.csv", "Sample Rate,10000,Hz\nSensor,352C33\n\nAcceleration (g)\n" + _rows(TAP_M_S2 / G))
+    _add("sample_rate_head.csv", "Sample Rate,10000,Hz\nSensor,352C33\n\nAcceleration (g)\n" + rows(TAP_M_S2 / G))
     _add(
         "multirate.csv",
         "Time [s],Acc [g],Pos [mm]\n"
@@ -356,21 +298,21 @@ def _loggers() -> None:
     )
     _add(
         "cp1252.csv",
-        ("Zeit (µs);Beschleunigung (m/s²)\n" + _rows(1e6 * TIMES_S, TAP_M_S2, mark=";").replace(".", ",")).encode(
+        ("Zeit (µs);Beschleunigung (m/s²)\n" + rows(1e6 * TIMES_S, TAP_M_S2, mark=";").replace(".", ",")).encode(
             "cp1252"
         ),
     )
-    _add("utf16.csv", ("Time (ms)\tAcc (m/s²)\n" + _rows(1e3 * TIMES_S, TAP_M_S2, mark="\t")).encode("utf-16"))
+    _add("utf16.csv", ("Time (ms)\tAcc (m/s²)\n" + rows(1e3 * TIMES_S, TAP_M_S2, mark="\t")).encode("utf-16"))
     _add(
-        "metadata.csv", "Test rig 3\nOperator: me\nsensor 352C33\n\nTime (s),Acc (g)\n" + _rows(TIMES_S, TAP_M_S2 / G)
+        "metadata.csv", "Test rig 3\nOperator: me\nsensor 352C33\n\nTime (s),Acc (g)\n" + rows(TIMES_S, TAP_M_S2 / G)
     )
     _add(
         "two_sensors.csv",
-        "Time (s),Acc tip (g),Acc table (g)\n" + _rows(TIMES_S, TAP_M_S2 / G, 0.01 * x),
+        "Time (s),Acc tip (g),Acc table (g)\n" + rows(TIMES_S, TAP_M_S2 / G, 0.01 * x),
         "columns",
         {"columns": ["Time (s)", "Acc tip (g)", "-"]},
     )
-    _add("named_by_unit.csv", "Time (s),Dev1/ai0 (g)\n" + _rows(TIMES_S, TAP_M_S2 / G))
+    _add("named_by_unit.csv", "Time (s),Dev1/ai0 (g)\n" + rows(TIMES_S, TAP_M_S2 / G))
     _add(
         "labview.lvm",
         "LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\n"
@@ -380,7 +322,7 @@ def _loggers() -> None:
         "Channels\t1\t\nSamples\t3000\t\nDate\t2024/03/05\t\nTime\t14:11:02.33\t\nY_Unit_Label\tg\t\n"
         "X_Dimension\tTime\t\n"
         "X0\t0.0000000000000000E+0\t\nDelta_X\t1.000000E-4\t\n***End_of_Header***\t\t\n"
-        "X_Value\tAcceleration\tComment\n" + _rows(TIMES_S, TAP_M_S2 / G, mark="\t"),
+        "X_Value\tAcceleration\tComment\n" + rows(TIMES_S, TAP_M_S2 / G, mark="\t"),
     )
     _add(
         "labview_no_x.lvm",
@@ -391,20 +333,13 @@ def _loggers() -> None:
     )
 
 
-def _mat(**variables: Any) -> bytes:
-    stream: Any = io.BytesIO()
-    savemat(stream, variables)
-    content: bytes = stream.getvalue()
-    return content
-
-
 def _analysers() -> None:
-    _add("variables.mat", _mat(time_s=TIMES_S, acc_g=TAP_M_S2 / G))
-    _add("rate.mat", _mat(acc=TAP_M_S2 / G, Fs=RATE_HZ), "units", {"units": {"acc": "g"}})
-    _add("axes.mat", _mat(t=TIMES_S, acc=np.column_stack(_axes())), "units", {"units": {"t": "s", "acc": "m/s^2"}})
+    _add("variables.mat", mat(time_s=TIMES_S, acc_g=TAP_M_S2 / G))
+    _add("rate.mat", mat(acc=TAP_M_S2 / G, Fs=RATE_HZ), "units", {"units": {"acc": "g"}})
+    _add("axes.mat", mat(t=TIMES_S, acc=np.column_stack(axes())), "units", {"units": {"t": "s", "acc": "m/s^2"}})
     x_values = {"quantity": {"label": "s"}, "start_value": 0.0, "increment": 1e-4, "number_of_values": 3000.0}
     y_values = {"quantity": {"label": "g"}, "values": TAP_M_S2 / G}
-    _add("testlab.mat", _mat(Signal={"x_values": x_values, "y_values": y_values}))
+    _add("testlab.mat", mat(Signal={"x_values": x_values, "y_values": y_values}))
     _add("logger.h5", hdf5({"log/time_s": (TIMES_S, ""), "log/acc": (TAP_M_S2 / G, "g")}))
     times_and_acc = {"time": (TIMES_S[None], ""), "acc": (TAP_M_S2[None] / G, "")}
     _add("v73.mat", hdf5(times_and_acc, user_block=512), "units", {"units": {"time": "s", "acc": "g"}})
@@ -436,91 +371,6 @@ def _analysers() -> None:
     _add("unnamed.npz", stream.getvalue(), "units", {"units": {"x0": "s", "x1": "m/s^2"}})
 
 
-Labelled = Mapping[str, tuple[FloatArray, str]]  # name -> values and their unit, empty where none is stated
-
-
-def hdf5(variables: Labelled, user_block: int = 0) -> bytes:
-    """An HDF5 file; with a user block of 512 bytes as MATLAB -v7.3 writes it."""
-    stream = io.BytesIO()
-    with h5py.File(stream, "w", userblock_size=user_block) as file:
-        for name, (values, unit) in variables.items():
-            made = file.create_dataset(name, data=values)
-            if unit:
-                made.attrs["units"] = unit
-    return stream.getvalue()
-
-
-def tdms(channels: Labelled, more: Mapping[str, object] | None = None) -> bytes:
-    """A LabVIEW TDMS file of one group."""
-    stream = io.BytesIO()
-    with TdmsWriter(stream) as writer:
-        writer.write_segment(
-            [
-                ChannelObject("taps", name, x, {"unit_string": unit, **(more or {})})
-                for name, (x, unit) in channels.items()
-            ]
-        )
-    return stream.getvalue()
-
-
-def workbook(rows: list[tuple[object, ...]]) -> bytes:
-    """A workbook of one sheet: the least that the format demands (ECMA-376)."""
-    head, kind = '<?xml version="1.0"?>', "http://schemas.openxmlformats.org"
-    office = f"{kind}/officeDocument/2006/relationships"
-    cells = "".join(
-        "<row>"
-        + "".join(
-            f"<c><v>{cell!r}</v></c>" if isinstance(cell, float) else f'<c t="inlineStr"><is><t>{cell}</t></is></c>'
-            for cell in row
-        )
-        + "</row>"
-        for row in rows
-    )
-    parts = {
-        "[Content_Types].xml": f'<Types xmlns="{kind}/package/2006/content-types">'
-        '<Default Extension="xml" ContentType="application/xml"/></Types>',
-        "_rels/.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
-        f'<Relationship Id="r1" Type="{office}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
-        "xl/workbook.xml": f'<workbook xmlns="{kind}/spreadsheetml/2006/main" xmlns:r="{office}">'
-        '<sheets><sheet name="tap" sheetId="1" r:id="r1"/></sheets></workbook>',
-        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{kind}/package/2006/relationships">'
-        f'<Relationship Id="r1" Type="{office}/worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
-        "xl/worksheets/sheet1.xml": f'<worksheet xmlns="{kind}/spreadsheetml/2006/main">'
-        f"<sheetData>{cells}</sheetData></worksheet>",
-    }
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, part in parts.items():
-            archive.writestr(name, head + part)
-    return stream.getvalue()
-
-
-def universal(*functions: tuple[str, str], values: FloatArray = TAP_M_S2, binary: bool = False) -> bytes:
-    """A universal file of time responses, each with its label and its number of an ordinate's type."""
-    found = b""
-    for k, (label, kind) in enumerate(functions, 1):
-        head = "\n".join(
-            [
-                f"tap {k}",
-                *["NONE"] * 4,
-                f"{1:5d}{k:10d}{1:5d}{0:10d} {'stylus':10s}{k:10d}{3:4d} {'NONE':10s}{0:10d}{0:4d}",
-                f"{4:10d}{values.size:10d}{1:10d}{0.0:13.5E}{1 / RATE_HZ:13.5E}{0.0:13.5E}",
-                f"{17:10d}{0:5d}{0:5d}{0:5d} {'Time':20s} {'s':20s}",
-                f"{kind:>10s}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {label:20s}",
-                *[f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}"] * 2,
-            ]
-        )
-        if binary:
-            packed = values.astype("<f8").tobytes()
-            first = f"    58b{1:6d}{2:6d}{11:12d}{len(packed):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
-            found += f"    -1\n{first}\n{head}\n".encode() + packed + b"\n    -1\n"
-        else:
-            cells = [f"{value:20.12E}" for value in values]
-            lines = "\n".join("".join(cells[at : at + 4]) for at in range(0, len(cells), 4))
-            found += f"    -1\n    58\n{head}\n{lines}\n    -1\n".encode()
-    return found
-
-
 def _universal() -> None:
     _add("time_g.uff", universal(("g", "12"), values=TAP_M_S2 / G))
     _add("time_binary.uff", universal(("m/s^2", "12"), binary=True))
@@ -529,33 +379,14 @@ def _universal() -> None:
     _add("time_volts.u58", universal(("V", "0"), values=V), "units", {"units": {"acceleration": "V @ 100 mV/g"}})
 
 
-def _wave(samples: FloatArray, kind: str) -> bytes:
-    stream = io.BytesIO()
-    if kind == "i3":  # of 24 bits, as Audacity writes it
-        whole = np.round(samples * (2**23 - 1)).astype("<i4")
-        packed = whole.view("u1").reshape(-1, 4)[:, :3].tobytes()
-        head = struct.pack("<IHHIIHH", 16, 1, 1, int(RATE_HZ), int(RATE_HZ) * 3, 3, 24)
-        return (
-            b"RIFF"
-            + struct.pack("<I", 36 + len(packed))
-            + b"WAVEfmt "
-            + head
-            + b"data"
-            + struct.pack("<I", len(packed))
-            + packed
-        )
-    scale = {"i2": 2**15 - 1, "f4": 1.0}[kind]
-    wavfile.write(stream, int(RATE_HZ), (samples * scale).astype(kind))
-    return stream.getvalue()
-
-
 def _sounds() -> None:
     full = {"full_scale_m_s2": 490.3}
     samples = TAP_M_S2 / 490.3
-    _add("audacity_float.wav", _wave(samples, "f4"), "full_scale_m_s2", full)
-    _add("audacity_16.wav", _wave(samples, "i2"), "full_scale_m_s2", full)
-    _add("audacity_24.wav", _wave(samples, "i3"), "full_scale_m_s2", full)
+    _add("audacity_float.wav", wave(samples, "f4"), "full_scale_m_s2", full)
+    _add("audacity_16.wav", wave(samples, "i2"), "full_scale_m_s2", full)
+    _add("audacity_24.wav", wave(samples, "i3"), "full_scale_m_s2", full)
 
 
 for _kind in (_scopes, _phones, _boards, _loggers, _analysers, _universal, _sounds):
     _kind()
+FILES += FURTHER

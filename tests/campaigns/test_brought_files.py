@@ -21,8 +21,9 @@ from unittest import mock
 
 import pytest
 
-from tests.benches.brought_files import FILES, ONSET_S, SPEED_M_S, Brought
+from tests.benches.brought_files import FILES
 from tests.benches.commands import Outcome, Run, captured
+from tests.benches.tap_formats import ONSET_S, SPEED_M_S, Brought
 from tests.campaigns.harness import PartFile, long_form
 from transopt.base.writing import table, write_text
 from transopt.recordings.settings import Recordings
@@ -125,6 +126,10 @@ SHORT = (
     "testlab",
     "two_responses",
     "audacity_24",
+    "yokogawa",
+    "metawear",
+    "thousands",
+    "hobo",
 )
 
 

@@ -36,6 +36,7 @@ from transopt.recordings.names import (
     quantity_of,
     quote,
     stated_for,
+    with_axes,
 )
 from transopt.recordings.rates import rate_of
 from transopt.recordings.raw_table import LARGEST, RawTable, check_size, without_times
@@ -246,16 +247,19 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
         if isinstance(unit, str) and is_unit(unit) and apart(key)[1] is None and not is_other:
             key = f"{key} [{unit}]"
         found[key] = partial(named.__getitem__, name)
-        if quantity_of(key, words) == "acceleration":
-            with guarded(f"variable {name} is not readable", _SAVE_NPZ):
-                values = np.asarray(named[name])
-            rows = values if values.ndim == 2 and values.shape[0] == len(_AXES) else values.T
-            if values.ndim == 2 and rows.shape[0] == len(_AXES) < rows.shape[1]:
-                base, unit = apart(key)
-                behind = f" [{unit}]" if unit else ""
-                del found[key]
-                found |= {f"{base} {axis}{behind}": partial(rows.__getitem__, k) for k, axis in enumerate(_AXES)}
-    return found
+        if key in words.header:
+            continue
+        with guarded(f"variable {name} is not readable", _SAVE_NPZ):
+            values = np.asarray(named[name])
+        rows = values if values.ndim == 2 and values.shape[0] < values.shape[1] else values.T
+        if values.ndim == 2 and values.dtype.kind in "iuf" and 1 < rows.shape[0] <= MOST_CHOICES < rows.shape[1]:
+            is_sensor = rows.shape[0] == len(_AXES) and quantity_of(key, words) == "acceleration"
+            base, unit = apart(key)
+            behind = f" [{unit}]" if unit else ""
+            del found[key]
+            columns = _AXES if is_sensor else map(str, range(1, rows.shape[0] + 1))
+            found |= {f"{base} {which}{behind}": partial(rows.__getitem__, k) for k, which in enumerate(columns)}
+    return dict(zip(with_axes(list(found)), found.values(), strict=True))
 
 
 def _column(read: Callable[[], object], name: str, *, is_complex: bool = False) -> NDArray[Any]:

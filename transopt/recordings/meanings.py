@@ -27,7 +27,7 @@ from transopt.recordings.names import (
     quote,
     stated_unit,
 )
-from transopt.recordings.unclear import RATES_HZ, UnclearError, guesses
+from transopt.recordings.unclear import RATES_HZ, UnclearError, guesses, times_in, usual_first
 from transopt.recordings.units import (
     Unit,
     is_electrical,
@@ -165,8 +165,12 @@ def meanings(
         if quantity == "time":
             raise _untimed(found or names, words)
         choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
-        raise InputError(f"0 {quantity} columns in {present}: must be 1; name one {choice}")
-    _refuse_unstated([name for name in used if lacks_unit(name, words, units)], words)
+        problem = f"0 {quantity} columns in {present}: must be 1; name one {choice}"
+        others = {name: values for name, values in seen().items() if name not in used} if found else {}
+        if answers := guesses(others, likely_units(quantity), is_named=True, needs_time=False):
+            raise UnclearError(problem, answers)
+        raise InputError(problem)
+    _refuse_unstated([name for name in used if lacks_unit(name, words, units)], words, seen)
     said = {}
     for name in used:
         said[name] = meaning(name, words, units)
@@ -203,7 +207,7 @@ def one_clock(
     return [SKIPPED if at in rivals and at != kept else name for at, name in enumerate(names)]
 
 
-def _refuse_unstated(without: Sequence[str], words: Vocabulary) -> None:
+def _refuse_unstated(without: Sequence[str], words: Vocabulary, seen: Seen) -> None:
     """Ask for the units of columns, by their quantities.
 
     Raises
@@ -212,8 +216,13 @@ def _refuse_unstated(without: Sequence[str], words: Vocabulary) -> None:
     """
     wanted = list(dict.fromkeys(quantity_of(name, words) or name for name in without))
     if wanted:
+        table = seen()
+        of = {quantity_of(name, words): values for name in without if (values := table.get(name)) is not None}
+        likely = {quantity: usual_first(likely_units(quantity), of.get(quantity, np.zeros(1))) for quantity in wanted}
+        if "time" in of:
+            likely["time"] = times_in(of["time"]) or likely["time"]
         known = "; ".join(f"{quantity} in {', '.join(known_units(quantity))}" for quantity in wanted)
-        combined = itertools.product(*(likely_units(quantity) for quantity in wanted))
+        combined = itertools.product(*likely.values())
         raise UnclearError(
             f"no unit stated in the column{'s' * (len(without) > 1)} {quote(', '.join(without))}; known: {known}",
             [{"units": dict(zip(wanted, units, strict=True))} for units in itertools.islice(combined, MOST_ANSWERS)],

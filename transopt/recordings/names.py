@@ -221,9 +221,16 @@ def stated_units(text: str) -> dict[str, str]:
     return {name.strip(): unit.strip() for name, _, unit in pairs}
 
 
-def split_names(line: str) -> list[str]:
-    """The names in a header row, whatever stands between them; a unit in brackets belongs to the name before it."""
+def split_names(line: str, *, by_blanks: bool = True) -> list[str]:
+    """The names in a header row, whatever stands between them; a unit in brackets belongs to the name before it.
+
+    Parameters
+    ----------
+    by_blanks : whether blanks part the names of a row that has no other marks.
+    """
     mark = next((mark for mark in (";", ",", "\t") if mark in line.strip(" \t;,")), None)
+    if mark is None and not by_blanks:
+        return [line.strip(" \t;,")]
     if mark is None:
         line = re.sub(r"\s+(?=[\[({])", "", line.strip())
     return [cell.strip() for cell in line.rstrip(";, \t").split(mark)]
@@ -291,9 +298,9 @@ def apart(name: str) -> tuple[str, str | None]:
     small = name.strip().lower().replace("_", " ")
     if found is None and (unit := NAMED_UNITS.get(small, "g" if small[:2] == "gf" and small in AXES else None)):
         return name, unit
-    if found is None:
+    if found is None or not is_unit(found["unit"]):
         noted = (each for pattern in _NOTED if (each := pattern.fullmatch(name.strip())) and is_unit(each["unit"]))
-        found = next(noted, None)
+        found = next(noted, found)
     if found is None:
         return next(
             filter(None, (_unit_in_word(name, at) for at, mark in enumerate(name) if mark == "_")), (name, None)

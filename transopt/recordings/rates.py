@@ -62,7 +62,7 @@ def rate_of(lines: Sequence[str], told: Sequence[str] = ()) -> Rate | None:
                     found.append((1 / value if of == "frequency" else value, line.strip()))
     if not found or not all(math.isclose(step, found[0][0], rel_tol=1e-6) for step, _ in found):
         return None
-    start = next((float(each[1]) for line in told if (each := _START.fullmatch(line))), 0.0)
+    start = next((float(stated[1]) for line in told if (stated := _START.fullmatch(line))), 0.0)
     return Rate(found[0][0], start, found[0][1])
 
 

@@ -13,7 +13,7 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.recordings.meanings import meanings, one_clock
-from transopt.recordings.names import SKIPPED, Layout, Vocabulary, apart, quantity_of, quote, spared
+from transopt.recordings.names import SKIPPED, Layout, Vocabulary, apart, quantity_of, quote, spared, with_axes
 from transopt.recordings.rates import rate_of
 from transopt.recordings.raw_table import MIN_SAMPLES, RawTable, without_times
 from transopt.recordings.text_rows import cells_of, delimiter_of, parted_text, with_points
@@ -126,6 +126,7 @@ def _clocked(rows: Sequence[str], at: int) -> FloatArray | None:
 
 def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> list[str]:
     """The columns as a user names them; where that leaves the unit out, it is the one in the file."""
+    columns = with_axes(columns)
     if len(columns) != len(found):
         return list(columns)
     units = [apart(name)[1] for name in found]

@@ -79,7 +79,9 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
     width = len(cells_of(first.rstrip(";, \t")))
     head = data[:HEAD].decode(encoding_of(data), errors="ignore").splitlines()
     del head[numbers[min(start, len(rows) - 1)] - 1 :]
-    names = names or _names_above(above, width, header, words, told)
+    lines = [split_names(row, by_blanks=delimiter_of(first) is None) for row in above]
+    _read_statements(above, header, words)
+    names = names or _names_above(lines[-_HEAD_ROWS:], width, words, told)
     if not names:
         names = split_names(remark.lstrip("".join(_REMARKS) + "; "))
         if names[:1] and names[0].lower() in ("headers", "columns") and len(names) == len(cells_of(first)) + 1:
@@ -131,7 +133,7 @@ def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[st
     width : cells of a row of numbers.
     notes : lines, `Vertical Units,V` for example.
     """
-    pairs = [(found[1], found[2]) for note in notes if (found := _NOTE.fullmatch(note))]
+    pairs = [(parted[1], parted[2]) for note in notes if (parted := _NOTE.fullmatch(note))]
     stated = {
         re.sub(r"[\s_-]", "", key.lower()): re.split(r"\s*[,;\t]\s*", values.replace('"', ""))
         for key, values in pairs
@@ -139,8 +141,10 @@ def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[st
     units = next((stated[key] for key in _UNITS_OF_VALUES if key in stated), [])
     sources = [each for key in ("source", "tracename") for each in stated.get(key, []) if each]
     of_times = next((stated[key][0] for key in _UNITS_OF_TIMES if key in stated), "")
-    if not names and width in (len(sources), len(sources) + 1):
+    if not names and sources and width in (len(sources), len(sources) + 1):
         names = [*["TIME"] * (width - len(sources)), *sources]
+    elif not names and units and width == 1:
+        names = ["values"]
     found, used = list[str](), 0
     for at, name in enumerate(names):
         is_time = at == 0 and width > 1
@@ -178,7 +182,7 @@ def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[l
         content = _SERIAL_STAMP.sub("", content, count=1) if " -> " in content else content
         if content.startswith(marks):
             _read_header_line(number, content, header, words)
-            remark = remark if rows else content
+            remark = remark if rows and _NUMBER_START.match(rows[-1]) else content
         elif content:
             rows.append(content)
             numbers.append(number)
@@ -221,29 +225,24 @@ def _first_of_numbers(rows: Sequence[str]) -> int:
     def is_first(row: str) -> bool:
         cells = cells_of(row)
         wordless = len(cells) > 1 and all(map(_NUMBER.fullmatch, cells))
-        return wordless or ((delimiter_of(row), len(cells)) == usual and bool(_STAMP.fullmatch(cells[0])))
+        return wordless or ((delimiter_of(row), len(cells)) == usual and bool(_STAMP.fullmatch(cells[0] or "0")))
 
     has_number = (k for k, row in enumerate(rows) if any(map(_NUMBER_START.match, cells_of(row))))
-    begins = (k for k, row in enumerate(rows) if _NUMBER_START.match(row.lstrip()) and is_first(row))
+    begins = (k for k, row in enumerate(rows) if _NUMBER_START.match(row.lstrip(" \t,;")) and is_first(row))
     return next(begins, next(has_number, len(rows)))
 
 
-def _names_above(
-    above: list[str], width: int, header: dict[str, object], words: Vocabulary, told: list[str]
-) -> list[str]:
+def _names_above(above: list[list[str]], width: int, words: Vocabulary, told: list[str]) -> list[str]:
     """Names and units of the columns among the last rows above the numbers; nothing if none of them has as many.
 
     Parameters
     ----------
     width : cells of a row of numbers.
-    header : takes what the other rows state, as `speed_m_s,0.21`; an instrument states much else there.
     told : takes what a row of units states as a number below a name, `Increment: 1e-4`; such a column has no rows.
     """
-    for row in above:
-        if (found := _METADATA.fullmatch(row)) and found[1] in words.header:
-            header[found[1]] = _scalar(found[2])
-    lines = [cells for row in above[-_HEAD_ROWS:] if len(cells := split_names(row)) >= width or row is above[-1]]
-    lines = [cells for cells in lines if not any(map(_WHEN.search, cells))]
+    lines = [cells for cells in above if len(cells) >= width or cells is above[-1]]
+    if lines and any(map(_WHEN.search, lines[-1])):
+        return []
     if lines and len(lines[-1]) < width and all(quantity_of(name, words) is None for name in lines[-1]):
         del lines[-1]
     if not lines:
@@ -258,6 +257,13 @@ def _names_above(
         return _with_units(heads, [cell if is_unit(cell) else "" for cell in names])
     told += [name.replace("=", ":") for name in names if _STATED.fullmatch(name)]  # t0 = -0.06, tInc = 1e-4
     return [SKIPPED if _STATED.fullmatch(name) else name for name in names]
+
+
+def _read_statements(above: Sequence[str], header: dict[str, object], words: Vocabulary) -> None:
+    """Add what rows above the names state to `header`, as `speed_m_s,0.21`; an instrument states much else there."""
+    for row in above:
+        if (found := _METADATA.fullmatch(row)) and found[1] in words.header:
+            header[found[1]] = _scalar(found[2])
 
 
 def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
@@ -296,6 +302,8 @@ def delimiter_of(line: str) -> str | None:
     # Between tabs, where each cell is one number, and between semicolons a comma is a decimal comma.
     if "\t" in line:
         cells = [cell.strip() for cell in line.split("\t")]
-        if all(map(_NUMBER.fullmatch, cells)) and ("," in line or all(cells) or not cells[0]):
+        if all(_NUMBER.fullmatch(cell) or (_STAMP.fullmatch(cell) and _WHEN.search(cell)) for cell in cells) and (
+            "," in line or all(cells) or not cells[0]
+        ):
             return "\t"
     return next((mark for mark in (";", ",") if mark in line), None)

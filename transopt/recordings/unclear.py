@@ -28,7 +28,8 @@ OPTIONS = {
 RATES_HZ = (10_000.0, 1000.0, 3200.0, 44_100.0, 48_000.0, 25_600.0, 51_200.0, 100_000.0, 1e6)
 STEPS_S = (1e-7, 0.02)  # of a column that may hold the times of a tap
 STEADY = 0.5  # of the median step: the most that a step of such a column differs in the mean
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LEAST_COUNTS = 50  # that a tap makes in a converter; a few whole numbers may be anything
 MOST_COLUMNS = 3  # that may be the acceleration, the one with the highest peak first
 
 
@@ -132,18 +133,32 @@ def guesses(
     loud = {name: _crest(values) for name, values in table.items() if name not in steady and _crest(values) > 0}
     loudest = sorted(loud, key=lambda name: -loud[name])[:MOST_COLUMNS]
     found: list[Answer] = []
-    for time in steady or [""]:
-        step = float(np.median(np.diff(table[time]))) if time else 0.0
-        of_time = [unit for unit, by in TIMES.items() if STEPS_S[0] <= by * step <= STEPS_S[1]] if time else [""]
+    # Rows are counted as well as timed: what rises by one is the time only where nothing else is.
+    timed = [name for name in steady if np.ptp(np.diff(table[name])) > 0 or np.diff(table[name])[0] != 1]
+    for time in timed or steady or [""]:
+        of_time = times_in(table[time]) if time else [""]
         if time and not units:
             found += [{"units": {time: unit}} for unit in of_time]
-        for name, unit, of in itertools.product(loudest, of_time, units):
+        for name, unit in itertools.product(loudest, of_time):
+          for of in usual_first(units, table[name]):
             if is_named:
                 found.append({"units": {**({time: unit} if time else {}), name: of}})
             else:
                 said = {time: f"time [{unit}]", name: f"acc [{of}]"}
                 found.append({"columns": [said.get(each, "-") for each in table]})
     return found
+
+
+def usual_first(units: Sequence[str], values: FloatArray) -> list[str]:
+    """Units that a column (n,) may be in: whole numbers are counts of a converter sooner than accelerations."""
+    is_whole = bool(np.ptp(values) > LEAST_COUNTS and np.all(values == np.rint(values)))
+    return sorted(units, key=lambda unit: is_whole and "LSB" not in unit)
+
+
+def times_in(values: FloatArray) -> list[str]:
+    """Units in which a column (n,) may hold the times of a tap."""
+    step = float(np.median(np.diff(values))) if values.size > 1 else 0.0
+    return [unit for unit, by in TIMES.items() if STEPS_S[0] <= by * step <= STEPS_S[1]]
 
 
 def _rises(values: FloatArray) -> bool:

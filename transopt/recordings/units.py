@@ -48,7 +48,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
 RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
-MOST_LIKELY = {"time": 3, "acceleration": 4}  # units that are usual for these
+MOST_LIKELY = {"time": 4, "acceleration": 4}  # units that are usual for these
 SENSITIVITIES = ("100 mV/g", "10 mV/g", "500 mV/g", "1000 mV/g", "300 mV/g", "50 mV/g", "1 mV/g")
 # Converters of 16 bits with ranges of 2, 4, 8 and 16 g; ADXL345 and ADXL375.
 RESOLUTIONS = ("16384 LSB/g", "8192 LSB/g", "4096 LSB/g", "2048 LSB/g", "3.9 mg/LSB", "49 mg/LSB")
@@ -62,6 +62,7 @@ _WORD = re.compile(
 )
 _SYMBOLS = {"sec": "s", "volt": "V", "amp": "A", "hertz": "Hz", "newton": "N", "met": "m"}
 _SPELT = {"gn": "g", "g0": "g"}
+_BRACKETS = re.compile(r"\(([^()]*)\)")
 _PER_SECOND_TWICE = re.compile(r"(/s/s|[ _]?s-2|_s2)$", re.IGNORECASE)
 
 
@@ -94,7 +95,7 @@ def _symbol(word: re.Match[str]) -> str:
 
 def _plain(unit: str) -> str:
     """One spelling of a unit's many: no superscripts, words or signs that keyboards lack."""
-    plain = " ".join(unit.replace("**", "").translate(_SIGNS).split())
+    plain = " ".join(_BRACKETS.sub(r"\1", unit).replace("**", "").translate(_SIGNS).split())
     return _PER_SECOND_TWICE.sub("/s2", _WORD.sub(_symbol, plain))
 
 

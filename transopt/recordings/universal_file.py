@@ -6,6 +6,7 @@ response in g per V as often as one in SI, and says so there alone. A binary dat
 records as text too.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from transopt.recordings.names import MOST_CHOICES, Layout, Meaning, Vocabulary,
 from transopt.recordings.raw_table import RawTable
 from transopt.recordings.unclear import UnclearError
 from transopt.recordings.units import (
+    UNITS,
     input_unit,
     is_electrical,
     likely_units,
@@ -58,6 +60,7 @@ WIDTHS = {"f4": 13, "f8": 20}  # characters of a number
 ABSCISSA_WIDTH = 13
 LINE_WIDTH = 80
 HEAD_LINES = 11  # of the dataset, before its numbers
+LENGTHS = {1: 1.0, 5: 1e3, 6: 1e2, 8: 1e3, 10: 1e3}  # to the metre, by the units code of a dataset 164
 UNIT_LABEL = slice(47, 67)  # columns of the unit's label in records 8 to 11
 NOT_STATED = ("", "NONE")
 
@@ -98,15 +101,12 @@ def read_universal_file(data: bytes, layout: Layout, words: Vocabulary) -> RawTa
             f"--units {a_unit}"
         )
     datasets = _datasets(data)
-    code = next((each for each in datasets if each.kind == "164"), None)
-    if code is not None and _whole(code.lines, 0, 0, 10, "units code of dataset 164") != 1:
-        raise InputError("dataset 164: units other than SI; export in SI, units code 1")
+    unit = next((_unit_of_164(each) for each in datasets if each.kind == "164"), "")
     chosen = _chosen(
         [each for each in datasets if each.kind in ("58", "58b")], layout.channel, is_response=is_response
     )
-    is_si = code is not None
-    of_abscissa = _abscissa(chosen.lines, units.get(abscissa, ""), abscissa, is_si=is_si)
-    of_ordinate = _ordinate(chosen.lines, units.get(ordinate, ""), is_response=is_response, is_si=is_si)
+    of_abscissa = _abscissa(chosen.lines, units.get(abscissa, ""), abscissa, is_stated=bool(unit))
+    of_ordinate = _ordinate(chosen.lines, units.get(ordinate, ""), unit, is_response=is_response)
     if of_abscissa is None or of_ordinate is None:
         below = _axis(chosen.lines, 9, "denominator")[1] if is_response else ""
         likely = [f"{unit}/{below}" for unit in ("m/s^2", "g", "mm/s^2")] if below else likely_units(ordinate)
@@ -122,6 +122,24 @@ def read_universal_file(data: bytes, layout: Layout, words: Vocabulary) -> RawTa
     if layout.rate_Hz:  # goes before what the file says of its times
         del columns["time"], named["time"]
     return RawTable(columns, named, {}, lambda k: f"point {k + 1}")
+
+
+def _unit_of_164(dataset: _Dataset) -> str:
+    """The unit of accelerations that a dataset 164 states by its factor from SI to the file's length.
+
+    Raises
+    ------
+    InputError : a length that no acceleration is known in.
+    """
+    code = _whole(dataset.lines, 0, 0, 10, "units code of dataset 164")
+    factor = _number(dataset.lines[1][:25], 2) if len(dataset.lines) > 1 else LENGTHS.get(code, 0.0)
+    known = UNITS["acceleration"].items()
+    unit = next(
+        (unit for unit, si in known if unit.endswith("/s^2") and math.isclose(si * factor, 1, rel_tol=1e-3)), ""
+    )
+    if not unit:
+        raise InputError(f"dataset 164: units other than SI, code {code}, {factor:g} to the metre; export in SI, code 1")
+    return unit
 
 
 def _chosen(functions: Sequence[_Dataset], channel: int | None, *, is_response: bool) -> _Dataset:
@@ -237,12 +255,12 @@ def _axis(block: Sequence[str], line: int, what: str) -> tuple[int, str, str]:
     return kind, "" if label.upper() in NOT_STATED else label, meaning
 
 
-def _abscissa(block: Sequence[str], user: str, quantity: str, *, is_si: bool) -> Meaning | None:
+def _abscissa(block: Sequence[str], user: str, quantity: str, *, is_stated: bool) -> Meaning | None:
     """What the abscissa means, by the user's word or by its label; None where nothing says it."""
     kind, label, _ = _axis(block, 7, "abscissa")
     if kind not in (UNKNOWN, FREQUENCY if quantity == "frequency" else TIME):
         raise InputError(f"dataset 58: its abscissa is no {quantity}; export a function of {quantity}")
-    stated = user or label or ({"frequency": "Hz", "time": "s"}[quantity] if is_si else "")
+    stated = user or label or ({"frequency": "Hz", "time": "s"}[quantity] if is_stated else "")
     if not stated:
         return None
     if read_unit(stated, quantity) is None:
@@ -254,8 +272,12 @@ def _abscissa(block: Sequence[str], user: str, quantity: str, *, is_si: bool) ->
     return settled(quantity, stated, read_unit(label, quantity), said)
 
 
-def _ordinate(block: Sequence[str], user: str, *, is_response: bool, is_si: bool) -> Meaning | None:
+def _ordinate(block: Sequence[str], user: str, unit: str, *, is_response: bool) -> Meaning | None:
     """What ordinate over denominator means: the user's word goes before the labels, and these before the types.
+
+    Parameters
+    ----------
+    unit : of accelerations, as a dataset 164 states it; empty where none does.
 
     Returns
     -------
@@ -275,7 +297,7 @@ def _ordinate(block: Sequence[str], user: str, *, is_response: bool, is_si: bool
     is_known = kind in (UNKNOWN, GENERAL, ACCELERATION) and (acceleration or ordinate in MAY_ACCELERATE)
     if not (is_known or user):
         raise InputError(f"dataset 58: its ordinate is {ordinate}, no acceleration (type 12); export the accelerance")
-    acceleration = acceleration or (SI if is_si else "")
+    acceleration = acceleration or unit
     quantity = "real" if is_response else "acceleration"
     if acceleration and read_unit(acceleration, quantity) is None:
         if not is_response and is_electrical(acceleration):
@@ -293,7 +315,7 @@ def _ordinate(block: Sequence[str], user: str, *, is_response: bool, is_si: bool
         )
     if not acceleration:
         return None
-    label = f"{above or SI}/{below}" if below and not parts(above)[1] else above
+    label = f"{above or unit or SI}/{below}" if below and not parts(above)[1] else above
     stated = f"{acceleration}/{of_input}" if of_input else acceleration
     return settled(quantity, stated, read_unit(label, quantity), f"labels say {label}" if label and user else "")
 

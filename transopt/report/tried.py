@@ -13,7 +13,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.recordings.formats import full_scales
-from transopt.recordings.plausible import USUAL_SPEED_CHANGE, speed_changes_m_s
+from transopt.recordings.plausible import PEAK_G, USUAL_SPEED_CHANGE, speed_changes_m_s
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_speed, prepare, read_recordings
 from transopt.recordings.unclear import Answer, UnclearError, joined, options, printable, shown_path
@@ -26,6 +26,8 @@ MOST_LISTED = 9  # on a terminal
 MOST_TRIALS = 80
 TRIAL_S = 2.0  # of processor time, after which no other answer is tried
 DEEPEST = 3  # facts that a file may lack together
+USUAL_RATE_HZ = (400.0, 300e3)  # of accelerometers and what records them
+UNLIKELY = 0.1  # of each place in a list of answers, which begins with the likeliest, beside the logarithm of a ratio
 MISTAKEN = ("acceleration", "time", "position")  # whose units make a tap implausible
 
 
@@ -47,9 +49,9 @@ def trials(
     doubtful = list[tuple[float, Answer, str]]()
     until, count = time.process_time() + TRIAL_S, 0
 
-    def follow(asked: UnclearError, before: Answer, depth: int) -> None:
+    def follow(asked: UnclearError, before: Answer, depth: int, unlikely: float) -> None:
         nonlocal count
-        for each in asked.answers:
+        for place, each in enumerate(asked.answers):
             count += 1
             if count > MOST_TRIALS or time.process_time() > until:
                 return
@@ -58,7 +60,7 @@ def trials(
                 found = read(joined(stated, answer))
             except UnclearError as more:
                 if depth < DEEPEST:
-                    follow(more, answer, depth + 1)
+                    follow(more, answer, depth + 1, unlikely + UNLIKELY * place)
             except InputError:
                 continue
             else:
@@ -67,9 +69,11 @@ def trials(
                 words = said(found) if is_good else f"{said(found)}; implausible"
                 # An option that is stated twice counts once: the units of a proposal are all that are stated.
                 whole = {**answer, "units": joined(stated, answer)["units"]} if "units" in answer else answer
-                (good if is_good else doubtful).append((round(odd(found), 1), whole, words))
+                if not is_good:
+                    whole = {**whole, "implausible": "accept"}
+                (good if is_good else doubtful).append((round(odd(found) + unlikely + UNLIKELY * place, 1), whole, words))
 
-    follow(unclear, {}, 1)
+    follow(unclear, {}, 1, 0.0)
     best = sorted(good or doubtful, key=lambda one: one[0])
     return [(answer, words) for _, answer, words in best[:MOST_LISTED]]
 
@@ -77,7 +81,8 @@ def trials(
 def in_a_line(unclear: UnclearError, tried: list[tuple[Answer, str]]) -> str:
     """The question with the answers that were tried on the file, as options."""
     if not tried:
-        return str(unclear)
+        problem = f"{shown_path(unclear.file)}{unclear.problem}; nothing that is usual for it reads the file"
+        return printable(f"{problem}: bring it into the form that `transopt taps --template tap.csv` writes")
     named = " or ".join(f"{options(answer)} ({said})" for answer, said in tried[:MOST_NAMED])
     lead = f"{shown_path(unclear.file)}{unclear.problem}"
     return printable(f"{lead}; tried on it, of which only you know the right one: {named}")
@@ -102,9 +107,14 @@ def summary(found: Taps) -> str:
 
 
 def oddness(found: Taps) -> float:
-    """How far the speed changes of the taps are from usual ones, as the largest logarithm of a ratio."""
-    ratios = [speed_changes_m_s(tap.acceleration, 0.0)[0] / tap.speed_m_s for tap in found[0] if tap.speed_m_s > 0]
-    return float(np.max(np.abs(np.log(np.maximum(ratios, 1e-300) / USUAL_SPEED_CHANGE)), initial=0.0))
+    """How far taps are from usual ones: the logarithm of the speed change's ratio, and what has no tap's bounds."""
+    taps = found[0]
+    ratios = [speed_changes_m_s(tap.acceleration, 0.0)[0] / tap.speed_m_s for tap in taps if tap.speed_m_s > 0]
+    off = float(np.max(np.abs(np.log(np.maximum(ratios, 1e-300) / USUAL_SPEED_CHANGE)), initial=0.0))
+    low, high = (each * STANDARD_GRAVITY_M_S2 for each in PEAK_G)
+    is_high = any(not low <= tap.peak_m_s2 <= high for tap in taps)
+    is_fast = any(not USUAL_RATE_HZ[0] <= tap.recording.acceleration.rate_Hz <= USUAL_RATE_HZ[1] for tap in taps)
+    return off + is_high + is_fast
 
 
 def doubt(found: Taps) -> UnclearError | None:

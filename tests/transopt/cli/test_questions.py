@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benches.brought_files import FILES, SPEED_M_S, TAP_M_S2, TIMES_S
+from tests.benches.brought_files import FILES
 from tests.benches.commands import Run, assert_refused
 from tests.benches.recording_files import text
+from tests.benches.tap_formats import SPEED_M_S, TAP_M_S2, TIMES_S
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.cli.questions import answered, plotted, sketched, typed

@@ -143,7 +143,7 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
     np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
     said = refusal(tmp_path, content, suffix)
     assert said.startswith("no unit stated in the columns 't, acc'; known: time in s, ms")
-    assert "state it, for example --units 'time=s,acceleration=m/s^2' (in a scene recordings.units = " in said
+    assert "state it, for example --units 'time=ms,acceleration=m/s^2' (in a scene recordings.units = " in said
     # Times without a unit are asked about, not passed over, where the acceleration has one.
     assert refusal(tmp_path, pack(t=TIMES_S, acc_g=TAP_M_S2), suffix).startswith("no unit stated in the column 't'")  # type: ignore[operator]
 

@@ -179,7 +179,7 @@ def test_a_column_that_the_caller_misspells(tmp_path: Path) -> None:
     ("changed", "words"),
     [
         ({"acceleration_m_s2": TAP_M_S2[:99]}, "(time_s 200, acceleration_m_s2 99 samples)"),
-        ({"acceleration_m_s2": np.ones((9, 2))}, "variable acceleration_m_s2 is 'float64' of shape (9, 2): must"),
+        ({"acceleration_m_s2": np.ones((9, 9))}, "variable acceleration_m_s2 is 'float64' of shape (9, 9): must"),
         ({"acceleration_m_s2": 1j * TAP_M_S2}, "variable acceleration_m_s2 is"),
         ({"acceleration_m_s2": "text"}, "must be one row or column of real numbers"),
         ({"acceleration_m_s2": 1.0, "time_s": 1.0}, "1 samples, at least 8"),

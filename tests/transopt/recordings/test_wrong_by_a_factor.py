@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benches.brought_files import RATE_HZ, SPEED_M_S, hdf5, tdms, universal, workbook
 from tests.benches.recording_files import mat, npz, text, wav
+from tests.benches.tap_formats import RATE_HZ, SPEED_M_S, hdf5, tdms, universal, workbook
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray

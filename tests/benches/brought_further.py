@@ -1,38 +1,38 @@
-"""More files of the same tap, of instruments and programs beside those of `tests.benches.brought_files`.
+"""Further files of the one tap, of instruments and programs beside those of `tests.benches.brought_files`.
 
 Names, units, remarks and separators follow each maker's description or an export that its users show.
 """
 
 import numpy as np
 
-from tests.benches.brought_files import (
+from tests.benches.tap_formats import (
     RATE_HZ,
     TAP_M_S2,
     TIMES_S,
     Brought,
     V,
-    _axes,
-    _clock,
-    _mat,
-    _rows,
+    axes,
+    clock,
     hdf5,
+    mat,
+    rows,
     tdms,
     universal,
     workbook,
 )
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 
-FRESH: list[Brought] = []
+FURTHER: list[Brought] = []
 IN_G = TAP_M_S2 / G
 MS = 1e3 * TIMES_S
 US = np.round(1e6 * TIMES_S)
 VOLTS = "V @ 100 mV/g"
-X, Y, Z = _axes()
+X, Y, Z = axes()
 X_G, Y_G, Z_G = X / G, Y / G, Z / G
 
 
 def _add(name: str, data: str | bytes, lacks: str = "", **right: object) -> None:
-    FRESH.append(Brought(name, data if isinstance(data, bytes) else data.encode(), lacks, right))
+    FURTHER.append(Brought(name, data if isinstance(data, bytes) else data.encode(), lacks, right))
 
 
 def _scopes() -> None:
@@ -44,8 +44,7 @@ def _scopes() -> None:
         "YOrg:,+0.0E+00\nMax Bandwidth:,+1.0E+08\nMin Bandwidth:,+0.0E+00\nXUnits:,second\nYUnits:,Volt\n"
         'Frame:,"DSO9064A:MY0000"\nDate:,"05 MAR 2024"\nTime:,"14:11:02"\nData:,\n' + one,
         "columns",
-        columns=["CH1"],
-        units={"CH1": VOLTS},
+        units={"Data:": VOLTS},
     )
     _add(
         "yokogawa.csv",
@@ -55,20 +54,20 @@ def _scopes() -> None:
         "units",
         units={"CH1": VOLTS},
     )
-    _add("rohde_schwarz.csv", "in s,CH1 in V\n" + _rows(TIMES_S, V, form="{:.9E}"), "units", units={"CH1": VOLTS})
+    _add("rohde_schwarz.csv", "in s,CH1 in V\n" + rows(TIMES_S, V, form="{:.9E}"), "units", units={"CH1": VOLTS})
     _add(
         "hantek_remote.csv",
         "nr,time,ch1,ch2,ch1s,ch2s\n"
-        + _rows(np.arange(3000.0), TIMES_S, V, 0 * V - 0.02, np.round(300 * V), 0 * V - 76),
+        + rows(np.arange(3000.0), TIMES_S, V, 0 * V - 0.02, np.round(300 * V), 0 * V - 76),
         "units",
         units={"time": "s", "ch1": VOLTS},
     )
-    _add("hantek.csv", "#CLOCK=100.0uS\n#SIZE=3000\n#UNITS:V\n" + one, "columns", columns=["CH1"], units={"CH1": VOLTS})
+    _add("hantek.csv", "#CLOCK=100.0uS\n#SIZE=3000\n#UNITS:V\n" + one, "columns", units={"values": VOLTS})
     _add(
         "owon.csv",
         "Channel :,CH1\nFrequency :,?\nPeriod :,?\nPK-PK :,1.4V\nAverage :,0.0V\nVertical pos :,0mv\n"
         "Probe attenuation :,1X\nVoltage per ADC value :,8.0mV\nTime interval :,0.10000mS\n\n"
-        "index,CH1_Voltage(mV)\n" + _rows(np.arange(3000.0), 1e3 * V),
+        "index,CH1_Voltage(mV)\n" + rows(np.arange(3000.0), 1e3 * V),
         "units",
         units={"CH1_Voltage": "mV @ 100 mV/g"},
     )
@@ -80,34 +79,29 @@ def _scopes() -> None:
         "Sampling Period,1.000E-04,\nFirmware,V1.20,\nTime,05-Mar-24 14:11:02,\nMode,Fast,\nWaveform Data,\n"
         + "".join(f"{v:.5f},\n" for v in V),
         "units",
-        units={"CH1": VOLTS},
+        units={"Waveform Data": VOLTS},
     )
-    stamps = [f"{stamp}+00:00" for stamp in _clock("{day}T{hour}")]
-    _add("saleae_clock.csv", "Time [s],Channel 0 [V]\n" + _rows(stamps, V), "units", units={"Channel 0": VOLTS})
+    stamps = [f"{stamp}+00:00" for stamp in clock("{day}T{hour}")]
+    _add("saleae_clock.csv", "Time [s],Channel 0 [V]\n" + rows(stamps, V), "units", units={"Channel 0": VOLTS})
     _add(
         "tektronix_wavestar.csv",
-        '"Model","TPS2024"\n"TIME","CH1"\n"s","V"\n' + _rows(TIMES_S, V),
+        '"Model","TPS2024"\n"TIME","CH1"\n"s","V"\n' + rows(TIMES_S, V),
         "units",
         units={"CH1": VOLTS},
-    )
-    _add(
-        "bitscope.csv",
-        "trigger,stamp,channel,index,type,delay,factor,rate,count,data\n" + "1,14:11:02,0,1,0,0,1,10000,3000,0.1\n" * 30,
-        "refused",
     )
 
 
 def _systems() -> None:
     _add(
         "diadem.csv",
-        ("Zeit;Beschl_1\ns;m/s²\nLABELX;\n" + _rows(TIMES_S, TAP_M_S2, mark=";").replace(".", ",")).encode("cp1252"),
+        ("Zeit;Beschl_1\ns;m/s²\nLABELX;\n" + rows(TIMES_S, TAP_M_S2, mark=";").replace(".", ",")).encode("cp1252"),
     )
-    clock = [stamp.replace(".", ",") for stamp in _clock("{d}.{m}.{y} {hour}")]
-    dotted = [f"05.03.2024 {stamp.split()[1]}" for stamp in clock]
+    commas = [stamp.replace(".", ",") for stamp in clock("{d}.{m}.{y} {hour}")]
+    dotted = [f"05.03.2024 {stamp.split()[1]}" for stamp in commas]
     _add(
         "labview_waveform.txt",
         "waveform\t[0]\nt0\t05.03.2024 14:11:02,000000\ndelta t\t1,000000E-4\n\ntime[0]\tY[0]\n"
-        + _rows(dotted, [f"{a:.6E}".replace(".", ",") for a in IN_G], mark="\t"),
+        + rows(dotted, [f"{a:.6E}".replace(".", ",") for a in IN_G], mark="\t"),
         "units",
         units={"Y[0]": "g"},
     )
@@ -115,7 +109,7 @@ def _systems() -> None:
         "dewesoft_comma.csv",
         "Data info\n\nFile name: tap.dxd\nStart time: 05.03.2024 14:11:02\nNumber of channels: 1\n"
         "Sample rate: 10000 Hz\nStore type: always fast\n\nTime (s);AI 1 (m/s2)\n"
-        + _rows(TIMES_S, TAP_M_S2, mark=";").replace(".", ","),
+        + rows(TIMES_S, TAP_M_S2, mark=";").replace(".", ","),
     )
     _add(
         "bk_pulse.txt",
@@ -128,22 +122,27 @@ def _systems() -> None:
     _add(
         "catman.txt",
         "HBM_CATMANEASY_DATAFILE_40\ncatman Version: 5.2\nT0 = 05.03.2024 14:11:02\n\n"
-        "Time  1 - default sample rate [s]\tACC_1 [m/s²]\n" + _rows(TIMES_S, TAP_M_S2, mark="\t"),
+        "Time  1 - default sample rate [s]\tACC_1 [m/s²]\n" + rows(TIMES_S, TAP_M_S2, mark="\t"),
     )
     signals = {"values": TAP_M_S2[:, None], "label": "acc", "dimensions": 1.0}
     _add(
         "simulink.mat",
-        _mat(simout={"time": TIMES_S[:, None], "signals": signals, "blockName": "model/To Workspace"}),
+        mat(simout={"time": TIMES_S[:, None], "signals": signals, "blockName": "model/To Workspace"}),
         "units",
         units={"time": "s", "values": "m/s^2"},
     )
     _add(
         "dewesoft.mat",
-        _mat(Data1_AI_1=IN_G[:, None], Data1_time_AI_1=TIMES_S[:, None], Sample_rate=RATE_HZ, Start_time=45356.6),
+        mat(Data1_AI_1=IN_G[:, None], Data1_time_AI_1=TIMES_S[:, None], Sample_rate=RATE_HZ, Start_time=45356.6),
         "units",
         units={"Data1_time_AI_1": "s", "Data1_AI_1": "g"},
     )
-    _add("matrix.mat", _mat(data=np.column_stack([TIMES_S, TAP_M_S2])), "columns", columns=["time [s]", "acc [m/s^2]"])
+    _add(
+        "matrix.mat",
+        mat(data=np.column_stack([TIMES_S, TAP_M_S2])),
+        "units",
+        units={"data 1": "s", "data 2": "m/s^2"},
+    )
     _add("timed.tdms", tdms({"Time": (TIMES_S, "s"), "Acceleration": (IN_G, "g"), "Force": (0 * IN_G, "N")}))
     _add("diadem.tdms", tdms({"Beschl_1": (TAP_M_S2, "m/s²")}, {"wf_increment": 1e-4, "wf_xunit_string": "s"}))
     _add(
@@ -151,11 +150,11 @@ def _systems() -> None:
         "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nX_Columns\tMulti\n***End_of_Header***\t\n\t\n"
         "Channels\t2\t\nSamples\t3000\t\t3000\nY_Unit_Label\tg\t\tN\nX_Dimension\tTime\t\tTime\nX0\t0.0E+0\t\t0.0E+0\n"
         "Delta_X\t1.000000E-4\t\t1.000000E-4\n***End_of_Header***\t\t\t\t\n"
-        "X_Value\tAcceleration\tX_Value\tForce\tComment\n" + _rows(TIMES_S, IN_G, TIMES_S, 0 * IN_G, mark="\t"),
+        "X_Value\tAcceleration\tX_Value\tForce\tComment\n" + rows(TIMES_S, IN_G, TIMES_S, 0 * IN_G, mark="\t"),
     )
     _add(
         "flexlogger.csv",
-        "Time - Acceleration_0,Amplitude - Acceleration_0\n" + _rows(TIMES_S, IN_G),
+        "Time - Acceleration_0,Amplitude - Acceleration_0\n" + rows(TIMES_S, IN_G),
         "units",
         units={"Time - Acceleration_0": "s", "Amplitude - Acceleration_0": "g"},
     )
@@ -163,20 +162,28 @@ def _systems() -> None:
     _add(
         "polytec.txt",
         "Source File Name:\tD:\\tap.pvd\nPoint Index:\t1\nComponent:\tTime\nSignal:\tVib - Velocity\n\n"
-        "Time\tVelocity\n[ s ]\t[ m/s ]\n" + _rows(TIMES_S, velocity, mark="\t", form="{:.12g}"),
+        "Time\tVelocity\n[ s ]\t[ m/s ]\n" + rows(TIMES_S, velocity, mark="\t", form="{:.12g}"),
     )
-    _add("testlab.txt", "Time\tPoint1:+Z\ns\tg\n" + _rows(TIMES_S, IN_G, mark="\t"))
-    _add("rate_word.csv", "Abtastrate: 10 kHz\nBeschleunigung [g]\n" + _rows(IN_G))
-    _add("rate_k.csv", "Sampling rate: 10k\nacc [g]\n" + _rows(IN_G))
-    _add("rate_per_second.txt", "10000 samples/s\nacc_g\n" + _rows(IN_G), "rate_Hz", rate_Hz=1e4)
+    _add("testlab.txt", "Time\tPoint1:+Z\ns\tg\n" + rows(TIMES_S, IN_G, mark="\t"))
+    _add("rate_word.csv", "Abtastrate: 10 kHz\nBeschleunigung [g]\n" + rows(IN_G))
+    _add("rate_k.csv", "Sampling rate: 10k\nacc [g]\n" + rows(IN_G))
+    _add("rate_per_second.txt", "10000 samples/s\nacc_g\n" + rows(IN_G), "rate_Hz", rate_Hz=1e4)
     thousands = [f"{1e3 * a:,.3f}".replace(",", "_").replace(".", ",").replace("_", ".") for a in IN_G]
     _add(
         "thousands.csv",
-        "Zeit [s];Beschleunigung [mg]\n" + _rows([f"{t:.4f}".replace(".", ",") for t in TIMES_S], thousands, mark=";"),
+        "Zeit [s];Beschleunigung [mg]\n" + rows([f"{t:.4f}".replace(".", ",") for t in TIMES_S], thousands, mark=";"),
     )
     _add("units_164.uff", _in_units(5, universal(("NONE", "12"), values=1e3 * TAP_M_S2)))
-    _add("sheet_dates.xlsx", workbook([("Time [s]", "Acc (m/s²)"), *zip(TIMES_S.tolist(), TAP_M_S2.tolist())]))
-    _add("nested.h5", hdf5({"run/acc/x": (X, "m/s^2"), "run/acc/y": (Y, "m/s^2"), "run/acc/z": (Z, "m/s^2"), "run/t": (TIMES_S, "s")}))
+    _add(
+        "sheet_dates.xlsx",
+        workbook([("Time [s]", "Acc (m/s²)"), *zip(TIMES_S.tolist(), TAP_M_S2.tolist(), strict=True)]),
+    )
+    _add(
+        "nested.h5",
+        hdf5(
+            {"run/acc/x": (X, "m/s^2"), "run/acc/y": (Y, "m/s^2"), "run/acc/z": (Z, "m/s^2"), "run/t": (TIMES_S, "s")}
+        ),
+    )
 
 
 def _in_units(code: int, functions: bytes) -> bytes:
@@ -190,28 +197,29 @@ def _in_units(code: int, functions: bytes) -> bytes:
 
 def _wearables() -> None:
     epoch = [f"{1709647862000 + t:.1f}" for t in MS]
-    zoned = _clock("{day}T14.11.{hour}")
+    zoned = clock("{day}T14.11.{hour}")
     _add(
         "metawear.csv",
         "epoch (ms),timestamp (+0100),elapsed (s),x-axis (g),y-axis (g),z-axis (g)\n"
-        + _rows(epoch, zoned, TIMES_S, X_G, Y_G, Z_G),
+        + rows(epoch, zoned, TIMES_S, X_G, Y_G, Z_G),
     )
     _add(
         "shimmer.csv",
         "sep=\t\nS_Timestamp_CAL\tS_Accel_LN_X_CAL\tS_Accel_LN_Y_CAL\tS_Accel_LN_Z_CAL\t\n"
-        "ms\tm/(s^2)\tm/(s^2)\tm/(s^2)\t\n" + _rows(MS, X, Y, Z, mark="\t", end="\t\n"),
+        "ms\tm/(s^2)\tm/(s^2)\tm/(s^2)\t\n" + rows(MS, X, Y, Z, mark="\t", end="\t\n"),
     )
     _add(
         "xsens_dot.csv",
         "sep=,\nDeviceTag:,Xsens DOT\nFirmwareVersion:,2.0.0\nOutputRate:,10000Hz\nMeasurementMode:,\n\n"
-        "PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n" + _rows(np.arange(3000.0), 4e6 + US, X, Y, Z, form="{:.10g}"),
+        "PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z\n"
+        + rows(np.arange(3000.0), 4e6 + US, X, Y, Z, form="{:.10g}"),
         "units",
         units={"SampleTimeFine": "us", "acceleration": "m/s^2"},
     )
     nano = [f"{1709647862000000000 + round(1e9 * t)}" for t in TIMES_S]
     _add(
         "sensor_logger_raw.csv",
-        "time,seconds_elapsed,z,y,x\n" + _rows(nano, TIMES_S, Z, Y, X),
+        "time,seconds_elapsed,z,y,x\n" + rows(nano, TIMES_S, Z, Y, X),
         "units",
         columns=["-", "seconds_elapsed", "z", "y", "x"],
         units={"acceleration": "m/s^2"},
@@ -220,28 +228,30 @@ def _wearables() -> None:
         "sensorlog_ios.csv",
         "loggingTime(txt),accelerometerTimestamp_sinceReboot(s),accelerometerAccelerationX(G),"
         "accelerometerAccelerationY(G),accelerometerAccelerationZ(G)\n"
-        + _rows(_clock("{day} {hour} +0100"), 5000 + TIMES_S, X_G, Y_G, Z_G),
+        + rows(clock("{day} {hour} +0100"), 5000 + TIMES_S, X_G, Y_G, Z_G),
     )
     _add(
         "endaq.csv",
-        '"Time","X (100g)","Y (100g)","Z (100g)"\n' + _rows(TIMES_S, X_G, Y_G, Z_G),
+        '"Time","X (100g)","Y (100g)","Z (100g)"\n' + rows(TIMES_S, X_G, Y_G, Z_G),
         "units",
         units={"time": "s", "acceleration": "g"},
     )
     _add(
         "vernier.csv",
         "Latest: Time (s),Latest: X-axis acceleration (m/s²),Latest: Y-axis acceleration (m/s²),"
-        "Latest: Z-axis acceleration (m/s²)\n" + _rows(TIMES_S, X, Y, Z),
+        "Latest: Z-axis acceleration (m/s²)\n" + rows(TIMES_S, X, Y, Z),
     )
-    _add("pasco.csv", "Time (s) Run #1,Acceleration (m/s²) Run #1\n" + _rows(TIMES_S, TAP_M_S2))
+    _add("pasco.csv", "Time (s) Run #1,Acceleration (m/s²) Run #1\n" + rows(TIMES_S, TAP_M_S2))
     _add(
         "hobo.csv",
         '"Plot Title: tap"\n"#","Date Time, GMT+00:00","Z Accel, g (LGR S/N: 101, SEN S/N: 101)"\n'
-        + "".join(f"{k},{s},{a:.6f}\n" for k, (s, a) in enumerate(zip(_clock("{m}/{d}/24 {hour}"), IN_G, strict=True), 1)),
+        + "".join(
+            f"{k},{s},{a:.6f}\n" for k, (s, a) in enumerate(zip(clock("{m}/{d}/24 {hour}"), IN_G, strict=True), 1)
+        ),
     )
     _add(
         "magnitude.csv",
-        "DateTime;Magnitude;X;Y;Z\n" + _rows(_clock("{day} {hour}"), np.sqrt(X**2 + Y**2 + Z**2), X, Y, Z, mark=";"),
+        "DateTime;Magnitude;X;Y;Z\n" + rows(clock("{day} {hour}"), np.sqrt(X**2 + Y**2 + Z**2), X, Y, Z, mark=";"),
         "units",
         units={"acceleration": "m/s^2"},
     )
@@ -257,30 +267,21 @@ def _boards() -> None:
         rate_Hz=1e4,
     )
     _add(
-        "mpu6050_raw.txt",
-        "Initializing I2C devices...\nTesting device connections...\nMPU6050 connection successful\n"
-        + "".join(f"a/g:\t{x:.0f}\t{y:.0f}\t{z:.0f}\t-3\t12\t5\n" for x, y, z in zip(*counts, strict=True)),
-        "columns",
-        columns=["-", "-", "-", "acc", "-", "-", "-"],
-        units={"acc": "LSB @ 2048 LSB/g"},
-        rate_Hz=1e4,
-    )
-    _add(
         "putty.log",
         "=~=~=~=~=~=~=~=~=~=~=~= PuTTY log 2024.03.05 14:11:02 =~=~=~=~=~=~=~=~=~=~=~=\n"
-        "t_us,acc_g\n" + _rows(US, IN_G, form="{:.10g}"),
+        "t_us,acc_g\n" + rows(US, IN_G, form="{:.10g}"),
     )
     _add(
         "blackbox.csv",
         "loopIteration, time (us), accSmooth[0], accSmooth[1], accSmooth[2]\n"
-        + _rows(np.arange(3000.0), US, *counts, mark=", ", form="{:.10g}"),
+        + rows(np.arange(3000.0), US, *counts, mark=", ", form="{:.10g}"),
         "units",
         units={"acceleration": "LSB @ 2048 LSB/g"},
     )
     _add(
         "px4.csv",
         "timestamp,device_id,x,y,z,temperature,error_count\n"
-        + _rows(36_000_000 + US, 0 * US + 3014666, X, Y, Z, 0 * X + 31.5, 0 * X, form="{:.12g}"),
+        + rows(36_000_000 + US, 0 * US + 3014666, X, Y, Z, 0 * X + 31.5, 0 * X, form="{:.12g}"),
         "units",
         units={"timestamp": "us", "acceleration": "m/s^2"},
     )
@@ -288,7 +289,7 @@ def _boards() -> None:
     _add(
         "ros.csv",
         "%time,field.header.seq,field.header.frame_id,field.linear_acceleration.x,field.linear_acceleration.y,"
-        "field.linear_acceleration.z\n" + _rows(nano, np.arange(3000.0), ["imu"] * 3000, X, Y, Z),
+        "field.linear_acceleration.z\n" + rows(nano, np.arange(3000.0), ["imu"] * 3000, X, Y, Z),
         "units",
         units={"time": "ns", "acceleration": "m/s^2"},
     )
@@ -298,22 +299,24 @@ def _boards() -> None:
         "# Num. samples: 3000, Duration: 0.3 s\n"
         "# Config: data_rate = 10000.0 Hz, filter = 488 Hz, acc_range = 16 g, gyro_range = 250.0 dps\n"
         "# Integrity: True, Skipped samples: 0\n\ncount,a_x,a_y,a_z,g_x,g_y,g_z\n"
-        + _rows(np.arange(3000.0), X_G, Y_G, Z_G, 10 * X, 10 * Y, 10 * X),
+        + rows(np.arange(3000.0), X_G, Y_G, Z_G, 10 * X, 10 * Y, 10 * X),
         "units",
         units={"acceleration": "g"},
     )
     _add(
         "unico.txt",
-        "STEVAL-MKI209V1K (IIS2ICLX)\n\nA_X [mg]\tA_Y [mg]\tA_Z [mg]\n" + _rows(1e3 * X_G, 1e3 * Y_G, 1e3 * Z_G, mark="\t"),
+        "STEVAL-MKI209V1K (IIS2ICLX)\n\nA_X [mg]\tA_Y [mg]\tA_Z [mg]\n"
+        + rows(1e3 * X_G, 1e3 * Y_G, 1e3 * Z_G, mark="\t"),
         "rate_Hz",
         rate_Hz=1e4,
     )
     _add(
         "unicleo.txt",
-        "time[us]\tA_X [mg]\tA_Y [mg]\tA_Z [mg]\n" + _rows(US, 1e3 * X_G, 1e3 * Y_G, 1e3 * Z_G, mark="\t", form="{:.10g}"),
+        "time[us]\tA_X [mg]\tA_Y [mg]\tA_Z [mg]\n"
+        + rows(US, 1e3 * X_G, 1e3 * Y_G, 1e3 * Z_G, mark="\t", form="{:.10g}"),
     )
-    _add("bare_a.csv", "time [s],a,b\n" + _rows(TIMES_S, 0.01 * X, IN_G), "units", units={"b": "g"})
-    _add("inches.csv", "time [s],acc\n" + _rows(TIMES_S, TAP_M_S2 / G), "units", units={"acc": "g"})
+    _add("bare_a.csv", "time [s],a,b\n" + rows(TIMES_S, 0.01 * X, IN_G), "units", units={"b": "g"})
+    _add("inches.csv", "time [s],acc\n" + rows(TIMES_S, TAP_M_S2 / G), "units", units={"acc": "g"})
 
 
 for _kind in (_scopes, _systems, _wearables, _boards):
