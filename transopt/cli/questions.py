@@ -20,7 +20,7 @@ from transopt.identify.measurement import WORDS, Measurement, load_measurements
 from transopt.recordings.formats import columns_of
 from transopt.recordings.names import Vocabulary, stated_units
 from transopt.recordings.unclear import Answer, UnclearError, joined, option_of, options, shown_path
-from transopt.report.tried import in_a_line, trials
+from transopt.report.tried import Trials, in_a_line, trials
 
 Found = TypeVar("Found")
 ROWS, COLUMNS = 8, 64  # characters of a plot
@@ -87,7 +87,7 @@ def measurements(files: Sequence[Path], columns: str, units: str, rate_Hz: float
     return answered(read, WORDS, said, units=units)
 
 
-def _asked(unclear: UnclearError, tried: list[tuple[Answer, str]], words: Vocabulary) -> Answer:
+def _asked(unclear: UnclearError, tried: Trials, words: Vocabulary) -> Answer:
     """The answer of a person who sees what the file holds.
 
     Raises
@@ -99,19 +99,19 @@ def _asked(unclear: UnclearError, tried: list[tuple[Answer, str]], words: Vocabu
         for line in sketched(columns_of(unclear.file, words)):
             console.print(line)
     console.print(f"{shown_path(unclear.file)}{unclear.problem}")
-    for number, (answer, said) in enumerate(tried, 1):
+    for number, (answer, said) in enumerate(tried.good, 1):
         console.print(f"  {number}  {options(answer)}: {said}")
 
     def parsed(text: str) -> Answer:
-        if text.isdecimal() and 1 <= int(text) <= len(tried):
-            return tried[int(text) - 1][0]
+        if text.isdecimal() and 1 <= int(text) <= len(tried.good):
+            return tried.good[int(text) - 1][0]
         if (same := next((each for each in unclear.answers if options(each) == text), None)) is not None:
             return same
         return typed(text, unclear.answers[0])
 
     given: Answer = asking.answer(
         "answer",
-        f"a number{' of the list' if tried else ''}, or what else it is, as {options(unclear.answers[0])}",
+        f"a number{' of the list' if tried.good else ''}, or what else it is, as {options(unclear.answers[0])}",
         "",
         None,
         parsed,

@@ -79,7 +79,11 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
     width = len(cells_of(first.rstrip(";, \t")))
     head = data[:HEAD].decode(encoding_of(data), errors="ignore").splitlines()
     del head[numbers[min(start, len(rows) - 1)] - 1 :]
-    lines = [split_names(row, by_blanks=delimiter_of(first) is None) for row in above]
+    by_blanks = delimiter_of(first) is None
+    lines = [
+        split_names(row, by_blanks=by_blanks or any(quantity_of(name, words) for name in row.split()))
+        for row in above
+    ]
     _read_statements(above, header, words)
     names = names or _names_above(lines[-_HEAD_ROWS:], width, words, told)
     if not names:

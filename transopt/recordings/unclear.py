@@ -140,12 +140,12 @@ def guesses(
         if time and not units:
             found += [{"units": {time: unit}} for unit in of_time]
         for name, unit in itertools.product(loudest, of_time):
-          for of in usual_first(units, table[name]):
-            if is_named:
-                found.append({"units": {**({time: unit} if time else {}), name: of}})
-            else:
-                said = {time: f"time [{unit}]", name: f"acc [{of}]"}
-                found.append({"columns": [said.get(each, "-") for each in table]})
+            for of in usual_first(units, table[name]):
+                if is_named:
+                    found.append({"units": {**({time: unit} if time else {}), name: of}})
+                else:
+                    said = {time: f"time [{unit}]", name: f"acc [{of}]"}
+                    found.append({"columns": [said.get(each, "-") for each in table]})
     return found
 
 

@@ -138,7 +138,9 @@ def _unit_of_164(dataset: _Dataset) -> str:
         (unit for unit, si in known if unit.endswith("/s^2") and math.isclose(si * factor, 1, rel_tol=1e-3)), ""
     )
     if not unit:
-        raise InputError(f"dataset 164: units other than SI, code {code}, {factor:g} to the metre; export in SI, code 1")
+        raise InputError(
+            f"dataset 164: units other than SI, code {code}, {factor:g} to the metre; export in SI, code 1"
+        )
     return unit
 
 

@@ -6,7 +6,7 @@ Which of several answers is right only the user knows, so none is taken without 
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,19 @@ UNLIKELY = 0.1  # of each place in a list of answers, which begins with the like
 MISTAKEN = ("acceleration", "time", "position")  # whose units make a tap implausible
 
 
+class Trials(NamedTuple):
+    """Answers that were tried on a file.
+
+    Attributes
+    ----------
+    good : that read it, the likeliest first, each with what was found.
+    refused : what became of the likeliest one, where none reads it.
+    """
+
+    good: list[tuple[Answer, str]]
+    refused: str = ""
+
+
 def trials(
     read: Callable[[Answer], Found],
     said: Callable[[Found], str],
@@ -38,8 +51,8 @@ def trials(
     odd: Callable[[Found], float],
     unclear: UnclearError,
     stated: Answer,
-) -> list[tuple[Answer, str]]:
-    """Answers that read the file, the plausible ones first, each with what was found.
+) -> Trials:
+    """Answers that read the file, the plausible ones first.
 
     Parameters
     ----------
@@ -47,6 +60,7 @@ def trials(
     """
     good = list[tuple[float, Answer, str]]()
     doubtful = list[tuple[float, Answer, str]]()
+    refused = list[str]()
     until, count = time.process_time() + TRIAL_S, 0
 
     def follow(asked: UnclearError, before: Answer, depth: int, unlikely: float) -> None:
@@ -61,8 +75,8 @@ def trials(
             except UnclearError as more:
                 if depth < DEEPEST:
                     follow(more, answer, depth + 1, unlikely + UNLIKELY * place)
-            except InputError:
-                continue
+            except InputError as error:
+                refused.append(f"with {options(answer)}: {error}")
             else:
                 question = doubt(found)
                 is_good = question is None or "implausible" not in question.answers[-1]
@@ -71,20 +85,22 @@ def trials(
                 whole = {**answer, "units": joined(stated, answer)["units"]} if "units" in answer else answer
                 if not is_good:
                     whole = {**whole, "implausible": "accept"}
-                (good if is_good else doubtful).append((round(odd(found) + unlikely + UNLIKELY * place, 1), whole, words))
+                (good if is_good else doubtful).append(
+                    (round(odd(found) + unlikely + UNLIKELY * place, 1), whole, words)
+                )
 
     follow(unclear, {}, 1, 0.0)
     best = sorted(good or doubtful, key=lambda one: one[0])
-    return [(answer, words) for _, answer, words in best[:MOST_LISTED]]
+    return Trials([(answer, words) for _, answer, words in best[:MOST_LISTED]], next(iter(refused), ""))
 
 
-def in_a_line(unclear: UnclearError, tried: list[tuple[Answer, str]]) -> str:
+def in_a_line(unclear: UnclearError, tried: Trials) -> str:
     """The question with the answers that were tried on the file, as options."""
-    if not tried:
-        problem = f"{shown_path(unclear.file)}{unclear.problem}; nothing that is usual for it reads the file"
-        return printable(f"{problem}: bring it into the form that `transopt taps --template tap.csv` writes")
-    named = " or ".join(f"{options(answer)} ({said})" for answer, said in tried[:MOST_NAMED])
     lead = f"{shown_path(unclear.file)}{unclear.problem}"
+    if not tried.good:
+        refused = tried.refused.replace(shown_path(unclear.file), "") or "no answer was tried in time"
+        return printable(f"{lead}; nothing that is usual for it reads the file, {refused}")
+    named = " or ".join(f"{options(answer)} ({said})" for answer, said in tried.good[:MOST_NAMED])
     return printable(f"{lead}; tried on it, of which only you know the right one: {named}")
 
 

@@ -142,9 +142,9 @@ def test_without_a_terminal_a_line_of_options_that_read_it(run: Run) -> None:
     # Two units make nearly the same of a file: the plain one comes first.
     Path("tap.csv").write_text("time [s],acc\n" + text(TIMES_S, TAP_M_S2))
     assert_refused(run("taps", "tap.csv", "--speed", 0.2), "right one: --units 'acceleration=m/s^2'")
-    # A file that no answer reads is refused as it was.
+    # A file that no answer reads is refused with what the likeliest of them comes to.
     Path("tap.csv").write_text("time,acc\n" + text(TIMES_S, 0 * TIMES_S))
-    assert_refused(run("taps", "tap.csv", "--speed", 0.2), "state it, for example --units")
+    assert_refused(run("taps", "tap.csv", "--speed", 0.2), "acceleration=m/s^2': recording is constant at 0 m/s^2")
 
 
 def test_a_response_without_a_unit(run: Run) -> None:
