@@ -157,6 +157,8 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
     """
     from transopt.design.build import build_library
     from transopt.design.refine_grid import refine_grid
+    from transopt.recordings.unclear import UnclearError
+    from transopt.report.tried import asked_in_scene
     from transopt.report.write import write_report
     from transopt.scene.recordings import recordings_of
 
@@ -166,7 +168,11 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
         def tell(text: str, done: int, total: int) -> None:
             bar.update(task, description=text, completed=done, total=total)
 
-        scene, taps, refinement = wanted.scene, recordings_of(wanted.scene), None
+        scene, refinement = wanted.scene, None
+        try:
+            taps = recordings_of(scene)
+        except UnclearError as error:
+            raise asked_in_scene(error, scene.recordings) from None
         if wanted.grid_tolerance is not None:
             refinement = refine_grid(
                 scene,

@@ -102,7 +102,12 @@ def _options(answer: Answer) -> Iterator[str]:
 
 def proposal(answer: Answer) -> str:
     """An answer as a command line and as a scene states it."""
-    return f"{options(answer)} (in a scene {', '.join(f'recordings.{k} = {toml(v)}' for k, v in answer.items())})"
+    return f"{options(answer)} (in a scene {keys(answer)})"
+
+
+def keys(answer: Answer) -> str:
+    """The keys of a scene that state an answer."""
+    return ", ".join(f"recordings.{key} = {toml(value)}" for key, value in answer.items())
 
 
 def toml(value: object) -> str:

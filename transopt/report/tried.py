@@ -16,7 +16,7 @@ from transopt.recordings.formats import full_scales
 from transopt.recordings.plausible import PEAK_G, USUAL_SPEED_CHANGE, speed_changes_m_s
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_speed, prepare, read_recordings
-from transopt.recordings.unclear import Answer, UnclearError, joined, options, printable, shown_path
+from transopt.recordings.unclear import Answer, UnclearError, joined, keys, options, printable, shown_path
 from transopt.recordings.units import known_units, read_unit, sensed
 
 Found = TypeVar("Found")
@@ -94,13 +94,13 @@ def trials(
     return Trials([(answer, words) for _, answer, words in best[:MOST_LISTED]], next(iter(refused), ""))
 
 
-def in_a_line(unclear: UnclearError, tried: Trials) -> str:
-    """The question with the answers that were tried on the file, as options."""
+def in_a_line(unclear: UnclearError, tried: Trials, form: Callable[[Answer], str] = options) -> str:
+    """The question with the answers that were tried on the file, as options, or in the form of a scene's `keys`."""
     lead = f"{shown_path(unclear.file)}{unclear.problem}"
     if not tried.good:
         refused = tried.refused.replace(shown_path(unclear.file), "") or "no answer was tried in time"
         return printable(f"{lead}; nothing that is usual for it reads the file, {refused}")
-    named = " or ".join(f"{options(answer)} ({said})" for answer, said in tried.good[:MOST_NAMED])
+    named = " or ".join(f"{form(answer)} ({said})" for answer, said in tried.good[:MOST_NAMED])
     return printable(f"{lead}; tried on it, of which only you know the right one: {named}")
 
 
@@ -180,6 +180,16 @@ def usable(read: Callable[[Answer], Taps], after: str) -> Taps:
     if refused is not None:
         raise InputError(f"{refused}{after}")
     return found
+
+
+def asked_in_scene(unclear: UnclearError, settings: Recordings) -> InputError:
+    """The question that a scene's files leave open, with the keys of the scene that were tried on them."""
+
+    def read(answer: Answer) -> Taps:
+        return prepared(Recordings.model_validate(joined(settings.model_dump(), answer)))
+
+    tried = trials(read, summary, doubt, oddness, unclear, {"units": settings.units})
+    return InputError(in_a_line(unclear, tried, keys))
 
 
 def refusal(found: Taps, read: Callable[[Answer], Taps]) -> InputError | None:

@@ -113,6 +113,22 @@ class TestIdleOptions:
         assert_refused(run("solve", "s.toml"), "--channel 2 (in a scene recordings.channel)")
 
 
+def test_what_a_scenes_files_leave_open_is_asked_by_keys_that_read_them(run: Run) -> None:
+    times, values = pulse()
+    Path("x.csv").write_text("zeit,CH7\n" + text(times, values))
+    scene = problems.scene_path("own_taps").read_text()
+    lines = f'folder = "{Path().absolute()}"\nfiles = ["x.csv"]\nspeed_m_s = 0.3'
+    stated = scene.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', lines)
+    stated = re.sub(r"speeds_m_s = .*", "speeds_m_s = [0.3]", stated)
+    Path("s.toml").write_text(stated)
+    refused = run("solve", "s.toml")
+    assert_refused(refused, "tried on it, of which only you know the right one: recordings.")
+    key = re.search(r"right one: recordings\.(.*?) \(", refused.err)
+    assert key is not None
+    Path("s.toml").write_text(stated.replace(lines, f"{lines}\n{key[1]}"))
+    assert run("solve", "s.toml", "--no-figures").code == 0
+
+
 def test_a_stated_rate_is_obeyed_and_stands_in_the_scene(run: Run) -> None:
     times, values = pulse()
     Path("x.csv").write_text("time_s,acceleration_m_s2\n" + text(np.zeros_like(times), values))
