@@ -75,7 +75,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
             answers = [{"units": {apart(name)[0]: each}} for each in sensed(stated)]
             raise UnclearError(f"{problem} without the sensitivity of the sensor", answers)
         problem = f"{problem}; known: {', '.join(known_units(quantity))}{remedy_of(stated)}"
-        if user is None and label[:1].isdigit():  # no unit stands in the brackets but a range, X (100g)
+        if user is None and not remedy_of(stated):  # a range as X (100g), or a unit as "g rms"
             raise UnclearError(problem, [{"units": {quantity: each}} for each in likely_units(quantity)])
         raise InputError(problem)
     said = "" if is_sensed(stated, label) else label and f"column is {quote(name)}"

@@ -38,8 +38,8 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")  # of a name, in
 # Names of times that say their unit: of programs, of LabVIEW's text, of a processor's counters.
 NAMED_UNITS = {
     **dict.fromkeys(("second", "seconds", "sec", "seconds elapsed", "x value", "in s"), "s"),
-    **dict.fromkeys(("millis", "milliseconds"), "ms"),
-    **dict.fromkeys(("micros", "microseconds"), "us"),
+    **dict.fromkeys(("millis", "milliseconds", "ms"), "ms"),
+    **dict.fromkeys(("micros", "microseconds", "us"), "us"),
 }
 STEMS = ("linear acceleration", "acceleration", "accelerometer", "accel", "acc", "a", "gf")
 INITIALS = {"a": "acceleration"}  # that mean a quantity only beside a unit: a channel A, in volts too, is any

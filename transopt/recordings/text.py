@@ -163,9 +163,9 @@ def _parse(
         # Between semicolons and tabs a comma can only be a decimal comma.
         cells = line.split(delimiter, len(names) + 1)
         if delimiter in (";", "\t") and "," in line:
-            cells = with_points(cells)
-        if len(cells) == len(names) + 1 and not cells[-1].strip():
-            del cells[-1]  # spreadsheets end every row with a delimiter if one row needs it
+            cells = with_points(cells, f"row {number}")
+        if not "".join(cells[len(names) :]).strip(" ;,\t"):
+            del cells[len(names) :]  # spreadsheets end every row with delimiters if one row needs them
         if len(cells) < len(names) and set(names[len(cells) :]) == {SKIPPED}:
             cells += [""] * (len(names) - len(cells))  # a column that has no cells, as of comments
         if len(cells) != len(names):

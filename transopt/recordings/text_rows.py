@@ -31,7 +31,8 @@ _QUOTED = re.compile(r'"([^"]*)"')
 _LAST_ROWS = 20  # of a file, which show how its rows are divided
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # in a row that has decimal points
-_POINTED = re.compile(r"[-+]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?")  # in a row that has decimal commas
+_POINTED = re.compile(r"[-+]?[1-9]\d{0,2}((\.\d{3})+,\d*|(\.\d{3}){2,})")  # points between thousands
+_EITHER = re.compile(r"[-+]?[1-9]\d{0,2}\.\d{3}")  # 1.069, which is 1069 beside decimal commas
 _POINT = re.compile(r"(?<![\d.:])\d+\.\d+(?![\d.])")  # of a number, not of a date or a time of day
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
@@ -207,13 +208,18 @@ def cells_of(row: str) -> list[str]:
     return [cell.strip() for cell in row.split(delimiter_of(row), MOST_COLUMNS)]
 
 
-def with_points(cells: list[str]) -> list[str]:
-    """Cells of a row between semicolons, tabs or blanks with decimal points in place of commas.
+def with_points(cells: list[str], where: str = "") -> list[str]:
+    """Cells of a row between semicolons or tabs with decimal points in place of commas; points between thousands go.
 
-    Where a number of the row has a decimal comma, points part thousands.
+    Raises
+    ------
+    InputError : a point beside decimal commas that may be either.
     """
     numbers = [cell.strip() for cell in cells]
     if any("," in cell and (_DECIMAL_COMMA.fullmatch(cell) or _POINTED.fullmatch(cell)) for cell in numbers):
+        if (either := next(filter(_EITHER.fullmatch, numbers), None)) is not None:
+            problem = f"{either} stands beside decimal commas: is its point a decimal one, or between thousands?"
+            raise InputError(f"{where}: {problem} write decimal commas, or points throughout")
         cells = [cell.replace(".", "") if _POINTED.fullmatch(cell) else cell for cell in numbers]
     return [cell.replace(",", ".") for cell in cells]
 

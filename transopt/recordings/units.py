@@ -61,7 +61,7 @@ _WORD = re.compile(
     re.IGNORECASE,
 )
 _SYMBOLS = {"sec": "s", "volt": "V", "amp": "A", "hertz": "Hz", "newton": "N", "met": "m"}
-_SPELT = {"gn": "g", "g0": "g"}
+_SPELT = {"gn": "g", "g_n": "g", "g0": "g"}
 _BRACKETS = re.compile(r"\(([^()]*)\)")
 _PER_SECOND_TWICE = re.compile(r"(/s/s|[ _]?s-2|_s2)$", re.IGNORECASE)
 

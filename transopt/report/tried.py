@@ -73,7 +73,7 @@ def trials(
             try:
                 found = read(joined(stated, answer))
             except UnclearError as more:
-                if depth < DEEPEST:
+                if depth < DEEPEST and more.answers != asked.answers:
                     follow(more, answer, depth + 1, unlikely + UNLIKELY * place)
             except InputError as error:
                 refused.append(f"with {options(answer)}: {error}")

@@ -85,6 +85,19 @@ def test_a_comma_between_thousands_is_no_decimal_one(tmp_path: Path) -> None:
     assert refusal(tmp_path, rate).startswith("0 time columns")
 
 
+def test_points_between_thousands_beside_decimal_commas(tmp_path: Path) -> None:
+    def german(value: float, places: int) -> str:
+        return f"{value:,.{places}f}".translate(str.maketrans(",.", ".,"))
+
+    head = "Zeit [s];Beschleunigung [ug]\n"
+    rows = [f"{german(t, 5)};{german(a, 3)}" for t, a in zip(TIMES_S, 1e6 * TAP_M_S2 / G, strict=True)]
+    recording = load(tmp_path, head + "\n".join(rows))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-5)
+    for cells in ([german(a, 0) for a in 1e6 * TAP_M_S2 / G], [f"{a:.3f}" for a in TAP_M_S2 / G]):
+        rows = [f"{german(t, 5)};{cell}" for t, cell in zip(TIMES_S, cells, strict=True)]
+        assert "stands beside decimal commas: is its point a decimal" in refusal(tmp_path, head + "\n".join(rows))
+
+
 def test_channels_of_labview_have_their_units_and_their_own_times(tmp_path: Path) -> None:
     head = "Y_Unit_Label\tVolts\nDelta_X\t1.0E-4\n***End_of_Header***\nX_Value\tcDAQ1Mod1/ai0\tComment\n"
     rows = "".join(f"\t{a:.9f}\n" for a in 0.1 * TAP_M_S2 / G)
