@@ -39,7 +39,7 @@ class Rate(NamedTuple):
 
     @property
     def note(self) -> str:
-        """Where the times of the rows come from, in one sentence."""
+        """A sentence that says where the times of the rows come from."""
         rate = f"the sample rate of {1 / self.step_s:g} Hz is that of the file's line {quote(self.line)}"
         return f"no column of times; {rate}"
 
