@@ -80,7 +80,11 @@ def _nameless(rows: Sequence[str], numbers: Sequence[int], words: Vocabulary) ->
 
 def _seen(rows: Sequence[str], names: Sequence[str]) -> dict[str, FloatArray]:
     """The columns as far as they are numbers, for what may be proposed."""
-    return {name: _column(rows, at) for at, name in enumerate(names) if name != SKIPPED}
+    wanted = {at: name for at, name in enumerate(names) if name != SKIPPED}
+    with suppress(InputError):  # all at once, as where all are numbers
+        table, _ = _parse(rows, range(len(rows)), [str(at) for at in range(len(names))])
+        return {name: table[str(at)] for at, name in wanted.items()}
+    return {name: _column(rows, at) for at, name in wanted.items()}
 
 
 def _column(rows: Sequence[str], at: int) -> FloatArray:
