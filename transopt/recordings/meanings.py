@@ -199,7 +199,7 @@ def one_clock(
         with suppress(InputError):
             factors[at] = meaning(names[at], words, units).factor
     times = {at: factor * column(at) for at, factor in factors.items()}
-    spans = [float(each[-1] - each[0]) for each in times.values()]
+    spans = [float(each[-1] - each[0]) for each in times.values() if each.size]
     if not spans or not spans[0] > 0 or not np.allclose(spans, spans[0], rtol=SAME_SPAN):
         return list(names)
     kept = max(times, key=lambda at: np.unique(times[at]).size)

@@ -156,7 +156,7 @@ def guesses(
 
 def usual_first(units: Sequence[str], values: FloatArray) -> list[str]:
     """Units that a column (n,) may be in: whole numbers are counts of a converter sooner than accelerations."""
-    is_whole = bool(np.ptp(values) > LEAST_COUNTS and np.all(values == np.rint(values)))
+    is_whole = bool(values.size and np.ptp(values) > LEAST_COUNTS and np.all(values == np.rint(values)))
     return sorted(units, key=lambda unit: is_whole and "LSB" not in unit)
 
 

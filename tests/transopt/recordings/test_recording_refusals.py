@@ -105,6 +105,8 @@ def test_unnamed_columns(tmp_path: Path) -> None:
         ("time_s,acceleration_yd_s2\n0,0\n", "no unit stated in the column 'acceleration_yd_s2'; known: acc"),
         ("time_s,time_ms\n0,0\n", "2 time columns in 'time_s, time_ms': must be 1"),
         ("time_s,time_s\n0,0\n", "2 time columns in 'time_s, time_s': must be 1"),
+        ("time,acc\n", "no unit stated in the columns 'time, acc'"),
+        ("time_s,time_ms,acc\n", "2 time columns in"),
         ("time_s,force_N\n0,0\n", "0 acceleration columns in 'time_s, force_N': must be 1; name one acceleration"),
         ("acceleration_g,force_N\n0,0\n", "0 time columns in 'acceleration_g, force_N': must be 1; name one time_s"),
         (csv(values=np.full(200, G)), "recording is constant at 9.80665 m/s^2 throughout: is the sensor connected?"),
