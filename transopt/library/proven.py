@@ -148,7 +148,7 @@ def _peak(course: Any) -> float:
 
 
 def _size(again: Answered) -> float:
-    """Of what is asked for [m/s^2]."""
+    """Largest acceleration that is asked for [m/s^2]."""
     return _peak(again.told.window_m_s2)
 
 
@@ -187,7 +187,7 @@ WITHIN: dict[str, Callable[[Answered, Any], float]] = {
     "tap_error_promised": lambda again, value: FIGURE * value + ROUNDING,
     "tap_error_linear": lambda again, value: FIGURE * value + ROUNDING,
 }
-# Of these one method may have a value where another has none.
+# One method may have a value of these arrays where another has none.
 MAY_BE_UNKNOWN = ("objective", "primal_violation", "duality_gap", "dual_residual", "floor", "tap_error_linear")
 
 
