@@ -57,6 +57,16 @@ def test_random_cases_are_certified_or_refused_by_name() -> None:
     assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(cases) / 2
 
 
+def test_a_tap_that_has_faded_where_it_counts_ends_by_its_own_cause() -> None:
+    """The ringing of 50 ms after contact: no answer to it has digits, and no wider limit gives it any."""
+    faded = Demand(speed_m_s=0.26, weights="late")
+    late = Horizon(dt_s=1.8e-4, stages=600)
+    assert judge(StressCase("faded", horizon=late, demand=faded)).kind == CERTIFIED
+    starved = judge(StressCase("faded", current=Current(supply=0.1, limit_A=0.1), horizon=late, demand=faded))
+    assert starved.kind == "refused: INFEASIBLE"
+    assert starved.detail.endswith(" V would do")
+
+
 def test_a_spread_of_devices_is_drawn_for_its_mean_and_for_its_worst() -> None:
     several = [case for case in (drawn(5, index) for index in range(200)) if case.spread is not None]
     assert {case.spread.worst for case in several if case.spread is not None} == {True, False}

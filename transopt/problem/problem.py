@@ -199,7 +199,7 @@ class TransientProblem:
     @cached_property
     def reference_is_zero(self) -> bool:
         """Whether the window asks for nothing, or no weight counts it: the answer is the zero waveform."""
-        return self.target.asks_for_nothing or not self.tracking.energy_m2_s4 > 0
+        return self.target.asks_for_nothing or self.tracking.counts_nothing
 
     @property
     def free_stages(self) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.problem.objective.error_term import ErrorTerm
-from transopt.problem.objective.target import Target
+from transopt.problem.objective.target import ZERO_M_S2, Target
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,14 @@ class Tracking:
     def energy_m2_s4(self) -> float:
         """E."""
         return float(np.sum(self.weights * self.wanted**2))
+
+    @cached_property
+    def counts_nothing(self) -> bool:
+        """Whether the tap is zero where it counts: its rms by the weights, after the filters, is below `ZERO_M_S2`.
+
+        An error relative to so small an E is dominated by the rounding of the samples that do not count.
+        """
+        return not self.energy_m2_s4 >= ZERO_M_S2**2 * float(self.weights.sum()) > 0
 
     @cached_property
     def lost_m2_s4(self) -> float:

@@ -137,3 +137,15 @@ def test_movement_is_its_formula_its_gradient_and_its_relief_the_differences() -
     assert float(term.gradient(command) @ direction) == pytest.approx(slope, rel=1e-9)
     higher, lower = (replace(term, input_limit=1.25 + sign * 1e-4).value(command) for sign in (1, -1))
     assert term.relief(command) == pytest.approx((lower - higher) / 2e-4, rel=1e-6)
+
+
+def test_a_tap_that_is_zero_where_it_counts_asks_for_nothing() -> None:
+    """Beside what the weights leave of such a tap, the rounding of the rest is all."""
+    late, t = np.where(np.arange(N) < N // 2, 0.0, 1.0), np.arange(N) * DT_S
+    for size_m_s2, counts in ((2e-3, True), (5e-4, False)):
+        target = Target(np.where(late > 0, size_m_s2, 100 * np.sin(2 * np.pi * 500 * t)))
+        for scale in (1e-8, 1.0, 1e8):
+            tracking = Tracking(target, (ErrorTerm("plain", scale * late, after=0.0),))
+            assert tracking.counts_nothing is not counts
+    assert Tracking(target, (ErrorTerm("plain", np.zeros(N), after=0.0),)).counts_nothing
+    assert not Tracking(target, (ErrorTerm("plain", np.ones(N), after=0.0),)).counts_nothing
