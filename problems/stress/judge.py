@@ -14,7 +14,7 @@ from transopt.base.errors import InputError
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.explain import what_would_do
-from transopt.design.remedy import MOST_S, remedies
+from transopt.design.remedy import remedies
 from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
@@ -23,7 +23,6 @@ from transopt.proof.replay import Replay, replay
 from transopt.solvers.options import SolverOptions
 
 CERTIFIED = "certified"
-PATIENCE = 10.0  # times as long a remedy is looked for where the worst of several devices counts
 UNCHECKED = ", unchecked"  # a claim that no command keeps all limits, which the independent method could not decide
 # Refusals that may stand, by what their remarks must name: a limit with amount and unit.
 REMARKS = {
@@ -138,9 +137,7 @@ def with_remedy(case: StressCase, entry: Entry, found: Outcome) -> Outcome:
     """A refusal with what would do, or bad where nothing was found that does."""
     if not found.kind.startswith("refused"):
         return found
-    # The worst of several devices takes some ten problems where another one takes one.
-    patience = PATIENCE if entry.problem.worst else 1.0
-    own = remedies(case, entry, SolverOptions(), most_s=patience * MOST_S)
+    own = remedies(case, entry, SolverOptions())
     kind = found.kind if any(remedy.solved for remedy in own) else "bad: no remedy"
     return replace(found, kind=kind, detail=f"{found.detail}; {what_would_do(own)}")
 

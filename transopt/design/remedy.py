@@ -7,7 +7,6 @@ it is said what was tried and how far it went.
 """
 
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -26,8 +25,9 @@ from transopt.proof.continuous import AGREEMENT
 from transopt.proof.replay import Replay
 from transopt.solvers.options import SolverOptions, TrialOptions
 
-MOST_S = 5.0  # of a processor's time for the trials of one entry; the one that runs then is the last
-LONGEST = 5.0  # times that by the clock, on a machine that is busy with other things
+MOST_WORK = 200.0  # of all trials for one entry; the searches of the stress suite end by themselves within 40 trials
+STAGES_OF_WORK = 1000.0  # as many stages take as long as all that a trial of any length does besides
+SLOW = 5.0  # times the work of another trial, where a nonlinear plant or the worst of several devices is solved for
 MOST_ITERATIONS = 100  # of a trial: what is feasible takes a tenth of it
 DIGITS = 3  # of what is proposed
 TENTHS = 10  # of a kelvin, in which temperatures are
@@ -98,38 +98,57 @@ class _Way:
 
 
 @dataclass
+class Work:
+    """Work that trials may take, counted and not timed: what is found is the same on every machine.
+
+    Attributes
+    ----------
+    most : for all trials. spent : on those that were made.
+    """
+
+    most: float = MOST_WORK
+    spent: float = 0.0
+
+    @property
+    def left(self) -> float:
+        """What may still be spent, at least 0."""
+        return max(self.most - self.spent, 0.0)
+
+    def spend(self, refused: Entry, values: Values) -> None:
+        """Count a trial of a refused entry with other numbers."""
+        problem = refused.problem
+        stages = (values.get(STAGES) or problem.grid.stages) + problem.grid.after_stages
+        slow = problem.worst or refused.designed.nonlinear is not None
+        self.spent += (SLOW if slow else 1.0) * (1 + stages / STAGES_OF_WORK)
+
+
+@dataclass
 class _Search:
     """The trials of one entry.
 
     Attributes
     ----------
     hint : the strength to begin with, if it is above 1.
-    most_s : of a processor's time for all.
-    until_s : when the present list of ways has had its share of it.
+    work : of all trials.
+    until : what of it may be spent when the present list of ways has had its share.
     known : numbers -> whether they did.
-    began_s : on the processor's clock, and on that of the wall.
     """
 
     entry: Adjustable
+    refused: Entry
     options: SolverOptions
     hint: float
-    most_s: float
-    until_s: float = 0.0
+    work: Work
+    until: float = 0.0
     known: dict[tuple[tuple[str, float | None], ...], bool] = field(default_factory=dict)
-    began_s: tuple[float, float] = field(default_factory=lambda: (time.process_time(), time.monotonic()))
-
-    @property
-    def spent_s(self) -> float:
-        """Time spent out of `most_s`; a machine that is busy with other things counts by the clock, too."""
-        return max(time.process_time() - self.began_s[0], (time.monotonic() - self.began_s[1]) / LONGEST)
 
     def begin(self) -> None:
         """Another list of ways: it may take half of what is left, so that something is left for the next."""
-        self.until_s = (self.spent_s + self.most_s) / 2
+        self.until = self.work.spent + self.work.left / 2
 
     @property
     def late(self) -> bool:
-        return self.spent_s > self.until_s
+        return self.work.spent >= self.until
 
     def tried(self, ways: Sequence[_Way]) -> list[Remedy]:
         """The best of each way, the ways first that do at once; one at least is tried."""
@@ -154,6 +173,7 @@ class _Search:
     def does(self, values: Values) -> bool:
         key = tuple(values.items())
         if key not in self.known:
+            self.work.spend(self.refused, values)
             self.known[key] = does(self.entry, values, self.options)
         return self.known[key]
 
@@ -184,20 +204,20 @@ class _Search:
         return _remedy(way.at(strong), solved=True)
 
 
-def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, *, most_s: float = MOST_S) -> list[Remedy]:
+def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, work: Work | None = None) -> list[Remedy]:
     """What would do for an entry that is refused: one number changed or, if none helps, several together.
 
     Parameters
     ----------
     refused : what had to be met, its replay, and how it ended.
-    most_s : of a processor's time for all trials.
+    work : that the trials may take; `MOST_WORK` where none is given. The trial that exceeds it is the last.
 
     Returns
     -------
     Those that do, if there are any; else those that were tried, each as far as it went.
     """
     problem, played, status = refused.problem, refused.played, refused.status
-    search = _Search(entry, options, _excess(problem, played, status), most_s)
+    search = _Search(entry, refused, options, _excess(problem, played, status), work or Work())
     tried: list[Remedy] = []
     for ways in _ways(entry, problem, status, played):
         search.begin()

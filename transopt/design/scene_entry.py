@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from time import process_time
 
 from transopt.design.context import Context, Posed
 from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy, what_would_do
-from transopt.design.remedy import MOST_S, MOTOR, STAGES, Values, does, remedies
+from transopt.design.remedy import MOST_WORK, MOTOR, STAGES, Values, Work, does, remedies
 from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.own import OwnLimit
@@ -16,7 +15,7 @@ from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
-MOST_OF_A_LIBRARY_S = 30.0  # of a processor's time for the trials of all entries
+MOST_OF_A_LIBRARY = 6 * MOST_WORK  # of the trials of all entries
 BETA = "limits.beta"
 OWN = f"limits.{OwnLimit.key}"
 COIL = ("thermal.", *MOTOR)  # what only a scene with a motor of its own coil looks at
@@ -71,18 +70,24 @@ def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options:
 
     What does for one entry is tried for the next before anything else is, so that one change may do for all.
     """
-    began_s, found = process_time(), dict[str, Remedy]()
+    library, found = Work(MOST_OF_A_LIBRARY), dict[str, Remedy]()
+
+    def does_too(posed: SceneEntry, entry: Entry, remedy: Remedy) -> bool:
+        library.spend(entry, remedy.values)
+        return does(posed, remedy.values, options)
 
     def tried(entry: Entry) -> Entry:
         if entry.admitted:
             return entry
-        left_s = MOST_OF_A_LIBRARY_S - (process_time() - began_s)
-        if left_s <= 0:
-            return entry.stating(shortfalls=[*entry.shortfalls, "not tried what would do, for want of time"])
+        if not library.left:
+            said = "not tried what would do: the trials for other entries took all the work that a library may"
+            return entry.stating(shortfalls=[*entry.shortfalls, said])
         posed = SceneEntry(context, entry.grip_N, context.reference(entry.speed_m_s, entry.grip_N, entry.target))
-        own = [remedy for remedy in found.values() if does(posed, remedy.values, options)]
+        own = [remedy for remedy in found.values() if does_too(posed, entry, remedy)]
         if not own:
-            own = remedies(posed, entry, options, most_s=min(MOST_S, left_s))
+            work = Work(min(MOST_WORK, library.left))
+            own = remedies(posed, entry, options, work)
+            library.spent += work.spent
         own = [_in_place_of_beta(context.scene, remedy) for remedy in own]
         found.update({str(remedy): remedy for remedy in own if remedy.solved})
         return entry.stating(

@@ -21,7 +21,7 @@ from transopt.design.context import KEPT_STAGES, Context, Kept, Posed
 from transopt.design.design import design
 from transopt.design.entry import Entry
 from transopt.design.explain import what_would_do
-from transopt.design.remedy import remedies
+from transopt.design.remedy import Work, remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.library.library import Library
 from transopt.library.recorded import references_of_library
@@ -42,7 +42,7 @@ from transopt.web.price import priced
 from transopt.web.shown import Place, Shown, shown
 from transopt.web.warm import Warm, on_warm_coil
 
-MOST_REMEDY_S = 1.5  # of a processor's time for what would do for one tap
+MOST_REMEDY_WORK = 100.0  # of the trials for what would do for one tap: a second or two
 RECORDED = {
     "recordings",
     "hand",
@@ -300,7 +300,7 @@ class Service:
         if not admitted:
             said = list(dict.fromkeys([entry.status.value, *entry.shortfalls]))
             posed = SceneEntry(self.context, place.grip_N, self.reference(place))
-            found = remedies(posed, entry, self.options, most_s=MOST_REMEDY_S)
+            found = remedies(posed, entry, self.options, Work(MOST_REMEDY_WORK))
             reason = ": ".join([said[0], "; ".join(filter(None, [*said[1:], what_would_do(found)]))])
         return Shown(
             index=index,

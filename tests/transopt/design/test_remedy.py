@@ -20,7 +20,7 @@ from transopt.design.context import Context
 from transopt.design.design import design
 from transopt.design.explain import Change, Remedy, infeasibility, what_would_do
 from transopt.design.optimum import optimum
-from transopt.design.remedy import NEAR, Values, does, remedies
+from transopt.design.remedy import NEAR, Values, Work, does, remedies
 from transopt.design.scene_entry import SceneEntry
 from transopt.problem.answer import Status
 from transopt.recordings.recording import Recording
@@ -128,10 +128,32 @@ class TestSearch:
         assert all(answer.values in asked for answer in answers)
         assert what_would_do(answers).startswith("tried in vain, as far as feedback.stiffness_N_m = ")
 
-    def test_the_time_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(remedy, "MOST_S", 0.0)
+    def test_the_work_is_counted_and_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Trials count by number and size, so that a busy machine finds what an idle one does."""
+        asked: list[Values] = []
+        monkeypatch.setattr(remedy, "does", lambda _, values, __: bool(asked.append(values)))
         (entry,) = design([LEANT_ON.posed()])
-        assert remedies(LEANT_ON, entry.stating(status=Status.HAND_OVER), OPTIONS, most_s=0.0) == []
+        for most in (0.0, 5.0, 20.0, 1e3):
+            asked.clear()
+            work = Work(most)
+            found = remedies(LEANT_ON, entry.stating(status=Status.HAND_OVER), OPTIONS, work)
+            assert not any(each.solved for each in found)
+            sizes = [1 + (values.get("time.stages") or SHORT.stages) / 1000 for values in asked]
+            assert work.spent == pytest.approx(sum(sizes))
+            assert work.spent < most + 1.04
+            assert bool(asked) == (most > 0)
+            assert work.left == pytest.approx(max(most - work.spent, 0.0))
+        assert len(asked) < 40
+
+    def test_a_longer_window_and_the_worst_of_several_devices_are_more_work(self) -> None:
+        (entry,) = design([LEANT_ON.posed()])
+        worst = replace(entry, designed=replace(entry.designed, problem=replace(entry.problem, worst=True)))
+        spent = []
+        for one, values in ((entry, {}), (entry, {"time.stages": 2000.0}), (worst, {})):
+            work = Work()
+            work.spend(one, values)
+            spent.append(work.spent)
+        assert spent == pytest.approx([1.04, 3.0, 5.2])
 
 
 @pytest.mark.parametrize("case", [STARVED, LEANT_ON, WARM, BETWEEN], ids=["rail", "wall", "coil", "between"])
