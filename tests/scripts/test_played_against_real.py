@@ -15,8 +15,8 @@ from transopt.scene.scene import Scene
 from transopt.scene.sections import Feedback
 from transopt.scene.strikes import recordings, strike
 
-PARTS = ("played_against_real", "played.motion", "played.figures", "played.wall")
-against, motion, figures, walls = (script(name) for name in PARTS)
+PARTS = ("played_against_real", "played.motion", "played.figures", "played.wall", "played.missed", "played.hard")
+against, motion, figures, walls, missed, extremes = (script(name) for name in PARTS)
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +104,35 @@ def test_another_command_than_the_one_of_the_table_is_found(scene: Scene, build:
         told = replace(entry, designed=replace(entry.designed, solution=solution))
         (found,) = against.played(scene, [told])
         assert found.further > found.recording + against.ALLOWED
+
+
+@pytest.mark.parametrize("late_s", [-120e-6, 0.0, 15e-6])
+def test_a_recording_whose_contact_is_put_late_is_found_to_be_nothing_else(scene: Scene, late_s: float) -> None:
+    times, real = missed.real_taps(scene)
+    (course,) = real.values()
+    recorded = missed.CubicSpline(times, course)(np.minimum(times + late_s, times[-1]))
+    whole, found_s, left = missed.placed(times, course, recorded, scene.hand.intention_s)
+    assert found_s == pytest.approx(late_s, abs=2e-6)
+    assert left.tap < 1e-3
+    assert whole.tap > 5e-3 or late_s == 0
+
+
+def test_hard_scenes_are_no_everyday_ones() -> None:
+    everyday = problems.load("wood_on_foam")
+    found = dict(extremes.hard())
+    assert len(found) > 20
+    assert len({repr(each.model_dump()) for each in found.values()}) == len(found)
+    assert all(each != everyday for each in found.values())
+
+
+def test_hard_scenes_stand_in_a_table_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(extremes, "TWO_BY_TWO", {"grid.speeds_m_s": [0.1], "grid.grips_N": [1.0]})
+    monkeypatch.setattr(extremes, "HARD", {"rail of 5 V": extremes.HARD["rail of 5 V"]})
+    assert against.main(["single_grip"], hard_ones=True) == 0
+    printed = capsys.readouterr().out
+    assert "rail of 5 V  1  " in printed
 
 
 def test_a_trembling_hand_passes_contact_with_the_speed_that_is_stated(scene: Scene) -> None:
