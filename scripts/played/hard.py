@@ -86,7 +86,11 @@ HARD: dict[str, dict[str, Any]] = {
         "thermal.start_housing_C": 90.0,
         "thermal.headroom_K": 0.05,
     },
-    "wall of 600 N/m, two ticks late": {**wall(600.0, 0.2, 2, "brakes"), **amplifier(1050.0, 68e-6, 9.0)},
+    "wall of 600 N/m, two ticks late": {
+        **wall(600.0, 0.2, 2, "brakes"),
+        **amplifier(1050.0, 68e-6, 9.0),
+        "limits.beta": 4.8,
+    },
     "wall before a hand that decays": wall(200.0, 0.0, 0, "decays"),
     "hand that pulls back": {"hand.yields": "pulls"},
     "hand that brakes after 15 ms": {"hand.yields": "brakes", "hand.intention_s": 0.015},
