@@ -20,6 +20,7 @@ SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be bi
 LEAST_SAMPLES = 8
 UNSURE_SPEED = 0.05  # of the speed, half of its 95 % interval: beyond it a note says so
 UNKNOWN_SPEED = 0.2  # beyond it the fit says nothing
+LAST_STEP = 1e-9  # of Newton's method, whose next one would be its square; a smaller one may be rounding for ever
 WHOLE_COUNTS = 0.01  # counts: positions that change by multiples of a count, to within this, come from an encoder
 
 
@@ -100,7 +101,7 @@ def two_sided(free: int) -> float:
             within = (theta + (within if free > 1 else 0.0)) * 2 / math.pi
         step = (0.95 - within) / (2 * scale * (1 + t * t / free) ** (-(free + 1) / 2))
         t += step
-        if abs(step) < 1e-13 * t:
+        if abs(step) < LAST_STEP * t:
             return t
 
 
