@@ -276,9 +276,9 @@ def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def strike(
-    rows: FloatArray, contact: tuple[float, float, float], start: FloatArray, steps: int
-) -> tuple[FloatArray, FloatArray] | None:
-    """Outputs (steps + 1, q, V) of V courses that strike something, and the states at last; None if not compiled.
+    rows: FloatArray, contact: tuple[float, float, float], start: FloatArray, found: FloatArray
+) -> FloatArray | None:
+    """States (n, V) at last of V courses that strike something, their outputs left in `found`; None if not compiled.
 
     Each of the rows of a step of Runge-Kutta's method is a sum over the states and the forces of its four stages:
     depth and closing speed at every stage, of which its force k delta^e (1 + c d delta/dt) >= 0 follows; the outputs;
@@ -289,12 +289,12 @@ def strike(
     rows : (8 + q + n, n + 4). A stage's rows ask for earlier forces only.
     contact : k, e and c.
     start : (n, V) states at first.
+    found : (steps + 1, q, V) contiguous, of which every element is written.
     """
-    n, courses = start.shape
-    outputs = rows.shape[0] - n - 8
+    n, (instants, outputs, courses) = start.shape[0], found.shape
     if COMPILED is None or n > MOST_STATES or outputs > MOST_OUTPUTS:
         return None
-    found, state = np.empty((steps + 1, outputs, courses)), np.array(start, dtype=float, order="C")
-    rows, numbers = np.ascontiguousarray(rows, dtype=float), np.array(contact)
-    COMPILED.tr_struck(steps, n, outputs, courses, *map(address, (rows, numbers, state, found)))
-    return found, state
+    rows, state = np.ascontiguousarray(rows, dtype=float), np.array(start, dtype=float, order="C")
+    numbers = np.array(contact)
+    COMPILED.tr_struck(instants - 1, n, outputs, courses, *map(address, (rows, numbers, state, found)))
+    return state

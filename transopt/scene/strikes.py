@@ -47,10 +47,10 @@ def _driven(
     outputs: FloatArray,
     target: SimulatedTaps,
     start: FloatArray,
-    steps: int,
     step_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """RK4 of dx/dt = flow x + push F for V courses at once: outputs (K, q, V) of x and F, and x (n, V) at last.
+    found: FloatArray,
+) -> FloatArray:
+    """RK4 of dx/dt = flow x + push F for V courses at once: x (n, V) at last, outputs of x and F in found (K, q, V).
 
     The contact's rows give depth and closing speed, of which the force F follows. The steps of `rk4_step` written
     out: state, slopes and outputs of all four stages are linear in the state at the start of the step and in the
@@ -71,19 +71,19 @@ def _driven(
     by_output = np.pad(outputs, ((0, 0), (0, 3)))  # of the first stage's force alone
     rows = np.concatenate([*(contact @ stage for stage in stages), by_output, after])
     law = (target.contact_stiffness_N_m, target.contact_exponent, target.contact_damping_s_m)
-    compiled = recursions.strike(rows, law, start, steps)
-    if compiled is not None:
-        return compiled
-    found, both = np.empty((steps + 1, outputs.shape[0], start.shape[1])), np.zeros((size + 4, start.shape[1]))
+    last = recursions.strike(rows, law, start, found)
+    if last is not None:
+        return last
+    both = np.zeros((size + 4, start.shape[1]))
     both[:size] = start
-    for k in range(steps + 1):
+    for k in range(len(found)):
         for j in range(4):
             both[size + j] = contact_force(target, *(rows[2 * j : 2 * j + 2, : size + j] @ both[: size + j]))
         reached = rows[8:] @ both
         found[k] = reached[:-size]
-        if k < steps:
+        if k < len(found) - 1:
             both[:size] = reached[-size:]
-    return found, both[:size]
+    return both[:size]
 
 
 def strike(
@@ -132,7 +132,7 @@ def strike(
     outputs = np.zeros((2, n + 7))  # of the states and the force
     outputs[0, :n], outputs[0, -1] = plant.C[0], plant.D[0, 0]
     outputs[1, :n], outputs[1, n + 2], outputs[1, n + 4] = plant.Ce[0], -1.0, 1.0
-    found = []
+    found = np.empty((steps + 1, 2, speeds_m_s.size))
     for phase, first, last in zip(intention.phases, starts, [*starts[1:], steps], strict=True):
         if first >= steps:
             break
@@ -148,9 +148,9 @@ def strike(
         flow[masses:n] -= flow[n + 5]
         state[n + 5] += phase.jump * speeds_m_s
         state[masses:n] -= phase.jump * speeds_m_s
-        seen, state = _driven(flow, push, contact, outputs, target, state, min(last, steps) - first, step_s)
-        found.append(seen[:-1])
-    acceleration, encoder = np.concatenate([*found, seen[-1:]]).transpose(1, 2, 0)
+        along = found[first : min(last, steps) + 1]  # the next phase begins at its last instant
+        state = _driven(flow, push, contact, outputs, target, state, step_s, along)
+    acceleration, encoder = found.transpose(1, 2, 0)
     return np.asarray(step_s * np.arange(steps + 1)), acceleration, encoder
 
 
@@ -204,42 +204,48 @@ def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, within_s: float
     random = np.random.default_rng([target.seed, round(grip_N / GRIP_STEP_N)])
     nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
     speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
-    grid = scene.time_grid()
-    duration = within_s + grid.after_stages * grid.dt_s
+    after_s = scene.time_grid().after_stages * scene.time_grid().dt_s
     plant, intention = scene.plant(grip_N, struck=True), scene.hand.intention()
     with np.errstate(all="ignore"):  # what overflows is found as not finite
-        t, acceleration, encoder = strike(plant, target, speeds, duration, intention=intention)
-    if not (np.isfinite(acceleration).all() and np.isfinite(encoder).all()):
+        _, acceleration, encoder = strike(plant, target, speeds, within_s + after_s, intention=intention)
+
+    dt = 1 / target.rate_Hz
+    before, last = int(np.ceil(APPROACH_S / dt)), int(within_s / dt) - 1
+    # Sampling is not synchronous with the contact.
+    phases, later = random.uniform(0, dt, speeds.size), random.spawn(speeds.size)
+    times = np.arange(-before, last + round(after_s / dt)) * dt + phases[:, None]
+    drawn = random.standard_normal((speeds.size, before + last))
+    drawn = np.hstack([drawn, [each.standard_normal(times.shape[1] - drawn.shape[1]) for each in later]])
+    measured_g = 1.0 + target.noise_g_rtHz * np.sqrt(target.rate_Hz / 2) * drawn
+    measured_g[:, before:] += _between(acceleration, times[:, before:]) / STANDARD_GRAVITY_M_S2
+    z = -speeds[:, None] * times
+    z[:, before:] = _between(encoder, times[:, before:])
+    if not (np.isfinite(measured_g).all() and np.isfinite(z).all()):
         raise InputError(
             f"recordings.simulated: a tap does not stay finite in steps of {STEP_S:g} s: device or contact are too "
             "fast for them; raise the masses, or lower the stiffnesses and dampings"
         )
-
-    dt = 1 / target.rate_Hz
-    before = int(np.ceil(APPROACH_S / dt))
-    # Sampling is not synchronous with the contact.
-    phases = random.uniform(0, dt, speeds.size)
-    last, later = int(within_s / dt) - 1, random.spawn(speeds.size)
-    made = []
-    for j, speed in enumerate(speeds):
-        times = np.arange(-before, last + round(grid.after_stages * grid.dt_s / dt)) * dt + phases[j]
-        clean = np.interp(times, t, acceleration[j], left=0.0)
-        clean[times < 0] = 0.0
-        drawn = [random.standard_normal(before + last), later[j].standard_normal(times.size - before - last)]
-        noise = target.noise_g_rtHz * np.sqrt(target.rate_Hz / 2) * np.concatenate(drawn)
-        measured_g = np.clip(clean / STANDARD_GRAVITY_M_S2 + 1.0 + noise, -target.range_g, target.range_g)
-        z = np.where(times < 0, -speed * times, np.interp(times, t, encoder[j]))
-        counts = np.round(z / ENCODER_COUNT_M) * ENCODER_COUNT_M
-        repeat = j % target.repeats + 1
-        made.append(
-            Recording(
-                name=f"{scene.name}_{nodes[j]:g}_m_s_{grip_N:g}_N_{repeat}",
-                source=f"simulated: the undriven device at {grip_N:g} N strikes the object of the scene",
-                sha256="",
-                acceleration=Signal(0.0, dt, measured_g * STANDARD_GRAVITY_M_S2),
-                position=Signal(0.0, dt, counts),
-                speed_m_s=float(speed),
-                grip_N=grip_N,
-            )
+    measured_m_s2 = np.clip(measured_g, -target.range_g, target.range_g) * STANDARD_GRAVITY_M_S2
+    counts_m = np.round(z / ENCODER_COUNT_M) * ENCODER_COUNT_M
+    return [
+        Recording(
+            name=f"{scene.name}_{nodes[j]:g}_m_s_{grip_N:g}_N_{j % target.repeats + 1}",
+            source=f"simulated: the undriven device at {grip_N:g} N strikes the object of the scene",
+            sha256="",
+            acceleration=Signal(0.0, dt, measured_m_s2[j]),
+            position=Signal(0.0, dt, counts_m[j]),
+            speed_m_s=float(speed),
+            grip_N=grip_N,
         )
-    return made
+        for j, speed in enumerate(speeds)
+    ]
+
+
+def _between(courses: FloatArray, times_s: FloatArray) -> FloatArray:
+    """(V, m) of courses (V, K) in steps of `STEP_S` from 0 on, at times (V, m) within them, by straight lines."""
+    places = times_s.T / STEP_S  # instants outermost, as `strike` leaves its courses in memory
+    left = np.clip(places.astype(int), 0, courses.shape[1] - 2)
+    course = np.arange(courses.shape[0])
+    with np.errstate(all="ignore"):  # what has overflown
+        low = courses.T[left, course]
+        return np.asarray((low + (places - left) * (courses.T[left + 1, course] - low)).T)

@@ -73,10 +73,11 @@ def test_they_obey_the_laws_of_motion(scene: Scene) -> None:
 def test_what_overflows_is_not_hidden() -> None:
     stages = np.hstack([np.ones((8, 2)), np.zeros((8, 4))])
     rows = np.vstack([stages, np.ones((1, 6)), np.hstack([1e6 * np.eye(2), np.ones((2, 4))])])
-    found = recursions.strike(rows, (1.0, 1.5, 0.0), np.ones((2, 1)), 100)
-    assert found is not None
-    assert not np.isfinite(found[0][-1]).any()
-    assert not np.isfinite(found[1]).any()
+    found = np.zeros((101, 1, 1))
+    last = recursions.strike(rows, (1.0, 1.5, 0.0), np.ones((2, 1)), found)
+    assert last is not None
+    assert not np.isfinite(found[-1]).any()
+    assert not np.isfinite(last).any()
 
 
 @pytest.mark.skipif(recursions.COMPILED is None, reason="the extension is not built")
@@ -87,6 +88,6 @@ def test_the_power_of_the_depth_is_that_of_numpy(exponent: float) -> None:
     rows = np.zeros((8 + 1 + 1, 5))
     rows[0, 0] = rows[9, 0] = 1.0  # the depth is the state, the closing speed zero
     rows[8, 1] = 1.0
-    found = recursions.strike(rows, (2.0, exponent, 0.3), depth_m[None], 0)
-    assert found is not None
-    assert np.abs(found[0][0, 0] / (2.0 * depth_m**exponent) - 1).max() < 1e-13
+    found = np.zeros((1, 1, depth_m.size))
+    assert recursions.strike(rows, (2.0, exponent, 0.3), depth_m[None], found) is not None
+    assert np.abs(found[0, 0] / (2.0 * depth_m**exponent) - 1).max() < 1e-13
