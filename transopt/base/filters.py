@@ -48,7 +48,7 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
     # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
     # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
     pad = min(x.values.size - 1, int(np.ceil(10 * x.rate_Hz / (2 * np.pi * cutoff_Hz))))
-    course = np.pad(x.values, pad, mode="edge")
+    course = np.concatenate([np.full(pad, x.values[0]), x.values, np.full(pad, x.values[-1])])
     for _ in range(2):
         # Forwards, then backwards, each time from the steady state of its first value, which the filter leaves alone.
         course = (course[0] + filtering.low.outputs((course - course[0])[None])[0])[::-1]

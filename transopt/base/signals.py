@@ -1,6 +1,9 @@
 """Uniformly sampled signals, the spline through them, and the measure of their error."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +16,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
+WHOLE_COUNTS = 0.01  # counts, within which a change is a whole multiple of one
 
 
 @dataclass(frozen=True)
@@ -35,9 +39,9 @@ class Signal:
     def __post_init__(self) -> None:
         if self.values.ndim != 1 or self.values.size < 2:
             raise InputError(f"a signal needs at least 2 samples in one column, got shape {self.values.shape}")
-        if not (np.isfinite(self.start_s) and np.isfinite(self.dt_s) and self.dt_s > 0):
+        if not (math.isfinite(self.start_s) and math.isfinite(self.dt_s) and self.dt_s > 0):
             raise InputError(f"sampling period {self.dt_s:g} s from {self.start_s:g} s: must be finite and > 0")
-        if not np.all(np.isfinite(self.values)):
+        if not np.isfinite(self.values).all():
             first = int(np.flatnonzero(~np.isfinite(self.values))[0])
             raise InputError(f"sample {first} is {self.values[first]}: every sample must be a finite number")
 
@@ -55,6 +59,35 @@ class Signal:
     def rate_Hz(self) -> float:
         """Samples per second."""
         return 1.0 / self.dt_s
+
+    @cached_property
+    def count(self) -> float:
+        """What the values change by whole multiples of, as an encoder's do; 0 where there is no such count."""
+        steps = np.abs(self.values[1:] - self.values[:-1])
+        steps = steps[steps > 0]
+        if steps.size == 0:
+            return 0.0
+        least = float(steps.min())
+        counts = steps / least
+        return least if (np.abs(counts - np.rint(counts)) <= WHOLE_COUNTS).all() else 0.0
+
+    def before(self, time_s: float) -> int:
+        """Number of samples before a time."""
+        return self._count(time_s, lambda sample_s: sample_s < time_s)
+
+    def until(self, time_s: float) -> int:
+        """Number of samples before a time and at it."""
+        return self._count(time_s, lambda sample_s: sample_s <= time_s)
+
+    def _count(self, time_s: float, counts: Callable[[float], bool]) -> int:
+        n = self.values.size
+        k = math.ceil(min(max((time_s - self.start_s) / self.dt_s, 0.0), n))
+        # What rounding has put on the wrong side of the time.
+        while k > 0 and not counts(self.start_s + self.dt_s * (k - 1)):
+            k -= 1
+        while k < n and counts(self.start_s + self.dt_s * k):
+            k += 1
+        return k
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Cubic-spline samples at `times_s` (m,); zero before the first and after the last sample."""
@@ -101,6 +134,13 @@ def integral(rate: FloatArray, dt_s: float) -> FloatArray:
     course = np.zeros(rate.size)
     np.cumsum(0.5 * dt_s * (rate[1:] + rate[:-1]), out=course[1:])
     return course
+
+
+def median(values: FloatArray) -> float:
+    """What `np.median` gives of finite values (n,), n >= 1, in a third of its time."""
+    middle = values.size // 2
+    low = middle - 1 + values.size % 2
+    return float(np.partition(values, (low, middle))[low : middle + 1].mean())
 
 
 def nrmse(value: FloatArray, reference: FloatArray) -> float:

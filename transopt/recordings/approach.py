@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.signals import FloatArray, Signal, integral
-from transopt.recordings.speed import encoder_count_m, fitted
+from transopt.recordings.speed import fitted
 
 GUARD_S = 1e-3  # kept free before contact, whose low-passed foot reaches so far
 INCOMING_S = 10e-3  # the incoming acceleration is the mean of so long before contact
@@ -70,12 +70,12 @@ def find_approach(
     """
     if trusted_from_Hz > 0:
         return _completed(x, position, onset_s, trusted_from_Hz)
-    coming = (x.times_s > onset_s - GUARD_S - INCOMING_S) & (x.times_s < onset_s - GUARD_S)
-    if np.count_nonzero(coming) < LEAST_SAMPLES:
+    coming = x.values[_coming(x, onset_s)]
+    if coming.size < LEAST_SAMPLES:
         return Approach(x, 0.0, 0.0, UNSEPARATED, slow_part_known=True)
-    before = float(x.values[coming].mean())
+    before = float(coming.mean())
     if stated:
-        missing, error, source = 0.0, 2 * noise_m_s2 / np.sqrt(np.count_nonzero(coming)), STATED
+        missing, error, source = 0.0, 2 * noise_m_s2 / np.sqrt(coming.size), STATED
     else:
         found = None if position is None else _at_rest(x, position, onset_s, noise_m_s2)
         if found is None and position is not None:
@@ -90,38 +90,43 @@ def find_approach(
     return Approach(replace(x, values=x.values + missing), missing, incoming, source, slow_part_known=True)
 
 
+def _coming(x: Signal, onset_s: float) -> slice:
+    """The samples whose mean is the incoming acceleration."""
+    return slice(x.until(onset_s - GUARD_S - INCOMING_S), x.before(onset_s - GUARD_S))
+
+
 def _at_rest(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> tuple[float, float, str] | None:
     """What lacks to zero at rest, with its 95 % interval; None where the record does not begin at rest."""
     z = position.values
-    left = np.abs(z - z[0]) > 1.5 * max(encoder_count_m(z), REST_M)
-    leaves_s = position.times_s[int(np.argmax(left))] if left.any() else position.end_s
-    still = (x.times_s >= position.start_s) & (x.times_s < min(leaves_s, onset_s) - LEAVING_S)
-    n = int(np.count_nonzero(still))
-    if n < LEAST_SAMPLES or n * x.dt_s < REST_S:
+    left = np.abs(z - z[0]) > 1.5 * max(position.count, REST_M)
+    leaves_s = position.start_s + position.dt_s * int(np.argmax(left)) if left.any() else position.end_s
+    still = x.values[x.before(position.start_s) : x.before(min(leaves_s, onset_s) - LEAVING_S)]
+    if still.size < LEAST_SAMPLES or still.size * x.dt_s < REST_S:
         return None
-    return -float(x.values[still].mean()), 2 * noise_m_s2 / np.sqrt(n), AT_REST
+    return -float(still.mean()), 2 * noise_m_s2 / np.sqrt(still.size), AT_REST
 
 
 def _by_position(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> tuple[float, float, str] | None:
     """What lacks to the position's course over the approach, with its 95 % interval; None of too few samples."""
-    t = position.times_s
-    inside = (t > max(onset_s - FIT_BEFORE_S, x.start_s)) & (t < onset_s - GUARD_S)
-    if np.count_nonzero(inside) < LEAST_SAMPLES:
+    inside = slice(position.until(max(onset_s - FIT_BEFORE_S, x.start_s)), position.before(onset_s - GUARD_S))
+    samples = inside.stop - inside.start
+    if samples < LEAST_SAMPLES:
         return None
-    rest = position.values[inside] - np.interp(t[inside], x.times_s, _twice_integrated(x))
-    solution, interval = fitted(t[inside] - onset_s, rest, encoder_count_m(position.values), 3)
+    solution, interval = _fitted(x, position, inside, onset_s, 3)
     # The noise's double integral is no scatter about the parabola: it bends it, as a mean over so long would be off.
-    bent = 3 * noise_m_s2 * float(np.sqrt(x.dt_s / np.ptp(t[inside])))
+    bent = 3 * noise_m_s2 * float(np.sqrt(x.dt_s / (position.dt_s * (samples - 1))))
     return 2 * float(solution[2]), float(np.hypot(2 * interval[2], bent)), SEPARATED
 
 
 def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_Hz: float) -> Approach:
     """Acceleration with the slow part that the position tells; without one as it was recorded."""
     said = f"the sensor reads from {trusted_from_Hz:g} Hz on"
-    low, high = onset_s - FIT_BEFORE_S, onset_s + FIT_AFTER_S
-    t = np.zeros(0) if position is None else position.times_s
-    inside = (t >= max(low, x.start_s)) & (t <= min(high, x.end_s))
-    if position is None or np.count_nonzero(inside) < LEAST_SAMPLES or not np.any(t[inside] > onset_s):
+    inside = slice(0, 0)
+    if position is not None:
+        low, high = max(onset_s - FIT_BEFORE_S, x.start_s), min(onset_s + FIT_AFTER_S, x.end_s)
+        inside = slice(position.before(low), position.until(high))
+    short = inside.stop - inside.start < LEAST_SAMPLES
+    if position is None or short or inside.stop <= position.until(onset_s):
         known = trusted_from_Hz <= TRUSTED_Hz
         lost = (
             "what is slower is missing"
@@ -131,17 +136,23 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
         return Approach(x, 0.0, 0.0, UNSEPARATED, known, (f"{said}: {lost}",))
     w = 2 * np.pi * trusted_from_Hz
     inverse = replace(x, values=x.values + w * integral(x.values, x.dt_s))
-    rest = position.values[inside] - np.interp(t[inside], x.times_s, _twice_integrated(inverse))
-    solution, interval = fitted(t[inside] - onset_s, rest, encoder_count_m(position.values), 4)
+    solution, interval = _fitted(inverse, position, inside, onset_s, 4)
     slope = 6 * float(solution[3])
     whole = replace(x, values=inverse.values + 2 * float(solution[2]) + slope * (x.times_s - onset_s))
-    coming = (x.times_s > onset_s - GUARD_S - INCOMING_S) & (x.times_s < onset_s - GUARD_S)
-    incoming = float(whole.values[coming].mean()) if coming.any() else 0.0
+    coming = whole.values[_coming(x, onset_s)]
+    incoming = float(coming.mean()) if coming.size else 0.0
     if abs(incoming) <= max(2 * interval[2], LEAST_M_S2):
         incoming = 0.0
     notes = (f"{said}: what is slower is completed from the position",)
     return Approach(whole, slope / w, incoming, SEPARATED, slow_part_known=True, notes=notes)
 
 
-def _twice_integrated(x: Signal) -> FloatArray:
-    return integral(integral(x.values, x.dt_s), x.dt_s)
+def _fitted(
+    x: Signal, position: Signal, inside: slice, onset_s: float, terms: int
+) -> tuple[FloatArray, FloatArray]:
+    """What lacks to some samples of the position after twice integrating x: `fitted` over the time from contact."""
+    t = position.times_s[inside]
+    known = slice(0, x.before(t[-1]) + 1)  # through the first sample behind
+    moved = integral(integral(x.values[known], x.dt_s), x.dt_s)
+    rest = position.values[inside] - np.interp(t, x.times_s[known], moved)
+    return fitted(float(t[0]) - onset_s, position.dt_s, rest, position.count, terms)

@@ -91,7 +91,7 @@ def implausible_time(x: Signal) -> str:
 
 def speed_changes_m_s(x: Signal, onset_s: float) -> tuple[float, float]:
     """The most by which an acceleration raises and lowers the speed soon after contact."""
-    during = (x.times_s >= onset_s) & (x.times_s <= onset_s + CHANGE_WITHIN_S)
+    during = slice(x.before(onset_s), x.until(onset_s + CHANGE_WITHIN_S))
     change = np.cumsum(x.values[during]) * x.dt_s
     return float(change.max(initial=0.0)), float(-change.min(initial=0.0))
 

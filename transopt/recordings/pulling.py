@@ -9,7 +9,6 @@ error above 30 Hz was 14 % where a yielding hand's was 5 %.
 import numpy as np
 
 from transopt.base.signals import Signal
-from transopt.recordings.speed import encoder_count_m
 
 LOOKED_AT_S = np.arange(50e-3, 0.111, 10e-3)  # after contact, at each of which the way of the 40 ms before is judged
 HALF_S = 20e-3  # longer than a stylus rings on an object in a hand
@@ -28,13 +27,15 @@ def pulled_back_after_s(position: Signal, onset_s: float) -> float | None:
     onset_s : contact.
     """
     t, z = position.times_s - onset_s, position.values
-    counts_m = LEAST_COUNTS * max(encoder_count_m(z), FINEST_M)
+    counts_m = LEAST_COUNTS * max(position.count, FINEST_M)
     if position.dt_s > HALF_S / 4 or t[0] > LOOKED_AT_S[0] - 2 * HALF_S:
         return None
-    for end_s in LOOKED_AT_S[t[-1] >= LOOKED_AT_S]:
-        first, middle, last = np.interp([end_s - 2 * HALF_S, end_s - HALF_S, end_s], t, z)
-        depth = -float(z[(t > 0) & (t <= end_s)].min(initial=0.0))
-        before, after = middle - first, last - middle
-        if before >= 0 and after >= max(GROWTH * before, LEAST_SHARE * depth, counts_m):
+    ends_s = LOOKED_AT_S[t[-1] >= LOOKED_AT_S]
+    came = np.diff(np.interp(ends_s[:, None] - [2 * HALF_S, HALF_S, 0.0], t, z))
+    contact = position.until(onset_s)
+    deepest = np.minimum.accumulate(np.append(0.0, z[contact:]))
+    depth = -deepest[np.searchsorted(t, ends_s, side="right") - contact]
+    for end_s, (before, after), share in zip(ends_s, came, LEAST_SHARE * depth, strict=True):
+        if before >= 0 and after >= max(GROWTH * before, share, counts_m):
             return float(end_s)
     return None

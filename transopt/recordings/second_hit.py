@@ -23,8 +23,8 @@ def second_hit(x: Signal, onset_s: float) -> tuple[float, float] | None:
     x : without offset, positive where the tap decelerates the stylus, low-passed [m/s^2].
     onset_s : contact, in the time of the signal.
     """
-    during = (x.times_s >= onset_s) & (x.times_s <= onset_s + LOOKED_AT_S)
-    a = x.values[during]
+    contact = x.before(onset_s)
+    a = x.values[contact : x.until(onset_s + LOOKED_AT_S)]
     begun = a[: max(round(FIRST_S / x.dt_s), 1)]
     if a.size == 0 or (first := float(begun.max())) <= 0:
         return None
@@ -37,5 +37,5 @@ def second_hit(x: Signal, onset_s: float) -> tuple[float, float] | None:
         if ahead.size and float(ahead.max()) >= HIT * first:
             begin = at + int(np.argmax(ahead >= HIT * first))
             height = float(a[begin : begin + 2 * rise].max())
-            return float(x.times_s[during][begin] - onset_s), height / first
+            return x.start_s + x.dt_s * (contact + begin) - onset_s, height / first
     return None

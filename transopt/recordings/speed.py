@@ -21,7 +21,6 @@ LEAST_SAMPLES = 8
 UNSURE_SPEED = 0.05  # of the speed, half of its 95 % interval: beyond it a note says so
 UNKNOWN_SPEED = 0.2  # beyond it the fit says nothing
 LAST_STEP = 1e-9  # of Newton's method, whose next one would be its square; a smaller one may be rounding for ever
-WHOLE_COUNTS = 0.01  # counts: positions that change by multiples of a count, to within this, come from an encoder
 
 
 def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, list[str]]:
@@ -36,17 +35,19 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
         return recording.speed_m_s, "stated", []
     if recording.position is None:
         return float("nan"), UNKNOWN, []
-    t, z = recording.position.times_s, recording.position.values
-    before = (t >= onset_s - SPEED_FIT_S) & (t <= onset_s)
-    lead_ms = 1e3 * min(SPEED_FIT_S, onset_s - float(t[0]))
+    position = recording.position
+    before = slice(position.before(onset_s - SPEED_FIT_S), position.until(onset_s))
+    z = position.values[before]
+    lead_ms = 1e3 * min(SPEED_FIT_S, onset_s - position.start_s)
     remedy = f"record {SPEED_FIT_S * 1e3:g} ms before contact, or state `# speed_m_s: ...`"
-    if np.count_nonzero(before) < LEAST_SAMPLES:
+    if z.size < LEAST_SAMPLES:
         raise InputError(
-            f"{recording.name}: position_m has {np.count_nonzero(before)} samples in the {SPEED_FIT_S * 1e3:g} ms "
+            f"{recording.name}: position_m has {z.size} samples in the {SPEED_FIT_S * 1e3:g} ms "
             f"before contact, {LEAST_SAMPLES} needed to fit the speed: {remedy}"
         )
+    first_s = position.start_s + position.dt_s * before.start - onset_s
     (_, slope, _), (_, error, _) = (
-        part.tolist() for part in fitted(t[before] - onset_s, z[before], encoder_count_m(z), 3)
+        part.tolist() for part in fitted(first_s, position.dt_s, z, position.count, 3)
     )
     speed, share = -slope, abs(error / slope) if slope else np.inf
     if not speed > 0 and speed + error <= 0:
@@ -61,25 +62,35 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
     return speed, FITTED, [f"{found} (95 %): {remedy}"] if share > UNSURE_SPEED else []
 
 
-def fitted(t: FloatArray, z: FloatArray, count: float, terms: int) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of a polynomial through (n,) points, lowest power first, and half of their 95 % intervals.
+def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of a polynomial in time through (n,) samples, lowest power first, and half of their 95 % intervals.
 
     The scatter is that of the residuals, and at least that of an encoder with the given count, count / sqrt(12): a
     few counts may happen to lie on a parabola.
 
     Parameters
     ----------
+    first_s : of the samples, from the time in which the polynomial is. dt_s : between them.
     terms : number of coefficients, below n.
     """
-    powers = np.vander(t, terms, increasing=True)
-    scale = np.abs(powers).max(axis=0)
-    inverse = np.linalg.pinv(powers / scale)
-    solution = inverse @ z
-    rest = z - powers / scale @ solution
-    free = t.size - terms
-    scatter = max(float(np.sqrt(rest @ rest / free)), count / np.sqrt(12.0))
-    errors = two_sided(free) * scatter * np.linalg.norm(inverse, axis=1)
-    return np.asarray(solution / scale), np.asarray(errors / scale)
+    powers, inverse = _polynomials(z.size, terms)
+    half_s = 0.5 * dt_s * (z.size - 1)
+    # Of u from -1 to 1, t = half (u - start): coefficient j of t is that of all higher powers of u, by Taylor's rule.
+    start, j = -(first_s + half_s) / half_s, np.arange(terms)
+    choose = np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)])
+    of_time = choose * start ** np.maximum(j - j[:, None], 0) / (half_s ** j[:, None])
+    found = inverse @ z
+    rest, free = z - powers @ found, z.size - terms
+    scatter = max(math.sqrt(float(rest @ rest) / free), count / math.sqrt(12.0))
+    errors = two_sided(free) * scatter * np.linalg.norm(of_time @ inverse, axis=1)
+    return of_time @ found, np.asarray(errors)
+
+
+@lru_cache(maxsize=8)  # taps of one rate have as many points
+def _polynomials(n: int, terms: int) -> tuple[FloatArray, FloatArray]:
+    """Powers (n, terms) of n numbers evenly from -1 to 1, and their pseudo-inverse (terms, n)."""
+    powers = np.vander(np.linspace(-1.0, 1.0, n), terms, increasing=True)
+    return powers, np.linalg.pinv(powers)
 
 
 @lru_cache(maxsize=64)  # taps of one rate have as many points
@@ -103,14 +114,3 @@ def two_sided(free: int) -> float:
         t += step
         if abs(step) < LAST_STEP * t:
             return t
-
-
-def encoder_count_m(z: FloatArray) -> float:
-    """What one count of an encoder stands for; 0 for positions that are not counted."""
-    steps = np.abs(np.diff(z))
-    steps = steps[steps > 0]
-    if steps.size == 0:
-        return 0.0
-    counts = steps / steps.min()
-    whole = np.abs(counts - np.rint(counts)) <= WHOLE_COUNTS
-    return float(steps.min()) if np.all(whole) else 0.0

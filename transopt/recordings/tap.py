@@ -6,6 +6,7 @@ All of it is found in the recording, unless the scene states it.
 
 import glob
 import itertools
+import math
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,7 +17,7 @@ from transopt.base.errors import InputError
 from transopt.base.files import is_file
 from transopt.base.filters import highpass, lowpass
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import FloatArray, Signal, median
 from transopt.base.sizes import MOST_FILES
 from transopt.recordings.approach import GUARD_S, find_approach
 from transopt.recordings.formats import refuse_idle
@@ -32,6 +33,7 @@ from transopt.recordings.unclear import UnclearError
 AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
 BASELINE_SAMPLES = 8  # fewer are no baseline
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
+CLIPPED_RUN = 3  # samples; two that are alike may be chance
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
 NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
 USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # that a hand taps with
@@ -147,14 +149,20 @@ class PreparedTap:
     __repr__ = brief
 
 
-def _crossing(times_s: FloatArray, values: FloatArray, before: int, level: float) -> float:
-    """Last time before sample `before` at which the values rise through `level`; the first sample if none."""
-    below = np.flatnonzero(values[:before] < level)
-    if below.size == 0:
-        return float(times_s[0])
-    j = int(below[-1])
-    fraction = (level - values[j]) / (values[j + 1] - values[j])
-    return float(times_s[j] + fraction * (times_s[j + 1] - times_s[j]))
+def _behind_last_below(values: FloatArray, level: float) -> int:
+    """Number of the values up to the last one below a level; 0 if none is."""
+    below = values[::-1] < level
+    last = int(np.argmax(below)) if below.size else 0
+    return values.size - last if below.any() else 0
+
+
+def _crossing(x: Signal, before: int, level: float) -> float:
+    """Last time before sample `before` at which a signal rises through `level`; the first sample if none."""
+    j = _behind_last_below(x.values[:before], level) - 1
+    if j < 0:
+        return x.start_s
+    low, high = x.values[j : j + 2].tolist()
+    return x.start_s + x.dt_s * (j + (level - low) / (high - low))
 
 
 def find_onset(x: Signal) -> float:
@@ -166,12 +174,11 @@ def find_onset(x: Signal) -> float:
     """
     height = float(x.values.max())
     risen = int(np.argmax(x.values >= 0.3 * height))
-    low = _crossing(x.times_s, x.values, risen, 0.1 * height)
-    high = _crossing(x.times_s, x.values, risen, 0.3 * height)
+    low, high = _crossing(x, risen, 0.1 * height), _crossing(x, risen, 0.3 * height)
     return max(low - 0.5 * (high - low), x.start_s)
 
 
-def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
+def _toe(x: Signal, smooth: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
     """Find where a pulse begins, at most at its onset [s], and the share of its energy between the two.
 
     A pulse between soft bodies rises from nothing, and the line by which the onset is found meets zero long after it
@@ -183,19 +190,17 @@ def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> 
     energy is that of the recorded signal less the noise's, because a low-pass of no phase brings some of a hard pulse
     before its onset.
     """
-    cutoffs_Hz = [settings.time_scale * cutoff for cutoff in (SLOWEST_HZ, settings.lowpass_Hz)]
-    if cutoffs_Hz[0] >= 0.45 * x.rate_Hz:
+    slowest_Hz = settings.time_scale * SLOWEST_HZ
+    if slowest_Hz >= 0.45 * x.rate_Hz:
         return onset_s, 0.0
-    recorded = highpass(x, cutoffs_Hz[0]).values
-    smooth = highpass(lowpass(x, cutoffs_Hz[1]), cutoffs_Hz[0]).values
-    left = noise_m_s2 * np.sqrt(min(2 * cutoffs_Hz[1] / x.rate_Hz, 1.0))
+    recorded, rises = (highpass(each, slowest_Hz).values for each in (x, smooth))
+    left = noise_m_s2 * np.sqrt(min(2 * settings.time_scale * settings.lowpass_Hz / x.rate_Hz, 1.0))
     level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
-    before = x.times_s < onset_s
-    nothing = np.flatnonzero(smooth[before] < level)
-    first = int(nothing[-1]) + 1 if nothing.size else 0
+    contact = x.before(onset_s)
+    first = _behind_last_below(rises[:contact], level)
     energy = recorded[first:] ** 2 - noise_m_s2**2
-    toe, whole = float(energy[before[first:]].sum()), float(energy.sum())
-    return min(float(x.times_s[first]), onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
+    toe, whole = float(energy[: contact - first].sum()), float(energy.sum())
+    return min(x.start_s + x.dt_s * first, onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
 
 
 def _baseline(x: Signal) -> float | None:
@@ -203,9 +208,9 @@ def _baseline(x: Signal) -> float | None:
 
     So a bump while the hand moves does not count.
     """
-    centred = x.values - np.median(x.values)
-    upright = replace(x, values=centred * np.sign(centred[np.argmax(np.abs(centred))]))
-    quiet = x.values[x.times_s < find_onset(upright) - GUARD_S]
+    centred = x.values - median(x.values)
+    upright = Signal(x.start_s, x.dt_s, centred * np.sign(centred[np.argmax(np.abs(centred))]))
+    quiet = x.values[: x.before(find_onset(upright) - GUARD_S)]
     if quiet.size < BASELINE_SAMPLES:
         return None
     fifth = quiet.size // 5
@@ -225,27 +230,28 @@ def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]
 
 
 def _clipped(values: FloatArray, offset: float) -> int:
-    """Samples in runs of three or more that sit exactly at the largest or smallest value.
+    """Samples in runs of `CLIPPED_RUN` or more that sit exactly at the largest or smallest value.
 
     Only an extreme at least half as far from the offset as the other is an end stop; a silent baseline is none.
     """
     count = 0
-    reach = float(np.abs(values - offset).max())
-    for extreme in (values.max(), values.min()):
+    extremes = float(values.min()), float(values.max())
+    reach = max(abs(extreme - offset) for extreme in extremes)
+    for extreme in extremes:
         if abs(extreme - offset) < 0.5 * reach:
             continue
-        at_stop = np.concatenate([[False], values == extreme, [False]])
-        edges = np.flatnonzero(np.diff(at_stop.astype(int)))
-        runs = edges[1::2] - edges[::2]
-        count += int(runs[runs >= 3].sum())
+        at_stop = values == extreme
+        if np.count_nonzero(at_stop) >= CLIPPED_RUN:
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], at_stop, [False]])))
+            runs = edges[1::2] - edges[::2]
+            count += int(runs[runs >= CLIPPED_RUN].sum())
     return count
 
 
 def _noise(x: Signal) -> float:
     """Size (rms) of the white noise in a recording, from its steps: the tap itself is smooth and adds little."""
-    steps = np.diff(x.values)
-    deviation = np.median(np.abs(steps - np.median(steps)))
-    return float(deviation / (NORMAL_QUARTILE * np.sqrt(2)))
+    steps = x.values[1:] - x.values[:-1]
+    return median(np.abs(steps - median(steps))) / (NORMAL_QUARTILE * math.sqrt(2))
 
 
 def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
@@ -275,14 +281,15 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     if not stated and baseline is None:
         notes.append("no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one")
     polarity, more = _polarity(raw.values - offset, settings)
-    upright = replace(raw, values=polarity * (raw.values - offset))
+    upright = Signal(raw.start_s, raw.dt_s, polarity * (raw.values - offset))
     if not upright.values.max() > 0:
         raise InputError(
             f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
             "check recordings.polarity and recordings.offset_m_s2"
         )
     # What rises from the baseline is the tap; over a stated offset that may be the incoming acceleration.
-    risen = replace(upright, values=upright.values - (0.0 if baseline is None else polarity * (baseline - offset)))
+    rest = 0.0 if baseline is None else polarity * (baseline - offset)
+    risen = Signal(raw.start_s, raw.dt_s, upright.values - rest)
     onset = find_onset(risen) if settings.onset_s == "auto" else float(settings.onset_s)
     noise = _noise(raw)
     if settings.onset_s == "auto" and upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
@@ -290,7 +297,9 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "
             f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
         )
-    begins, share = _toe(risen, onset, noise, settings)
+    stretch = settings.time_scale
+    smooth = lowpass(upright, stretch * settings.lowpass_Hz)
+    begins, share = _toe(risen, replace(smooth, values=smooth.values - rest), onset, noise, settings)
     if share > TOE_SHARE:
         early_ms = 1e3 * (onset - begins)
         found = f"a soft pulse: {100 * share:.2g} % of its energy in the {early_ms:.2g} ms before"
@@ -302,7 +311,10 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     if settings.onset_s == "auto" and onset - upright.start_s < AT_THE_START_S:
         more.append("the contact is at the start of the file (a trigger without pre-roll): what came before is lost")
     came = find_approach(upright, recording.position, onset, noise, settings.trusted_from_Hz, stated=stated)
-    upright, offset = came.acceleration, offset - polarity * came.offset_error_m_s2
+    if came.acceleration is not upright:
+        upright = came.acceleration
+        smooth = lowpass(upright, stretch * settings.lowpass_Hz)
+    offset -= polarity * came.offset_error_m_s2
     more += came.notes
     pulled_s = None if recording.position is None else pulled_back_after_s(recording.position, onset)
     if pulled_s is not None:
@@ -320,14 +332,13 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     more += unsure
     if not (settings.simulated or doubtful):
         # If no baseline gave the offset, the signal holds gravity, which the median takes out.
-        rest = float(np.median(upright.values)) if notes else 0.0
-        freed = replace(upright, values=upright.values - rest)
+        gravity = median(upright.values) if notes else 0.0
+        freed = replace(upright, values=upright.values - gravity)
         doubtful = implausible_motion(freed, onset, speed, settings, fitted=source == FITTED)
     clipped = _clipped(raw.values, offset)
     if clipped:
         more.append(f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range")
 
-    stretch = settings.time_scale
     if settings.amplitude_scale == "to_grid_speed":
         # Linear contact: time stretches by s, acceleration scales by v' / (v s); v' follows at each grid speed.
         if source != UNKNOWN:
@@ -338,8 +349,7 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
         if (stretch, factor) != (1.0, 1.0):
             source += ", similarity-scaled"
         speed *= stretch * factor
-    scaled = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * upright.values)
-    filtered = lowpass(scaled, settings.lowpass_Hz)
+    filtered = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * smooth.values)
     peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
     hit = None if settings.simulated else second_hit(filtered, 0.0)
     if hit is not None:

@@ -106,8 +106,9 @@ void tr_courses(size_t courses, size_t count, int m, int inputs, int outputs, in
                 const double *u, double *y, int back)
 {
     for (; courses > 0; courses--, u += (size_t)inputs * count, y += (size_t)outputs * count)
-        /* Widths that are known when compiled keep the sums in registers. */
-        switch (width) {
+        /* Sizes that are known when compiled keep the sums in registers, of a filter of second order all of them. */
+        if (m == 2 && inputs == 1 && outputs == 1 && width == 4) outputs_of(count, 2, 1, 1, 4, S, u, y, back);
+        else switch (width) {
         case 4: outputs_of(count, m, inputs, outputs, 4, S, u, y, back); break;
         case 8: outputs_of(count, m, inputs, outputs, 8, S, u, y, back); break;
         case 12: outputs_of(count, m, inputs, outputs, 12, S, u, y, back); break;
