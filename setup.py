@@ -19,7 +19,7 @@ PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
-    *("tr_courses", "tr_bilinear", "tr_spline", "tr_struck"),
+    *("tr_courses", "tr_bilinear", "tr_spline", "tr_spline_even", "tr_struck"),
 ]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),

@@ -121,13 +121,18 @@ int main(void)
         /* A parabola is its own spline; the last place is no number. */
         double places[] = {-0.5, 0.0, 0.25, 1.0, (double)knots - 1.0, (double)knots + 3.0, NAN};
         const size_t count = sizeof places / sizeof *places;
-        for (size_t courses = 1; courses < 4; courses++) {
+        for (size_t courses = 1; courses < 6; courses++) {
             double *y = doubles(courses * knots), *work = doubles((courses + 1) * knots);
             double *found = doubles(courses * count);
             for (size_t i = 0; i < courses * knots; i++) y[i] = (double)((i / courses) * (i / courses));
             tr_spline(knots, courses, y, count, places, work, found);
             for (size_t i = 0; i < courses * (count - 1); i++)
                 if (!(fabs(found[i] - places[i / courses] * places[i / courses]) <= 1e-9)) return 1;
+            if (courses == 1) {
+                tr_spline_even(knots, y, count, -0.5, 0.7, work, found);
+                for (size_t i = 0; i < count; i++)
+                    if (!(fabs(found[i] - pow(0.7 * (double)i - 0.5, 2)) <= 1e-9)) return 1;
+            }
             free(y), free(work), free(found);
             cases++;
         }

@@ -30,7 +30,7 @@ def _library() -> ct.CDLL | None:
     if not file.exists():
         return None
     library = ct.CDLL(str(file))
-    if not hasattr(library, "tr_courses"):
+    if not hasattr(library, "tr_spline_even"):
         return None  # left behind by another version: as good as none
     if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
         return None
@@ -42,6 +42,7 @@ def _library() -> ct.CDLL | None:
         "tr_courses": (size, size, *(count,) * 4, *(array,) * 3, count),
         "tr_bilinear": (size, count, *(array,) * 3, ct.c_double, array, array),
         "tr_spline": (size, size, array, size, *(array,) * 3),
+        "tr_spline_even": (size, array, size, ct.c_double, ct.c_double, array, array),
         "tr_struck": (size, count, count, size, *(array,) * 4),
     }
     for name, given in takes.items():
@@ -210,6 +211,15 @@ def spline(y: FloatArray, places: FloatArray) -> FloatArray:
     t, rise, before, after = (places - left)[:, None], y[left + 1] - y[left], slopes[left], slopes[left + 1]
     curved = 3 * rise - 2 * before - after + t * (before + after - 2 * rise)
     return np.asarray(y[left] + t * (before + t * curved))
+
+
+def spline_even(y: FloatArray, first: float, step: float, count: int) -> FloatArray:
+    """(count,) of the same spline through one course (K,) at the places first, first + step, ..., step > 0."""
+    if COMPILED is None:
+        return spline(y[:, None], first + step * np.arange(count))[:, 0]
+    y, found, work = np.ascontiguousarray(y, dtype=float), np.empty(count), np.empty(2 * y.size)
+    COMPILED.tr_spline_even(y.size, address(y), count, first, step, address(work), address(found))
+    return found
 
 
 def forwards(P: FloatArray, forcing: FloatArray) -> FloatArray:

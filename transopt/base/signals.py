@@ -1,7 +1,6 @@
 """Uniformly sampled signals, the spline through them, and the measure of their error."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
-from transopt.base.recursions import spline
+from transopt.base.recursions import spline, spline_even
 from transopt.base.shown import brief
 
 FloatArray = NDArray[np.float64]
@@ -73,29 +72,46 @@ class Signal:
 
     def before(self, time_s: float) -> int:
         """Number of samples before a time."""
-        return self._count(time_s, lambda sample_s: sample_s < time_s)
+        return _before(time_s, self.start_s, self.dt_s, self.values.size)
 
     def until(self, time_s: float) -> int:
         """Number of samples before a time and at it."""
-        return self._count(time_s, lambda sample_s: sample_s <= time_s)
-
-    def _count(self, time_s: float, counts: Callable[[float], bool]) -> int:
-        n = self.values.size
-        k = math.ceil(min(max((time_s - self.start_s) / self.dt_s, 0.0), n))
-        # What rounding has put on the wrong side of the time.
-        while k > 0 and not counts(self.start_s + self.dt_s * (k - 1)):
-            k -= 1
-        while k < n and counts(self.start_s + self.dt_s * k):
-            k += 1
-        return k
+        return _until(time_s, self.start_s, self.dt_s, self.values.size)
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Cubic-spline samples at `times_s` (m,); zero before the first and after the last sample."""
         return splined(self.times_s, self.values, times_s)
 
+    def evenly(self, first_s: float, step_s: float, count: int) -> FloatArray:
+        """(count,) of `at` at the times first, first + step, ..., step > 0, in a third of its time."""
+        if self.values.size < 4:
+            return self.at(first_s + step_s * np.arange(count))
+        found = np.zeros(count)
+        begin, end = _before(self.start_s, first_s, step_s, count), _until(self.end_s, first_s, step_s, count)
+        place = (first_s + step_s * begin - self.start_s) / self.dt_s
+        found[begin:end] = spline_even(self.values, place, step_s / self.dt_s, end - begin)
+        return found
+
     def scaled(self, factor: float) -> "Signal":
         """The signal with all its values multiplied by `factor`."""
         return replace(self, values=factor * self.values)
+
+
+def _before(time_s: float, first_s: float, step_s: float, count: int) -> int:
+    """Number of the times first, first + step, ... before a time, of `count` at most."""
+    k = math.ceil(min(max((time_s - first_s) / step_s, 0.0), count))
+    # What rounding has put on the wrong side of the time.
+    while k > 0 and first_s + step_s * (k - 1) >= time_s:
+        k -= 1
+    while k < count and first_s + step_s * k < time_s:
+        k += 1
+    return k
+
+
+def _until(time_s: float, first_s: float, step_s: float, count: int) -> int:
+    """Number of those times before a time and at it."""
+    k = _before(time_s, first_s, step_s, count)
+    return k + int(k < count and first_s + step_s * k == time_s)
 
 
 def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyond: bool = False) -> FloatArray:

@@ -147,9 +147,7 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
     return Approach(whole, slope / w, incoming, SEPARATED, slow_part_known=True, notes=notes)
 
 
-def _fitted(
-    x: Signal, position: Signal, inside: slice, onset_s: float, terms: int
-) -> tuple[FloatArray, FloatArray]:
+def _fitted(x: Signal, position: Signal, inside: slice, onset_s: float, terms: int) -> tuple[FloatArray, FloatArray]:
     """What lacks to some samples of the position after twice integrating x: `fitted` over the time from contact."""
     t = position.times_s[inside]
     known = slice(0, x.before(t[-1]) + 1)  # through the first sample behind

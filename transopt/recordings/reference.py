@@ -146,14 +146,15 @@ def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArr
     return np.asarray(np.where(at_s < times_s[ended], *parts))
 
 
-def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
-    """(n,) shift [s] by which each repeat is later than the mean, to a fraction of the step."""
+def _lags(repeats: FloatArray, step_s: float) -> FloatArray:
+    """(n,) shift [s] by which each repeat (n, K) is later than their mean, to a fraction of the step."""
     reach = round(ALIGNMENT_S / step_s)
-    length = fast_length(mean.size + reach)
+    length = fast_length(repeats.shape[1] + reach)
     # The correlation is cyclic, with room behind the signals for the lags looked at; negative lags stand at the end.
-    matches = np.fft.irfft(np.fft.rfft(repeats, length) * np.fft.rfft(mean, length).conj(), length)
+    spectra = np.fft.rfft(repeats, length)
+    matches = np.fft.irfft(spectra * spectra.mean(axis=0).conj(), length)
     lags = []
-    for window in np.roll(matches, reach, axis=1)[:, : 2 * reach + 1]:
+    for window in np.hstack([matches[:, -reach:], matches[:, : reach + 1]]):
         best = int(np.argmax(window))
         shift = float(best - reach)
         if 0 < best < window.size - 1:
@@ -201,26 +202,27 @@ def build_reference(
             )
     times = _fine_times(grid, grid.end_s + grid.after_stages * grid.dt_s)
     # How alike the taps are, and how late, is a matter of the window, whatever comes after it.
-    compared = slice(_fine_times(grid, grid.end_s).size)
+    compared = _fine_times(grid, grid.end_s).size
+    first_s, step_s = float(times[0]), float(times[1] - times[0])
 
-    def scaled(shifts_s: FloatArray) -> FloatArray:
-        return np.stack(
-            [f * tap.acceleration.at(times + by) for f, tap, by in zip(factors, taps, shifts_s, strict=True)]
-        )
+    def scaled(shifts_s: FloatArray, count: int) -> FloatArray:
+        found = np.empty((len(taps), count))
+        for course, factor, tap, by in zip(found, factors, taps, shifts_s.tolist(), strict=True):
+            np.multiply(tap.acceleration.evenly(first_s + by, step_s, count), factor, out=course)
+        return found
 
-    shifts = np.zeros(len(taps))
-    repeats = scaled(shifts)
-    unaligned = _spread(repeats[:, compared])
+    shifts, unaligned = np.zeros(len(taps)), float("nan")
     if len(taps) > 1:
-        lags = _lags(repeats[:, compared], repeats[:, compared].mean(axis=0), times[1] - times[0])
+        as_recorded = scaled(shifts, compared)
+        unaligned, lags = _spread(as_recorded), _lags(as_recorded, step_s)
         # The mean onset stays where it is: alignment must not move the contact.
         shifts = lags - lags.mean()
-        repeats = scaled(shifts)
+    repeats = scaled(shifts, times.size)
     end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
     ended = int(np.searchsorted(times, end_s, side="right"))
     mean = repeats.mean(axis=0)
     mean[ended:] = 0.0
-    raw = Signal(float(times[0]), float(times[1] - times[0]), mean)
+    raw = Signal(first_s, step_s, mean)
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
     by_itself = free(speed_m_s, grip_N, incoming)(raw.times_s)
     contact = int(np.argmin(np.abs(times)))
@@ -247,7 +249,7 @@ def build_reference(
         nominal_position_m=window[2],
         nominal_velocity_m_s=window[3],
         nominal_position_at_ticks_m=ticks[2],
-        repeatability=_spread(repeats[:, compared]),
+        repeatability=_spread(repeats[:, :compared]),
         repeatability_unaligned=unaligned,
         taps=tuple(taps),
         factors=np.asarray(factors),

@@ -46,9 +46,7 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
             f"before contact, {LEAST_SAMPLES} needed to fit the speed: {remedy}"
         )
     first_s = position.start_s + position.dt_s * before.start - onset_s
-    (_, slope, _), (_, error, _) = (
-        part.tolist() for part in fitted(first_s, position.dt_s, z, position.count, 3)
-    )
+    (_, slope, _), (_, error, _) = (part.tolist() for part in fitted(first_s, position.dt_s, z, position.count, 3))
     speed, share = -slope, abs(error / slope) if slope else np.inf
     if not speed > 0 and speed + error <= 0:
         raise InputError(

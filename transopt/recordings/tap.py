@@ -273,7 +273,7 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
 
     Raises
     ------
-    InputError : no tap in the recording, or a position that no speed can be fitted to.
+    InputError : no tap in the recording, an onset outside of it, or a position that no speed can be fitted to.
     """
     raw = recording.acceleration
     baseline, notes, stated = _baseline(raw), [], settings.offset_m_s2 != "baseline"
@@ -291,6 +291,11 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     rest = 0.0 if baseline is None else polarity * (baseline - offset)
     risen = Signal(raw.start_s, raw.dt_s, upright.values - rest)
     onset = find_onset(risen) if settings.onset_s == "auto" else float(settings.onset_s)
+    if not raw.start_s <= onset <= raw.end_s:
+        raise InputError(
+            f"{recording.name}: recordings.onset_s = {onset:g} s lies outside of the recording, {raw.start_s:g} to "
+            f"{raw.end_s:g} s: state it in the file's own time, or leave it out and it is found"
+        )
     noise = _noise(raw)
     if settings.onset_s == "auto" and upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
         raise InputError(

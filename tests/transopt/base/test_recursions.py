@@ -15,6 +15,7 @@ from transopt.base.recursions import (
     bilinear,
     forwards,
     spline,
+    spline_even,
 )
 
 
@@ -134,8 +135,11 @@ def test_a_recursion_that_is_bilinear(N: int) -> None:
 @pytest.mark.parametrize("K", [4, 5, 40])
 def test_the_not_a_knot_spline_within_and_beyond_its_knots(K: int) -> None:
     random = np.random.default_rng(K)
-    y = random.standard_normal((K, 3))
+    y = random.standard_normal((K, 4))
     places = np.concatenate([[-0.7, 0.0, K - 1.0, K - 0.4], random.uniform(0, K - 1, 30)])
     expected = CubicSpline(np.arange(K), y)(places)
     np.testing.assert_allclose(spline(y, places), expected, atol=1e-11)
-    np.testing.assert_allclose(spline(y[:, 1:2], places), expected[:, 1:2], atol=1e-11)
+    for part in (slice(1, 2), slice(0, 3)):
+        np.testing.assert_allclose(spline(y[:, part], places), expected[:, part], atol=1e-11)
+    even = spline_even(y[:, 0], -0.7, 0.23, 6 * K)
+    np.testing.assert_allclose(even, CubicSpline(np.arange(K), y[:, 0])(-0.7 + 0.23 * np.arange(6 * K)), atol=1e-9)

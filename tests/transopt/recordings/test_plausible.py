@@ -74,6 +74,15 @@ def test_what_a_scene_states_itself_is_named() -> None:
     assert "recordings.onset_s" in prepare(tap, late).implausible
 
 
+@pytest.mark.parametrize("onset_s", [-0.1, 0.2, 1e9])
+def test_an_onset_outside_of_the_recording_is_refused(onset_s: float) -> None:
+    tap = recordings_of(problems.load("wood_on_foam"))[0]
+    outside = SETTINGS.model_copy(update={"onset_s": onset_s})
+    with pytest.raises(InputError, match=r"recordings.onset_s = .* outside of the recording, 0 to 0.1495 s: .*leave"):
+        prepare(tap, outside)
+    assert prepare(tap, SETTINGS).onset_s == pytest.approx(0.03, abs=1e-3)
+
+
 def test_without_a_speed_the_peak_is_looked_at() -> None:
     tap = replace(recordings_of(problems.load("wood_on_foam"))[0], speed_m_s=None, position=None)
     assert not prepare(tap, SETTINGS).implausible

@@ -144,7 +144,8 @@ ALWAYS_INLINE void slopes_of(const size_t knots, const size_t courses, const dou
     for (size_t c = 0; c < courses; c++)
         slopes[c] = 0.5 * (4 * y[courses + c] + y[2 * courses + c] - 5 * y[c]);
     for (size_t k = 1; k < last; k++) {
-        const double pivot = 1 / (4 - above[k - 1]);
+        /* Once it repeats itself it goes on so: a division would be waited for at every knot. */
+        const double pivot = k > 2 && above[k - 1] == above[k - 2] ? above[k - 1] : 1 / (4 - above[k - 1]);
         const double *next = y + (k + 1) * courses, *before = y + (k - 1) * courses;
         double *at = slopes + k * courses, *last_d = at - courses;
         above[k] = pivot;
@@ -169,6 +170,7 @@ void tr_spline(size_t knots, size_t courses, const double *y, size_t count, cons
 {
     double *slopes = work + knots;
     if (courses == 1) slopes_of(knots, 1, y, work, slopes);
+    else if (courses == 4) slopes_of(knots, 4, y, work, slopes);
     else slopes_of(knots, courses, y, work, slopes);
     for (size_t i = 0; i < count; i++) {
         const double place = places[i], last = (double)(knots - 2);
@@ -180,6 +182,25 @@ void tr_spline(size_t knots, size_t courses, const double *y, size_t count, cons
             const double curved = 3 * rise - 2 * slope[c] - after + t * (slope[c] + after - 2 * rise);
             found[i * courses + c] = at[c] + t * (slope[c] + t * curved);
         }
+    }
+}
+
+/* As `tr_spline` for one course at `count` evenly spaced places first, first + step, ..., step > 0. */
+void tr_spline_even(size_t knots, const double *y, size_t count, double first, double step, double *work, double *found)
+{
+    double *slopes = work + knots;
+    slopes_of(knots, 1, y, work, slopes);
+    for (size_t i = 0; i < count;) {
+        const double place = first + (double)i * step, last = (double)(knots - 2);
+        const size_t left = place >= last ? knots - 2 : place >= 0 ? (size_t)place : 0;
+        const double from = y[left], slope = slopes[left], rise = y[left + 1] - from, after = slopes[left + 1];
+        const double curved = 3 * rise - 2 * slope - after, more = slope + after - 2 * rise;
+        const double length = left == knots - 2 ? INFINITY : 1; /* the last piece goes on */
+        double t = place - (double)left;
+        do {
+            found[i++] = from + t * (slope + t * (curved + t * more));
+            t = first + (double)i * step - (double)left;
+        } while (i < count && t < length);
     }
 }
 
@@ -237,44 +258,47 @@ ALWAYS_INLINE double power(double x, double exponent)
     return y > 700 ? INFINITY : y < -700 ? 0 : e;
 }
 
-/* The sum of a sparse row over the states and forces of all lanes. */
-ALWAYS_INLINE void sum_of(const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
+/* The sum of a sparse row over the states and forces of the lanes of one half or both. */
+ALWAYS_INLINE void sum_of(const int halves, const struct entry *at, const struct entry *end, const lanes *z, lanes *to)
 {
-    wide first = at->value * z[at->column].half[0], second = at->value * z[at->column].half[1];
-    while (++at < end) {
-        first += at->value * z[at->column].half[0];
-        second += at->value * z[at->column].half[1];
-    }
-    to->half[0] = first;
-    to->half[1] = second;
+    wide sum[2];
+    for (int h = 0; h < halves; h++) sum[h] = at->value * z[at->column].half[h];
+    while (++at < end)
+        for (int h = 0; h < halves; h++) sum[h] += at->value * z[at->column].half[h];
+    for (int h = 0; h < halves; h++) to->half[h] = sum[h];
 }
 
-/* One block of up to LANES courses, see `tr_struck`; `starts` of the rows among their entries. */
-ALWAYS_INLINE void strike(const size_t steps, const int n, const int outputs, const size_t columns,
-                          const struct entry *entries, const int *starts, const double *contact, lanes *restrict z,
-                          double *found, const size_t used)
+/* One block of up to LANES courses in one half of the lanes or both, see `tr_struck`; `starts` of the rows among their
+ * entries. */
+ALWAYS_INLINE void strike_in(const int halves, const size_t steps, const int n, const int outputs, const size_t columns,
+                             const struct entry *entries, const int *starts, const double *contact, lanes *restrict z,
+                             double *found, const size_t used)
 {
     lanes seen[2], next[MOST_OUTPUTS + MOST_STATES];
     double depth[LANES], closing[LANES], force[LANES];
+    const int count = halves * LANES / 2;
     for (size_t k = 0; k <= steps; k++) {
         const int *row = starts;
         for (int j = 0; j < STAGES; j++) {
-            for (int o = 0; o < 2; o++, row++) sum_of(entries + row[0], entries + row[1], z, seen + o);
-            memcpy(depth, seen, sizeof depth);
-            memcpy(closing, seen + 1, sizeof closing);
-            for (int c = 0; c < LANES; c++) {
+            for (int o = 0; o < 2; o++, row++) sum_of(halves, entries + row[0], entries + row[1], z, seen + o);
+            memcpy(depth, seen, (size_t)count * sizeof *depth);
+            memcpy(closing, seen + 1, (size_t)count * sizeof *closing);
+            for (int c = 0; c < count; c++) {
                 const double risen = contact[0] * power(depth[c], contact[1]);
                 /* What is no number stays none. */
                 const double elastic = depth[c] > 0 ? risen : depth[c] <= 0 ? 0 : depth[c];
                 const double whole = elastic * (1 + contact[2] * closing[c]);
                 force[c] = whole < 0 ? 0 : whole;
             }
-            memcpy(z + n + j, force, sizeof force);
+            memcpy(z + n + j, force, (size_t)count * sizeof *force);
         }
-        for (int i = 0; i < outputs + n; i++, row++) sum_of(entries + row[0], entries + row[1], z, next + i);
+        for (int i = 0; i < outputs + n; i++, row++)
+            sum_of(halves, entries + row[0], entries + row[1], z, next + i);
         for (int i = 0; i < outputs; i++)
             memcpy(found + (k * (size_t)outputs + (size_t)i) * columns, next + i, used * sizeof(double));
-        if (k < steps) memcpy(z, next + outputs, (size_t)n * sizeof *z);
+        if (k < steps)
+            for (int i = 0; i < n; i++)
+                for (int h = 0; h < halves; h++) z[i].half[h] = next[outputs + i].half[h];
     }
 }
 
@@ -282,6 +306,12 @@ ALWAYS_INLINE void strike(const size_t steps, const int n, const int outputs, co
     size_t steps, int n, int outputs, size_t columns, const struct entry *entries, const int *starts,                \
         const double *contact, lanes *z, double *found, size_t used
 typedef void strike_of(STRIKE_ARGUMENTS);
+
+ALWAYS_INLINE void strike(STRIKE_ARGUMENTS)
+{
+    if (used > LANES / 2) strike_in(2, steps, n, outputs, columns, entries, starts, contact, z, found, used);
+    else strike_in(1, steps, n, outputs, columns, entries, starts, contact, z, found, used);
+}
 
 static void strike_anywhere(STRIKE_ARGUMENTS)
 {
