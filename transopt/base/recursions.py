@@ -216,7 +216,7 @@ def spline(y: FloatArray, places: FloatArray) -> FloatArray:
 def spline_even(y: FloatArray, first: float, step: float, count: int) -> FloatArray:
     """(count,) of the same spline through one course (K,) at the places first, first + step, ..., step > 0."""
     if COMPILED is None:
-        return spline(y[:, None], first + step * np.arange(count))[:, 0]
+        return spline(y[:, None], np.asarray(first + step * np.arange(count), dtype=float))[:, 0]
     y, found, work = np.ascontiguousarray(y, dtype=float), np.empty(count), np.empty(2 * y.size)
     COMPILED.tr_spline_even(y.size, address(y), count, first, step, address(work), address(found))
     return found

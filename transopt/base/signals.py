@@ -85,7 +85,7 @@ class Signal:
     def evenly(self, first_s: float, step_s: float, count: int) -> FloatArray:
         """(count,) of `at` at the times first, first + step, ..., step > 0, in a third of its time."""
         if self.values.size < 4:
-            return self.at(first_s + step_s * np.arange(count))
+            return self.at(np.asarray(first_s + step_s * np.arange(count), dtype=float))
         found = np.zeros(count)
         begin, end = _before(self.start_s, first_s, step_s, count), _until(self.end_s, first_s, step_s, count)
         place = (first_s + step_s * begin - self.start_s) / self.dt_s

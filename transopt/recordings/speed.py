@@ -61,7 +61,7 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
 
 
 def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of a polynomial in time through (n,) samples, lowest power first, and half of their 95 % intervals.
+    """Coefficients of a polynomial in time through (n,) samples, lowest power first, and half their 95 % intervals.
 
     The scatter is that of the residuals, and at least that of an encoder with the given count, count / sqrt(12): a
     few counts may happen to lie on a parabola.
@@ -81,7 +81,7 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     rest, free = z - powers @ found, z.size - terms
     scatter = max(math.sqrt(float(rest @ rest) / free), count / math.sqrt(12.0))
     errors = two_sided(free) * scatter * np.linalg.norm(of_time @ inverse, axis=1)
-    return of_time @ found, np.asarray(errors)
+    return np.asarray(of_time @ found), np.asarray(errors, dtype=float)
 
 
 @lru_cache(maxsize=8)  # taps of one rate have as many points

@@ -161,7 +161,7 @@ def _crossing(x: Signal, before: int, level: float) -> float:
     j = _behind_last_below(x.values[:before], level) - 1
     if j < 0:
         return x.start_s
-    low, high = x.values[j : j + 2].tolist()
+    low, high = float(x.values[j]), float(x.values[j + 1])
     return x.start_s + x.dt_s * (j + (level - low) / (high - low))
 
 
