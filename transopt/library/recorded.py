@@ -17,10 +17,9 @@ def references_of_library(library: Library) -> References:
 
 def _reference(library: Library, iv: int, ig: int) -> Reference:
     """One cell of them."""
-    grid, wanted = library.time_grid(), library.wanted_of(iv, ig)
+    wanted = library.wanted_of(iv, ig)
     speed, name = library.axes.rows[iv]
     spread = library.meta["repeatability"][iv][ig]
-    times_s = np.append(grid.switching_times_s, grid.after_times_s)
     return Reference(
         speed_m_s=speed,
         grip_N=float(library.grips_N[ig]),
@@ -37,9 +36,9 @@ def _reference(library: Library, iv: int, ig: int) -> Reference:
         repeatability_unaligned=np.nan,
         taps=(),
         factors=np.zeros(0),
-        times_s=np.array([wanted.ends_s]) if name else times_s,
-        repeats_m_s2=np.zeros((0, 0)),
         of_grips_N=() if name else (float(library.grips_N[ig]),),
         slow_part_known=wanted.slow_part_known,
         name=name,
+        ends_s=wanted.ends_s,
+        peak_m_s2=float(np.abs(library.recorded_m_s2[iv, ig]).max()) if name else np.nan,
     )

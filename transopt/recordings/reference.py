@@ -5,6 +5,7 @@ the hand does not do by itself, r - a_free. Integrated twice from the incoming s
 z_nom: where the stylus would be without the motor. All is sampled at the switching instants of the problem's grid.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -57,13 +58,13 @@ class Reference:
     repeatability_unaligned : the same before they were aligned.
     taps : the n recordings used.
     factors : (n,) by which each was scaled to the grid speed.
-    times_s : (K,) of the repeats.
-    repeats_m_s2 : (n, K) the aligned repeats, for figures.
     between_m_s : the two recorded speeds that it is blended of; None if the speed was recorded itself.
     of_grips_N : recorded grips that it is made of: its own or the nearest one, or those that it is blended of; none
         where its taps state no grip and serve every one.
     slow_part_known : whether what is slower than the tap was recorded, so that the error as it is means something.
     name : of a named target, which has no speed; empty for a tap.
+    ends_s : when a named target is over; a tap goes on as it was recorded.
+    peak_m_s2 : largest size of a named target, between the instants too.
     sha256 : of the file that a named target was read from; empty for one that is stated by parameters.
     """
 
@@ -82,12 +83,12 @@ class Reference:
     repeatability_unaligned: float
     taps: tuple[PreparedTap, ...]
     factors: FloatArray
-    times_s: FloatArray
-    repeats_m_s2: FloatArray
     between_m_s: tuple[float, float] | None = None
     of_grips_N: tuple[float, ...] = ()
     slow_part_known: bool = True
     name: str = ""
+    ends_s: float = math.inf
+    peak_m_s2: float = math.nan
     sha256: str = ""
 
     __repr__ = brief
@@ -103,11 +104,6 @@ class Reference:
             self.free_after_m_s2,
             self.free_before_m_s2,
         )
-
-    @property
-    def ends_s(self) -> float:
-        """When it is over: a named target has an end, a tap goes on as it was recorded."""
-        return float(self.times_s[-1]) if self.name else np.inf
 
     @property
     def said(self) -> str:
@@ -253,6 +249,4 @@ def build_reference(
         repeatability_unaligned=unaligned,
         taps=tuple(taps),
         factors=np.asarray(factors),
-        times_s=times,
-        repeats_m_s2=repeats,
     )

@@ -173,7 +173,6 @@ def _blend(a: Reference, b: Reference, w: float, scale_a: float = 1.0, scale_b: 
         repeatability_unaligned=float(np.maximum(a.repeatability_unaligned, b.repeatability_unaligned)),
         taps=a.taps + b.taps,
         factors=np.append(scale_a * a.factors, scale_b * b.factors),
-        repeats_m_s2=np.append(scale_a * a.repeats_m_s2, scale_b * b.repeats_m_s2, axis=0),
         slow_part_known=a.slow_part_known and b.slow_part_known,
     )
 

@@ -81,7 +81,7 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     rest, free = z - powers @ found, z.size - terms
     scatter = max(math.sqrt(float(rest @ rest) / free), count / math.sqrt(12.0))
     errors = two_sided(free) * scatter * np.linalg.norm(of_time @ inverse, axis=1)
-    return np.asarray(of_time @ found), np.asarray(errors, dtype=float)
+    return np.asarray(of_time @ found, dtype=float), np.asarray(errors, dtype=float)
 
 
 @lru_cache(maxsize=8)  # taps of one rate have as many points

@@ -153,7 +153,7 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
 
     now, after = at(grid.switching_times_s), at(grid.after_times_s)
     before = at(grid.before_times_s)
-    nothing, fine = np.zeros(grid.stages), np.linspace(0.0, ends_s, FINE)
+    nothing = np.zeros(grid.stages)
     return Reference(
         speed_m_s=0.0,
         grip_N=0.0,
@@ -170,9 +170,9 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
         repeatability_unaligned=float("nan"),
         taps=(),
         factors=np.zeros(0),
-        times_s=fine,
-        repeats_m_s2=at(fine)[None],
         name=target.name,
+        ends_s=ends_s,
+        peak_m_s2=float(np.abs(at(np.linspace(0.0, ends_s, FINE))).max()),
         sha256=sha256,
     )
 

@@ -17,7 +17,6 @@ from transopt.library.columns import COLUMNS, FIGURES, FULL, RIVALS
 from transopt.library.trade import trade_figures
 from transopt.problem.answer import Certificate
 from transopt.problem.limits.limit import Limit
-from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
 from transopt.report.tables import (
     cool_summary,
@@ -78,7 +77,10 @@ def _recorded_lines(build: Build) -> list[str]:
     """The table of references and the notes on their taps, or the named targets."""
     references, axes = build.references, build.scene.axes
     if axes.targets:
-        rows = [[r.name, f"{1e3 * r.times_s[-1]:.4g}", f"{_peak_g(r):.3g}", r.sha256[:12] or "-"] for r in references]
+        rows = [
+            [r.name, f"{1e3 * r.ends_s:.4g}", f"{r.peak_m_s2 / STANDARD_GRAVITY_M_S2:.3g}", r.sha256[:12] or "-"]
+            for r in references
+        ]
         return table(["target", "lasts ms", "peak g", "SHA-256 of its file"], rows)
     heads = [
         "speed m/s",
@@ -112,11 +114,6 @@ def _recorded_lines(build: Build) -> list[str]:
         rule = "r = v ((1 - w) r_1 / v_1 + w r_2 / v_2), w = (v - v_1) / (v_2 - v_1)"
         more.append(f"- not recorded but derived from the two neighbours: {', '.join(derived)} m/s, by {rule}")
     return [*table(heads, rows), "", *(f"- {note}" for note in [*build.recorded_remarks, *shown[:10]]), *more]
-
-
-def _peak_g(reference: Reference) -> float:
-    """Largest size of a target, in g."""
-    return float(np.abs(reference.repeats_m_s2).max()) / STANDARD_GRAVITY_M_S2
 
 
 def _origin(build: Build) -> str:

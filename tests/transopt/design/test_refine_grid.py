@@ -74,7 +74,7 @@ class TestBetween:
         assert reference.repeatability == max(slow.repeatability, fast.repeatability)
         assert reference.taps == slow.taps + fast.taps
         np.testing.assert_allclose(reference.factors[:3], 1.2 * slow.factors)
-        np.testing.assert_allclose(reference.repeats_m_s2[3:], 0.9 * fast.repeats_m_s2)
+        np.testing.assert_allclose(reference.factors[3:], 0.9 * fast.factors)
         once = replace(slow, repeatability=float("nan"))
         assert np.isnan(References((once, fast)).at(0.36, 3.0).repeatability)
 

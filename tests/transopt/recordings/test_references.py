@@ -118,7 +118,7 @@ class TestMissing:
             np.testing.assert_allclose(getattr(found, name), wanted, rtol=1e-9, atol=1e-15)
         assert (found.speed_m_s, found.grip_N, found.between_m_s) == (0.25, 2.0, (0.2, 0.3))
         assert found.of_grips_N == (1.0, 3.0)
-        assert len(found.taps) == len(found.factors) == found.repeats_m_s2.shape[0] == 12
+        assert len(found.taps) == len(found.factors) == 12
 
     def test_outside_of_the_speeds_nothing_is_known(self, whole: References) -> None:
         with pytest.raises(InputError, match=r"speed 0.5 m/s: references are known from 0.1 to 0.4 m/s only"):
