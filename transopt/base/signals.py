@@ -72,7 +72,7 @@ class Signal:
 
     def before(self, time_s: float) -> int:
         """Number of samples before a time."""
-        return _before(time_s, self.start_s, self.dt_s, self.values.size)
+        return samples_before(time_s, self.start_s, self.dt_s, self.values.size)
 
     def until(self, time_s: float) -> int:
         """Number of samples before a time and at it."""
@@ -87,7 +87,7 @@ class Signal:
         if self.values.size < 4:
             return self.at(np.asarray(first_s + step_s * np.arange(count), dtype=float))
         found = np.zeros(count)
-        begin, end = _before(self.start_s, first_s, step_s, count), _until(self.end_s, first_s, step_s, count)
+        begin, end = samples_before(self.start_s, first_s, step_s, count), _until(self.end_s, first_s, step_s, count)
         place = (first_s + step_s * begin - self.start_s) / self.dt_s
         found[begin:end] = spline_even(self.values, place, step_s / self.dt_s, end - begin)
         return found
@@ -97,7 +97,7 @@ class Signal:
         return replace(self, values=factor * self.values)
 
 
-def _before(time_s: float, first_s: float, step_s: float, count: int) -> int:
+def samples_before(time_s: float, first_s: float, step_s: float, count: int) -> int:
     """Number of the times first, first + step, ... before a time, of `count` at most."""
     k = math.ceil(min(max((time_s - first_s) / step_s, 0.0), count))
     # What rounding has put on the wrong side of the time.
@@ -110,7 +110,7 @@ def _before(time_s: float, first_s: float, step_s: float, count: int) -> int:
 
 def _until(time_s: float, first_s: float, step_s: float, count: int) -> int:
     """Number of those times before a time and at it."""
-    k = _before(time_s, first_s, step_s, count)
+    k = samples_before(time_s, first_s, step_s, count)
     return k + int(k < count and first_s + step_s * k == time_s)
 
 

@@ -19,7 +19,6 @@ from transopt.design.price import Price, binding, prices
 from transopt.library.answered import Answered
 from transopt.library.columns import COLUMNS, NAN, PAIR, EntryTable
 from transopt.library.multipliers import ARRAYS
-from transopt.plant.discretise import acting_states
 from transopt.problem.answer import Multipliers, Status, verdict
 from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
@@ -350,9 +349,9 @@ VALUES: dict[str, Callable[[Entry], Any]] = {
 
 def not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:
     """Parts that the scene of a problem does not ask for, each with the reason."""
-    plant = problem.stage.plant
+    stage = problem.stage
     # A black box has no position, and the state of its other grip that a node does not need is none.
-    idle = int(np.sum(~acting_states(plant))) if plant.Ce.any() else 0
+    idle = stage.idle_states if stage.plant.Ce.any() else 0
     parts = {
         "feedback": (problem.wall is None, "the scene has no wall"),
         "position": (

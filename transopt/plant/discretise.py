@@ -264,6 +264,11 @@ class StageModel:
         return found
 
     @cached_property
+    def idle_states(self) -> int:
+        """How many states of the plant nothing else of its motion depends on: its position, where it moves freely."""
+        return int(np.sum(~acting_states(self.plant)))
+
+    @cached_property
     def flow(self) -> FloatArray:
         """(n + 1, n + 1) of d/dt [x, held command] in continuous time."""
         rows = [self.plant.output(name).row for name in self.outputs]

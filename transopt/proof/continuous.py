@@ -280,15 +280,6 @@ class Period:
         found[:, behind : behind + commands.shape[1]] = commands
         return found
 
-    def accelerations(self, flow: Flow, commands: FloatArray) -> FloatArray:
-        """(M, instants) y'' just after the switching instants under held commands (M, N), their states left out."""
-        issued, at = self.issued(commands), self.at_switching
-        row, now = flow.rows[0], flow.direct[0] * issued[:, self.late :][:, at]
-        if self.arriving == 1:
-            first = self.segments[0]
-            row, now = row @ first.P[-1], now + (row @ first.Q[-1][:, 0]) * issued[:, at]
-        return np.asarray(_held(self.P, self.by_command, issued, self.periods, row[:, None])[:, at, 0] + now)
-
 
 @dataclass(frozen=True)
 class Course:
@@ -330,10 +321,8 @@ class Course:
         return np.asarray(ROUNDING * terms.max(axis=1))
 
 
-def _held(
-    P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int, looked_at: FloatArray
-) -> FloatArray:
-    """(M, periods, p) of x_k @ looked_at, x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
+def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int) -> FloatArray:
+    """(M, periods, n) of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
 
     In blocks of `BLOCK` periods, each a linear map of the state before it and of the commands in it: what the
     commands do and what the state before does are one matrix product each for all blocks at once.
@@ -342,20 +331,18 @@ def _held(
     ----------
     by_command : (n, w).
     issued : (M, at least periods + w - 1).
-    looked_at : (n, p) columns.
     """
-    (n, w), M, p = by_command.shape, issued.shape[0], looked_at.shape[1]
+    (n, w), M = by_command.shape, issued.shape[0]
     powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows
     powers[0] = np.eye(n)
     for j in range(BLOCK):
         np.matmul(powers[j], P.T, out=powers[j + 1])
     pushed = by_command.T @ powers[:BLOCK]  # (BLOCK, w, n) of the state so many periods after a command
-    seen = pushed @ looked_at
-    answers = np.zeros((BLOCK + w - 1, BLOCK, p))  # after each period to each command in the block
+    answers = np.zeros((BLOCK + w - 1, BLOCK, n))  # after each period to each command in the block
     ends = np.zeros((BLOCK + w - 1, n))  # of the state after the last
     for j in range(BLOCK):
         for delay in range(w):
-            answers[j + delay, j:] += seen[: BLOCK - j, delay]
+            answers[j + delay, j:] += pushed[: BLOCK - j, delay]
             ends[j + delay] += pushed[BLOCK - 1 - j, delay]
     blocks = -(-(periods - 1) // BLOCK)
     padded = np.zeros((M, blocks * BLOCK + w - 1))
@@ -367,11 +354,11 @@ def _held(
     for j in range(1, blocks):
         np.matmul(before[j - 1], powers[BLOCK], out=before[j])
         before[j] += end[:, j - 1]
-    found = np.zeros((M, 1 + blocks * BLOCK, p))
+    found = np.zeros((M, 1 + blocks * BLOCK, n))
     after = windows @ answers.reshape(BLOCK + w - 1, -1)
-    kept_on = (powers[1:] @ looked_at).transpose(1, 0, 2).reshape(n, -1)
+    kept_on = powers[1:].transpose(1, 0, 2).reshape(n, -1)
     after += before.transpose(1, 0, 2).reshape(M * blocks, n) @ kept_on
-    found[:, 1:] = after.reshape(M, -1, p)
+    found[:, 1:] = after.reshape(M, -1, n)
     return found[:, :periods]
 
 
@@ -384,7 +371,7 @@ def _play(
     # Before the first command and after the waveform there is silence, or what the wall goes on asking for.
     issued = period.issued(commands)
     if loop is None:
-        starts = _held(period.P, period.by_command, issued, periods, np.eye(n))
+        starts = _held(period.P, period.by_command, issued, periods)
     else:
         starts, x = np.zeros((M, periods, n)), np.zeros((M, n))
         feedback = loop.start(stage, grid.dt_s)
@@ -454,37 +441,26 @@ class Accurate:
 
     Attributes
     ----------
-    stage, flow, grid, period, loop : what was played. commands : (M, N).
+    flow, loop : what was played.
     acceleration_m_s2 : (M, instants) y'' just after the switching instants, those after the window behind.
     step_error : (M,) largest difference of y'' to the course of twice the step, relative to its peak.
-    played : the states, where they were needed on the way.
+    course : their states.
     """
 
-    stage: StageModel
     flow: Flow
-    grid: TimeGrid
-    period: Period
     loop: Loop | None
-    commands: FloatArray
     acceleration_m_s2: FloatArray
     step_error: FloatArray
-    played: Course | None
-
-    def course(self) -> Course:
-        """The states at the starts of the segments, played for once more where they are not known."""
-        if self.played is not None:
-            return self.played
-        return _play(self.stage, self.flow, self.grid, self.commands, self.period, self.loop)
+    course: Course
 
     def of(self, taps: slice) -> "Accurate":
         """The replay of some of the commands, which no wall's feedback was added to."""
         assert self.loop is None
         return replace(
             self,
-            commands=self.commands[taps],
             acceleration_m_s2=self.acceleration_m_s2[taps],
             step_error=self.step_error[taps],
-            played=None if self.played is None else self.played.of(taps),
+            course=self.course.of(taps),
         )
 
 
@@ -508,31 +484,23 @@ def _period(stage: StageModel, grid: TimeGrid, halvings: int) -> Period:
 def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
     """Play commands (M, N) [A], halving the step until halving changes y'' by no more than `STEP_ERROR`.
 
-    After `MOST_HALVINGS` the finest course is returned as it is; its `step_error` says how good it is. Without a
-    wall the states are left out, unless all that is left of y'' may be rounding, which they tell.
+    After `MOST_HALVINGS` the finest course is returned as it is; its `step_error` says how good it is.
 
     Parameters
     ----------
     loop : the walls whose feedback is added to the commands; None for none.
     """
     flow = _flow(stage)
-
-    def played(period: Period) -> tuple[FloatArray, Course | None]:
-        if loop is None:
-            return period.accelerations(flow, commands), None
-        course = _play(stage, flow, grid, commands, period, loop)
-        return course.accelerations(flow), course
-
-    coarse, _ = played(_period(stage, grid, 0))
+    coarse = _play(stage, flow, grid, commands, _period(stage, grid, 0), loop).accelerations(flow)
     for halvings in range(1, MOST_HALVINGS + 1):
         period = _period(stage, grid, halvings)
-        found, course = played(period)
+        course = _play(stage, flow, grid, commands, period, loop)
+        found = course.accelerations(flow)
         difference, peak = np.abs(found - coarse).max(axis=1), np.abs(found).max(axis=1)
         step_error = difference / peak_scale(peak, 0.0)
         if not np.all(step_error <= STEP_ERROR):
-            course = course or _play(stage, flow, grid, commands, period, loop)
             step_error = difference / peak_scale(peak, course.rounding(flow))
         coarse = found
         if np.all(step_error <= STEP_ERROR):
             break
-    return Accurate(stage, flow, grid, period, loop, commands, found, step_error, course)
+    return Accurate(flow, loop, found, step_error, course)

@@ -264,7 +264,7 @@ def replay(
                 yardstick=yardstick,
             )
         return replays
-    found, course = simulated, simulated.course()
+    found, course = simulated, simulated.course
     moving = limits is not None and any(_moves(_Posed((stage, *spread), grid, of_entry)) for of_entry in limits)
     run, command = fine(course, found.flow, grid, moving=moving), course.command
     rounding = course.rounding(found.flow)
@@ -279,7 +279,7 @@ def replay(
     if limits is not None and any(limit.of_each_device for of_entry in limits for limit in of_entry):
         for device in spread:
             its_own = accurate(device, grid, commands, None)
-            runs.append(fine(its_own.course(), its_own.flow, grid))
+            runs.append(fine(its_own.course, its_own.flow, grid))
             step_error = np.maximum(step_error, its_own.step_error)
     reached = [({}, {})] * M if limits is None else largest_reached(runs, limits, (stage, *spread), grid)
     told = figures_of(found, Yardstick(grid) if yardstick is None else yardstick, targets)

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, samples_before
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.intention import INTENTION_S
 from transopt.problem.objective.target import Target
@@ -74,21 +73,19 @@ class Yardstick:
     def _bump(self) -> tuple[ErrorFilter, ...]:
         return bandpass(*BUMP_Hz, self.grid.dt_s, 2) if 2 * BUMP_Hz[1] * self.grid.dt_s < 1 else ()
 
-    def _instants_s(self, lost: int) -> FloatArray:
-        """(L + N + M,) tau."""
-        grid = self.grid
-        count = np.arange(-lost, grid.stages + grid.after_stages)
-        return np.asarray(grid.switching_times_s[0] + grid.dt_s * count)
-
-    def _first(self, lost: int, count: int) -> NDArray[np.bool_]:
-        """(count,) which samples are of the intention."""
-        tau = self._instants_s(lost)[:count]
-        return np.asarray((tau >= -ROUNDING_s) & (tau < self.intention_s - ROUNDING_s))
+    def _intention(self, lost: int, count: int) -> slice:
+        """Which of the samples tau, the first of them `lost` before tau_0, are of the intention."""
+        dt_s = self.grid.dt_s
+        first_s = float(self.grid.switching_times_s[0]) - lost * dt_s
+        begins, ends = (
+            samples_before(time_s - ROUNDING_s, first_s, dt_s, count) for time_s in (0.0, self.intention_s)
+        )
+        return slice(begins, ends)
 
     def tap_error(self, target: Target, acceleration_m_s2: FloatArray) -> float:
         """`Figures.tap_error` alone, of y'' (K,) from tau_0 on, K at least the samples of the window."""
         recorded, lost = target.recorded_m_s2, target.before_m_s2.size
-        first = self._first(lost, recorded.size)
+        first = self._intention(lost, recorded.size)
         made = np.append(np.zeros(lost), acceleration_m_s2)
         made = np.append(made, np.zeros(max(recorded.size - made.size, 0)))[: recorded.size] + target.free_m_s2
         return _over(float(np.linalg.norm((made - recorded)[first])), float(np.linalg.norm(recorded[first])))
@@ -103,12 +100,10 @@ class Yardstick:
         made = free.copy()
         made[lost:] += acceleration_m_s2[: made.size - lost]
         off = made - recorded
-        tau = self._instants_s(lost)[: off.size]
-        first = self._first(lost, off.size)
+        first = self._intention(lost, off.size)
         tail = off[lost + target.window_m_s2.size :]
         size = float(np.linalg.norm(recorded[first]))
         heard_off, heard_made, heard = _through(self._felt, np.stack([off, made, recorded]))
-        later = tau >= self.intention_s - ROUNDING_s
         change, swept = float(np.sum(recorded[first])), float(np.sum(np.abs(recorded[first])))
         return Figures(
             tap_error=_over(float(np.linalg.norm(off[first])), size),
@@ -116,8 +111,8 @@ class Yardstick:
             felt_dB=_dB(float(heard_made @ heard_made), float(heard @ heard)) if self._felt else NAN,
             speed=NAN if self.named or abs(change) <= STILL * swept else float(np.sum(made[first])) / change,
             bump_m_s2=NAN
-            if self.named or not later.any() or not self._bump
-            else float(np.abs(_through(self._bump, off)[later]).max()),
+            if self.named or first.stop == off.size or not self._bump
+            else float(np.abs(_through(self._bump, off)[first.stop :]).max()),
             error_after=_over(float(np.linalg.norm(tail)), size),
             peak_after_m_s2=float(np.abs(tail).max(initial=0.0)),
         )
