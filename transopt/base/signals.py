@@ -148,7 +148,10 @@ def fast_length(least: int) -> int:
 def integral(rate: FloatArray, dt_s: float) -> FloatArray:
     """(n,) integral by the trapezoidal rule, from the first sample on."""
     course = np.zeros(rate.size)
-    np.cumsum(0.5 * dt_s * (rate[1:] + rate[:-1]), out=course[1:])
+    sums = course[1:]
+    np.add(rate[1:], rate[:-1], out=sums)
+    np.cumsum(sums, out=sums)
+    course *= 0.5 * dt_s
     return course
 
 

@@ -75,40 +75,47 @@ class TimeGrid:
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"time.{name} = {getattr(self, name):g}: must be >= 0 and finite")
 
-    @property
+    @cached_property
     def issue_times_s(self) -> FloatArray:
         """(N,) t_k: command c_k is issued here and held."""
-        return np.asarray(-self.lead_s + self.dt_s * np.arange(self.stages), dtype=float)
+        return _constant(-self.lead_s + self.dt_s * np.arange(self.stages))
 
-    @property
+    @cached_property
     def switching_times_s(self) -> FloatArray:
         """(N,) tau_k: the motor feels c_k from here; predictions and reference are sampled here."""
-        return self.issue_times_s + self.delay_s
+        return _constant(self.issue_times_s + self.delay_s)
 
     @property
     def end_s(self) -> float:
         """tau_N, where the last command ends [s]."""
         return -self.lead_s + self.dt_s * self.stages + self.delay_s
 
-    @property
+    @cached_property
     def before_times_s(self) -> FloatArray:
         """(L,) instants tau_0 - j dt >= 0, rising: the tap has begun, and no command can reach them.
 
         L = floor((delay - lead) / dt), zero where the lead covers the delay; contact itself counts.
         """
         lost = max(int(np.floor((self.delay_s - self.lead_s) / self.dt_s + WHOLE)), 0)
-        return np.asarray(self.delay_s - self.lead_s - self.dt_s * np.arange(lost, 0, -1), dtype=float)
+        return _constant(self.delay_s - self.lead_s - self.dt_s * np.arange(lost, 0, -1))
 
-    @property
+    @cached_property
     def after_times_s(self) -> FloatArray:
         """(M,) tau_N to tau_(N+M-1)."""
-        return np.asarray(self.end_s + self.dt_s * np.arange(self.after_stages), dtype=float)
+        return _constant(self.end_s + self.dt_s * np.arange(self.after_stages))
 
-    @property
+    @cached_property
     def all_issue_times_s(self) -> FloatArray:
         """(N + M,) t_0 to t_(N+M-1): a wall goes on reading the encoder when the waveform is over."""
         ticks = np.arange(self.stages + self.after_stages)
-        return np.asarray(-self.lead_s + self.dt_s * ticks, dtype=float)
+        return _constant(-self.lead_s + self.dt_s * ticks)
+
+
+def _constant(times_s: NDArray[np.floating]) -> FloatArray:
+    """Times that are kept, and that nobody may change in place therefore."""
+    found = np.asarray(times_s, dtype=float)
+    found.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True)

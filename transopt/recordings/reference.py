@@ -13,7 +13,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, Signal, fast_length, integral, nrmse, splined
+from transopt.base.signals import FloatArray, fast_length, integral, nrmse, splined
 from transopt.plant.discretise import TimeGrid
 from transopt.problem.objective.target import Target
 from transopt.recordings.tap import PreparedTap
@@ -122,14 +122,6 @@ class Reference:
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
 
 
-def _fine_times(grid: TimeGrid, end_s: float) -> FloatArray:
-    """Ten points per servo period around contact and to a time, with t = 0 among them."""
-    step = min(grid.dt_s / 10, 1e-5)
-    before = int(np.ceil((SETTLING_S + grid.lead_s) / step))
-    after = int(np.ceil(max(end_s, 0.0) / step)) + 1
-    return np.asarray(np.arange(-before, after + 1) * step)
-
-
 def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArray) -> FloatArray:
     """(c, m) of courses (c, K) at instants (m,), by a spline up to sample `ended` and another one from there on.
 
@@ -196,15 +188,18 @@ def build_reference(
                 f"{tap.recording.name}: ends {tap.acceleration.end_s * 1e3:.1f} ms after contact, the window needs "
                 f"{np.ceil(needed * 1e4) / 10:.1f} ms: record longer or lower time.stages"
             )
-    times = _fine_times(grid, grid.end_s + grid.after_stages * grid.dt_s)
+    # At least ten points per servo period, with t = 0 among them.
+    step_s = min(grid.dt_s / 10, 1e-5)
+    contact = math.ceil((SETTLING_S + grid.lead_s) / step_s)
     # How alike the taps are, and how late, is a matter of the window, whatever comes after it.
-    compared = _fine_times(grid, grid.end_s).size
-    first_s, step_s = float(times[0]), float(times[1] - times[0])
+    ends_s = grid.end_s, grid.end_s + grid.after_stages * grid.dt_s
+    compared, count = (contact + math.ceil(max(end_s, 0.0) / step_s) + 2 for end_s in ends_s)
+    times = step_s * np.arange(-contact, count - contact)
 
     def scaled(shifts_s: FloatArray, count: int) -> FloatArray:
         found = np.empty((len(taps), count))
         for course, factor, tap, by in zip(found, factors, taps, shifts_s.tolist(), strict=True):
-            np.multiply(tap.acceleration.evenly(first_s + by, step_s, count), factor, out=course)
+            np.multiply(tap.acceleration.evenly(by - step_s * contact, step_s, count), factor, out=course)
         return found
 
     shifts, unaligned = np.zeros(len(taps)), float("nan")
@@ -213,24 +208,22 @@ def build_reference(
         unaligned, lags = _spread(as_recorded), _lags(as_recorded, step_s)
         # The mean onset stays where it is: alignment must not move the contact.
         shifts = lags - lags.mean()
-    repeats = scaled(shifts, times.size)
+    repeats = scaled(shifts, count)
     end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
     ended = int(np.searchsorted(times, end_s, side="right"))
-    mean = repeats.mean(axis=0)
-    mean[ended:] = 0.0
-    raw = Signal(first_s, step_s, mean)
+    recorded = repeats.mean(axis=0)
+    recorded[ended:] = 0.0
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
-    by_itself = free(speed_m_s, grip_N, incoming)(raw.times_s)
-    contact = int(np.argmin(np.abs(times)))
-    velocity = integral(by_itself, raw.dt_s)
+    by_itself = free(speed_m_s, grip_N, incoming)(times)
+    velocity = integral(by_itself, step_s)
     velocity += -speed_m_s - velocity[contact]
-    position = integral(velocity, raw.dt_s)
+    position = integral(velocity, step_s)
     position -= position[contact]
-    courses = np.stack([raw.values, by_itself, position, velocity])
+    courses = np.stack([recorded, by_itself, position, velocity], axis=1).T  # in memory as a spline takes them
 
     # One spline through it all for all instants, which are told apart again afterwards.
     instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)
-    sampled_at = _pieces(raw.times_s, courses, ended, np.concatenate(instants))
+    sampled_at = _pieces(times, courses, ended, np.concatenate(instants))
     window, after, before, ticks = np.split(sampled_at, np.cumsum([each.size for each in instants])[:-1], axis=1)
     return Reference(
         speed_m_s=speed_m_s,
