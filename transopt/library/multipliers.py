@@ -50,12 +50,9 @@ def multiplier_arrays(
     found = {}
     for name in (*MULTIPLIERS, *further):
         row, side = row_of(name), name.rsplit("_", 1)[1]
-        values = [[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries]
-        # Most are zero, and what is not written of an array of zeros takes no memory.
-        array = found[name] = np.zeros((len(values), len(values[0]), values[0][0].size))
-        for at in np.ndindex(array.shape[:2]):
-            if (own := values[at[0]][at[1]]).any():
-                array[at] = own
+        array = np.array([[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries])
+        # Of a limit that never binds all are zero, and an array of zeros that nobody writes to takes no memory.
+        found[name] = array if array.any() else np.zeros(array.shape)
     return found
 
 

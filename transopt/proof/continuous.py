@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.matrices import balanced
+from transopt.base.recursions import Recursion
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, TimeGrid, split_delay
 from transopt.plant.wall import FeedbackLoop, HandOver
@@ -22,7 +23,6 @@ SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
 STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode that is not resolved would die out
 STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
 MOST_HALVINGS = 6
-BLOCK = 16  # periods that one matrix product takes
 AFTER_S = 20e-3  # of free motion after the waveform, at least
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
 # If link and current forces cancel at the switching instants (a mass on a link that decays within one tick), what
@@ -77,15 +77,14 @@ class Segment:
     Q: FloatArray
 
 
-def _segment(A: FloatArray, B: FloatArray, start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
+def _segment(flow: "Flow", start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
     """Kept samples a fraction of a period apart, reached by as many Radau steps as the stiffest mode needs."""
-    n = A.shape[0]
+    n = flow.A.shape[0]
     samples = SAMPLES_PER_PERIOD // 2
     spacing = (end_s - start_s) / samples
-    fastest = float(np.abs(np.linalg.eigvals(A)).max())
-    doublings = int(np.ceil(np.log2(max(fastest * spacing / STEP_RADIUS, 1.0)))) + halvings
+    doublings = int(np.ceil(np.log2(max(flow.fastest_rad_s * spacing / STEP_RADIUS, 1.0)))) + halvings
     step = np.eye(n + 1)
-    step[:n, :n], step[:n, n:] = _step_map(A, B, spacing / 2**doublings)
+    step[:n, :n], step[:n, n:] = _step_map(flow.A, flow.B, spacing / 2**doublings)
     between = np.linalg.matrix_power(step, 2**doublings)
     maps = [np.eye(n + 1)]
     for _ in range(samples):
@@ -94,14 +93,14 @@ def _segment(A: FloatArray, B: FloatArray, start_s: float, end_s: float, behind:
     return Segment(behind, np.linspace(start_s, end_s, samples + 1), stacked[:, :n, :n], stacked[:, :n, n:])
 
 
-def _segments(A: FloatArray, B: FloatArray, grid: TimeGrid, halvings: int) -> list[Segment]:
+def _segments(flow: "Flow", grid: TimeGrid, halvings: int) -> list[Segment]:
     """A period [t_k, t_(k+1)) feels the command of one tick earlier until the delay's fraction has passed."""
     dt = grid.dt_s
     whole, late = split_delay(grid.delay_s, dt)
     if late <= 1e-9 * dt:
         # Two halves all the same, so that a period always has as many kept samples.
-        return [_segment(A, B, 0.0, dt / 2, whole, halvings), _segment(A, B, dt / 2, dt, whole, halvings)]
-    return [_segment(A, B, 0.0, late, whole + 1, halvings), _segment(A, B, late, dt, whole, halvings)]
+        return [_segment(flow, 0.0, dt / 2, whole, halvings), _segment(flow, dt / 2, dt, whole, halvings)]
+    return [_segment(flow, 0.0, late, whole + 1, halvings), _segment(flow, late, dt, whole, halvings)]
 
 
 @dataclass(frozen=True)
@@ -191,6 +190,11 @@ class Flow:
     names: tuple[str, ...]
     encoder: FloatArray
 
+    @cached_property
+    def fastest_rad_s(self) -> float:
+        """Largest size of an eigenvalue of A."""
+        return float(np.abs(np.linalg.eigvals(self.A)).max())
+
     @classmethod
     def of(cls, stage: StageModel) -> "Flow":
         """From the continuous-time plant and the amplifier of a stage; its discrete matrices are not used."""
@@ -246,7 +250,7 @@ class Period:
     @classmethod
     def of(cls, flow: Flow, grid: TimeGrid, halvings: int) -> "Period":
         """A period integrated by a Runge-Kutta step that is halved so often."""
-        segments = _segments(flow.A, flow.B, grid, halvings)
+        segments = _segments(flow, grid, halvings)
         first, second = segments
         late = first.behind - second.behind
         by_command = np.zeros((flow.A.shape[0], 1 + late))
@@ -324,42 +328,16 @@ class Course:
 def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int) -> FloatArray:
     """(M, periods, n) of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
 
-    In blocks of `BLOCK` periods, each a linear map of the state before it and of the commands in it: what the
-    commands do and what the state before does are one matrix product each for all blocks at once.
-
     Parameters
     ----------
     by_command : (n, w).
     issued : (M, at least periods + w - 1).
     """
-    (n, w), M = by_command.shape, issued.shape[0]
-    powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows
-    powers[0] = np.eye(n)
-    for j in range(BLOCK):
-        np.matmul(powers[j], P.T, out=powers[j + 1])
-    pushed = by_command.T @ powers[:BLOCK]  # (BLOCK, w, n) of the state so many periods after a command
-    answers = np.zeros((BLOCK + w - 1, BLOCK, n))  # after each period to each command in the block
-    ends = np.zeros((BLOCK + w - 1, n))  # of the state after the last
-    for j in range(BLOCK):
-        for delay in range(w):
-            answers[j + delay, j:] += pushed[: BLOCK - j, delay]
-            ends[j + delay] += pushed[BLOCK - 1 - j, delay]
-    blocks = -(-(periods - 1) // BLOCK)
-    padded = np.zeros((M, blocks * BLOCK + w - 1))
-    kept = min(padded.shape[1], issued.shape[1])
-    padded[:, :kept] = issued[:, :kept]
-    windows = np.lib.stride_tricks.sliding_window_view(padded, BLOCK + w - 1, axis=1)[:, ::BLOCK]
-    windows = windows.reshape(M * blocks, -1)
-    before, end = np.zeros((blocks, M, n)), (windows @ ends).reshape(M, blocks, n)
-    for j in range(1, blocks):
-        np.matmul(before[j - 1], powers[BLOCK], out=before[j])
-        before[j] += end[:, j - 1]
-    found = np.zeros((M, 1 + blocks * BLOCK, n))
-    after = windows @ answers.reshape(BLOCK + w - 1, -1)
-    kept_on = powers[1:].transpose(1, 0, 2).reshape(n, -1)
-    after += before.transpose(1, 0, 2).reshape(M * blocks, n) @ kept_on
-    found[:, 1:] = after.reshape(M, -1, n)
-    return found[:, :periods]
+    (n, w), M, recursion = by_command.shape, issued.shape[0], Recursion(P)
+    pushed = np.zeros((M, periods, n))
+    for late in range(w):
+        pushed[:, 1:] += issued[:, late : late + periods - 1, None] * by_command[:, late]
+    return np.stack([recursion.run(each) for each in pushed])
 
 
 def _play(

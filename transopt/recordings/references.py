@@ -15,6 +15,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
+from transopt.base.threads import one_blas_thread
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import COURSES, Free, Reference, build_reference
@@ -232,6 +233,7 @@ def grip_groups(grips_N: Sequence[float]) -> list[list[float]]:
     return groups
 
 
+@one_blas_thread()
 def build_references(
     recordings: Sequence[Recording],
     speeds_m_s: Sequence[float],
