@@ -194,7 +194,7 @@ def build_reference(
     # How alike the taps are, and how late, is a matter of the window, whatever comes after it.
     ends_s = grid.end_s, grid.end_s + grid.after_stages * grid.dt_s
     compared, count = (contact + math.ceil(max(end_s, 0.0) / step_s) + 2 for end_s in ends_s)
-    times = step_s * np.arange(-contact, count - contact)
+    times = np.asarray(step_s * np.arange(-contact, count - contact), dtype=float)
 
     def scaled(shifts_s: FloatArray, count: int) -> FloatArray:
         found = np.empty((len(taps), count))

@@ -81,14 +81,14 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     rest, free = z - powers @ found, z.size - terms
     scatter = max(math.sqrt(float(rest @ rest) / free), count / math.sqrt(12.0))
     errors = two_sided(free) * scatter * np.linalg.norm(of_time @ inverse, axis=1)
-    return np.asarray(of_time @ found, dtype=float), np.asarray(errors, dtype=float)
+    return of_time @ found, errors
 
 
 @lru_cache(maxsize=8)  # taps of one rate have as many points
 def _polynomials(n: int, terms: int) -> tuple[FloatArray, FloatArray]:
     """Powers (n, terms) of n numbers evenly from -1 to 1, and their pseudo-inverse (terms, n)."""
     powers = np.vander(np.linspace(-1.0, 1.0, n), terms, increasing=True)
-    return powers, np.linalg.pinv(powers)
+    return powers, np.asarray(np.linalg.pinv(powers), dtype=float)
 
 
 @lru_cache(maxsize=64)  # taps of one rate have as many points
