@@ -51,7 +51,7 @@ def multiplier_arrays(
     for name in (*MULTIPLIERS, *further):
         row, side = row_of(name), name.rsplit("_", 1)[1]
         array = np.array([[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries])
-        # Of a limit that never binds all are zero, and an array of zeros that nobody writes to takes no memory.
+        # Multipliers of a limit that never binds are zero, and zeros that nobody writes to take no memory.
         found[name] = array if array.any() else np.zeros(array.shape)
     return found
 

@@ -73,7 +73,7 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     """
     powers, inverse = _polynomials(z.size, terms)
     half_s = 0.5 * dt_s * (z.size - 1)
-    # Of u from -1 to 1, t = half (u - start): coefficient j of t is that of all higher powers of u, by Taylor's rule.
+    # Taylor's rule takes the coefficients by u, from -1 to 1, to those by the time t = half (u - start).
     start, j = -(first_s + half_s) / half_s, np.arange(terms)
     choose = np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)])
     of_time = choose * start ** np.maximum(j - j[:, None], 0) / (half_s ** j[:, None])
