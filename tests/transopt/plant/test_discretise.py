@@ -105,7 +105,7 @@ def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
     (played,) = replay(problem.stage, problem.grid, command[None], [problem.target], None)
     assert played.step_error <= 1e-10
     found = accurate(problem.stage, problem.grid, command[None], None)
-    run = fine(found.course(), found.flow, problem.grid)
+    run = fine(found.course, found.flow, problem.grid)
     assert run.times_s[0] == pytest.approx(-problem.grid.lead_s)
     assert np.all(np.diff(run.times_s) >= -1e-15)
     at_switching = run.acceleration_m_s2[:, run.at_switching]
