@@ -50,9 +50,13 @@ def multiplier_arrays(
     found = {}
     for name in (*MULTIPLIERS, *further):
         row, side = row_of(name), name.rsplit("_", 1)[1]
-        array = np.array([[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries])
-        # Multipliers of a limit that never binds are zero, and zeros that nobody writes to take no memory.
-        found[name] = array if array.any() else np.zeros(array.shape)
+        values = [[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries]
+        array = found[name] = np.zeros((len(values), len(values[0]), values[0][0].size))
+        for to_speed, of_speed in zip(array, values, strict=True):
+            for to_entry, own in zip(to_speed, of_speed, strict=True):
+                # Most are zero, and zeros that nobody writes to take no memory.
+                if np.count_nonzero(own):
+                    to_entry[:] = own
     return found
 
 
