@@ -92,7 +92,7 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
     rounding = _rounding(problem, answer)
     if rounding:
         return replace(designed, solution=replace(answer, status=Status.PRECISION), remarks=[rounding])
-    if small.wall is None and inside(small, np.zeros(small.grid.stages)):
+    if small.wall is None and inside(small, small.rest):
         # Doing nothing is a way out, whatever the solver called it.
         return _flat(designed, options)
     unstable = unstable_wall(small)
@@ -148,11 +148,12 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
         )
         extended = certify(wide, answer.command.astype(np.longdouble), answer.multipliers)
     by_command = gradient_rounding(problem, answer.command, answer.multipliers)
-    rounding = float(by_command @ (problem.command_bound + np.abs(answer.command)))
+    rounding = float(np.vdot(by_command, problem.command_bound + np.abs(answer.command)))
     weight = problem.movement.weight
     if weight > 0:
         # Errors that do not depend on each other are bounded as in `movement_bound`: error j is in j + 1 of the sums.
-        rounding = min(rounding, float(np.arange(1, by_command.size + 1) @ by_command**2) / (4 * weight))
+        sums = by_command**2 @ np.arange(1, problem.grid.stages + 1)
+        rounding = min(rounding, float(np.sum(sums)) / (4 * weight))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
         return ""
     taken = float(np.abs(answer.command).max())
@@ -183,9 +184,8 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
             f"{problem.limits.input_limit:g} A, with {stated_wall(problem.wall.wall)}"
         ]
     left_out = {"limits": "zero reference: zero waveform"}
-    rest = np.zeros(problem.grid.stages)
-    floor = problem.yardstick.tap_error(problem.target, rest)
-    return Designed(problem, answer, proof, effect, rest, floor, 0.0, left_out, None, hopeless)
+    floor = problem.tap_error(np.zeros_like(problem.target.window_m_s2))
+    return Designed(problem, answer, proof, effect, problem.rest, floor, 0.0, left_out, None, hopeless)
 
 
 def _mask(problem: TransientProblem) -> bytes:
@@ -234,7 +234,7 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = unlimited.solve(small)
     effect = Effect(problem, free.command)
-    floor = problem.yardstick.tap_error(problem.target, effect.motion.acceleration_m_s2)
+    floor = problem.tap_error(effect.motion.acceleration_m_s2)
     peak = float(np.abs(effect.motion.plant_input).max())
 
     def designed(

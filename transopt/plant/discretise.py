@@ -24,6 +24,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
 WHOLE = 1e-6  # of a servo period: what rounding makes of a delay that is a whole number of them
+PEAK_PERIOD = 20  # stages of half a period of the square wave by which states are scaled
 PERIOD = " the period"  # what the names of outputs end in that the command c_k has a say in at stage k
 AFTER = f" after{PERIOD}"  # behind the name of an output: its value at the next switching instant
 
@@ -122,6 +123,9 @@ def _constant(times_s: NDArray[np.floating]) -> FloatArray:
 class Motion:
     """What a command does at the switching instants, or gradients by these quantities; all (..., N).
 
+    Of a plant with several directions the accelerations are (..., p, N), and of one with several motors the inputs
+    and the velocities are (..., m, N).
+
     Attributes
     ----------
     acceleration_m_s2 : y'' of the stylus.
@@ -162,6 +166,11 @@ class Motion:
             {name: longer(values) for name, values in self.outputs.items()},
         )
 
+    def of_motor(self, motor: int) -> "Motion":
+        """The motion with the input and the velocity of one of several motors."""
+        inputs, velocities = self.plant_input[..., motor, :], self.velocity_m_s[..., motor, :]
+        return replace(self, plant_input=inputs, velocity_m_s=velocities)
+
     def first(self, stages: int) -> "Motion":
         """The first so many instants of it."""
         return Motion(
@@ -178,7 +187,8 @@ class StageModel:
     """One grip's device over one servo period, exact for a held command.
 
     x_(k+1) = A x_k + B c_k,  outputs C x_k + D c_k  at the switching instants.
-    x holds the plant's acting states and, unless the amplifier is ideal, the current (its last entry).
+    x holds the plant's acting states and, unless the amplifier is ideal, the motors' currents (its last entries).
+    Commands are (..., N), or (..., m, N) of m motors.
 
     Attributes
     ----------
@@ -186,10 +196,10 @@ class StageModel:
     amplifier : None is ideal, i = c.
     dt_s : servo period.
     A : (n, n).
-    B : (n, 1).
-    C, D : (1, n), (1, 1) of y''.
-    Ci, Di : (1, n), (1, 1) of the current.
-    Cv : (1, n) of the motor mass's velocity.
+    B : (n, m).
+    C, D : (p, n), (p, m) of y''.
+    Ci, Di : (m, n), (m, m) of the currents.
+    Cv : (m, n) of the motor masses' velocities.
     Cp, Dp : (1, n), (1, 1) of the encoder position at the tick within the period; None where it is left out.
     outputs : name -> (n,) row of a further output at the switching instants, one that the command moves only later;
         with `AFTER` behind its name the same output one period later, which the command has moved by then.
@@ -215,6 +225,16 @@ class StageModel:
     __repr__ = brief
 
     @property
+    def motors(self) -> int:
+        """Number of commands m."""
+        return int(self.B.shape[1])
+
+    @property
+    def tracked(self) -> int:
+        """Number of accelerations p."""
+        return int(self.C.shape[0])
+
+    @property
     def whole_delay(self) -> int:
         """Whole servo periods in the amplifier's delay."""
         return 0 if self.amplifier is None else split_delay(self.amplifier.delay_s, self.dt_s)[0]
@@ -226,7 +246,7 @@ class StageModel:
     @cached_property
     def _system(self) -> LinearSystem:
         """From the command to everything that a motion is made of."""
-        nothing = np.zeros((1, 1), dtype=self.A.dtype)
+        nothing = np.zeros((self.Cv.shape[0], self.motors), dtype=self.A.dtype)
         rows, direct = [self.C, self.Ci, self.Cv], [self.D, self.Di, nothing]
         if self.Cp is not None and self.Dp is not None:
             rows, direct = [*rows, self.Cp], [*direct, self.Dp]
@@ -284,7 +304,7 @@ class StageModel:
 
     def part(self, share: Fraction) -> FloatArray:
         """(n, n + 1) from state and command to the state after a share of the period."""
-        return exponential(self.flow * (self.dt_s * share.numerator / share.denominator))[:-1]
+        return exponential(self.flow * (self.dt_s * share.numerator / share.denominator))[: -self.motors]
 
     def states(self, command: FloatArray) -> FloatArray:
         """(N, n) states at the switching instants for one held command (N,)."""
@@ -302,11 +322,13 @@ class StageModel:
 
         Parameters
         ----------
-        command : (..., N).
+        command : (..., N), of several motors (..., m, N).
         """
-        values = np.moveaxis(self._system.outputs(command[..., None, :]), -2, 0)
-        acceleration, current, velocity = values[:3]
-        encoder = np.zeros(command.shape) if self.Cp is None else values[3]
+        m, p = self.motors, self.tracked
+        commands = command[..., None, :] if m == 1 else command
+        values = np.moveaxis(self._system.outputs(commands), -2, 0)
+        acceleration, current, velocity = map(_lone, (values[:p], values[p : p + m], values[p + m : p + 2 * m]))
+        encoder = np.zeros(values.shape[1:]) if self.Cp is None else values[p + 2 * m]
         names = self.output_names
         further = values[values.shape[0] - len(names) :]
         return Motion(acceleration, current, velocity, encoder, dict(zip(names, further, strict=True)))
@@ -319,7 +341,7 @@ class StageModel:
     def state_scale(self, input_limit: float, stages: int) -> FloatArray:
         """(n,) size of each state, as `state_scale` says. All problems of one grip share the course: it is kept."""
         if stages not in self._peaks:
-            self._peaks[stages] = _peaks(self.A, self.B[:, 0], stages)
+            self._peaks[stages] = _peaks(self.A, self.B, stages)
         return _sizes(input_limit * self._peaks[stages])
 
     @cached_property
@@ -355,16 +377,22 @@ class StageModel:
         )
 
     def adjoint(self, gradient: Motion) -> FloatArray:
-        """(N,) gradient by the commands of a function whose gradients by the motion are given, (N,) each.
+        """(N,) or (m, N) gradient by the commands of a function whose gradients by the motion are given.
 
         The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
         """
         by_output = [gradient.acceleration_m_s2, gradient.plant_input, gradient.velocity_m_s]
         if self.Cp is not None:
             by_output.append(gradient.encoder_m)
-        nothing = np.zeros_like(gradient.plant_input)
+        nothing = np.zeros(gradient.plant_input.shape[-1:])
         by_output += [gradient.outputs.get(name, nothing) for name in self.output_names]
-        return np.asarray(self._system.transposed(np.stack(by_output))[0])
+        found = self._system.transposed(np.concatenate([np.atleast_2d(each) for each in by_output]))
+        return np.asarray(found[0] if self.motors == 1 else found)
+
+
+def _lone(values: FloatArray) -> FloatArray:
+    """(..., N) of (1, ..., N), and (..., p, N) of (p, ..., N): the axis of what is alone is left out."""
+    return values[0] if values.shape[0] == 1 else np.moveaxis(values, 0, -2)
 
 
 def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
@@ -427,40 +455,41 @@ def discretise(
     """
     further = {name: plant.output(name).row for name in outputs}
     acting = acting_states(plant, position=position, outputs=list(further.values()))
-    n = int(acting.sum())
+    n, m = int(acting.sum()), plant.motors
     A, B, C = plant.A[np.ix_(acting, acting)], plant.B[acting], plant.C[:, acting]
     velocity, encoder = plant.Cv[:, acting], plant.Ce[:, acting]
-    flow, zero = _flow(A, B, amplifier), np.zeros((1, 1))
+    flow = _flow(A, B, amplifier)
     if amplifier is None:
-        D, Ci, Di = plant.D, np.zeros((1, n)), np.ones((1, 1))
+        D, Ci, Di = plant.D, np.zeros((m, n)), np.eye(m)
     else:
-        C, D = np.hstack([C, plant.D]), zero
-        Ci, Di = np.eye(1, n + 1, n), zero
+        C, D = np.hstack([C, plant.D]), np.zeros_like(plant.D)
+        Ci, Di = np.eye(m, n + m, n), np.zeros((m, m))
         # The motor force moves no position and no velocity at once, so neither row sees the current.
-        velocity, encoder = np.hstack([velocity, zero]), np.hstack([encoder, zero])
+        velocity, encoder = (np.hstack([row, np.zeros((row.shape[0], m))]) for row in (velocity, encoder))
     hold = exponential(flow * dt_s)
-    rows = {name: np.append(row[0, acting], np.zeros(int(amplifier is not None))) for name, row in further.items()}
-    model = StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di, velocity, outputs=rows)
+    rows = {name: np.append(row[0, acting], np.zeros(C.shape[1] - n)) for name, row in further.items()}
+    of_state, of_command = hold[:-m, :-m], hold[:-m, -m:]
+    model = StageModel(plant, amplifier, dt_s, of_state, of_command, C, D, Ci, Di, velocity, outputs=rows)
     if not position:
         return model
     late = 0.0 if amplifier is None else split_delay(amplifier.delay_s, dt_s)[1]
     until_tick = exponential(flow * (dt_s - late))
-    return replace(model, Cp=encoder @ until_tick[:-1, :-1], Dp=encoder @ until_tick[:-1, -1:])
+    return replace(model, Cp=encoder @ until_tick[:-m, :-m], Dp=encoder @ until_tick[:-m, -m:])
 
 
 def _flow(A: FloatArray, B: FloatArray, amplifier: Amplifier | None) -> FloatArray:
-    """(n + 1, n + 1) of d/dt [plant, current unless the amplifier is ideal, held command]."""
-    m = A.shape[0]
+    """(n + m, n + m) of d/dt [plant, currents unless the amplifiers are ideal, held commands]."""
+    n, m = B.shape
     if amplifier is None:
-        return np.block([[A, B], [np.zeros((1, m + 1))]])
-    w, flow = amplifier.rate_rad_s, np.zeros((m + 2, m + 2))
-    flow[:m, : m + 1] = np.hstack([A, B])
-    flow[m, m:] = -w, w
+        return np.block([[A, B], [np.zeros((m, n + m))]])
+    w, flow = amplifier.rate_rad_s, np.zeros((n + 2 * m, n + 2 * m))
+    flow[:n, : n + m] = np.hstack([A, B])
+    flow[n : n + m, n:] = np.hstack([-w * np.eye(m), w * np.eye(m)])
     return flow
 
 
 def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: int) -> FloatArray:
-    """(n,) size of each state of x+ = A x + B c under a square wave of the limit current, 40 servo periods long.
+    """(n,) size of each state of x+ = A x + B c under square waves of the limit current, 40 servo periods long.
 
     In these units every state of the optimal-control problem is of order one, whatever the masses and
     stiffnesses; elongations and velocities in SI differ by four orders of magnitude.
@@ -468,8 +497,8 @@ def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: in
     Parameters
     ----------
     A : (n, n).
-    B : (n,).
-    current_limit_A : size of the square wave.
+    B : (n, m), or (n,) of one motor. The sizes that the motors make, each alone, are added.
+    current_limit_A : size of the square waves.
     stages : N of the problem; at most 400 periods are simulated.
     """
     return _sizes(current_limit_A * _peaks(A, B, stages))
@@ -481,10 +510,16 @@ def _sizes(peaks: FloatArray) -> FloatArray:
 
 
 def _peaks(A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
-    """(n,) largest size of each state under a square wave of size 1."""
-    period, n = 20, B.size
+    """(n,) largest size of each state under a square wave of size 1 of each motor, added up."""
+    of_A = powers(A, PEAK_PERIOD)
+    return np.asarray(
+        np.sum([_peaks_of_motor(of_A, column, stages) for column in B.reshape(B.shape[0], -1).T], axis=0)
+    )
+
+
+def _peaks_of_motor(of_A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
+    period, n = PEAK_PERIOD, B.size
     halves = -(-min(stages, 20 * period) // period)
-    of_A = powers(A, period)
     held = np.cumsum((of_A[:-n] @ B).reshape(period, n), axis=0)
     # Half period after half period, each seen with the sign of its own current: x+ = held_20 - A^20 x. All states of
     # one follow from where it starts.

@@ -65,16 +65,18 @@ class Output:
 class StateSpace:
     """Continuous-time model from the input u, a current or a voltage, to the acceleration that it adds.
 
-    dx/dt = A x + B u,  y'' = C x + D u,  all SI, x = 0 on the nominal motion.
+    dx/dt = A x + B u,  y'' = C x + D u,  all SI, x = 0 on the nominal motion. A device with one motor that moves
+    along one line has m = p = 1; an arm has a column of B for each motor and a row of C for each direction.
 
     Attributes
     ----------
     A : (n, n) [1/s].
-    B : (n, 1) [unit of the state/s per A or V].
-    C : (1, n) [m/s^2 per unit of the state].
-    D : (1, 1) [m/s^2 per A or V].
+    B : (n, m) [unit of the state/s per A or V].
+    C : (p, n) [m/s^2 per unit of the state].
+    D : (p, m) [m/s^2 per A or V].
     outputs : name -> further output. "position" and "velocity" are those of the mass that the encoder sees; a device
-        without them, such as a black box, can have no wall and no limit on its motion.
+        without them, such as a black box, can have no wall and no limit on its motion. Of the further motors the
+        velocities are "velocity 2" to "velocity m".
     driven_by : what u is.
 
     Raises
@@ -92,9 +94,9 @@ class StateSpace:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        n = self.A.shape[0]
-        named = {"A": (self.A, n), "B": (self.B, 1), "C": (self.C, n), "D": (self.D, 1)}
-        rows = {"A": n, "B": n}
+        n, m, p = self.A.shape[0], *(max(size, 1) for size in (self.B.shape[-1], self.C.shape[0]))
+        named = {"A": (self.A, n), "B": (self.B, m), "C": (self.C, n), "D": (self.D, m)}
+        rows = {"A": n, "B": n, "C": p, "D": p}
         for name, (matrix, columns) in {**named, **{k: (v.row, n) for k, v in self.outputs.items()}}.items():
             shape = (rows.get(name, 1), columns)
             if matrix.shape != shape:
@@ -106,6 +108,16 @@ class StateSpace:
     def order(self) -> int:
         """Number of states n."""
         return int(self.A.shape[0])
+
+    @property
+    def motors(self) -> int:
+        """Number of inputs m."""
+        return int(self.B.shape[1])
+
+    @property
+    def tracked(self) -> int:
+        """Number of accelerations p that are tracked."""
+        return int(self.C.shape[0])
 
     @classmethod
     def from_matrices(
@@ -134,8 +146,13 @@ class StateSpace:
 
     @property
     def Cv(self) -> FloatArray:
-        """(1, n) row of the velocity of the same mass, which the back-EMF follows; zero where there is none."""
-        return self.outputs[VELOCITY].row if VELOCITY in self.outputs else np.zeros((1, self.order))
+        """(m, n) rows of the velocities that the back-EMFs of the motors follow; zero where there is none.
+
+        That of the first motor is of the mass whose position the encoder sees.
+        """
+        names = [VELOCITY, *(f"{VELOCITY} {j}" for j in range(2, self.motors + 1))]
+        none = np.zeros((1, self.order))
+        return np.concatenate([self.outputs[name].row if name in self.outputs else none for name in names])
 
     @property
     def moves_in_a_case(self) -> bool:
@@ -168,10 +185,14 @@ class StateSpace:
         return {name: {**asdict(self.outputs[name]), "row": self.outputs[name].row[0].tolist()} for name in own}
 
     def response(self, frequencies_Hz: FloatArray) -> FloatArray:
-        """(m,) complex transfer function y''/u at the given frequencies [m/s^2 per A or V]."""
+        """(f,) complex transfer function y''/u of one motor at f frequencies [m/s^2 per A or V].
+
+        Of a plant with several motors or directions it is (f, p, m).
+        """
         s = 2j * np.pi * np.asarray(frequencies_Hz)
         shifted = s[:, None, None] * np.eye(self.order) - self.A
-        return np.asarray((self.C @ np.linalg.solve(shifted, self.B) + self.D)[:, 0, 0])
+        found = np.asarray(self.C @ np.linalg.solve(shifted, self.B) + self.D)
+        return found[:, 0, 0] if found.shape[1:] == (1, 1) else found
 
 
 def blended(one: StateSpace, other: StateSpace, share: float) -> StateSpace:

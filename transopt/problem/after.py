@@ -25,6 +25,8 @@ from transopt.plant.wall import HandOver, earlier_by, feedback_command, feedback
 class Feedback:
     """The wall's feedback command as a function of the command, (K,) each for any K <= N + M.
 
+    Of several motors the commands are (m, K), and there is no wall.
+
     Attributes
     ----------
     stage : whose encoder is read.
@@ -44,14 +46,14 @@ class Feedback:
     def command(self, motion: Motion) -> FloatArray:
         """(K,) that the wall asks for during a motion (K,), pushing at the ticks that are held fixed."""
         if self.wall is None:
-            return np.zeros(motion.plant_input.size)
+            return np.zeros(motion.plant_input.shape)
         dt = self.grid.dt_s
         return feedback_command(self.wall.masked_feedback(self.course(motion), dt), self.stage.amplifier, dt)
 
     def transposed(self, by_command: FloatArray) -> FloatArray:
         """(K,) gradient by the encoder for a gradient (K,) by what the wall asks for."""
         if self.wall is None:
-            return np.zeros(by_command.size)
+            return np.zeros(by_command.shape[-1:])
         dt, late = self.grid.dt_s, self.stage.whole_delay + 1
         by_feedback = feedback_command_transpose(by_command, self.stage.amplifier, dt)
         return earlier_by(late, self.wall.feedback_transpose(by_feedback, dt))
@@ -59,7 +61,8 @@ class Feedback:
     def continued(self, command: FloatArray) -> FloatArray:
         """(N + M,) a command (N,) and what follows it."""
         M = self.grid.after_stages
-        lasting = np.append(command, np.zeros(M, dtype=command.dtype))
+        silence = np.zeros((*command.shape[:-1], M), dtype=command.dtype)
+        lasting = np.concatenate([command, silence], axis=-1)
         if self.wall is None or M == 0:
             return lasting
         asked = self.command(self.stage.motion(lasting))[command.size :]
@@ -70,7 +73,7 @@ class Feedback:
         """(N,) gradient by a command for a gradient (N + M,) by the command and what follows it."""
         N = self.grid.stages
         if self.wall is None or by_lasting.size == N:
-            return by_lasting[:N]
+            return by_lasting[..., :N]
         by_asked = np.append(np.zeros(N), self._solved(by_lasting[N:], transposed=True))
         by_encoder = self.transposed(by_asked)
         through = self.stage.adjoint(replace(Motion.zero(by_lasting.size), encoder_m=by_encoder))

@@ -54,7 +54,7 @@ class Multipliers:
     ----------
     stages : N.
     pairs : name of a row -> its multipliers (lower (N,), upper (N,)); a row that is not there has none.
-    hand_over : (hand_over_samples,) of c_k = feedback command.
+    hand_over : (hand_over_samples,) of c_k = feedback command; (m, hand_over_samples) of several motors.
     slope : (N,) slope of |mean i| over period k, -1 to 1, by which the ripple heats; no multiplier itself, but a
         ratio of two: where the mean current is zero, the optimum decides which it is.
     """
@@ -69,7 +69,8 @@ class Multipliers:
     @classmethod
     def zero(cls, problem: TransientProblem) -> "Multipliers":
         """No limit binds."""
-        return cls(problem.grid.stages, {}, np.zeros(problem.hand_over_samples), _nothing(problem.grid.stages))
+        tail = np.zeros((*problem.rest.shape[:-1], problem.hand_over_samples))
+        return cls(problem.grid.stages, {}, tail, _nothing(problem.grid.stages))
 
     def lower(self, row: str) -> FloatArray:
         """(N,) of a row's lower bound."""
@@ -115,7 +116,8 @@ class Solution:
     Attributes
     ----------
     status : typed from the solver's raw status string.
-    command : (N,) commands, exactly inside the command box and exactly zero over the hand-over.
+    command : (N,) commands, exactly inside the command box and exactly zero over the hand-over; (m, N) of several
+        motors.
     multipliers : clipped to their sign.
     solver : name, version-free.
     message : the solver's raw status.

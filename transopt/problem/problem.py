@@ -37,6 +37,10 @@ class TransientProblem:
     is a room of `objective`: `error_term` with `plain` and `rapid`, `tracking`, `movement`, `heat_price`; so is each
     limit, in `limits`.
 
+    A plant with m motors has commands (m, N) and limits for each motor, all squares being summed over the motors.
+    Of a plant with p directions each has a target and a weight of its own (`shares`), the normal of the surface
+    first. Such a plant can have no wall, no spread, no price on intensity, and no limit that is not `of_each_motor`.
+
     Attributes
     ----------
     stage : exact stage model of this grip's device.
@@ -47,7 +51,8 @@ class TransientProblem:
     limits : what bounds the command and all that follows from it.
     wall : the virtual wall over the hand-over; None without one.
     spread : further devices that the one command shall serve; the error is then the mean over all.
-    shares : (S,) of all devices in that mean, of sum one; None for equal ones.
+    shares : (S,) of all devices in that mean, of sum one; None for equal ones. Of a plant with several directions
+        their weights (p,), >= 0, the first above 0.
     worst : the error is that of the worst device; `shares` are its multipliers then (`objective.tracking`).
     heat_price : of the squared input, >= 0 [1/A^2 or 1/V^2].
     intention_s : for so long after contact a played tap is told against the recorded one; all of a named target.
@@ -81,11 +86,12 @@ class TransientProblem:
         for name, array, size in (
             ("reference_m_s2", self.target.window_m_s2, N),
             ("reference_after_m_s2", self.target.after_m_s2, M),
-            ("reference_before_m_s2", self.target.before_m_s2, self.target.before_m_s2.size),
+            ("reference_before_m_s2", self.target.before_m_s2, self.target.lost),
             *((f"weights of the {term.name} term", term.weights, N) for term in self.terms),
         ):
-            if array.shape != (size,):
-                raise InputError(f"{name} has shape {array.shape}, expected ({size},)")
+            of_direction = self.directions if name.startswith("reference") else ()
+            if array.shape != (*of_direction, size):
+                raise InputError(f"{name} has shape {array.shape}, expected {(*of_direction, size)}")
         if self.target.flaw:
             raise InputError(self.target.flaw)
         if not self.terms:
@@ -101,8 +107,15 @@ class TransientProblem:
                 f"intensity {self.intensity:g}: must be >= 0, below 1 and below every weight of the "
                 f"{self.terms[-1].name} term"
             )
-        if self.shares is not None and not (
-            self.shares.shape == (len(self.devices),) and self.shares.min() >= 0 and abs(self.shares.sum() - 1) < 1e-9
+        self._check_several()
+        if (
+            self.shares is not None
+            and not self.directions
+            and not (
+                self.shares.shape == (len(self.devices),)
+                and self.shares.min() >= 0
+                and abs(self.shares.sum() - 1) < 1e-9
+            )
         ):
             raise InputError(f"shares: must be one >= 0 for each of the {len(self.devices)} devices, of sum one")
         if not 1 <= self.hand_over_samples <= N:
@@ -112,6 +125,44 @@ class TransientProblem:
             )
         if self.wall is not None and self.stage.Cp is None:
             raise InputError("a wall needs the encoder position: discretise the device with its position")
+
+    def _check_several(self) -> None:
+        """
+        Raises
+        ------
+        InputError : what a plant with several motors or directions cannot have.
+        """
+        if not self.directions and self.stage.motors == 1:
+            return
+        said = f"a plant with {self.stage.motors} motors and {self.stage.tracked} directions"
+        p, shares = self.stage.tracked, self.shares
+        if self.directions and (
+            shares is None
+            or shares.shape != (p,)
+            or not np.isfinite(shares).all()
+            or not shares.min() >= 0 < shares[0]
+        ):
+            raise InputError(f"shares: {said} needs {p} weights >= 0, the first above 0")
+        unfit = {
+            "feedback": self.wall is not None,
+            "robust": bool(self.spread),
+            "weights.objective": self.intensity > 0,
+            **{f"limits.{limit.key or limit.name}": not limit.of_each_motor for limit in self.limits},
+        }
+        for key, there in unfit.items():
+            if there:
+                raise InputError(f"{key}: {said} cannot have it yet; leave it out")
+
+    @property
+    def directions(self) -> tuple[int, ...]:
+        """(p,) of a plant with several directions; empty for one."""
+        return () if self.stage.tracked == 1 else (self.stage.tracked,)
+
+    @cached_property
+    def rest(self) -> FloatArray:
+        """(N,) or (m, N) no command at all."""
+        motors = () if self.stage.motors == 1 else (self.stage.motors,)
+        return np.zeros((*motors, self.grid.stages))
 
     def rows(self) -> tuple[tuple[Limit, Row], ...]:
         """Every row of every limit."""
@@ -246,19 +297,31 @@ class TransientProblem:
 
     @cached_property
     def shared(self) -> FloatArray:
-        """(S,) share of every device in what the error costs."""
+        """(S,) share of every device, or (p,) weight of every direction, in what the error costs."""
         count = len(self.devices)
         return np.full(count, 1 / count) if self.shares is None else self.shares
 
     def accelerations(self, command: FloatArray) -> FloatArray:
-        """(S, N + M) y'' of every device, the entry's own first, through the window and after it."""
+        """(S, N + M) y'' of every device, the entry's own first, through the window and after it.
+
+        Of a plant with several directions it is (p, N + M).
+        """
         lasting = self.continued(command)
+        if self.directions:
+            return self.stage.rollout(lasting)[0]
         return np.stack([device.rollout(lasting)[0] for device in self.devices])
 
     def figures(self, accelerations_m_s2: FloatArray) -> Figures:
-        """Figures of y'' (N + M,) of the own device beside the problem's target."""
+        """Figures of y'' (N + M,), or of (p, N + M) in the first direction, beside the problem's target."""
+        if self.directions:
+            accelerations_m_s2 = accelerations_m_s2[0]
         with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-            return self.yardstick.figures(self.target, accelerations_m_s2)
+            return self.yardstick.figures(self.target.normal, accelerations_m_s2)
+
+    def tap_error(self, accelerations_m_s2: FloatArray) -> float:
+        """`Figures.tap_error` alone, of y'' (K,) or (p, K) from tau_0 on, K at least the samples of the window."""
+        normal = accelerations_m_s2[0] if self.directions else accelerations_m_s2
+        return self.yardstick.tap_error(self.target.normal, normal)
 
     def objective(
         self, command: FloatArray, accelerations_m_s2: FloatArray, plant_input: FloatArray | None = None

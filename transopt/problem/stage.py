@@ -2,7 +2,8 @@
 
 x = [plant of each device, current (unless ideal), error filters of each device, encoder position, its filtered
 velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k: the held command is a state, its movement dc
-the input.
+the input. A plant with m motors has m currents and, at the end, m commands; one with p directions has error filters
+for each of them.
 """
 
 import operator
@@ -29,7 +30,8 @@ class Layout:
 
     Attributes
     ----------
-    plants : states of each device, without the current. amplifier : False for an ideal one.
+    plants : states of each device, without the currents. amplifier : False for an ideal one.
+    motors, directions : m and p; with several of either there is one device.
     filters : whether each term of the error has a filter, of two states. priced : whether heat has a price, the input
         then being an output that is led to zero. feedback_delay : stages from the state that holds an encoder reading
         to the command that answers it; None without a wall.
@@ -40,6 +42,8 @@ class Layout:
     filters: tuple[bool, ...]
     priced: bool
     feedback_delay: int | None
+    motors: int = 1
+    directions: int = 1
 
     @property
     def devices(self) -> int:
@@ -51,51 +55,66 @@ class Layout:
 
     @property
     def current(self) -> int:
-        """Index of the current; only with an amplifier."""
+        """Index of the first motor's current; only with an amplifier."""
         return sum(self.plants)
 
-    def filter(self, device: int, term: int) -> slice:
-        """States of the filter of a term that has one."""
-        before = device * sum(self.filters) + sum(self.filters[:term])
-        start = sum(self.plants) + int(self.amplifier) + 2 * before
+    @cached_property
+    def currents(self) -> list[int]:
+        """Indices of what drives the plant, motor by motor: with ideal amplifiers the commands."""
+        first = self.current if self.amplifier else self.states - self.motors
+        return [*range(first, first + self.motors)]
+
+    @property
+    def _filtered(self) -> int:
+        """Index of the first state of an error filter."""
+        return sum(self.plants) + self.motors * int(self.amplifier)
+
+    @property
+    def courses(self) -> int:
+        """Number of accelerations that are tracked: one a device, or one a direction."""
+        return self.devices * self.directions
+
+    def filter(self, course: int, term: int) -> slice:
+        """States of the filter of a term that has one, for a device or for a direction."""
+        before = course * sum(self.filters) + sum(self.filters[:term])
+        start = self._filtered + 2 * before
         return slice(start, start + 2)
 
     @property
     def errors(self) -> int:
-        """Number of outputs that are tracked: one a device and term, the terms of one device side by side."""
-        return self.devices * len(self.filters)
+        """Number of outputs that are tracked: one a course and term, the terms of one course side by side."""
+        return self.courses * len(self.filters)
 
     @property
     def outputs(self) -> int:
-        """Number of outputs that cost something: the tracked ones, then the input where heat has a price."""
-        return self.errors + int(self.priced)
+        """Number of outputs that cost something: the tracked ones, then the inputs where heat has a price."""
+        return self.errors + self.motors * int(self.priced)
 
     @cached_property
     def wall(self) -> slice:
         """Encoder position, filtered velocity, and the delayed feedback demands, the latest first."""
-        start = sum(self.plants) + int(self.amplifier) + 2 * self.devices * sum(self.filters)
+        start = self._filtered + 2 * self.courses * sum(self.filters)
         return slice(start, start + (0 if self.feedback_delay is None else 3 + self.feedback_delay))
 
     @cached_property
     def states(self) -> int:
         """Length of x."""
-        return int(self.wall.stop) + 1
+        return int(self.wall.stop) + self.motors
 
     def dynamics_mask(self) -> NDArray[np.bool_]:
         """(n, n) entries of A that can differ from zero."""
-        n = self.states
+        n, commands = self.states, range(self.states - self.motors, self.states)
         mask = np.zeros((n, n), dtype=bool)
-        mask[-1, -1] = True
+        mask[commands, commands] = True
         if self.amplifier:
-            mask[self.current, [self.current, -1]] = True
-        for device in range(self.devices):
-            plant = self.plant(device)
-            filters = [self.filter(device, term) for term, there in enumerate(self.filters) if there]
+            mask[self.currents, self.currents] = mask[self.currents, commands] = True
+        driven = [*commands, *(self.currents if self.amplifier else ())]
+        for course in range(self.courses):
+            plant = self.plant(course // self.directions)
+            filters = [self.filter(course, term) for term, there in enumerate(self.filters) if there]
             for rows in (plant, *filters):
                 mask[rows, plant] = True
-                mask[rows, -1] = True
-                if self.amplifier:
-                    mask[rows, self.current] = True
+                mask[rows, driven] = True
             for rows in filters:
                 mask[rows, rows] = True
         if self.feedback_delay is not None:
@@ -115,23 +134,26 @@ class Layout:
         """(outputs, n) entries of the outputs that cost something."""
         mask = np.zeros((self.outputs, self.states), dtype=bool)
         # Without an amplifier the command issued now acts at once.
-        mask[:, self.current if self.amplifier else -1] = True
-        for row, (device, term) in enumerate(np.ndindex(self.devices, len(self.filters))):
-            mask[row, self.plant(device)] = True
+        mask[: self.errors, self.currents] = True
+        for row, (course, term) in enumerate(np.ndindex(self.courses, len(self.filters))):
+            mask[row, self.plant(course // self.directions)] = True
             if self.filters[term]:
-                mask[row, self.filter(device, term)] = True
+                mask[row, self.filter(course, term)] = True
+        mask[[*range(self.errors, self.outputs)], self.currents if self.priced else []] = True
         return mask
 
 
 def layout(problem: TransientProblem) -> Layout:
     amplifier = problem.stage.amplifier is not None
-    wall = problem.wall
+    wall, motors = problem.wall, problem.stage.motors
     return Layout(
-        plants=tuple(device.A.shape[0] - int(amplifier) for device in problem.devices),
+        plants=tuple(device.A.shape[0] - motors * int(amplifier) for device in problem.devices),
         amplifier=amplifier,
         filters=tuple(term.error_filter is not None for term in problem.terms),
         priced=problem.heat_price > 0,
         feedback_delay=None if wall is None else wall.wall.latency_ticks + problem.stage.whole_delay,
+        motors=motors,
+        directions=problem.stage.tracked,
     )
 
 
@@ -141,19 +163,20 @@ class LinearStage:
 
     Attributes
     ----------
-    A : (n, n). units : (n,) physical size of one scaled unit of each state.
+    A : (n, n). units : (n,) physical size of one scaled unit of each state. motors : m, its last states are commands.
     input_scale : of the problem, the unit of the plant's input and of the command.
     errors : number of outputs that are tracked.
-    C : (outputs, n), E : (outputs,) what costs something, from x_k and dc_k: y'' through the filter of every term, of
-        every device, over sqrt(E), and the input in its own unit where heat has a price.
+    C : (outputs, n), E : (outputs, m) what costs something, from x_k and dc_k: y'' through the filter of every term,
+        of every course, over sqrt(E), and the inputs in their own unit where heat has a price.
     unit_m_s2 : sqrt(E), what outputs are in units of; 1 for a tap of zero.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
-    outputs : (S) of every device: named output -> (n,), scalar: its value in SI by x_k and by dc_k, for an input
-        scale of 1; all of them grow with it.
+    outputs : (S) of every device, or (m) of every motor: named output -> (n,), scalar: its value in SI by x_k and by
+        the movement of the command, of several motors that of its own, for an input scale of 1; all grow with it.
     """
 
     A: FloatArray
     units: FloatArray
+    motors: int
     input_scale: float
     errors: int
     C: FloatArray
@@ -162,16 +185,21 @@ class LinearStage:
     feedback: FloatArray
     outputs: tuple[Mapping[str, tuple[FloatArray, float]], ...]
 
+    @property
+    def B(self) -> FloatArray:
+        """(n, m) of the movements dc_k."""
+        return self.A[:, -self.motors :]
+
     def row(self, row: Row) -> tuple[FloatArray, float]:
         """(n,) and scalar: the value of a limit's row by x_k and by dc_k, in SI."""
         G, d = np.zeros(self.units.size), 0.0
         for name, coefficient in row.outputs.items():
-            by_state, by_movement = self.output(name, row.device)
+            by_state, by_movement = self.output(name, row.device if row.motor is None else row.motor)
             G, d = G + coefficient * by_state, d + coefficient * by_movement
         return G, d
 
     def output(self, name: str, device: int = 0) -> tuple[FloatArray, float]:
-        """(n,) and scalar: a named output of a device by x_k and by dc_k, in SI."""
+        """(n,) and scalar: a named output of a device, or of a motor, by x_k and by dc_k, in SI."""
         by_state, by_movement = self.outputs[device][name]
         return self.input_scale * by_state, self.input_scale * by_movement
 
@@ -180,15 +208,16 @@ class LinearStage:
 
         All states grow with the input, so their matrix A is the same in units of it.
         """
-        by = np.full(self.E.size, input_scale / unit_m_s2)
+        by = np.full(self.E.shape[0], input_scale / unit_m_s2)
         by[self.errors :] = 1.0
         return LinearStage(
             A=self.A,
             units=self.units * input_scale,
+            motors=self.motors,
             input_scale=input_scale,
             errors=self.errors,
             C=self.C * by[:, None],
-            E=self.E * by,
+            E=self.E * by[:, None],
             unit_m_s2=unit_m_s2,
             feedback=self.feedback * input_scale,
             outputs=self.outputs,
@@ -230,23 +259,25 @@ def _law(problem: TransientProblem) -> Wall | None:
 
 def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
     """A in SI."""
-    n = where.states
+    n, m = where.states, where.motors
     A = np.zeros((n, n))
-    A[-1, -1] = 1.0
+    A[-m:, -m:] = np.eye(m)
     C, _ = _accelerations(problem, where)
+    currents = slice(where.current, where.current + m)
     for device, stage in enumerate(problem.devices):
         plant = where.plant(device)
         size = where.plants[device]
         A[plant, plant] = stage.A[:size, :size]
-        A[plant, -1] = stage.B[:size, 0]
+        A[plant, -m:] = stage.B[:size]
         if where.amplifier:
-            A[plant, where.current] = stage.A[:size, size]
-            A[where.current, where.current], A[where.current, -1] = stage.A[size, size], stage.B[size, 0]
+            A[plant, currents] = stage.A[:size, size:]
+            A[currents, currents], A[currents, -m:] = stage.A[size:, size:], stage.B[size:]
+    for course in range(where.courses):
         for term, by in enumerate(_filters(problem)):
             if by is not None:
                 Af, Bf, _, _ = by.state_space()
-                rows = where.filter(device, term)
-                A[rows] = Bf @ C[device : device + 1]
+                rows = where.filter(course, term)
+                A[rows] = Bf @ C[course : course + 1]
                 A[rows, rows] = Af
     if problem.wall is not None:
         wall, dt, first = problem.wall.wall, problem.grid.dt_s, where.wall.start
@@ -275,31 +306,31 @@ def _demand(problem: TransientProblem) -> FloatArray:
 
 
 def _accelerations(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
-    """(S, n) accelerations in SI without filter; (S,) their direct dependence on the movement."""
-    C = np.zeros((where.devices, where.states))
+    """(courses, n) accelerations in SI without filter; (courses, m) their direct dependence on the movements."""
+    C, m = np.zeros((where.courses, where.states)), where.motors
     for device, stage in enumerate(problem.devices):
-        size = where.plants[device]
-        C[device, where.plant(device)] = stage.C[0, :size]
+        size, rows = where.plants[device], slice(device * where.directions, (device + 1) * where.directions)
+        C[rows, where.plant(device)] = stage.C[:, :size]
         if where.amplifier:
-            C[device, where.current] = stage.C[0, size]
-        C[device, -1] = stage.D[0, 0]
-    return C, C[:, -1].copy()
+            C[rows, where.current : where.current + m] = stage.C[:, size:]
+        C[rows, -m:] = stage.D
+    return C, C[:, -m:].copy()
 
 
 def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
-    """(outputs, n) and (outputs,) what costs something by the state and by the movement, in SI."""
+    """(outputs, n) and (outputs, m) what costs something by the state and by the movements, in SI."""
     made, directly = _accelerations(problem, where)
-    C, E = np.zeros((where.outputs, where.states)), np.zeros(where.outputs)
-    for row, (device, term) in enumerate(np.ndindex(where.devices, len(where.filters))):
-        C[row], E[row] = made[device], directly[device]
+    C, E = np.zeros((where.outputs, where.states)), np.zeros((where.outputs, where.motors))
+    for row, (course, term) in enumerate(np.ndindex(where.courses, len(where.filters))):
+        C[row], E[row] = made[course], directly[course]
         by = problem.terms[term].error_filter
         if by is not None:
             _, _, Cf, Df = by.state_space()
             C[row], E[row] = C[row] * Df[0, 0], E[row] * Df[0, 0]
-            C[row, where.filter(device, term)] = Cf[0]
+            C[row, where.filter(course, term)] = Cf[0]
     if where.priced:
-        C[-1, where.current if where.amplifier else -1] = 1.0
-        E[-1] = 0.0 if where.amplifier else 1.0
+        C[range(where.errors, where.outputs), where.currents] = 1.0
+        E[where.errors :] = (0.0 if where.amplifier else 1.0) * np.eye(where.motors)
     return C, E
 
 
@@ -328,15 +359,14 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     C, E = _outputs(problem, where)
     units, unit = np.ones(where.states), _unit_m_s2(problem)
     if physical_scale:
-        N, unit = problem.grid.stages, 1.0
-        if problem.stage.A.shape[0] == where.states - 1:
+        N, m, unit = problem.grid.stages, where.motors, 1.0
+        if problem.stage.A.shape[0] == where.states - m:
             # Without filter, wall and further devices the states are the device's.
-            units[:-1] = problem.stage.state_scale(current, N)
+            units[:-m] = problem.stage.state_scale(current, N)
         else:
-            units[:-1] = state_scale(A[:-1, :-1], A[:-1, -1], current, N)
-    if where.amplifier:
-        units[where.current] = current
-    units[-1] = current
+            units[:-m] = state_scale(A[:-m, :-m], A[:-m, -m:], current, N)
+    units[where.currents] = current
+    units[-where.motors :] = current
     feedback = np.zeros((2, where.states))
     if where.feedback_delay is not None:
         first, delay = where.wall.start, where.feedback_delay
@@ -351,13 +381,18 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     return LinearStage(
         A=A * units / units[:, None],
         units=units,
+        motors=where.motors,
         input_scale=current,
         errors=where.errors,
         C=C * units / unit_of[:, None],
-        E=E * current / unit_of,
+        E=E * current / unit_of[:, None],
         unit_m_s2=unit,
         feedback=feedback * units,
-        outputs=tuple(_named(stage, device, where, per_input) for device, stage in enumerate(problem.devices)),
+        outputs=tuple(
+            _named(stage, device, motor, where, per_input)
+            for device, stage in enumerate(problem.devices)
+            for motor in range(where.motors)
+        ),
     )
 
 
@@ -366,28 +401,33 @@ def _unit_m_s2(problem: TransientProblem) -> float:
     return float(np.sqrt(problem.tracking.energy_m2_s4)) or 1.0
 
 
-def _named(stage: StageModel, device: int, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:
-    """The named outputs of a device by the states in these units and by the movement, the command's unit being 1."""
+def _named(
+    stage: StageModel, device: int, motor: int, where: Layout, units: FloatArray
+) -> dict[str, tuple[FloatArray, float]]:
+    """The named outputs of a device and motor by the states in these units and by its movement.
+
+    The command's unit is 1. The further outputs are those of a plant with one motor.
+    """
     size, own = where.plants[device], where.plant(device)
     command = np.zeros(where.states)
-    command[-1] = 1.0
+    command[motor - where.motors] = 1.0
 
     def of_device(row: FloatArray) -> FloatArray:
         found = np.zeros(where.states)
         found[own] = row[:size] * units[own]
         if where.amplifier:
-            found[where.current] = row[size]
+            found[where.currents] = row[size:]
         return found
 
     def of_output(name: str) -> tuple[FloatArray, float]:
         row, direct = stage.output(name)
         return of_device(row) + direct * command, direct
 
-    flows = (of_device(stage.Ci[0]), 0.0) if where.amplifier else (command, 1.0)
+    flows = (of_device(stage.Ci[motor]), 0.0) if where.amplifier else (command, 1.0)
     return {
         INPUT: flows,
         COMMAND: (command, 1.0),
         HELD: (command, 0.0),
-        VELOCITY: (of_device(stage.Cv[0]), 0.0),
-        **{name: of_output(name) for name in stage.output_names},
+        VELOCITY: (of_device(stage.Cv[motor]), 0.0),
+        **{name: of_output(name) for name in (stage.output_names if where.motors == 1 else ())},
     }

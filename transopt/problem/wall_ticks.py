@@ -13,7 +13,7 @@ MOST_TRIES = 12  # until the wall after the window pushes where it was assumed t
 
 def silence(problem: TransientProblem) -> tuple[TransientProblem, FloatArray]:
     """The problem with its wall pressing where it does without a transient, and the command (N,) of that."""
-    nothing = np.zeros(problem.grid.stages)
+    nothing = problem.rest
     if problem.wall is None:
         return problem, nothing
     command, course = _rendered(problem, nothing)

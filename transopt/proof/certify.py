@@ -119,7 +119,7 @@ class Effect:
     @cached_property
     def motion(self) -> Motion:
         """(N,) of the problem's own device within the window."""
-        return self.lasting.first(self.command.size)
+        return self.lasting.first(self.command.shape[-1])
 
     @cached_property
     def others(self) -> tuple[Motion, ...]:
@@ -134,11 +134,13 @@ class Effect:
 
     def motion_of(self, device: int) -> Motion:
         """(N,) of a device within the window; 0 is the problem's own."""
-        return self.others[device - 1].first(self.command.size) if device else self.motion
+        return self.others[device - 1].first(self.command.shape[-1]) if device else self.motion
 
     @cached_property
     def accelerations_m_s2(self) -> FloatArray:
-        """(S, N + M) of every device."""
+        """(S, N + M) of every device, or (p, N + M) of every direction."""
+        if self.problem.directions:
+            return self.lasting.acceleration_m_s2
         return np.stack([motion.acceleration_m_s2 for motion in (self.lasting, *self.others)])
 
     @cached_property
@@ -157,7 +159,7 @@ class Effect:
         """(N,) gradient of the temperature limit's part of the Lagrangian by the heatings; zero without one."""
         thermal, by_winding = self.problem.thermal, multipliers.upper(TEMPERATURE)
         if thermal is None or not by_winding.any():
-            return np.zeros(self.command.size)
+            return np.zeros(self.command.shape[-1])
         return thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
 
 
@@ -193,7 +195,7 @@ def inside(
 
 
 def reduced_gradient(effect: Effect, multipliers: Multipliers, *, of_limits_alone: bool = False) -> FloatArray:
-    """(N,) gradient by the commands of L + sum mu (constraint) + sum hand_over (c - feedback) [1/A].
+    """(N,) or (m, N) gradient by the commands of L + sum mu (constraint) + sum hand_over (c - feedback) [1/A].
 
     L is what is minimised, J where intensity has no price; `of_limits_alone` leaves it out.
     """
@@ -229,7 +231,10 @@ def _reduced_gradient(
     # What happens after the window moves with the commands within it; no limit's row looks there.
     after = problem.grid.after_stages
     tracking, shares = problem.tracking, problem.shared
-    by_error = [tracking.gradient(a, share) for a, share in zip(effect.accelerations_m_s2, shares, strict=True)]
+    if problem.directions:
+        by_error = [tracking.gradient(effect.accelerations_m_s2, 1.0)]
+    else:
+        by_error = [tracking.gradient(a, share) for a, share in zip(effect.accelerations_m_s2, shares, strict=True)]
     by_motion = replace(by_motion.padded(after), acceleration_m_s2=by_error[0])
     by_lasting = problem.stage.adjoint(by_motion)
     for device, its_own, by_its_error in zip(problem.spread, through_others, by_error[1:], strict=True):
@@ -251,7 +256,7 @@ def gradient_rounding(problem: TransientProblem, command: FloatArray, multiplier
         return reduced_gradient(Effect(problem, moved), m)
 
     own, lot = gradient(command), np.random.default_rng(0)
-    signs = lot.choice((-1.0, 1.0), (DRAWS, command.size))
+    signs = lot.choice((-1.0, 1.0), (DRAWS, *command.shape))
     nearby = command * (1 + np.finfo(float).eps * signs)
     return np.asarray(np.mean([np.abs(gradient(moved) - own) for moved in nearby], axis=0))
 
@@ -353,12 +358,12 @@ def certify(
         by_heating = effect.by_heating(clipped)
         g = _reduced_gradient(effect, clipped, by_heating)
         c_max = problem.command_bound
-        rest = sum(box.complementarity for box in limits) + float(np.abs(clipped.hand_over) @ np.abs(tail))
+        rest = sum(box.complementarity for box in limits) + float(np.vdot(np.abs(clipped.hand_over), np.abs(tail)))
         rest += _kink_gap(effect, clipped, by_heating)
         if problem.worst:
             # The sum by the shares bounds the loss of the worst device from below, and `merit` is that loss.
             rest += problem.tracking.above_mean(effect.accelerations_m_s2)
-        gap = float(np.abs(g) @ (c_max + np.abs(command))) + rest
+        gap = float(np.vdot(np.abs(g), c_max + np.abs(command))) + rest
         if gap > Certificate.GAP_TOLERANCE * max(objective, OBJECTIVE_SCALE):
             gap = float(np.fmin(gap, movement_bound(problem, g) + rest))
     if not np.isfinite(gap):
@@ -376,8 +381,10 @@ def certify(
 def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> bool:
     """Whether command and multipliers have the problem's shapes, and are numbers everywhere."""
     N, arrays = problem.grid.stages, [command, *multipliers.arrays()]
-    shapes = [(N,)] * (len(arrays) - 2) + [(problem.hand_over_samples,), (N,)]
-    return [a.shape for a in arrays] == shapes and bool(np.isfinite(np.concatenate(arrays)).all())
+    motors = problem.rest.shape[:-1]
+    shapes = [(*motors, N)] + [(N,)] * (len(arrays) - 3) + [(*motors, problem.hand_over_samples), (N,)]
+    stated = [a.shape for a in arrays] == shapes
+    return stated and bool(np.isfinite(np.concatenate([a.ravel() for a in arrays])).all())
 
 
 def left_over(
@@ -404,10 +411,11 @@ def movement_bound(problem: TransientProblem, gradient: FloatArray) -> float:
     All but the movement's term is convex and lies above its tangent, and that term is w sum m_k^2 with m_k the
     movement of the command. Moving on by m therefore changes the Lagrangian by at least sum_k (G_k m_k + w m_k^2),
     G_k = sum_(j >= k) g_j, whose minimum over all m is -sum G_k^2 / (4 w). Infinite where the movement costs nothing.
+    Of several motors, (m, N), each has a sum of its own.
     """
-    to_come = np.cumsum(gradient[::-1])
+    to_come = np.cumsum(gradient[..., ::-1], axis=-1)
     weight = problem.movement.weight
-    return float(to_come @ to_come) / (4 * weight) if weight > 0 else np.inf
+    return float(np.vdot(to_come, to_come)) / (4 * weight) if weight > 0 else np.inf
 
 
 def _bent(problem: TransientProblem, multipliers: Multipliers) -> bool:

@@ -50,9 +50,9 @@ def is_infeasible(problem: TransientProblem, command: FloatArray, multipliers: M
             total += float(mu[stated] @ (value[stated] - bound[stated]))
             size += float(mu[stated] @ (np.abs(value[stated]) + np.abs(bound[stated])))
     tail = hand_over.residual(problem, command, motion)
-    total += float(ray.hand_over @ tail)
+    total += float(np.vdot(ray.hand_over, tail))
     g = reduced_gradient(effect, ray, of_limits_alone=True)
-    loss = float(np.abs(g) @ (problem.command_bound + np.abs(command)))
+    loss = float(np.vdot(np.abs(g), problem.command_bound + np.abs(command)))
     loss += kink_gap(problem, command, motion, ray)
     # Written so that a NaN proves nothing. The gradient's rounding counts in `loss` itself.
-    return bool(total - loss > MARGIN * (size + float(np.abs(ray.hand_over) @ np.abs(tail))))
+    return bool(total - loss > MARGIN * (size + float(np.vdot(np.abs(ray.hand_over), np.abs(tail)))))

@@ -116,10 +116,10 @@ def _found(problem: TransientProblem, limits: Collection[str]) -> tuple[float, F
         return None
     x = found.x * unit
     widened = float(x[-1])
-    command = x[shape.first : -1].reshape(shape.stages, shape.variables)[:, shape.command]
-    command = np.asarray(command * statement.stage.input_scale)
+    command = x[shape.first : -1].reshape(shape.stages, shape.variables)[:, shape.commands]
+    command = np.asarray(command.T * statement.stage.input_scale).reshape(problem.rest.shape)
     if problem.wall is None:
-        command[problem.free_stages :] = 0.0
+        command[..., problem.free_stages :] = 0.0
     return 1.0 + (widened if widened > SLACK else 0.0), command
 
 
@@ -150,7 +150,7 @@ def _widths(statement: Statement, limits: Collection[str]) -> tuple[FloatArray, 
         if row.name not in named:
             continue
         if row.single:
-            column = variable(shape, row.single)
+            column = variable(shape, row.single) + row.motor
             wide_x[:, column] = np.where(np.isfinite(upper[:, column]), row.unit / stage.input_scale, 0.0)
         else:
             wide_g[state_program(shape).rows[row.name]] = 1.0

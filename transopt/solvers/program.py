@@ -3,8 +3,8 @@
 PIQP, IPOPT, the linear programs and the sparse KKT system read their data from this statement. The project's own
 method takes `stage_data`, made from the same linear stage and the same rows of limits.
 
-Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the command's movement, the linear states of
-`linear_stage` in physical scale, and where the temperature is in the problem the size e_k of the mean current and the
+Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the movement of each command, the linear states
+of `linear_stage` in physical scale, and where the temperature is in the problem the size e_k of the mean current and the
 nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps repeat. Current, command and movement are
 single variables, so that their limits are boxes. Nothing is condensed.
 """
@@ -36,6 +36,7 @@ class RowShape:
     name: str
     states: tuple[bool, ...]
     first: int
+    motor: int
 
     @property
     def mask(self) -> NDArray[np.bool_]:
@@ -77,8 +78,8 @@ class Shape:
 
     @property
     def controls(self) -> int:
-        """Movement, and with the temperature the size of the mean current."""
-        return 1 + int(self.nodes > 0)
+        """Movements, and with the temperature the size of the mean current."""
+        return self.layout.motors + int(self.nodes > 0)
 
     @property
     def variables(self) -> int:
@@ -92,8 +93,13 @@ class Shape:
 
     @property
     def command(self) -> int:
-        """Index of the command among a stage's variables."""
-        return self.controls + self.layout.states - 1
+        """Index of the first command among a stage's variables."""
+        return self.controls + self.layout.states - self.layout.motors
+
+    @property
+    def commands(self) -> slice:
+        """Indices of all commands among a stage's variables."""
+        return slice(self.command, self.command + self.layout.motors)
 
 
 @dataclass(frozen=True)
@@ -181,12 +187,12 @@ class HeatSymbols:
 
 @dataclass(frozen=True)
 class Stage:
-    """What happens at a stage, as expressions; for states (n, K) and movements (1, K) at K stages side by side.
+    """What happens at a stage, as expressions; for states (n, K) and movements (m, K) at K stages side by side.
 
     Attributes
     ----------
     A, B, C, E : MX of `problem.stage.LinearStage`.
-    rows : name of a limit's row -> MX of its value by x and by dc.
+    rows : name of a limit's row -> MX of its value by x and by dc, and which of the movements that is.
     heat : None without temperature.
     symbols : in the order in which `statement` gives their values.
     """
@@ -196,7 +202,7 @@ class Stage:
     B: ca.MX
     C: ca.MX
     E: ca.MX
-    rows: dict[str, tuple[ca.MX, ca.MX]]
+    rows: dict[str, tuple[ca.MX, ca.MX, int]]
     heat: HeatSymbols | None
     symbols: dict[str, ca.MX]
 
@@ -205,8 +211,12 @@ class Stage:
         where = shape.layout
         A_values, A = _sparse_symbol("A", where.dynamics_mask())
         C_values, C = _sparse_symbol("C", where.output_mask())
-        B, E = ca.MX.sym("B", where.states), ca.MX.sym("E", where.outputs)
-        symbols = {"A": A_values, "B": B, "C": C_values, "E": E}
+        # One motor's column is dense in the program; of several each has the sparsity of its own.
+        B_values = B = ca.MX.sym("B", where.states)
+        if where.motors > 1:
+            B_values, B = _sparse_symbol("B", where.dynamics_mask()[:, -where.motors :])
+        E = ca.MX.sym("E", where.outputs, where.motors)
+        symbols = {"A": A_values, "B": B_values, "C": C_values, "E": E}
         heat = HeatSymbols.make(shape) if shape.nodes else None
         if heat is not None:
             symbols |= {field.name: getattr(heat, field.name) for field in fields(HeatSymbols)}
@@ -215,7 +225,7 @@ class Stage:
             values, G = _sparse_symbol(f"G_{row.name}", row.mask)
             d = ca.MX.sym(f"d_{row.name}")
             symbols |= {f"G_{row.name}": values, f"d_{row.name}": d}
-            rows[row.name] = (G, d)
+            rows[row.name] = (G, d, row.motor)
         return cls(where, A, B, C, E, rows, heat, symbols)
 
     def after(self, before: ca.MX, movement: ca.MX) -> ca.MX:
@@ -229,8 +239,8 @@ class Stage:
 
     def value(self, row: str, before: ca.MX, movement: ca.MX) -> ca.MX:
         """(1, K) of a limit's row, in units of what its limit states and without its offset."""
-        G, d = self.rows[row]
-        return G @ before + d * movement
+        G, d, motor = self.rows[row]
+        return G @ before + d * movement[motor, :]
 
     def current(self, before: ca.MX) -> ca.MX:
         """(1, K) zero for an ideal amplifier, whose current is the command."""
@@ -255,7 +265,7 @@ def state_program(shape: Shape) -> Program:
     N, n, m, h, where = shape.stages, shape.layout.states, shape.nodes, shape.hand_over_samples, shape.layout
     variables = ca.MX.sym("stages", shape.variables, N)
     first = ca.MX.sym("start", shape.first)
-    movement, after = variables[0, :], variables[shape.controls : shape.controls + n, :]
+    movement, after = variables[: where.motors, :], variables[shape.controls : shape.controls + n, :]
     rise = variables[shape.controls + n :, :]
     stage = Stage.make(shape)
     reference, weights = (ca.MX.sym(name, N, where.outputs) for name in "rw")
@@ -293,7 +303,7 @@ def state_program(shape: Shape) -> Program:
         if shape.repeated:
             rows["pause"] = weight * (first - stage.heat.F @ rise[:, -1] - stage.heat.f)
     if where.feedback_delay is None:
-        rows["hand_over"] = ca.vec(after[-1, N - h :])
+        rows["hand_over"] = ca.vec(after[-where.motors :, N - h :].T)
     else:
         mask = np.repeat(feedback_mask(where), h, axis=0).T
         symbols["T"], T = _sparse_symbol("T", mask)
@@ -331,7 +341,7 @@ def program_shape(problem: TransientProblem) -> Shape:
         stages=problem.grid.stages,
         layout=layout(problem),
         hand_over_samples=problem.hand_over_samples,
-        rows=tuple(RowShape(row.name, tuple((row.G != 0).tolist()), 0 if row.d else 1) for row in rows),
+        rows=tuple(RowShape(row.name, tuple((row.G != 0).tolist()), 0 if row.d else 1, row.motor) for row in rows),
         laws=tuple(
             LawShape(row.name, row.law.text, len(row.outputs)) for _, row in problem.rows() if isinstance(row, LawRow)
         ),

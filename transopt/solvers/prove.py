@@ -35,6 +35,7 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     if (
         not available
         or problem.worst
+        or problem.stage.motors > 1
         or problem.reference_is_zero
         or set(problem.nonlinear) - {TemperatureLimit.name}
     ):

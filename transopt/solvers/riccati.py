@@ -36,7 +36,7 @@ def can_solve(problem: TransientProblem) -> bool:
     """Whether the extension is there and the problem small enough: many devices are too many states, or rows."""
     nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
     # The compiled recursion knows no limit that is not linear but the temperature.
-    if set(problem.nonlinear) - {TemperatureLimit.name}:
+    if set(problem.nonlinear) - {TemperatureLimit.name} or problem.stage.motors > 1:
         return False
     if len(problem.rows()) + ROWS_OF_HEAT > MOST_ROWS:
         return False

@@ -24,10 +24,13 @@ def pattern(shape: Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int3
 
 
 def movement(problem: TransientProblem) -> FloatArray:
-    """(N,) optimal movement of the command in units of the limit current; NaN if the system is singular."""
+    """(N,) optimal movement of the command in units of the limit current; NaN if the system is singular.
+
+    Of several motors it is (m, N).
+    """
     # What is no box would be an inequality among the rows.
     sums = {row.name for row in stated_rows(problem, linear_stage(problem)) if not row.single}
-    no_boxes = [limit.name for limit in problem.limits if sums & set(limit.row_names)]
+    no_boxes = {limit.name for limit, row in problem.rows() if row.name in sums}
     statement = state(problem.without(*problem.nonlinear, *no_boxes))
     shape = statement.shape
     data = state_program(shape).qp_data(p=statement.p)
@@ -40,8 +43,9 @@ def movement(problem: TransientProblem) -> FloatArray:
     try:
         factors = scipy.sparse.linalg.splu(kkt)
     except RuntimeError:
-        return np.full(shape.stages, np.nan)
+        return np.full_like(problem.rest, np.nan)
     point = factors.solve(right)
     for _ in range(REFINEMENTS):
         point += factors.solve(right - kkt @ point)
-    return np.asarray(point[: shape.stages * shape.variables].reshape(-1, shape.variables)[:, 0])
+    variables = point[: shape.stages * shape.variables].reshape(-1, shape.variables)
+    return np.asarray(variables[:, : shape.layout.motors].T.reshape(problem.rest.shape))

@@ -53,18 +53,18 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
 
 
 def _wanted(problem: TransientProblem) -> FloatArray:
-    """(N, outputs) what each output is led to: one a device and term, those of one device side by side, and heat."""
+    """(N, outputs) what each output is led to: one a course and term, those of one course side by side, and heat."""
     wanted = problem.tracking.solved_wanted.T
-    zeros = [np.zeros((wanted.shape[0], 1))] if problem.heat_price > 0 else []
+    zeros = [np.zeros((wanted.shape[0], problem.stage.motors))] if problem.heat_price > 0 else []
     return np.concatenate([wanted] * len(problem.devices) + zeros, axis=1)
 
 
 def _weights(problem: TransientProblem, stage: LinearStage) -> FloatArray:
     """(N, outputs) weights of the squares of what remains."""
     by_term = problem.tracking.solved_weights.T
-    price = (
-        [np.full((by_term.shape[0], 1), problem.heat_price * stage.input_scale**2)] if problem.heat_price > 0 else []
-    )
+    price = []
+    if problem.heat_price > 0:
+        price = [np.full((by_term.shape[0], stage.motors), problem.heat_price * stage.input_scale**2)]
     return np.concatenate([*(share * by_term for share in problem.shared), *price], axis=1)
 
 
@@ -88,10 +88,10 @@ def heat_values(problem: TransientProblem, input_scale: float) -> dict[str, Floa
 
 
 def held(problem: TransientProblem, command: FloatArray) -> FloatArray:
-    """(N,) commands moved by rounding only: into the box, zero at a plain hand-over."""
+    """(..., N) commands moved by rounding only: into the box, zero at a plain hand-over."""
     c = np.clip(command, -problem.command_bound, problem.command_bound)
     if problem.wall is None:
-        c[problem.free_stages :] = 0.0
+        c[..., problem.free_stages :] = 0.0
     return np.asarray(c)
 
 
@@ -101,7 +101,8 @@ class StatedRow:
 
     Attributes
     ----------
-    G, d : (n,), scalar of the value by x_k and by dc_k.
+    G, d : (n,), scalar of the value by x_k and by dc_k, of several motors by the movement of its own.
+    motor : which of several, from 0.
     asked : (2, N) lower and upper bounds less the offset.
     lower, upper : (N,) of them, infinite where the row asks for nothing that is not decided already.
     single : the variable that the row alone bounds, "current", "command" or "movement"; empty for a sum of several.
@@ -111,6 +112,7 @@ class StatedRow:
     unit: float
     G: FloatArray
     d: float
+    motor: int
     asked: FloatArray
     lower: FloatArray
     upper: FloatArray
@@ -139,9 +141,9 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
         if single == "movement" and row.outputs[HELD] != -row.outputs[COMMAND]:
             single = ""
         # One variable has one box, and so one multiplier on either side.
-        single = "" if any(other.single == single for other in found) else single
-        by = limit.stated
-        found.append(StatedRow(row.name, by, G / by, d / by, asked, lower, upper, single))
+        by, motor = limit.stated, row.motor or 0
+        single = "" if any((other.single, other.motor) == (single, motor) for other in found) else single
+        found.append(StatedRow(row.name, by, G / by, d / by, motor, asked, lower, upper, single))
     return found
 
 

@@ -64,8 +64,9 @@ class Statement:
         return x[self.shape.first :].reshape(self.shape.stages, self.shape.variables)
 
     def command(self, x: FloatArray) -> FloatArray:
-        """(N,) commands of a program point [A], as `held`."""
-        return self.held(self._by_stage(x)[:, self.shape.command] * self.stage.input_scale)
+        """(N,) commands of a program point [A], or (m, N) of several motors, as `held`."""
+        commands = self._by_stage(x)[:, self.shape.commands].T * self.stage.input_scale
+        return self.held(commands[0] if self.stage.motors == 1 else commands)
 
     def held(self, command: FloatArray) -> FloatArray:
         """`stage_data.held`."""
@@ -79,7 +80,7 @@ class Statement:
         for row in self.rows:
             if row.single:
                 # The variable of stage k is the current at tau_(k+1); that at tau_0 is zero and has no limit.
-                on = boxes[:, variable(shape, row.single)]
+                on = boxes[:, variable(shape, row.single) + row.motor]
                 mu = (np.append(0.0, on[:-1]) if row.single == INPUT else on) * unit
             else:
                 first = N - (rows[row.name].stop - rows[row.name].start)
@@ -92,11 +93,14 @@ class Statement:
             slope = slope_of(-lam_g[rows["size_above"]], -lam_g[rows["size_below"]])
             mu = boxes[:, shape.command + 1] * OBJECTIVE_SCALE / self.kelvin
             pairs[problem.thermal.row_names[0]] = (np.zeros(N), mu)
-        return Multipliers(N, pairs, lam_g[rows["hand_over"]] * unit, slope).clipped()
+        hand_over = lam_g[rows["hand_over"]] * unit
+        if self.stage.motors > 1:
+            hand_over = hand_over.reshape(self.stage.motors, -1)
+        return Multipliers(N, pairs, hand_over, slope).clipped()
 
 
 def variable(shape: Shape, single: str) -> int:
-    """Index among a stage's variables of the one that a row bounds alone."""
+    """Index among a stage's variables of the one that a row bounds alone, of the first motor."""
     return {"movement": 0, COMMAND: shape.command, INPUT: shape.controls + shape.layout.current}[single]
 
 
@@ -107,9 +111,9 @@ def _parameters(
     where = shape.layout
     values: dict[str, FloatArray | list[float]] = {
         "A": nonzeros(stage.A, where.dynamics_mask()),
-        "B": stage.A[:, -1],
+        "B": stage.A[:, -1] if stage.motors == 1 else nonzeros(stage.B, where.dynamics_mask()[:, -stage.motors :]),
         "C": nonzeros(stage.C, where.output_mask()),
-        "E": stage.E,
+        "E": stage.E.T,
         # CasADi reads matrices column by column.
         **{name: value.T for name, value in tracking_values(problem, stage).items()},
     }
@@ -144,7 +148,7 @@ def _variable_bounds(
     for row in rows:
         if not row.single:
             continue
-        column, to_variable = variable(shape, row.single), row.unit / stage.input_scale
+        column, to_variable = variable(shape, row.single) + row.motor, row.unit / stage.input_scale
         low, high = row.lower * to_variable, row.upper * to_variable
         if row.single == INPUT:
             # The variable of stage k is the current at tau_(k+1); that at tau_N follows the hand-over.
@@ -171,7 +175,7 @@ def _row_bounds(
     _, constant = hand_over.rows(problem, stage)
     for kind in ("size_above", "size_below"):
         upper[program.rows.get(kind, slice(0, 0))] = np.inf
-    lower[program.rows["hand_over"]] = upper[program.rows["hand_over"]] = constant
+    lower[program.rows["hand_over"]] = upper[program.rows["hand_over"]] = np.tile(constant, stage.motors)
     for row in rows:
         if not row.single:
             at = program.rows[row.name]

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
-from transopt.problem.limits.limit import COMMAND, Limit, Posed, Row, Setting, positive
+from transopt.problem.limits.limit import COMMAND, Limit, Posed, Row, Setting, of_motors, positive
 
 
 @dataclass(frozen=True, repr=False)
@@ -24,6 +24,7 @@ class CommandLimit(Limit):
     indispensable: ClassVar[bool] = True
     price_step: ClassVar[float] = 1.0
     after_the_waveform: ClassVar[bool] = True
+    of_each_motor: ClassVar[bool] = True
 
     limit: float
 
@@ -47,7 +48,7 @@ class CommandLimit(Limit):
         return type(self)(factor * self.limit)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        return (Row("command", {COMMAND: 1.0}, -self.limit, self.limit),)
+        return of_motors(Row("command", {COMMAND: 1.0}, -self.limit, self.limit), problem)
 
     def command_bound(self, *, ideal: bool) -> float:
         return self.limit

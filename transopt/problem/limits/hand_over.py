@@ -19,12 +19,13 @@ from transopt.problem.stage import LinearStage, linear_stage
 
 def residual(problem: TransientProblem, command: FloatArray, motion: Motion) -> FloatArray:
     """(h,) by how much a command (N,) with this motion differs from what is asked for over the hand-over [A]."""
-    return np.asarray((command - problem.hand_over_command(motion))[problem.free_stages :])
+    return np.asarray((command - problem.hand_over_command(motion))[..., problem.free_stages :])
 
 
 def transposed(problem: TransientProblem, by_residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gradients by the commands (N,) and by the encoder's course (N,) for a gradient (h,) by the residual."""
-    tail = np.append(np.zeros(problem.free_stages), by_residual)
+    before = np.zeros((*by_residual.shape[:-1], problem.free_stages))
+    tail = np.concatenate([before, by_residual], axis=-1)
     return tail, problem.feedback.transposed(-tail)
 
 
@@ -60,5 +61,5 @@ def growth(problem: TransientProblem) -> float:
     # c_k = rows x_k, so the movement is that less the command held before.
     held = by_state[-1].copy()
     held[-1] -= 1.0
-    loop = stage.A + np.outer(stage.A[:, -1], held)
+    loop = stage.A + np.outer(stage.B[:, 0], held)
     return float(np.abs(np.linalg.eigvals(loop)).max())

@@ -4,26 +4,43 @@ The input goes monotonically from one switching instant to the next, so a box on
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Final, Self
 
+from transopt.base.errors import InputError
 from transopt.plant.discretise import TimeGrid
-from transopt.problem.limits.limit import COMMAND, INPUT, Limit, Posed, Row, Setting, positive
+from transopt.problem.limits.limit import COMMAND, INPUT, Limit, Posed, Row, Setting, of_motors, positive
+
+SHARES: Final = "motor_shares"  # what each of several motors has of the limit, beside its key
 
 
 @dataclass(frozen=True, repr=False)
 class InputLimit(Limit):
-    """The limit on the input of the plant, > 0; which of the two inputs it is on, its kind says."""
+    """The limit on the input of the plant, > 0; which of the two inputs it is on, its kind says.
+
+    Attributes
+    ----------
+    limit : of the strongest motor.
+    shares : (m,) what part of it each of several motors has, in (0, 1]; empty for all of it.
+    """
 
     scales_movement: ClassVar[bool] = True
     indispensable: ClassVar[bool] = True
     after_the_waveform: ClassVar[bool] = True
     price_step: ClassVar[float] = 1.0
 
+    of_each_motor: ClassVar[bool] = True
+
     limit: float
+    shares: tuple[float, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         positive(self.key, self.limit)
+        for j, share in enumerate(self.shares):
+            if not 0 < share <= 1:
+                raise InputError(
+                    f"limits: share {share:g} of {self.key} for motor {j + 1}: must be > 0 and at most 1"
+                )
 
     @property
     def stated(self) -> float:
@@ -31,15 +48,15 @@ class InputLimit(Limit):
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        return cls(asked[cls.key])
+        return cls(asked[cls.key], shares=tuple(asked.get(SHARES) or ()))
 
     def wider(self, factor: float) -> Self:
-        return type(self)(factor * self.limit)
+        return replace(self, limit=factor * self.limit)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         # An ideal amplifier has no state of its own: the plant's input is the command.
         felt = COMMAND if problem.stage.amplifier is None else INPUT
-        return (Row(self.row_names[0], {felt: 1.0}, -self.limit, self.limit),)
+        return of_motors(Row(self.row_names[0], {felt: 1.0}, -self.limit, self.limit), problem, self.shares)
 
     def command_bound(self, *, ideal: bool) -> float:
         return self.limit if ideal else super().command_bound(ideal=ideal)

@@ -52,6 +52,8 @@ class Row:
     offset : (N,) or one number: the part of the value that no command changes.
     condition : under which the value is this one, as it is said where the row binds; empty for none.
     device : which of the problem's devices has the value; 0 is the entry's own.
+    motor : whose input, command and velocity are meant, from 0; None for a plant with one motor.
+    share : what part of the limit this motor has; the bounds are that much of what the limit states.
     """
 
     name: str
@@ -61,6 +63,15 @@ class Row:
     offset: FloatArray | float = 0.0
     condition: str = ""
     device: int = 0
+    motor: int | None = None
+    share: float = 1.0
+
+    def of_motor(self, motor: int, share: float = 1.0) -> "Row":
+        """Return the row of one of several motors, with its own multipliers and its share of the bounds."""
+        of_it = "" if share == 1 else f", which has {share:g} of it"
+        said = f"{self.condition} of motor {motor + 1}{of_it}".lstrip()
+        name, lower, upper = motor_row(self.name, motor), share * self.lower, share * self.upper
+        return replace(self, name=name, lower=lower, upper=upper, condition=said, motor=motor, share=share)
 
     def of_device(self, device: int) -> "Row":
         """Return the row for a device of the spread, with its own multipliers; device 0 is the entry's, unchanged."""
@@ -70,7 +81,9 @@ class Row:
         return replace(self, name=device_row(self.name, device), condition=said, device=device)
 
     def value(self, motion: Motion, command: FloatArray) -> FloatArray:
-        """(..., N) what a command (..., N) with this motion makes of it."""
+        """(..., N) what a command (..., N), or (..., m, N) of m motors, with this motion makes of it."""
+        if self.motor is not None:
+            motion, command = motion.of_motor(self.motor), command[..., self.motor, :]
         parts: list[Any] = [by * output_values(output, motion, command) for output, by in self.outputs.items()]
         if isinstance(self.offset, np.ndarray) or self.offset or not parts:
             parts.append(self.offset)
@@ -98,6 +111,11 @@ class Row:
 def device_row(name: str, device: int) -> str:
     """What the row of a further device of a spread is called, beside the row of the entry's own device."""
     return f"{name}_device_{device}" if device else name
+
+
+def motor_row(name: str, motor: int) -> str:
+    """What the row of one of several motors is called."""
+    return f"{name}_motor_{motor + 1}"
 
 
 def _along(value: FloatArray | float, stages: int) -> FloatArray:
@@ -132,8 +150,11 @@ def transposed(
 
     Parameters
     ----------
-    motion, command : where the gradients are taken; only a row that is not linear looks at them.
+    motion, command : where the gradients are taken; only a row that is not linear looks at them. Of several motors
+        the commands are (m, N), and so is what is returned.
     """
+    if command.ndim > 1:
+        return _transposed_by_motor(list(by_value), motion, command)
     by: dict[str, FloatArray] = {}
     nothing = np.zeros(command.size)
     for row, gradient in by_value:
@@ -143,6 +164,20 @@ def transposed(
     if (by_held := by.pop(HELD, None)) is not None:
         by_command = by_command + np.append(by_held[1:], 0.0)
     return Motion(nothing, by.pop(INPUT, nothing), by.pop(VELOCITY, nothing), nothing, by), by_command
+
+
+def _transposed_by_motor(
+    by_value: list[tuple[Row, FloatArray]], motion: Motion, command: FloatArray
+) -> tuple[Motion, FloatArray]:
+    parts = [
+        transposed([each for each in by_value if each[0].motor == j], motion.of_motor(j), command[j])
+        for j in range(command.shape[0])
+    ]
+    inputs, velocities = (
+        np.stack([getattr(of, name) for of, _ in parts]) for name in ("plant_input", "velocity_m_s")
+    )
+    still = np.zeros_like(motion.acceleration_m_s2)
+    return Motion(still, inputs, velocities, np.zeros(command.shape[-1])), np.stack([by for _, by in parts])
 
 
 class Posed(Protocol):
@@ -222,6 +257,7 @@ class Limit(ABC):
     price_step : by how much it is raised where its price is asked for; infinite for a share of it.
     of_each_device : whether it depends on the motion, which each device of a spread has for itself: it then holds for
         all of them, with rows for each (`device_row`).
+    of_each_motor : whether a plant with several motors can have it, with rows for each (`motor_row`).
     asks_for : what a scene has to state beside its number; empty for nothing.
     said_without : why a problem does not have it.
     """
@@ -242,6 +278,7 @@ class Limit(ABC):
     indispensable: ClassVar[bool] = False
     price_step: ClassVar[float] = np.inf
     of_each_device: ClassVar[bool] = False
+    of_each_motor: ClassVar[bool] = False
     asks_for: ClassVar[str] = ""
     said_without: ClassVar[str] = ""
 
@@ -369,6 +406,19 @@ class Limit(ABC):
     def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
         """Why the replay left it although it is kept at every instant at which it is stated; empty if unknown."""
         return ""
+
+
+def of_motors(row: Row, problem: Posed, shares: tuple[float, ...] = ()) -> tuple[Row, ...]:
+    """Return a row for each motor of the problem's plant, and the row as it is where there is one motor.
+
+    Parameters
+    ----------
+    shares : (m,) of the bounds that each motor has; empty for all of them.
+    """
+    motors = problem.stage.motors
+    if motors == 1:
+        return (row,)
+    return tuple(row.of_motor(j, share) for j, share in enumerate(shares or (1.0,) * motors))
 
 
 @dataclass(frozen=True)

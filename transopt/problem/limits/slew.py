@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
-from transopt.problem.limits.limit import COMMAND, HELD, Limit, Posed, Row, Setting, positive
+from transopt.problem.limits.limit import COMMAND, HELD, Limit, Posed, Row, Setting, of_motors, positive
 
 
 @dataclass(frozen=True, repr=False)
@@ -20,6 +20,7 @@ class SlewLimit(Limit):
     key: ClassVar[str] = "slew_A_per_s"
     driven_by = CURRENT_INPUT
     row_names: ClassVar[tuple[str, ...]] = ("slew",)
+    of_each_motor: ClassVar[bool] = True
     said_without: ClassVar[str] = "the scene states no slew limit"
 
     rate: float
@@ -41,7 +42,8 @@ class SlewLimit(Limit):
         return type(self)(factor * self.rate, self.dt_s)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        return (Row(self.row_names[0], {COMMAND: 1.0, HELD: -1.0}, -self.stated, self.stated),)
+        row = Row(self.row_names[0], {COMMAND: 1.0, HELD: -1.0}, -self.stated, self.stated)
+        return of_motors(row, problem)
 
     def reach(self, grid: TimeGrid) -> float:
         return self.stated * grid.stages

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from transopt.base.signals import FloatArray
 
 
@@ -19,9 +21,9 @@ class HeatPrice:
     price: float
 
     def value(self, plant_input: FloatArray) -> float:
-        """The term at inputs (N,)."""
-        return self.price * float(plant_input @ plant_input)
+        """The term at inputs (N,), or the sum over the motors at (m, N)."""
+        return self.price * float(np.vdot(plant_input, plant_input))
 
     def gradient(self, plant_input: FloatArray) -> FloatArray:
-        """(N,) of the term by the inputs (N,)."""
+        """(..., N) of the term by the inputs (..., N)."""
         return 2 * self.price * plant_input

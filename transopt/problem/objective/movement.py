@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from transopt.base.signals import FloatArray
 
 SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
@@ -31,15 +33,15 @@ class Movement:
         return self.rho * step**2 / (self.stages * self.input_limit**2)
 
     def value(self, command: FloatArray) -> float:
-        """The term at a command (N,)."""
+        """The term at a command (N,), or the sum over the motors at (m, N)."""
         movement = _moves(command)
-        return self.weight * float(movement @ movement)
+        return self.weight * float(np.vdot(movement, movement))
 
     def gradient(self, command: FloatArray) -> FloatArray:
-        """(N,) of the term by the commands [1/A]."""
+        """(..., N) of the term by the commands [1/A]."""
         by_movement = 2 * self.weight * _moves(command)
         by_command = by_movement.copy()
-        by_command[:-1] -= by_movement[1:]
+        by_command[..., :-1] -= by_movement[..., 1:]
         return by_command
 
     def relief(self, command: FloatArray) -> float:
@@ -48,7 +50,7 @@ class Movement:
 
 
 def _moves(command: FloatArray) -> FloatArray:
-    """(N,) of a command (N,), the first from zero."""
+    """(..., N) of a command (..., N), the first from zero."""
     moves = command.copy()
-    moves[1:] -= command[:-1]
+    moves[..., 1:] -= command[..., :-1]
     return moves

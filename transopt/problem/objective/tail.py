@@ -67,7 +67,7 @@ def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
         return Tail(np.zeros((0, n)), np.zeros(0), 0.0)
     free = _free(problem, stage)
     wanted = problem.tracking.unit_wanted[:, problem.grid.stages :]
-    asked = wanted[free.counting % len(problem.terms)].T.ravel()
+    asked = wanted[free.counting % wanted.shape[0]].T.ravel()
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
         if problem.wall is None:
             Q, gain = free.Q, free.R * (stage.input_scale / stage.unit_m_s2)
@@ -89,7 +89,7 @@ def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
         return found
     # The roots of the weights: output (device, term) at each of the M instants.
     after = np.sqrt([term.after for term in problem.terms])
-    counting = np.flatnonzero(np.tile(after, len(problem.devices)) > 0)
+    counting = np.flatnonzero(np.tile(after, problem.shared.size) > 0)
     roots = np.tile(np.outer(np.sqrt(problem.shared), after).ravel()[counting], M)
     Q, R = np.zeros((0, 0)), np.zeros((0, 0))
     if problem.wall is None:
@@ -102,11 +102,11 @@ def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
 
 def _fixed(stage: LinearStage, M: int, counting: NDArray[np.intp]) -> FloatArray:
     """(M outputs, n) of the outputs that count by x_N, instant by instant; all commands zero."""
-    n = stage.units.size
+    n, m = stage.units.size, stage.motors
     loop, outputs = stage.A.copy(), stage.C[counting]
-    # The first movement takes the command that is held to zero, where it stays.
-    loop[:, -1] -= stage.A[:, -1]
-    outputs[:, -1] -= stage.E[counting]
+    # The first movement takes the commands that are held to zero, where they stay.
+    loop[:, -m:] -= stage.B
+    outputs[:, -m:] -= stage.E[counting]
     by_state = outputs @ powers(loop, M - 1).reshape(M, n, n)
     return by_state.reshape(M * counting.size, n)
 
@@ -118,7 +118,7 @@ def _walled(
     M, n = problem.grid.after_stages, stage.units.size
     gains, offsets = hand_over.rows_after(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
-    by_movement = stage.A[:, -1]
+    by_movement = stage.B[:, 0]
     loops = stage.A + by_movement[:, None] * gains[:, None, :]
     states = np.empty((M, n, n + 1))  # by x_N and beside it
     states[0] = np.eye(n, n + 1)
@@ -127,5 +127,5 @@ def _walled(
         states[j + 1, :, n] += by_movement * offsets[j]
     movement = np.matmul(gains[:, None, :], states)
     movement[:, 0, n] += offsets
-    rows = (np.matmul(stage.C[counting], states) + stage.E[counting, None] * movement).reshape(-1, n + 1)
+    rows = (np.matmul(stage.C[counting], states) + stage.E[counting] * movement).reshape(-1, n + 1)
     return rows[:, :n], rows[:, n]

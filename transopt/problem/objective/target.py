@@ -23,6 +23,8 @@ class Target:
     Nothing of a tap is dropped. What happens before tau_0 no command can reach: the device does not move, and all of
     it is error. What happens after tau_N follows from the state there.
 
+    Of a plant with several directions every array is (p, N) in place of (N,), the normal of the surface first.
+
     Attributes
     ----------
     window_m_s2 : (N,) r - a_free at the switching instants tau_0 to tau_(N-1).
@@ -44,7 +46,7 @@ class Target:
     @cached_property
     def whole_m_s2(self) -> FloatArray:
         """(L + N + M,) r - a_free from contact, or from tau_0 where that comes first, to the end of the tail."""
-        return np.concatenate([self.before_m_s2, self.window_m_s2, self.after_m_s2])
+        return np.concatenate([self.before_m_s2, self.window_m_s2, self.after_m_s2], axis=-1)
 
     @cached_property
     def free_m_s2(self) -> FloatArray:
@@ -54,7 +56,23 @@ class Target:
             (self.free_window_m_s2, self.window_m_s2),
             (self.free_after_m_s2, self.after_m_s2),
         )
-        return np.concatenate([free if free.size else np.zeros_like(asked) for free, asked in parts])
+        return np.concatenate([free if free.size else np.zeros_like(asked) for free, asked in parts], axis=-1)
+
+    @cached_property
+    def normal(self) -> "Target":
+        """The first direction alone, by which figures are told."""
+        if self.window_m_s2.ndim == 1:
+            return self
+        free = self.lost, self.lost + self.window_m_s2.shape[-1]
+        return Target(
+            *(each[0] for each in (self.window_m_s2, self.after_m_s2, self.before_m_s2)),
+            *(np.split(self.free_m_s2[0], free)[part] for part in (1, 2, 0)),
+        )
+
+    @property
+    def lost(self) -> int:
+        """L, samples of the tap that no command can reach."""
+        return int(self.before_m_s2.shape[-1])
 
     @cached_property
     def flaw(self) -> str:
@@ -75,8 +93,8 @@ class Target:
     @property
     def lost_share(self) -> float:
         """Share of the energy of the target up to the window's end that no command can reach; 0 of a tap of zero."""
-        lost = float(self.before_m_s2 @ self.before_m_s2)
-        return 0.0 if self.is_zero else lost / (lost + float(self.window_m_s2 @ self.window_m_s2))
+        lost = float(np.vdot(self.before_m_s2, self.before_m_s2))
+        return 0.0 if self.is_zero else lost / (lost + float(np.vdot(self.window_m_s2, self.window_m_s2)))
 
     @cached_property
     def is_zero(self) -> bool:
@@ -88,7 +106,7 @@ class Target:
     def asks_for_nothing(self) -> bool:
         """Whether there is nothing left of the tap in the window: the answer is the zero waveform."""
         r = self.window_m_s2
-        return self.is_zero or float(r @ r) < ZERO_M_S2**2 * r.size
+        return self.is_zero or float(np.vdot(r, r)) < ZERO_M_S2**2 * r.size
 
     @cached_property
     def recorded_m_s2(self) -> FloatArray:
@@ -97,12 +115,11 @@ class Target:
 
     def of_window(self, whole: FloatArray) -> FloatArray:
         """(N,) the samples of the window among (L + N + M,)."""
-        lost = self.before_m_s2.size
-        return whole[lost : lost + self.window_m_s2.size]
+        return whole[..., self.lost : self.lost + self.window_m_s2.shape[-1]]
 
     def lasting(self, whole: FloatArray) -> FloatArray:
         """(N + M,) the samples from tau_0 on among (L + N + M,)."""
-        return whole[self.before_m_s2.size :]
+        return whole[..., self.lost :]
 
     def moved(self, by_m_s2: FloatArray) -> "Target":
         """Add (N,) to the window: what a device has to be asked for so that it makes r."""
@@ -124,4 +141,4 @@ class Target:
     @cached_property
     def continued_m_s2(self) -> FloatArray:
         """(N + M,) r - a_free in the window and after it."""
-        return np.append(self.window_m_s2, self.after_m_s2)
+        return np.concatenate([self.window_m_s2, self.after_m_s2], axis=-1)

@@ -27,6 +27,9 @@ class Tracking:
     What the worst of the devices loses, max_s T_s, is max over the shares p >= 0, sum p = 1, of sum_s p_s T_s. So
     the least worst is a saddle point: for its shares the sum has its optimum there, and sum_s p_s T_s = max_s T_s.
 
+    Of a plant with several directions the sum runs over these in place of devices, each with a target of its own.
+    Then `shares` are their weights (p,), of any sum, and E is the sum of all weighted targets.
+
     Attributes
     ----------
     target : what is asked of y''.
@@ -46,23 +49,35 @@ class Tracking:
     _lost: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_lost", self.target.before_m_s2.size)
+        object.__setattr__(self, "_lost", self.target.lost)
 
     @cached_property
     def wanted(self) -> FloatArray:
-        """(T, L + N + M) what every term's filter makes of the target."""
+        """(T, L + N + M) what every term's filter makes of the target; of several directions (T, p, L + N + M)."""
         return np.stack([term.filtered(self.target.whole_m_s2) for term in self.terms])
 
     @cached_property
     def weights(self) -> FloatArray:
         """(T, L + N + M) of the samples in every term."""
-        sizes = self._lost, self.target.after_m_s2.size
+        sizes = self._lost, self.target.after_m_s2.shape[-1]
         return np.stack([term.all_weights(*sizes) for term in self.terms])
 
     @cached_property
     def energy_m2_s4(self) -> float:
         """E."""
+        if self._directions:
+            return self.mean(self._squares(self.wanted))
         return float(np.sum(self.weights * self.wanted**2))
+
+    @property
+    def _directions(self) -> bool:
+        """Whether several directions are tracked, each with its own target."""
+        return self.wanted.ndim == 3
+
+    def _squares(self, filtered: FloatArray) -> FloatArray:
+        """(p,) weighted squares of the last samples (T, p, K) of each direction."""
+        last = self.weights.shape[1] - filtered.shape[2]
+        return np.asarray(np.einsum("tk,tpk->p", self.weights[:, last:], filtered**2))
 
     @cached_property
     def counts_nothing(self) -> bool:
@@ -76,26 +91,31 @@ class Tracking:
     def lost_m2_s4(self) -> float:
         """What the samples that no command can reach add to every loss, times E."""
         lost = slice(self._lost)
+        if self._directions:
+            return self.mean(np.einsum("tk,tpk->p", self.weights[:, lost], self.wanted[..., lost] ** 2))
         return float(np.sum(self.weights[:, lost] * self.wanted[:, lost] ** 2))
 
     def error(self, accelerations_m_s2: FloatArray) -> FloatArray:
-        """(T, ..., K) F e of accelerations (..., K) from tau_0 on, K <= N + M."""
+        """(T, ..., K) F e of accelerations (..., K) from tau_0 on, K <= N + M; of several directions (p, K)."""
         K = accelerations_m_s2.shape[-1]
         # Before tau_0 the device is at rest, so that its filter is as well.
         return np.stack(
             [
-                term.filtered(accelerations_m_s2) - wanted[self._lost : self._lost + K]
+                term.filtered(accelerations_m_s2) - wanted[..., self._lost : self._lost + K]
                 for term, wanted in zip(self.terms, self.wanted, strict=True)
             ]
         )
 
     def value(self, accelerations_m_s2: FloatArray) -> float:
-        """The sum at the accelerations (S, N + M) of every device."""
+        """The sum at the accelerations (S, N + M) of every device, or (p, N + M) of every direction."""
+        if self._directions:
+            squares = self.mean(self._squares(self.error(accelerations_m_s2)))
+            return (self.lost_m2_s4 + squares) / self.energy_m2_s4
         losses = self.losses(accelerations_m_s2)
         return float(losses.max()) if self.worst else self.mean(losses)
 
     def mean(self, of_devices: FloatArray) -> float:
-        """What figures (S,) of the devices come to by their shares."""
+        """What figures (S,) of the devices, or (p,) of the directions, come to by their shares."""
         return float(np.mean(of_devices) if self.shares is None else self.shares @ of_devices)
 
     def losses(self, accelerations_m_s2: FloatArray) -> FloatArray:
@@ -125,7 +145,7 @@ class Tracking:
     @cached_property
     def _window(self) -> slice:
         """The N samples of the window among the L + N + M."""
-        return slice(self._lost, self._lost + self.target.window_m_s2.size)
+        return slice(self._lost, self._lost + self.target.window_m_s2.shape[-1])
 
     def _energies(self, accelerations_m_s2: FloatArray) -> tuple[float, float]:
         N = self.target.window_m_s2.size
@@ -134,6 +154,11 @@ class Tracking:
 
     def gradient(self, acceleration_m_s2: FloatArray, share: float) -> FloatArray:
         """(N + M,) of the minimised sum by the acceleration (N + M,) of a device that has this share in it."""
+        if self._directions:
+            assert self.shares is not None
+            by_direction = self.weights[:, None, self._lost :] * self.error(acceleration_m_s2)
+            by_direction *= 2 * self.shares[:, None] / self.energy_m2_s4
+            return np.asarray(sum(term.transposed(by) for term, by in zip(self.terms, by_direction, strict=True)))
         by_filtered = self.weights[:, self._lost :] * self.error(acceleration_m_s2)
         if self.intensity > 0:
             N = self.target.window_m_s2.size
@@ -143,8 +168,12 @@ class Tracking:
 
     @cached_property
     def unit_wanted(self) -> FloatArray:
-        """(T, N + M) of F (r - a_free) / sqrt(E), what the outputs are compared with; zero for a tap of zero."""
-        return np.asarray(self.wanted[:, self._lost :] / (np.sqrt(self.energy_m2_s4) or 1.0))
+        """(T, N + M) of F (r - a_free) / sqrt(E), what the outputs are compared with; zero for a tap of zero.
+
+        Of several directions it is (p T, N + M), the terms of one direction side by side.
+        """
+        wanted = self.wanted[..., self._lost :] / (np.sqrt(self.energy_m2_s4) or 1.0)
+        return np.asarray(np.moveaxis(wanted, 0, 1).reshape(-1, wanted.shape[-1]) if self._directions else wanted)
 
     @cached_property
     def solved_weights(self) -> FloatArray:
@@ -156,7 +185,7 @@ class Tracking:
     @cached_property
     def solved_wanted(self) -> FloatArray:
         """(T, N) what the outputs are led to in the window, over sqrt(E); of the last term w / (w - lam) as much."""
-        wanted = self.unit_wanted[:, : self.target.window_m_s2.size]
+        wanted = self.unit_wanted[:, : self.target.window_m_s2.shape[-1]]
         if self.intensity == 0:
             return wanted
         wanted = wanted.copy()
