@@ -17,6 +17,7 @@ CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 # By name: Windows exports nothing else, and elsewhere everything is exported.
 SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"]
+MOTORS_CALLS = ["tm_interface", "tm_workspace", "tm_solve"]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
     *("tr_courses", "tr_bilinear", "tr_spline", "tr_spline_even", "tr_struck"),
@@ -71,6 +72,12 @@ if __name__ == "__main__":
                 "transopt.solvers.native._riccati",
                 ["transopt/solvers/native/riccati.c"],
                 export_symbols=SOLVER_CALLS,
+                optional=True,
+            ),
+            Extension(
+                "transopt.solvers.native._motors",
+                ["transopt/solvers/native/motors.c"],
+                export_symbols=MOTORS_CALLS,
                 optional=True,
             ),
             Extension(

@@ -15,7 +15,7 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect
-from transopt.solvers import casadi_ipopt, casadi_piqp, riccati
+from transopt.solvers import casadi_ipopt, casadi_piqp, riccati, several
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
 from transopt.solvers.prove import certified
@@ -48,8 +48,9 @@ def _apart(name: str, method: Method) -> Method:
         try:
             return apart.call(method, problem, options, within_s=within_s)
         except apart.UnansweredError as why:
-            nothing = np.zeros(problem.grid.stages)
-            return Solution(Status.NUMERICAL_FAILURE, nothing, Multipliers.zero(problem), name, str(why), 0, within_s)
+            return Solution(
+                Status.NUMERICAL_FAILURE, problem.rest, Multipliers.zero(problem), name, str(why), 0, within_s
+            )
 
     return solve
 
@@ -68,7 +69,10 @@ class Solver:
 # The first that takes a problem is the first choice for it: the project's own method where it is built, then PIQP
 # where the problem is a QP, then IPOPT, which takes all.
 SOLVERS: dict[str, Solver] = {
-    "riccati": Solver(riccati.solve, riccati.can_solve),
+    "riccati": Solver(
+        lambda problem, options: (several if problem.stage.motors > 1 else riccati).solve(problem, options),
+        lambda problem: riccati.can_solve(problem) or several.can_solve(problem),
+    ),
     "casadi-piqp": Solver(_apart("casadi-piqp", casadi_piqp.solve), lambda problem: not problem.nonlinear),
     "casadi-ipopt": Solver(_apart("casadi-ipopt", casadi_ipopt.solve), lambda problem: True),
 }
@@ -110,10 +114,8 @@ def solve(problem: TransientProblem, options: SolverOptions | None = None) -> So
     options = SolverOptions() if options is None else options
     check_name(options.solver)
     if problem.reference_is_zero:
-        command = np.zeros(problem.grid.stages)
-        return Solution(
-            Status.OPTIMAL, command, Multipliers.zero(problem), "none", "zero reference: zero waveform", 0, 0.0
-        )
+        none = Multipliers.zero(problem)
+        return Solution(Status.OPTIMAL, problem.rest, none, "none", "zero reference: zero waveform", 0, 0.0)
     return SOLVERS[next(capable(problem, options.solver))](problem, options)
 
 

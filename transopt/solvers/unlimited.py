@@ -16,7 +16,7 @@ from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
 from transopt.proof.certify import Effect, movement_bound, reduced_gradient
-from transopt.solvers import sparse_kkt, stage_data
+from transopt.solvers import several, sparse_kkt, stage_data
 from transopt.solvers.lq_pass import Pass, Point, Tracking, prepare
 from transopt.solvers.native import extension
 from transopt.solvers.options import most_time_s
@@ -41,7 +41,7 @@ def tracking(problem: TransientProblem) -> Tracking:
         A=stage.A,
         B=stage.A[:, -1].copy(),
         C=stage.C,
-        D=stage.E,
+        D=stage.E[:, 0],
         reference=values["r"],
         weights=weights,
         movement_weights=np.full(weights.shape[0], values["rho"][0]),
@@ -177,6 +177,8 @@ def solve(problem: TransientProblem) -> Solution:
     is none, or it leaves a gap above `GAP` by both bounds of the certificate, the pass runs in CasADi's virtual
     machine; where that leaves one too, the sparse KKT system is solved as well, and the better answer is returned.
     """
+    if problem.stage.motors > 1:
+        return several.unlimited(problem)
     with np.errstate(over="ignore", invalid="ignore"):
         found = _by_compiled_pass(problem, time.perf_counter())
     return solve_apart(problem) if found is None else found
