@@ -1,5 +1,6 @@
 """The kinds of plant that a scene may name; `model.kind` says which."""
 
+from transopt.plant.arm import Arm
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
 from transopt.plant.inertial import Inertial
@@ -7,4 +8,4 @@ from transopt.plant.matrices import Matrices
 from transopt.plant.second_order import SecondOrder
 from transopt.plant.voice_coil import VoiceCoil
 
-Model = SecondOrder | FourthOrder | Drive | Inertial | VoiceCoil | Matrices
+Model = SecondOrder | FourthOrder | Drive | Arm | Inertial | VoiceCoil | Matrices

@@ -71,6 +71,7 @@ class Posing:
     driven_by : what the input of the plants is.
     calm : factor on the weights of the error behind the end of a named target, in window and tail, >= 1.
     worst : of a spread of devices the worst counts and not the mean.
+    tangential : weight of the errors across the normal, of a plant with several directions.
     law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
     """
 
@@ -93,6 +94,7 @@ class Posing:
     worst: bool = False
     heat_price: float = 0.0
     intention_s: float = INTENTION_S
+    tangential: float = 1.0
 
     __repr__ = brief
 
@@ -185,10 +187,12 @@ class Posing:
             nominal_m_s=carried * wanted.nominal_velocity_m_s,
             spread=spread,
         )
+        p = stage.tracked
         return TransientProblem(
             stage=stage,
             grid=self.grid,
-            target=wanted.target,
+            target=wanted.target if p == 1 else wanted.target.along_normal(p),
+            shares=None if p == 1 else np.array([1.0, *[self.tangential] * (p - 1)]),
             terms=self.terms(wanted),
             rho=self.rho,
             limits=posed(self.asked, setting, self.law_of),

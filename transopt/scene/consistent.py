@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from transopt.base.errors import InputError
 from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS
 from transopt.base.writing import rounded_down
+from transopt.plant.arm import MOTORS, Arm
 from transopt.plant.discretise import samples_after
 from transopt.plant.drive import Drive
 from transopt.plant.fourth_order import FourthOrder
@@ -63,6 +64,10 @@ def check(scene: "Scene") -> None:
         raise ValueError(f"model.kind = {scene.model.kind} needs tip.stiffness_N_m and tip.damping_N_s_m")
     if scene.motor is not None and scene.limits.transient_input > scene.motor.i_peak_A:
         raise ValueError(_above_peak(scene, scene.motor.i_peak_A))
+    if isinstance(scene.model, Arm):
+        _check_arm(scene, scene.model)
+    elif "tangential" in scene.weights.model_fields_set:
+        raise ValueError(f"weights.tangential: model.kind = {scene.model.kind} has one direction: leave it out")
     _check_amplifier(scene)
     commands = scene.axes.entries * scene.stages
     if commands > MOST_COMMANDS:
@@ -85,6 +90,36 @@ def _above_peak(scene: "Scene", peak_A: float) -> str:
     factor, most = limits.transient_input / limits.steady_input, math.floor(100 * peak_A / limits.steady_input) / 100
     made = f"makes {limits.transient_input:g} A of the steady current, {limits.steady_input:g} A"
     return f"limits.beta = {factor:g}: {made}, {asked} {most:g} or less"
+
+
+def _check_arm(scene: "Scene", arm: Arm) -> None:
+    """What a scene with several motors cannot have yet, and what it needs."""
+    asked, kinds = scene.limits.asked(), kinds_of(scene.driven_by)
+    unfit = [f"limits.{kind.key}" for kind in kinds if not kind.of_each_motor and asked.get(kind.key) is not None]
+    tables = (
+        ("targets", bool(scene.targets)),
+        ("limits.own", bool(scene.limits.own)),
+        ("thermal", scene.thermal != Thermal()),
+        ("robust", scene.robust is not None),
+        ("grid.cool_share", scene.grid.cool_share is not None),
+        ("weights.objective", scene.weights.objective != "waveform"),
+    )
+    for key in (*unfit, *(key for key, there in tables if there)):
+        raise ValueError(f"{key}: model.kind = arm cannot have it yet: leave it out, or take a plant with one motor")
+    if scene.grid.grips_N[0] == 0:
+        raise ValueError("grid.grips_N: model.kind = arm is held by a hand: give grips above 0")
+    if scene.recordings.simulated is not None and scene.striker is None:
+        raise ValueError(
+            "recordings.simulated: an arm does not strike: give recorded files, or a [striker] that moves along the "
+            "normal, as that of stylus_3d"
+        )
+    nodes = len(arm.postures_deg) * len(arm.normals)
+    commands = scene.axes.entries * nodes * MOTORS * scene.stages
+    if commands > MOST_COMMANDS:
+        raise ValueError(
+            f"grid, model.postures_deg and model.normals: {commands} commands, at most {MOST_COMMANDS}: fewer nodes "
+            "or stages"
+        )
 
 
 def _check_what_is_wanted(scene: "Scene") -> None:

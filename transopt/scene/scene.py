@@ -6,6 +6,7 @@ wall, time grid, limits.
 """
 
 import math
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -16,6 +17,7 @@ from transopt.base.section import Name, Section, Words
 from transopt.base.shown import cut, wrapped
 from transopt.base.sizes import MOST_NODES, MOST_STAGES
 from transopt.plant.amplifier import Amplifier
+from transopt.plant.arm import Arm
 from transopt.plant.bridge import Bridge
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import PWM_RIPPLE_A, CoilModel
@@ -32,6 +34,7 @@ from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.state_space import Input, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
+from transopt.problem.limits.input import SHARES as MOTOR_SHARES
 from transopt.problem.objective.rapid import rapid_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
@@ -258,13 +261,45 @@ class Scene(Section):
 
         Raises
         ------
-        InputError : a nonlinear plant, which no linear problem has.
+        InputError : a nonlinear plant, which no linear problem has, or one of several motors.
         """
         if self.nonlinear:
             raise InputError(
                 f"{self.name}: model.nonlinear: this is done with linear plants alone; `transopt solve` and "
                 "transopt.build design for a nonlinear one, for all else leave the table out"
             )
+        if isinstance(self.model, Arm):
+            raise InputError(
+                f"{self.name}: model.kind = arm has several motors, and this is done with one: `transopt solve`, "
+                "show, verify and export take it, and `transopt study --study direction`"
+            )
+        return self._posing()
+
+    def arm(self) -> Arm:
+        """The arm with several motors.
+
+        Raises
+        ------
+        InputError : a scene of another plant.
+        """
+        if not isinstance(self.model, Arm):
+            raise InputError(
+                f"{self.name}: model.kind = {self.model.kind} has one motor: take a scene of an arm, as stylus_3d, or "
+                "transopt.solve"
+            )
+        return self.model
+
+    def arm_posing(self) -> Posing:
+        """What the problems of all taps of an arm share.
+
+        Raises
+        ------
+        InputError : a scene of another plant.
+        """
+        shares, posing = self.arm().motor_shares, self._posing()
+        return replace(posing, asked={**posing.asked, MOTOR_SHARES: shares}, tangential=self.weights.tangential)
+
+    def _posing(self) -> Posing:
         grid = self.time_grid()
         return Posing(
             grid=grid,

@@ -333,6 +333,7 @@ class Weights(Section):
     calm : how many times more counts what is left after a named target ends.
     objective : `waveform`: the nearest one; `intensity`: the nearest one with the energy of the tap.
     intensity_dB : energy that `intensity` asks for, over that of the recorded tap.
+    tangential : weight of the acceleration across the normal, which an arm shall not have; 0 leaves it free.
     """
 
     rho: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 1e-3
@@ -344,6 +345,7 @@ class Weights(Section):
     calm: Annotated[float, Field(ge=1, le=1e6)] = 1.0
     objective: Literal["waveform", "intensity"] = "waveform"
     intensity_dB: Annotated[float, Field(ge=-40, le=20)] = 0.0
+    tangential: Annotated[float, Field(ge=0, le=1e6)] = 1.0
 
 
 SAME_DEVICE = 1e-9  # a factor this near to 1 makes no other device

@@ -69,6 +69,16 @@ class Target:
             *(np.split(self.free_m_s2[0], free)[part] for part in (1, 2, 0)),
         )
 
+    def along_normal(self, directions: int) -> "Target":
+        """One course as the target along the normal, the first of p directions; along the others it is zero."""
+
+        def first(course: FloatArray) -> FloatArray:
+            return np.concatenate([course[None], np.zeros((directions - 1, course.size))]) if course.ndim == 1 else course
+
+        courses = (self.window_m_s2, self.after_m_s2, self.before_m_s2)
+        frees = (self.free_window_m_s2, self.free_after_m_s2, self.free_before_m_s2)
+        return Target(*map(first, courses), *(first(free) if free.size else free for free in frees))
+
     @property
     def lost(self) -> int:
         """L, samples of the tap that no command can reach."""
