@@ -1,9 +1,9 @@
 """A serial arm with three motors at its base that carries a stylus, held by a hand: a Phantom-like device.
 
 The arm turns by q_1 about the vertical; upper arm and forearm stand in that plane at the angles q_2 above the
-horizontal and q_3 beyond the downward vertical. As in the Phantom a parallel linkage drives the forearm, so that q_3 is measured
-against the base and all motors stand there. The tip is at (Cavusoglu, Feygin and Tendick, Presence 11(6), 2002, whose
-frame is turned)
+horizontal and q_3 beyond the downward vertical. As in the Phantom a parallel linkage drives the forearm, so that q_3
+is measured against the base and all motors stand there. The tip is at (Cavusoglu, Feygin and Tendick, Presence 11(6),
+2002, whose frame is turned)
 
     x = r cos q_1,  y = r sin q_1,  z = l_1 sin q_2 - l_2 cos q_3,  r = l_1 cos q_2 + l_2 sin q_3.
 

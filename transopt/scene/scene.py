@@ -284,8 +284,8 @@ class Scene(Section):
         """
         if not isinstance(self.model, Arm):
             raise InputError(
-                f"{self.name}: model.kind = {self.model.kind} has one motor: take a scene of an arm, as stylus_3d, or "
-                "transopt.solve"
+                f"{self.name}: model.kind = {self.model.kind} has one motor: take a scene of an arm, as stylus_3d, "
+                "or transopt.solve"
             )
         return self.model
 

@@ -4,9 +4,9 @@ PIQP, IPOPT, the linear programs and the sparse KKT system read their data from 
 method takes `stage_data`, made from the same linear stage and the same rows of limits.
 
 Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the movement of each command, the linear states
-of `linear_stage` in physical scale, and where the temperature is in the problem the size e_k of the mean current and the
-nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps repeat. Current, command and movement are
-single variables, so that their limits are boxes. Nothing is condensed.
+of `linear_stage` in physical scale, and where the temperature is in the problem the size e_k of the mean current and
+the nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps repeat. Current, command and movement
+are single variables, so that their limits are boxes. Nothing is condensed.
 """
 
 from dataclasses import astuple, dataclass, fields, replace

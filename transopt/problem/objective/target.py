@@ -73,11 +73,12 @@ class Target:
         """One course as the target along the normal, the first of p directions; along the others it is zero."""
 
         def first(course: FloatArray) -> FloatArray:
-            return np.concatenate([course[None], np.zeros((directions - 1, course.size))]) if course.ndim == 1 else course
+            others = np.zeros((directions - 1, course.size))
+            return np.concatenate([course[None], others]) if course.ndim == 1 else course
 
         courses = (self.window_m_s2, self.after_m_s2, self.before_m_s2)
         frees = (self.free_window_m_s2, self.free_after_m_s2, self.free_before_m_s2)
-        return Target(*map(first, courses), *(first(free) if free.size else free for free in frees))
+        return Target(*map(first, courses), *(map(first, frees) if self.free_window_m_s2.size else frees))
 
     @property
     def lost(self) -> int:
