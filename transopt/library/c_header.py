@@ -86,8 +86,8 @@ def c_header(library: Library) -> str:
         _comment(library, digest, counts),
         f"#ifndef {guard}\n#define {guard}\n\n#include <stdint.h>\n",
         _macros(library, counts, scale_A),
-        _axis("transopt_speeds_m_s[TRANSOPT_SPEEDS]", speeds),
-        _axis("transopt_grips_N[TRANSOPT_GRIPS]", grips),
+        axis("transopt_speeds_m_s[TRANSOPT_SPEEDS]", speeds),
+        axis("transopt_grips_N[TRANSOPT_GRIPS]", grips),
         _waveforms(counts, ""),
         INTERVAL,
         FUNCTION,
@@ -203,17 +203,19 @@ def _macros(library: Library, counts: NDArray[np.int16], scale_A: np.float32) ->
     return "".join(f"#define TRANSOPT_{name} {value} /* {what} */\n" for name, (value, what) in values.items())
 
 
-def _axis(declarator: str, nodes: NDArray[np.float32]) -> str:
+def axis(declarator: str, nodes: NDArray[np.float32]) -> str:
+    """The definition of an axis in C."""
     return f"static const float {declarator} = {{{', '.join(literal(node) for node in nodes)}}};"
 
 
 def _waveforms(counts: NDArray[np.int16], prefix: str) -> str:
-    rows = ",\n".join("{\n" + ",\n".join(_samples(row) for row in by_grip) + "\n}" for by_grip in counts)
+    rows = ",\n".join("{\n" + ",\n".join(samples(row) for row in by_grip) + "\n}" for by_grip in counts)
     size = "[TRANSOPT_SPEEDS][TRANSOPT_GRIPS][TRANSOPT_SAMPLES]"
     return f"static const int16_t transopt_{prefix}counts{size} = {{\n{rows}\n}};\n"
 
 
-def _samples(row: NDArray[np.int16]) -> str:
+def samples(row: NDArray[np.int16]) -> str:
+    """A waveform in C, some counts a line."""
     texts = [str(count) for count in row.tolist()]
     lines = [", ".join(texts[j : j + COUNTS_PER_LINE]) for j in range(0, len(texts), COUNTS_PER_LINE)]
     return "{" + ",\n ".join(lines) + "}"

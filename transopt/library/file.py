@@ -25,6 +25,7 @@ from transopt.base.sizes import (
     MOST_STATES,
 )
 from transopt.base.units import beyond, largest
+from transopt.library.arm import SCHEMA as ARM_SCHEMA
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import COOL, Library
 from transopt.library.meta import SCHEMA, lacking, most_parts, stated
@@ -60,6 +61,11 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise InputError(f"{path}: meta is not JSON: damaged; solve the scene again") from None
     schema = meta.get("schema") if isinstance(meta, dict) else None
+    if schema == ARM_SCHEMA:
+        raise InputError(
+            f"{path}: a library of an arm with several motors, which this does not take yet: `transopt show`, verify "
+            "and export do, and transopt.load_arm_library"
+        )
     if not isinstance(meta, dict) or isinstance(schema, bool) or schema != SCHEMA:
         raise InputError(
             f"{path}: schema {cut(repr(schema))}, this version reads schema {SCHEMA} alone; solve the scene again"
