@@ -17,7 +17,7 @@ from transopt.problem.problem import TransientProblem
 EPS = 1e-12  # of PIQP
 
 
-def _impulse(problem: TransientProblem, motor: int, instants: int) -> FloatArray:
+def impulse(problem: TransientProblem, motor: int, instants: int) -> FloatArray:
     """(instants, n + 1) states of the plant and the motor's current after one ampere of command over one period."""
     plant, amplifier = problem.stage.plant, problem.stage.amplifier
     n = plant.order
@@ -60,7 +60,7 @@ class Dense:
         """Roll out every motor's impulse through the window and after it."""
         N, M, free, m = problem.grid.stages, problem.grid.after_stages, problem.free_stages, problem.stage.motors
         plant, target, L = problem.stage.plant, problem.target, problem.target.lost
-        states = [_impulse(problem, j, N + M) for j in range(m)]
+        states = [impulse(problem, j, N + M) for j in range(m)]
         rows, asked, energy, lost = [], [], 0.0, 0.0
         for p in range(plant.tracked):
             course = [target.before_m_s2[p], target.window_m_s2[p], target.after_m_s2[p]]

@@ -131,12 +131,13 @@ def check_together(request: Request) -> None:
     ------
     InputError : one line.
     """
-    from transopt.study.named import OFF_NODE, STUDIES
+    from transopt.study.named import OF_AN_ARM, OFF_NODE, STUDIES
 
     name = request.name
-    if name is not None and name not in (*STUDIES, "all"):
-        near = did_you_mean(name, STUDIES)
-        raise InputError(f"--study {name}: no such study{near}; choose one of {', '.join(STUDIES)}, or all")
+    known = (*STUDIES, *OF_AN_ARM)
+    if name is not None and name not in (*known, "all"):
+        near = did_you_mean(name, known)
+        raise InputError(f"--study {name}: no such study{near}; choose one of {', '.join(known)}, or all")
     inverse = bool(request.require) or request.solve_for is not None or request.greatest
     if inverse and (not request.require or request.solve_for is None):
         raise InputError("--require and --solve-for belong together: what is to be met, and by which key")
@@ -168,13 +169,15 @@ def run(request: Request, scene: str) -> int:
     from transopt.scene import builtin
     from transopt.study.axes import apply_settings, parse_axis, parse_numbers
     from transopt.study.executors import executor_pool
-    from transopt.study.named import STUDIES, write
+    from transopt.study.named import OF_AN_ARM, STUDIES, write
     from transopt.study.plan import Plan
 
     files = [builtin.FOLDER]
     loaded = apply_settings(builtin.load_scene(scene, accept=request.accept), request.settings, files)
     jobs = (os.cpu_count() or 1) if request.jobs is None else request.jobs
     with closing(executor_pool(request.executor or "processes", jobs)) as pool:
+        if loaded.model.kind == "arm" and request.name not in OF_AN_ARM:
+            loaded.posing()  # says what an arm cannot have yet, before there is a folder
         if request.name and loaded.targets:
             raise InputError(
                 f"--study {request.name}: asks about speeds and grips, {loaded.name} has named targets: --vary"

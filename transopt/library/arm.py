@@ -288,6 +288,8 @@ def load_arm_library(path: str | Path) -> ArmLibrary:
     try:
         library = ArmLibrary(arrays, multipliers, meta)
         _check(path, library)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(f"{path}: ") else f"{path}: {error}") from None
     except BROKEN:
         raise InputError(f"{path}: does not describe a problem; solve the scene again") from None
     return library

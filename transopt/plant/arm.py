@@ -219,6 +219,12 @@ class Arm(PlantKind):
             raise InputError(f"model.hand.mass_kg = {found:g} kg at {grip_N:g} N: must be > 0 and finite")
         return found
 
+    def at_tip(self, place: Place) -> tuple[FloatArray, FloatArray]:
+        """Mass of the arm as its tip feels it [kg] and force per current [N/A], (3, 3) in the surface's frame."""
+        q = place.posture_rad
+        inverse = np.linalg.inv(place.frame @ self.linkage.jacobian(q))  # joint rates by the tip's velocity
+        return inverse.T @ self.joint_inertia(q) @ inverse, inverse.T * self.torques_Nm_A()
+
     def plant(self, grip_N: float, tip: Tip | None = None, *, struck: bool = False) -> StateSpace:
         """The linear plant at the first posture and normal."""
         return self.plant_at(grip_N, self.place())
@@ -234,9 +240,7 @@ class Arm(PlantKind):
         """
         if not grip_N > 0:
             raise InputError("grid.grips_N: model.kind = arm is held by a hand: give grips above 0")
-        q, frame = place.posture_rad, place.frame
-        inverse = np.linalg.inv(frame @ self.linkage.jacobian(q))  # joint rates by the tip's velocity
-        mass = inverse.T @ self.joint_inertia(q) @ inverse
+        frame, (mass, force) = place.frame, self.at_tip(place)
         K, B = ([frame @ each @ frame.T for each in of_link] for of_link in self.links(grip_N))
         masses = [mass, self.stylus_mass_kg * np.eye(3), self.hand_mass_kg(grip_N) * np.eye(3)]
         A, one = np.zeros((18, 18)), np.eye(3)
@@ -254,7 +258,6 @@ class Arm(PlantKind):
                 A[point, nearer] += sign * np.linalg.solve(body, B[j])
                 if further is not None:
                     A[point, further] -= sign * np.linalg.solve(body, B[j])
-        force = inverse.T * self.torques_Nm_A()
         drive = np.zeros((18, 3))
         drive[points[0]] = np.linalg.solve(mass, force)
         return StateSpace(A, drive, A[points[1]].copy(), np.zeros((3, 3)))

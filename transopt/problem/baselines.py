@@ -1,6 +1,9 @@
 """The two methods that the optimum is compared with in every table."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray, fast_length, splined
 from transopt.plant.amplifier import prefilter
@@ -25,7 +28,8 @@ def seed_inversion(
 
     Parameters
     ----------
-    reference_m_s2 : (..., N). current_limit_A : one, or several that broadcast against the references.
+    reference_m_s2 : (..., N), or (p, N) of a plant with several directions, whose response is inverted as a matrix.
+    current_limit_A : one, or several that broadcast against the references.
 
     Returns
     -------
@@ -36,8 +40,9 @@ def seed_inversion(
     length = fast_length(PADDING * N)
     frequencies = np.fft.rfftfreq(length, grid.dt_s).astype(float)
     spectrum = np.fft.rfft(at_ticks, length)
-    current = np.zeros_like(spectrum)
-    current[..., 1:] = spectrum[..., 1:] / stage.plant.response(frequencies[1:])
+    courses = (stage.motors,) if stage.motors > 1 else spectrum.shape[:-1]
+    current = np.zeros((*courses, spectrum.shape[-1]), dtype=complex)
+    current[..., 1:] = _inverted(spectrum[..., 1:], stage.plant.response(frequencies[1:]))
     periodic = np.fft.irfft(current, length)
     wanted = periodic[..., :N] - periodic[..., -max(round(REST_S / grid.dt_s), 1) :].mean(axis=-1, keepdims=True)
     wanted[..., -taper_samples:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, taper_samples + 1) / taper_samples))
@@ -45,10 +50,19 @@ def seed_inversion(
     return _play(stage, grid, wanted)
 
 
+def _inverted(spectrum: NDArray[Any], response: NDArray[Any]) -> NDArray[Any]:
+    """Currents (..., F), or (m, F), that make accelerations (..., F), or (p, F), of a response (F,) or (F, p, m)."""
+    if response.ndim == 1:
+        return np.asarray(spectrum / response)
+    return np.asarray(np.einsum("fmp,pf->mf", np.linalg.pinv(response), spectrum))
+
+
 def clipped_optimum(
     stage: StageModel, grid: TimeGrid, unlimited_command: FloatArray, current_limit_A: float | FloatArray
 ) -> FloatArray:
     """The unlimited optimum (..., N) with its current cut at the limit, hold and delay compensated exactly.
+
+    Of several motors, (m, N), each current is cut by itself.
 
     Parameters
     ----------

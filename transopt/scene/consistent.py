@@ -15,7 +15,7 @@ from transopt.plant.moving_coil import MovingCoil
 from transopt.problem.limits import kinds_of
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import StateSpaceDevice
-from transopt.scene.sections import OF_A_CURRENT, AmplifierSection, Robust, Thermal
+from transopt.scene.sections import OF_A_CURRENT, AmplifierSection, Robust, Thermal, Weights
 
 if TYPE_CHECKING:
     from transopt.scene.scene import Scene
@@ -66,7 +66,7 @@ def check(scene: "Scene") -> None:
         raise ValueError(_above_peak(scene, scene.motor.i_peak_A))
     if isinstance(scene.model, Arm):
         _check_arm(scene, scene.model)
-    elif "tangential" in scene.weights.model_fields_set:
+    elif scene.weights.tangential != Weights().tangential:
         raise ValueError(f"weights.tangential: model.kind = {scene.model.kind} has one direction: leave it out")
     _check_amplifier(scene)
     commands = scene.axes.entries * scene.stages

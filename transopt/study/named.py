@@ -14,6 +14,7 @@ from transopt.base.plotting import save_figure
 from transopt.base.terminal import make_folder
 from transopt.base.writing import table, write_csv, write_text
 from transopt.scene.scene import Scene
+from transopt.study.direction import direction, direction_figure, direction_sentence
 from transopt.study.executors import Pool
 from transopt.study.grid_spacing import spacing_figure, spacing_sentence, spacing_study
 from transopt.study.grip_mismatch import mismatch, mismatch_figure, mismatch_sentence
@@ -44,7 +45,8 @@ OFF_NODE = {
     "grip_mismatch": OffNode(mismatch, mismatch_figure, mismatch_sentence),
     "grid_spacing": OffNode(spacing_study, spacing_figure, spacing_sentence),
 }
-STUDIES = (*SWEPT, *OFF_NODE, "motor_selection")
+OF_AN_ARM = {"direction": OffNode(direction, direction_figure, direction_sentence)}
+STUDIES = (*SWEPT, *OFF_NODE, "motor_selection")  # those of a scene with one motor
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def _swept(study: Swept, name: str, scene: Scene, folder: Path, pool: Pool) -> W
 
 
 def _off_node(name: str, scene: Scene, folder: Path) -> Written:
-    study = OFF_NODE[name]
+    study = {**OFF_NODE, **OF_AN_ARM}[name]
     found, optima = study.measure(scene)
     write_csv(optima, folder / "rows.csv")
     write_csv(found, folder / f"{name}.csv")
@@ -137,7 +139,7 @@ def write(
     make_folder(folder)
     if name in SWEPT:
         written = _swept(SWEPT[name], name, scene, folder, pool)
-    elif name in OFF_NODE:
+    elif name in OFF_NODE or name in OF_AN_ARM:
         written = _off_node(name, scene, folder)
     else:
         written = _motors(name, scene, folder, pool, search)
