@@ -74,7 +74,7 @@ def solve(problem: TransientProblem, options: SolverOptions, *, modal: bool = Tr
     rows = stated_rows(problem, stage)
     for row in rows:
         check_bounds(row.name, row.lower, row.upper)
-    by = _Numbers.of(problem, stage, rows, modal=modal)
+    by = Numbers.of(problem, stage, rows, modal=modal)
     answer = by.solved(LOOSER * options.tolerance, options.max_iterations)
     status, message = STATUS[answer.code]
     command, multipliers = by.command(answer), by.multipliers(answer)
@@ -88,7 +88,7 @@ def unlimited(problem: TransientProblem) -> Solution:
     """Minimise J subject to dynamics and hand-over only, as `unlimited.solve` does for one motor."""
     start = time.perf_counter()
     if can_solve(problem):
-        by = _Numbers.of(problem, linear_stage(problem), [], modal=True)
+        by = Numbers.of(problem, linear_stage(problem), [], modal=True)
         answer = by.solved(UNLIMITED_GAP, UNLIMITED_STEPS)
         if answer.code in (SOLVED, ACCURACY):
             command = by.command(answer, inside=False)
@@ -113,7 +113,7 @@ def unlimited(problem: TransientProblem) -> Solution:
 
 
 @dataclass(frozen=True)
-class _Numbers:
+class Numbers:
     """One problem as the method takes it, in the units of its linear stage: the fields of `tm_problem` by name."""
 
     problem: TransientProblem
@@ -124,7 +124,7 @@ class _Numbers:
     arrays: dict[str, Any]
 
     @classmethod
-    def of(cls, problem: TransientProblem, stage: LinearStage, rows: list[StatedRow], *, modal: bool) -> "_Numbers":
+    def of(cls, problem: TransientProblem, stage: LinearStage, rows: list[StatedRow], *, modal: bool) -> "Numbers":
         where, N, n, unit = layout(problem), problem.grid.stages, stage.units.size, 2 / OBJECTIVE_SCALE
         A, T = modes(stage, where) if modal else (stage.A, np.eye(n))
         values, after = tracking_values(problem, stage), tail(problem, stage)
