@@ -53,6 +53,7 @@ EXAMPLES: dict[str, object] = {
     "model.winding.tau_w_s": 12.4,
     "model.winding.tau_h_s": 612.0,
     "model.winding.winding_max_C": 100.0,
+    "model.motor_shares": [1.0, 1.0, 0.8],
     "motor.R_eddy_ohm": 34.0,
     "tip.force_per_current_N_A": 1.25,
     "tip.moving_mass_kg": 0.014,

@@ -93,7 +93,7 @@ class LinkagePart(Section):
 
 @dataclass(frozen=True)
 class Place:
-    """Where a tap meets its surface.
+    """Posture of the arm and normal of the surface that a tap meets.
 
     Attributes
     ----------

@@ -79,7 +79,7 @@ def replay_several(problems: Sequence[TransientProblem], commands: FloatArray) -
 
 @dataclass(frozen=True)
 class _Places:
-    """Where among the kept samples the switching instants are, and where the waveform is over."""
+    """Indices among the kept samples: those of the switching instants, and the first after the waveform."""
 
     at_switching: NDArray[np.intp]
     start: int

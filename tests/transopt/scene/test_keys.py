@@ -12,7 +12,7 @@ from transopt.base.units import unit_of
 from transopt.scene.keys import check_value, find_key, keys, parse_value, with_values
 from transopt.scene.scene import Scene
 
-NOT_VARIED = ("motor.", "recordings.speed_by_file_m_s")
+NOT_VARIED = ("motor.", "striker.", "recordings.speed_by_file_m_s")
 
 
 def numbers(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -33,7 +33,8 @@ def test_every_built_in_scene_loads_and_its_plants_are_passive(name: str) -> Non
     assert scene.description
     for grip in scene.grid.grips_N:
         scene.plant(grip)
-    assert scene.driven_by.name in limits_of(scene)
+    if scene.model.kind != "arm":  # whose limits are those of each motor
+        assert scene.driven_by.name in limits_of(scene)
     scene.coil()
 
 
