@@ -133,11 +133,11 @@ def posed(
     )
 
 
-def drawn(seed: int) -> TransientProblem:
-    """One of the random problems: 1 to 4 motors of unequal strength, any weights, postures of an arm among them."""
+def drawn(seed: int, fewest: int = 2) -> TransientProblem:
+    """One of the random problems: `fewest` to 4 motors of unequal strength, any weights, postures of an arm among them."""
     lot = np.random.default_rng(seed)
     arm = seed % 2 == 0
-    motors = 3 if arm else int(lot.integers(2, 5))
+    motors = 3 if arm else int(lot.integers(fewest, 5))
     plant = drawn_chain(lot, motors)
     if arm:
         device = phantom()
@@ -146,7 +146,7 @@ def drawn(seed: int) -> TransientProblem:
         plant,
         limit_A=float(np.exp(lot.uniform(-1.5, 1.5))),
         weights=(1.0, float(lot.uniform(0, 3)), float(10 ** lot.uniform(-2, 1))),
-        shares=tuple(lot.uniform(0.2, 1.0, motors)),
+        shares=tuple(lot.uniform(0.2, 1.0, motors)) if motors > 1 else (),
         ideal=bool(lot.random() < 0.2),
         heat_price=float(lot.choice([0.0, 1e-5])),
         delay_s=float(lot.choice([68e-6, 9e-4])),

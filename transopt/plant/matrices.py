@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from transopt.base.errors import InputError
 from transopt.base.section import Finite, Section, Words
 from transopt.base.sizes import MOST_STATES
 from transopt.plant.kind import PlantKind
@@ -85,7 +86,17 @@ class Matrices(PlantKind):
 
     @classmethod
     def of(cls, plant: StateSpace) -> Self:
-        """The table that states a plant by its matrices."""
+        """The table that states a plant by its matrices.
+
+        Raises
+        ------
+        InputError : a plant with several inputs or outputs, which a scene states only as an arm.
+        """
+        if (plant.motors, plant.tracked) != (1, 1):
+            raise InputError(
+                f"plant: it has {plant.motors} inputs and {plant.tracked} outputs, and a scene's state_space has one "
+                "of each: pose a TransientProblem with it by hand, or state an arm"
+            )
         return cls(
             kind="state_space",
             input="voltage" if plant.driven_by == VOLTAGE_INPUT else "current",

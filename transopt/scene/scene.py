@@ -271,7 +271,7 @@ class Scene(Section):
         if isinstance(self.model, Arm):
             raise InputError(
                 f"{self.name}: model.kind = arm has several motors, and this is done with one: `transopt solve`, "
-                "show, verify and export take it, and `transopt study --study direction`"
+                "show, verify and export take it, transopt.solve_arm, and `transopt study --study direction`"
             )
         return self._posing()
 

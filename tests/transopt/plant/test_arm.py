@@ -7,6 +7,7 @@ from pydantic import ValidationError
 from tests.benches.arms import drawn_place, phantom
 from transopt.base.errors import InputError
 from transopt.plant.arm import Arm, Place
+from transopt.plant.matrices import Matrices
 
 Q = np.array([0.3, 0.5, 0.4])
 STEP = 1e-6
@@ -108,3 +109,8 @@ def test_refuses_a_hand_that_is_not_passive() -> None:
     hand = arm.hand.model_copy(update={"skin_stiffness_N_m": -1.0})
     with pytest.raises(InputError, match=r"model\.hand: stiffness -1: must be >= 0"):
         arm.model_copy(update={"hand": hand}).plant(2.0)
+
+
+def test_a_scene_of_matrices_takes_no_plant_with_several_motors() -> None:
+    with pytest.raises(InputError, match="plant: it has 3 inputs and 3 outputs, and a scene's state_space has one"):
+        Matrices.of(phantom().plant(2.0))
