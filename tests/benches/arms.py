@@ -134,7 +134,7 @@ def posed(
 
 
 def drawn(seed: int, fewest: int = 2) -> TransientProblem:
-    """One of the random problems: `fewest` to 4 motors of unequal strength, any weights, postures of an arm among them."""
+    """One of the random problems: `fewest` to 4 motors of unequal strength, any weights, any postures of an arm."""
     lot = np.random.default_rng(seed)
     arm = seed % 2 == 0
     motors = 3 if arm else int(lot.integers(fewest, 5))
