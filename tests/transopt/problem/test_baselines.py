@@ -3,10 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
+from tests.benches.arms import drawn_chain, posed
 from tests.conftest import ProblemMaker
 from transopt.base.signals import nrmse
 from transopt.plant.discretise import discretise
+from transopt.plant.state_space import StateSpace
 from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.solvers import unlimited
 
@@ -47,3 +50,28 @@ def test_rivals_at_two_limits_are_those_at_each(make_problem: ProblemMaker) -> N
         np.testing.assert_array_equal(seed[j], seed_inversion(problem.stage, problem.grid, rows, limit, 10))
         np.testing.assert_array_equal(clipped[j], clipped_optimum(problem.stage, problem.grid, rows / 10, limit))
     assert not np.allclose(seed[0], seed[1])
+
+
+def test_inversion_of_decoupled_axes_is_that_of_each_axis() -> None:
+    lot = np.random.default_rng(0)
+    axes = [drawn_chain(lot, 1, 1) for _ in range(3)]
+    joint = StateSpace(*(linalg.block_diag(*(getattr(axis, name) for axis in axes)) for name in "ABCD"))
+    whole, alone = posed(joint), [posed(axis) for axis in axes]
+    targets = lot.standard_normal((3, whole.grid.stages))
+    found = seed_inversion(whole.stage, whole.grid, targets, 1.5, 10)
+    for own, problem, target in zip(found, alone, targets, strict=True):
+        np.testing.assert_allclose(own, seed_inversion(problem.stage, problem.grid, target, 1.5, 10), atol=1e-9)
+
+
+def test_each_motor_is_clipped_by_itself() -> None:
+    problem = posed(drawn_chain(np.random.default_rng(1), 2))
+    free = 3.0 * np.random.default_rng(2).standard_normal(problem.rest.shape)
+    limits = np.array([[0.5], [1.0]])
+    clipped = clipped_optimum(problem.stage, problem.grid, free, limits)
+    wanted = np.clip(problem.stage.motion(free).plant_input, -limits, limits)
+    inside = np.abs(clipped[:, :-1]) < problem.command_bound
+    made = problem.stage.motion(clipped).plant_input
+    assert (np.abs(made) <= limits + 1e-9).mean() > 0.9
+    for j in range(2):
+        first = int(np.argmin(inside[j])) if not inside[j].all() else inside.shape[1]
+        np.testing.assert_allclose(made[j, 1 : first + 1], wanted[j, 1 : first + 1], atol=1e-9)
