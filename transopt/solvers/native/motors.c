@@ -55,7 +55,7 @@ static const double FARTHEST = 5e-3;   /* part of slacks and multipliers that a 
 static const double SHORTEST = 1e-10;  /* part of a Newton step that is still one */
 static const double LAST_GAP = 0.03;   /* that is aimed at, of what is allowed */
 static const double LEAST = 1e-290;    /* nothing beside a multiplier, and never zero */
-enum { PATIENCE = 6, SYMMETRISED = 4 };
+enum { PATIENCE = 6, SYMMETRISED = 16 };
 
 #if defined(__GNUC__)
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
@@ -75,6 +75,9 @@ enum { PATIENCE = 6, SYMMETRISED = 4 };
 #define pair_up OF_WIDTH(pair_up, WIDTH)
 #define weigh OF_WIDTH(weigh, WIDTH)
 #define congruence OF_WIDTH(congruence, WIDTH)
+#define factor_sized OF_WIDTH(factor_sized, WIDTH)
+#define backward_sized OF_WIDTH(backward_sized, WIDTH)
+#define forward_sized OF_WIDTH(forward_sized, WIDTH)
 #define factor OF_WIDTH(factor, WIDTH)
 #define flow OF_WIDTH(flow, WIDTH)
 #define flow_back OF_WIDTH(flow_back, WIDTH)
@@ -298,9 +301,11 @@ ALWAYS_INLINE double dot(const int blocks, const lanes *restrict a, const lanes 
 {
     lanes sum = a[0] * b[0];
     for (int j = 1; j < blocks; j++) sum += a[j] * b[j];
-    double found = 0.0;
-    for (int j = 0; j < WIDTH; j++) found += AT(&sum, j);
-    return found;
+    double part[WIDTH];
+    for (int j = 0; j < WIDTH; j++) part[j] = AT(&sum, j);
+    for (int half = WIDTH / 2; half > 0; half /= 2)
+        for (int j = 0; j < half; j++) part[j] += part[j + half];
+    return part[0];
 }
 
 ALWAYS_INLINE void add(const int blocks, const double by, const lanes *restrict c, lanes *restrict to)
@@ -354,18 +359,30 @@ ALWAYS_INLINE void congruence(const int blocks, const int m, const tm_work *w, c
     }
     lanes pushed[MOST_MOTORS * MOST_BLOCKS];
     memset(pushed, 0, (size_t)(m * ld) * sizeof(double));
-    for (int i = 0; i < n; i++)
+    for (int i = 0; i < first; i += 2) { /* a pair of states, or the last one alone */
+        const int other = i + 1 < first ? i + 1 : i;
+        const double own[2] = {AT(w->own, i), AT(w->own, other)}, pair[2] = {AT(w->to_pair, i), AT(w->to_pair, other)};
+        const lanes *p = P + i * blocks, *r = P + other * blocks;
+        lanes *h = H + i * blocks, *g = H + other * blocks;
+        for (int j = 0; j < blocks; j++) {
+            const lanes upper = w->own[j] * p[j] + w->to_pair[j] * SWAPPED(p, j);
+            const lanes lower = w->own[j] * r[j] + w->to_pair[j] * SWAPPED(r, j);
+            g[j] = own[1] * lower + pair[1] * upper;
+            h[j] = own[0] * upper + pair[0] * lower;
+        }
+        for (int c = 0; c < m; c++) {
+            const lanes *push = w->push + c * blocks;
+            for (int j = 0; j < blocks; j++) {
+                pushed[c * blocks + j] += AT(push, i) * p[j];
+                if (other > i) pushed[c * blocks + j] += AT(push, other) * r[j];
+            }
+        }
+    }
+    for (int i = first; i < n; i++)
         for (int c = 0; c < m; c++) add(blocks, AT(w->push + c * blocks, i), P + i * blocks, pushed + c * blocks);
     for (int c = 0; c < m; c++) flow_back(blocks, m, w, pushed + c * blocks, H + (first + c) * blocks);
     for (int i = 0; i < first; i++)
-        for (int j = 0; j < blocks; j++)
-            PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * SWAPPED(P + i * blocks, j);
-    for (int i = 0; i < first; i++) {
-        const int other = (i ^ 1) < first ? i ^ 1 : i;
-        const double own = AT(w->own, i), pair = AT(w->to_pair, i);
-        for (int j = 0; j < blocks; j++) H[i * blocks + j] = own * PA[i * blocks + j] + pair * PA[other * blocks + j];
         for (int c = 0; c < m; c++) AT(H + i * blocks, first + c) = AT(H + (first + c) * blocks, i);
-    }
 }
 
 /* C' W C, E' W C and E' W E of a stage; those of the stage before, where its weights are the same. */
@@ -389,7 +406,7 @@ static void weigh(tm_work *w, const int k)
 }
 
 /* The gains of all stages from the weights `sigma` of the rows; 0 where a pivot is not positive. */
-ALWAYS_INLINE int factor(const int blocks, const int m, tm_work *w)
+ALWAYS_INLINE int factor_sized(const int blocks, const int m, tm_work *w)
 {
     const tm_problem *q = w->q;
     const int n = q->states, first = n - m, R = q->rows, ld = blocks * WIDTH;
@@ -490,7 +507,7 @@ ALWAYS_INLINE int factor(const int blocks, const int m, tm_work *w)
 
 /* Costates from the gradients `y` of the rows. With `newton` the steps without feedback into `offset`; else the
  * gradient of the Lagrangian by the movements into `gradient`. */
-ALWAYS_INLINE void backward(const int blocks, const int m, tm_work *w, const double *restrict y, const int newton)
+ALWAYS_INLINE void backward_sized(const int blocks, const int m, tm_work *w, const double *restrict y, const int newton)
 {
     const tm_problem *q = w->q;
     const int n = q->states, first = n - m, R = q->rows, ny = q->outputs;
@@ -529,7 +546,7 @@ ALWAYS_INLINE void backward(const int blocks, const int m, tm_work *w, const dou
 
 /* The step du = K dx + offset and what it does to the rows; or, without `newton`, the states of u with the hand-over fed
  * back, their errors and rows. */
-ALWAYS_INLINE void forward(const int blocks, const int m, tm_work *w, const int newton)
+ALWAYS_INLINE void forward_sized(const int blocks, const int m, tm_work *w, const int newton)
 {
     const tm_problem *q = w->q;
     const int n = q->states, first = n - m, R = q->rows, ny = q->outputs;
@@ -560,6 +577,31 @@ ALWAYS_INLINE void forward(const int blocks, const int m, tm_work *w, const int 
         for (int e = 0; e < q->ends; e++) w->end_error[e] = dot(blocks, w->Z + e * blocks, at[q->stages & 1]) - q->end_target[e];
 }
 
+/* The three recursions for sizes that the compiler knows: an arm with three motors, 25 to 32 states. */
+#undef USUAL
+#define USUAL (WIDTH == 8 ? 4 : WIDTH == 4 ? 8 : 16)
+
+static int factor(tm_work *w)
+{
+    return w->blocks == USUAL && w->q->motors == 3 ? factor_sized(USUAL, 3, w) : factor_sized(w->blocks, w->q->motors, w);
+}
+
+static void backward(tm_work *w, const double *y, const int newton)
+{
+    const int usual = w->blocks == USUAL && w->q->motors == 3;
+    if (usual && newton) backward_sized(USUAL, 3, w, y, 1);
+    else if (usual) backward_sized(USUAL, 3, w, y, 0);
+    else backward_sized(w->blocks, w->q->motors, w, y, newton);
+}
+
+static void forward(tm_work *w, const int newton)
+{
+    const int usual = w->blocks == USUAL && w->q->motors == 3;
+    if (usual && newton) forward_sized(USUAL, 3, w, 1);
+    else if (usual) forward_sized(USUAL, 3, w, 0);
+    else forward_sized(w->blocks, w->q->motors, w, newton);
+}
+
 static tm_state judge(tm_work *w)
 {
     const tm_problem *q = w->q;
@@ -579,7 +621,7 @@ static tm_state judge(tm_work *w)
             if (!(fabs(z->residual[i]) <= state.residual)) state.residual = fabs(z->residual[i]);
         }
     for (size_t i = 0; i < all; i++) w->y[i] = w->side[1].l[i] - w->side[0].l[i];
-    backward(w->blocks, m, w, w->y, 0);
+    backward(w, w->y, 0);
     double held[MOST_MOTORS] = {0};
     for (int k = 0; k < q->free_stages; k++)
         for (int c = 0; c < m; c++) {
@@ -593,7 +635,7 @@ static tm_state judge(tm_work *w)
 static void begin(tm_work *w)
 {
     const size_t all = (size_t)w->q->stages * (size_t)w->q->rows;
-    forward(w->blocks, w->q->motors, w, 0);
+    forward(w, 0);
     const tm_state rest = judge(w);
     const double first = FIRST_GAP * (rest.objective > 1.0 ? rest.objective : 1.0) / (double)(w->limits ? w->limits : 1);
     for (tm_side *z = w->side; z < w->side + 2; z++)
@@ -613,8 +655,8 @@ static void directions(tm_work *w)
     for (tm_side *z = w->side; z < w->side + 2; z++)
         for (size_t i = 0; i < all; i++)
             if (z->there[i]) w->y[i] -= z->sign * (z->target[i] - z->l[i] * z->residual[i]) / z->s[i];
-    backward(w->blocks, w->q->motors, w, w->y, 1);
-    forward(w->blocks, w->q->motors, w, 1);
+    backward(w, w->y, 1);
+    forward(w, 1);
     for (tm_side *z = w->side; z < w->side + 2; z++)
         for (size_t i = 0; i < all; i++) {
             if (!z->there[i]) continue;
@@ -689,16 +731,7 @@ static int solve(const tm_problem *q, const int max_iterations, const double tol
             for (size_t i = 0; i < all; i++)
                 if (z->there[i]) w->sigma[i] += z->l[i] / z->s[i], z->target[i] = 0.0;
         w->weighed = -1;
-        int positive;
-        switch (w->blocks * 8 + q->motors) { /* sizes that the compiler knows */
-#if WIDTH == 8
-        case 4 * 8 + 3: positive = factor(4, 3, w); break;
-#elif WIDTH == 4
-        case 8 * 8 + 3: positive = factor(8, 3, w); break;
-#endif
-        default: positive = factor(w->blocks, q->motors, w);
-        }
-        if (!positive) { code = TM_BREAKDOWN; break; }
+        if (!factor(w)) { code = TM_BREAKDOWN; break; }
         directions(w);
         if (w->limits) {
             centre(w, longest(w), now.complementarity, tolerance * scale);
@@ -714,11 +747,11 @@ static int solve(const tm_problem *q, const int max_iterations, const double tol
                     z->s[i] = fmax(z->s[i] + step * z->ds[i], LEAST);
                     z->l[i] = fmax(z->l[i] + step * z->dl[i], LEAST);
                 }
-        forward(w->blocks, q->motors, w, 0);
+        forward(w, 0);
     }
     if (code != TM_SOLVED && least <= NEAR) {
         keep(w, 1);
-        forward(w->blocks, q->motors, w, 0);
+        forward(w, 0);
         const tm_state best = judge(w);
         r->objective = best.objective, r->gap = best.complementarity + best.stationarity;
         code = TM_ACCURACY;
