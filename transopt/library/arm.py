@@ -135,7 +135,7 @@ class ArmLibrary:
         ------
         InputError : a scene of another version, or changed by hand.
         """
-        from transopt.library.own_scene import scene_in
+        from transopt.library.posed import scene_in
 
         return scene_in(self.meta)
 
