@@ -94,7 +94,7 @@ def _played(
         parts, off, rounding = [], [], []
         for j in range(plant.motors):
             run = accurate(_alone(stage, i, j), grid, commands[:, j], None)
-            course = run.course()
+            course = run.course
             trajectory = fine(course, run.flow, grid, moving=False)
             size = peak_scale(np.abs(run.acceleration_m_s2).max(axis=1), course.rounding(run.flow))
             parts.append((run.acceleration_m_s2, trajectory.acceleration_m_s2))
