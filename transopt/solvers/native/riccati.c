@@ -13,21 +13,26 @@
  * corrector follow Mehrotra (SIAM J. Optim. 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings,
  * J. Optim. Theory Appl. 99, 1998), in which the size is eliminated before the movement. Where the states stand in pairs
  * that only the held command couples to others, as the modes of a device do, products with A have no more terms than
- * that: they are taken pair by pair. Every iterate obeys the dynamics exactly: states are rolled out, the reduced gradient comes from the adjoint recursion, so rounding in a
- * factorisation costs a step's quality and never the answer's.
+ * that: they are taken pair by pair. Every iterate obeys the dynamics exactly: states are rolled out, the reduced
+ * gradient comes from the adjoint recursion, so rounding in a factorisation costs a step's quality and never the
+ * answer's.
+ *
+ * Problems of equal sizes are solved side by side: each register then holds the same number of several problems, and an
+ * answer does not depend, to the last bit, on the problems beside it. A problem alone has its rows of states in
+ * registers instead, as have problems whose states do not stand in pairs.
  *
  * C99 without dependencies, no global state, no allocation: the caller gives the workspace. Compile with contraction of
  * floating-point expressions off. All arrays are row by row. A caller that may be interrupted is asked for it now and
  * then (`tr_host`).
  */
-#if !defined(WIDTH)
+#if !defined(ENTRIES)
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 #include <time.h>
 
-enum { MOST_STATES = 96, MOST_NODES = 2, MOST_ROWS = 128 };
+enum { MOST_STATES = 96, MOST_NODES = 2, MOST_ROWS = 128, MOST_ENTRIES = 8, MOST_STATES_BESIDE = 32 };
 
 typedef struct {
     int stages, free_stages, states, outputs, ends, rows, nodes;
@@ -66,11 +71,11 @@ typedef struct {
     double *lower, *upper;     /* (N + 1, rows) multipliers */
     double *gradient;          /* (N) of the Lagrangian by u, the rule fed back */
     double *start;             /* (nodes) th_0 */
-    int iterations;
+    int code, iterations;
     double objective, gap, residual;
 } tr_result;
 
-/* What a command and multipliers prove in a problem without nodes: the Lagrangian's tangent bounds the optimum by
+/* What a command and multipliers prove in a problem, its nodes aside: the Lagrangian's tangent bounds the optimum by
  * objective - slack - by_command, and by objective - slack - by_movement, from below. */
 typedef struct {
     const double *command;             /* (N) */
@@ -107,11 +112,6 @@ enum {
     SYMMETRISED = 4, /* stages after which the cost to go is made symmetric again */
     REFINEMENTS = 4  /* of a linear pass, each one more step with the same gains */
 };
-
-/* Where an iterate stands. */
-typedef struct {
-    double complementarity, residual, stationarity, objective;
-} tr_state;
 
 /* The host during one call. */
 typedef struct {
@@ -175,63 +175,107 @@ static void eliminate(int count, const double *matrix, double *right)
 #else
 #define ALWAYS_INLINE static inline
 #endif
-#define AT(rows, i) (((double *)(rows))[i]) /* one double of a row of lanes */
-#define MOST_BLOCKS (MOST_STATES / WIDTH)
-#define WHOLE (WIDTH > 4 ? WIDTH : 4) /* a row of states has whole fours, and whole registers */
+#define AT(rows, i) (((number *)(rows))[i])        /* one number of a row */
+#define EACH(what, e) (((double *)&(what))[e])     /* a number's double of entry e */
+#define PER (WIDTH / ENTRIES)                      /* numbers in a register */
+/* Temperatures are solved for one problem at a time. */
+#define NODES(q) (ENTRIES > 1 ? 0 : (q)->nodes)
+#define REPEATED(q) (ENTRIES > 1 ? 0 : (q)->repeated)
+#define MOST_BLOCKS (ENTRIES > 1 ? MOST_STATES_BESIDE : MOST_STATES / WIDTH)
+#define WHOLE (ENTRIES > 1 ? 2 : WIDTH > 4 ? WIDTH : 4) /* a row of states has whole pairs or fours, and registers */
 
-/* The second half of this file is compiled once for each width of registers, its names with that width behind them. */
-#define PASTE(name, width) name##_##width
-#define OF_WIDTH(name, width) PASTE(name, width)
-#define lanes OF_WIDTH(lanes, WIDTH)
-#define choice OF_WIDTH(choice, WIDTH)
-#define tr_side OF_WIDTH(tr_side, WIDTH)
-#define tr_work OF_WIDTH(tr_work, WIDTH)
-#define raise_to OF_WIDTH(raise_to, WIDTH)
-#define total OF_WIDTH(total, WIDTH)
-#define largest OF_WIDTH(largest, WIDTH)
-#define take OF_WIDTH(take, WIDTH)
-#define lay_out OF_WIDTH(lay_out, WIDTH)
-#define workspace OF_WIDTH(workspace, WIDTH)
-#define prepare OF_WIDTH(prepare, WIDTH)
-#define combine OF_WIDTH(combine, WIDTH)
-#define pair_up OF_WIDTH(pair_up, WIDTH)
-#define flow OF_WIDTH(flow, WIDTH)
-#define flow_back OF_WIDTH(flow_back, WIDTH)
-#define congruence OF_WIDTH(congruence, WIDTH)
-#define dot OF_WIDTH(dot, WIDTH)
-#define add OF_WIDTH(add, WIDTH)
-#define add_product OF_WIDTH(add_product, WIDTH)
-#define add_nodes OF_WIDTH(add_nodes, WIDTH)
-#define factor_sized OF_WIDTH(factor_sized, WIDTH)
-#define tr_costate OF_WIDTH(tr_costate, WIDTH)
-#define backward_begin OF_WIDTH(backward_begin, WIDTH)
-#define backward_stage OF_WIDTH(backward_stage, WIDTH)
-#define backward_sized OF_WIDTH(backward_sized, WIDTH)
-#define forward_sized OF_WIDTH(forward_sized, WIDTH)
-#define factor OF_WIDTH(factor, WIDTH)
-#define backward OF_WIDTH(backward, WIDTH)
-#define forward OF_WIDTH(forward, WIDTH)
-#define roll_heat OF_WIDTH(roll_heat, WIDTH)
-#define closure_residual OF_WIDTH(closure_residual, WIDTH)
-#define closure_price OF_WIDTH(closure_price, WIDTH)
-#define close_course OF_WIDTH(close_course, WIDTH)
-#define newton OF_WIDTH(newton, WIDTH)
-#define cost OF_WIDTH(cost, WIDTH)
-#define move OF_WIDTH(move, WIDTH)
-#define advance OF_WIDTH(advance, WIDTH)
-#define begin OF_WIDTH(begin, WIDTH)
-#define judge_rows OF_WIDTH(judge_rows, WIDTH)
-#define judge OF_WIDTH(judge, WIDTH)
-#define aim OF_WIDTH(aim, WIDTH)
-#define slack_steps OF_WIDTH(slack_steps, WIDTH)
-#define centre OF_WIDTH(centre, WIDTH)
-#define keep OF_WIDTH(keep, WIDTH)
-#define solve OF_WIDTH(solve, WIDTH)
-#define linear OF_WIDTH(linear, WIDTH)
-#define prove OF_WIDTH(prove, WIDTH)
-#define pad OF_WIDTH(pad, WIDTH)
-#define paired_with OF_WIDTH(paired_with, WIDTH)
-#define largest_of OF_WIDTH(largest_of, WIDTH)
+/* The second half of this file is compiled once for each width of registers, its names with that width behind them, and
+ * how many problems stand side by side. */
+#define PASTE(name, width, entries) name##_##width##_##entries
+#define EXPAND(name, width, entries) PASTE(name, width, entries)
+#define OF_WIDTH(name) EXPAND(name, WIDTH, ENTRIES)
+#define absolute OF_WIDTH(absolute)
+#define add OF_WIDTH(add)
+#define add_nodes OF_WIDTH(add_nodes)
+#define add_product OF_WIDTH(add_product)
+#define add_square OF_WIDTH(add_square)
+#define advance OF_WIDTH(advance)
+#define aim OF_WIDTH(aim)
+#define all_ended OF_WIDTH(all_ended)
+#define any OF_WIDTH(any)
+#define at_least OF_WIDTH(at_least)
+#define backward OF_WIDTH(backward)
+#define backward_begin OF_WIDTH(backward_begin)
+#define backward_sized OF_WIDTH(backward_sized)
+#define backward_stage OF_WIDTH(backward_stage)
+#define begin OF_WIDTH(begin)
+#define blend OF_WIDTH(blend)
+#define centre OF_WIDTH(centre)
+#define choice OF_WIDTH(choice)
+#define close_course OF_WIDTH(close_course)
+#define closure_price OF_WIDTH(closure_price)
+#define closure_residual OF_WIDTH(closure_residual)
+#define combine OF_WIDTH(combine)
+#define congruence OF_WIDTH(congruence)
+#define cost OF_WIDTH(cost)
+#define deliver OF_WIDTH(deliver)
+#define dot OF_WIDTH(dot)
+#define each OF_WIDTH(each)
+#define end_with OF_WIDTH(end_with)
+#define factor OF_WIDTH(factor)
+#define factor_sized OF_WIDTH(factor_sized)
+#define factored OF_WIDTH(factored)
+#define flow OF_WIDTH(flow)
+#define flow_back OF_WIDTH(flow_back)
+#define follow OF_WIDTH(follow)
+#define forward OF_WIDTH(forward)
+#define forward_sized OF_WIDTH(forward_sized)
+#define judge OF_WIDTH(judge)
+#define judge_rows OF_WIDTH(judge_rows)
+#define keep OF_WIDTH(keep)
+#define keeps OF_WIDTH(keeps)
+#define lanes OF_WIDTH(lanes)
+#define largest OF_WIDTH(largest)
+#define largest_of OF_WIDTH(largest_of)
+#define lay_out OF_WIDTH(lay_out)
+#define linear OF_WIDTH(linear)
+#define move OF_WIDTH(move)
+#define newton OF_WIDTH(newton)
+#define number OF_WIDTH(number)
+#define of_each OF_WIDTH(of_each)
+#define pad OF_WIDTH(pad)
+#define pair_up OF_WIDTH(pair_up)
+#define paired_with OF_WIDTH(paired_with)
+#define prepare OF_WIDTH(prepare)
+#define prove OF_WIDTH(prove)
+#define raise_to OF_WIDTH(raise_to)
+#define roll_heat OF_WIDTH(roll_heat)
+#define slack_steps OF_WIDTH(slack_steps)
+#define solve OF_WIDTH(solve)
+#define state OF_WIDTH(state)
+#define take OF_WIDTH(take)
+#define total OF_WIDTH(total)
+#define tr_costate OF_WIDTH(tr_costate)
+#define tr_course OF_WIDTH(tr_course)
+#define tr_side OF_WIDTH(tr_side)
+#define tr_state OF_WIDTH(tr_state)
+#define tr_work OF_WIDTH(tr_work)
+#define workspace OF_WIDTH(workspace)
+
+/* The method, compiled for one width: `entries` problems of equal sizes at once. Codes stand in the results; a call
+ * that was interrupted is not 0. */
+typedef struct {
+    int entries;
+    size_t (*sizes)(const tr_problem *q);
+    int (*search)(const tr_problem *const *q, const tr_options *options, double *space, tr_result *const *r, tr_watch *watch);
+    int (*pass)(const tr_problem *const *q, double tolerance, double *space, tr_result *const *r, tr_watch *watch);
+    void (*certify)(const tr_problem *const *q, double *space, tr_proof *const *proof);
+} tr_kernel;
+
+/* Whether states 2 i and 2 i + 1 alone are coupled, and the held command, the last one, to all. */
+static int is_paired(const tr_problem *q)
+{
+    const int n = q->states, last = n - 1;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < last; j++)
+            if (j != i && (j != (i ^ 1) || i == last) && q->A[i * n + j] != 0.0) return 0;
+    return q->A[last * n + last] == 1.0;
+}
 
 #if !defined(ONLY_WIDTH) && !defined(__GNUC__)
 #define ONLY_WIDTH 1
@@ -240,43 +284,104 @@ static void eliminate(int count, const double *matrix, double *right)
 #endif
 #if defined(ONLY_WIDTH)
 #define WIDTH ONLY_WIDTH
+#define ENTRIES 1
 #include "riccati.c"
-#define BY_WIDTH(name) name
+#undef ENTRIES
+#if ONLY_WIDTH > 1
+#define ENTRIES ONLY_WIDTH
+#include "riccati.c"
+#endif
 #else
 #pragma GCC push_options
 #pragma GCC target("avx512f,avx512dq,avx512vl,prefer-vector-width=512")
 #define WIDTH 8
+#define ENTRIES 1
 #include "riccati.c"
+#undef ENTRIES
+#define ENTRIES 8
+#include "riccati.c"
+#undef ENTRIES
 #undef WIDTH
 #pragma GCC pop_options
 #pragma GCC push_options
 #pragma GCC target("avx2")
 #define WIDTH 4
+#define ENTRIES 1
 #include "riccati.c"
+#undef ENTRIES
+#define ENTRIES 4
+#include "riccati.c"
+#undef ENTRIES
 #undef WIDTH
 #pragma GCC pop_options
 #define WIDTH 2
+#define ENTRIES 1
 #include "riccati.c"
-#define BY_WIDTH(name) (fits_eight(q) ? name##_8 : __builtin_cpu_supports("avx2") ? name##_4 : name##_2)
-
-/* Whether rows of eight doubles are at hand, and take no more of them than rows of four do. */
-static int fits_eight(const tr_problem *q)
-{
-    const int left = q->states % 8;
-    return (left == 0 || left > 4) && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
-}
+#undef ENTRIES
+#define ENTRIES 2
+#include "riccati.c"
 #endif
 
-/* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
-int tr_interface(void) { return 7; }
-
-/* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
-size_t tr_workspace(const tr_problem *q)
+/* How many of the first problems go side by side with the first one, at most `most`. */
+static int alike(const tr_problem *q, int count, int most)
 {
-    if (q->states < 1 || q->ends < 0 || q->ends > q->states || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
-    if (q->rows < (q->nodes > 0) || q->rows > MOST_ROWS || q->stages < 1 || q->outputs < 1) return 0;
-    if (q->free_stages < 0 || q->free_stages > q->stages) return 0;
-    return BY_WIDTH(workspace)(q);
+    int found = 1;
+    if (q->states > MOST_STATES_BESIDE || q->nodes || !is_paired(q)) return 1;
+    while (found < count && found < most && is_paired(q + found)) found++;
+    return found;
+}
+
+/* The fastest way to begin with `count` problems, and how many of them it takes. */
+static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
+{
+#if defined(ONLY_WIDTH)
+    const tr_kernel *one = &EXPAND(kernel, ONLY_WIDTH, 1);
+#if ONLY_WIDTH > 1
+    *taken = alike(q, count, ONLY_WIDTH);
+    if (*taken > 1) return &EXPAND(kernel, ONLY_WIDTH, ONLY_WIDTH);
+#endif
+#else
+    const int four = __builtin_cpu_supports("avx2"), left = q->states % 8;
+    const int eight = four && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+    *taken = alike(q, count, eight ? 8 : four ? 4 : 2);
+    if (*taken > 4) return &kernel_8_8;
+    if (*taken > 2) return &kernel_4_4;
+    if (*taken == 2 && !four) return &kernel_2_2;
+    /* Rows of eight states only where they take no more of them than rows of four do. */
+    const tr_kernel *one = eight && (left == 0 || left > 4) ? &kernel_8_1 : four ? &kernel_4_1 : &kernel_2_1;
+#endif
+    *taken = 1;
+    return one;
+}
+
+/* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
+int tr_interface(void) { return 8; }
+
+static int fits(const tr_problem *q)
+{
+    if (q->states < 1 || q->ends < 0 || q->ends > q->states || q->nodes < 0 || q->nodes > MOST_NODES) return 0;
+    if (q->states + q->nodes > MOST_STATES || q->rows < (q->nodes > 0) || q->rows > MOST_ROWS) return 0;
+    return q->stages >= 1 && q->outputs >= 1 && q->free_stages >= 0 && q->free_stages <= q->stages;
+}
+
+/* Whether all problems have the sizes of the first one, up to `A`, and fit this method. */
+static int have_one_size(int count, const tr_problem *q)
+{
+    for (int i = 1; i < count; i++)
+        if (memcmp(q, q + i, offsetof(tr_problem, A))) return 0;
+    return count > 0 && fits(q);
+}
+
+/* Doubles of workspace for `count` problems of equal sizes; 0 if these are too large for this method, or none. */
+size_t tr_workspace(int count, const tr_problem *q)
+{
+    size_t most = 0;
+    if (!have_one_size(count, q)) return 0;
+    for (int i = 0, taken; i < count; i += taken) {
+        const size_t needed = kernel_for(q + i, count - i, &taken)->sizes(q + i);
+        if (needed > most) most = needed;
+    }
+    return most;
 }
 
 static int has_bounds(const tr_problem *q)
@@ -288,93 +393,153 @@ static int has_bounds(const tr_problem *q)
     return 1;
 }
 
-/* Solve; the answer is judged by the caller.
+/* Problems, or what is asked of them, from entry `first` on: `taken` of them, the last one again where a kernel takes
+ * more. */
+#define SIDE_BY_SIDE(of, first, taken, found) \
+    for (int e = 0; e < MOST_ENTRIES; e++) (found)[e] = (of) + (first) + (e < (taken) ? e : (taken) - 1)
+
+/* Solve `count` problems of equal sizes; the answers are judged by the caller. Each result has its code. Returns that of
+ * what has kept or stopped all of them, or 0.
  *
  * Near the answer rounding wins over progress at last: the best iterate is returned, as TR_ACCURACY where it is not
  * quite what was asked for. Far from it the last iterate is, whose multipliers tell of infeasibility.
  */
-int tr_solve(const tr_problem *q, const tr_options *options, double *space, tr_result *r)
+int tr_solve(int count, const tr_problem *q, const tr_options *options, double *space, tr_result *r)
 {
-    r->iterations = 0;
-    if (!tr_workspace(q)) return TR_TOO_LARGE;
-    if (!has_bounds(q)) return TR_NO_BOUNDS;
+    const tr_problem *some[MOST_ENTRIES];
+    tr_result *theirs[MOST_ENTRIES];
+    int failed = 0;
+    if (!have_one_size(count, q)) failed = TR_TOO_LARGE;
+    for (int i = 0; i < count; i++) r[i].iterations = 0, r[i].code = failed;
+    for (int i = 0; i < count && !failed; i++)
+        if (!has_bounds(q + i)) r[i].code = failed = TR_NO_BOUNDS;
+    if (failed) return failed;
     tr_watch watch = released(options->host);
-    const int code = BY_WIDTH(solve)(q, options, space, r, &watch);
+    for (int i = 0, taken; i < count && !failed; i += taken) {
+        const tr_kernel *kernel = kernel_for(q + i, count - i, &taken);
+        SIDE_BY_SIDE(q, i, taken, some);
+        SIDE_BY_SIDE(r, i, taken, theirs);
+        failed = kernel->search(some, options, space, theirs, &watch);
+    }
     acquired(&watch);
-    return code;
+    return failed;
 }
 
-/* The problem without rows and nodes: one Newton step from rest, and as many more as refine it.
- *
- * The gains stay in the workspace: with `factored` they are those of the last call, of a problem that differs in
- * nothing but `reference`, `rule_offset`, `end_target` and `constant`. TR_BREAKDOWN and TR_INTERRUPTED leave none.
+/* The problems without rows and nodes: one Newton step from rest, and as many more as refine it.
  */
-int tr_linear(const tr_problem *q, const tr_options *options, int factored, double *space, tr_result *r)
+int tr_linear(int count, const tr_problem *q, const tr_options *options, double *space, tr_result *r)
 {
-    r->iterations = 0;
-    if (!tr_workspace(q) || q->rows || q->nodes) return TR_TOO_LARGE;
+    const tr_problem *some[MOST_ENTRIES];
+    tr_result *theirs[MOST_ENTRIES];
+    int failed = 0;
+    if (!have_one_size(count, q) || q->rows || q->nodes) failed = TR_TOO_LARGE;
+    for (int i = 0; i < count; i++) r[i].iterations = 0, r[i].code = failed;
+    if (failed) return failed;
     tr_watch watch = released(options->host);
-    const int code = BY_WIDTH(linear)(q, options->tolerance, factored, space, r, &watch);
+    for (int i = 0, taken; i < count && !failed; i += taken) {
+        const tr_kernel *kernel = kernel_for(q + i, count - i, &taken);
+        SIDE_BY_SIDE(q, i, taken, some);
+        SIDE_BY_SIDE(r, i, taken, theirs);
+        failed = kernel->pass(some, options->tolerance, space, theirs, &watch);
+    }
     acquired(&watch);
-    return code;
+    return failed;
 }
 
-/* Certify: what `proof` states of a problem without nodes. The solver has no say in it. */
-int tr_prove(const tr_problem *q, double *space, tr_proof *proof)
+/* Certify: what each `proof` states of its problem without nodes. The solver has no say in it. */
+int tr_prove(int count, const tr_problem *q, double *space, tr_proof *proof)
 {
-    if (!tr_workspace(q) || q->nodes) return TR_TOO_LARGE;
-    BY_WIDTH(prove)(q, space, proof);
+    const tr_problem *some[MOST_ENTRIES];
+    tr_proof *theirs[MOST_ENTRIES];
+    if (!have_one_size(count, q) || q->nodes) return TR_TOO_LARGE;
+    for (int i = 0, taken; i < count; i += taken) {
+        const tr_kernel *kernel = kernel_for(q + i, count - i, &taken);
+        SIDE_BY_SIDE(q, i, taken, some);
+        SIDE_BY_SIDE(proof, i, taken, theirs);
+        kernel->certify(some, space, theirs);
+    }
     return TR_SOLVED;
 }
 
 #else
-/* Doubles that are worked on side by side; every array of the workspace begins with whole ones. */
+/* A register of doubles: of rows and of states of one problem or, of several problems, the same number of each. Every
+ * array of the workspace begins with a whole one. */
 #if WIDTH > 1
 typedef double lanes __attribute__((vector_size(8 * WIDTH), may_alias));
 typedef long long choice __attribute__((vector_size(8 * WIDTH), may_alias));
+#else
+typedef double lanes;
+#endif
+
+/* One number of every problem that is solved. */
+#if ENTRIES > 1
+typedef lanes number;
+#else
+typedef double number;
+#endif
 
 /* The larger, lane by lane; what is no number is passed over. */
 ALWAYS_INLINE void raise_to(lanes *most, const lanes *than)
 {
+#if WIDTH > 1
     const choice above = *than > *most;
     *most = (lanes)((above & (choice)*than) | (~above & (choice)*most));
+#else
+    *most = *than > *most ? *than : *most;
+#endif
 }
 
 /* Block j of v with neighbours 2 i and 2 i + 1 in each other's place. */
 #undef SWAPPED
 #undef PAIRS
-#if WIDTH == 8
+#if PER == 8
 #define PAIRS 1, 0, 3, 2, 5, 4, 7, 6
-#elif WIDTH == 4
+#elif PER == 4
 #define PAIRS 1, 0, 3, 2
-#else
+#elif PER == 2
 #define PAIRS 1, 0
 #endif
-#if defined(__clang__)
+#if PER == 1
+#define SWAPPED(v, j) (v)[(j) ^ 1]
+#elif defined(__clang__)
 #define SWAPPED(v, j) __builtin_shufflevector((v)[j], (v)[j], PAIRS)
 #else
 #define SWAPPED(v, j) __builtin_shuffle((v)[j], (choice){PAIRS})
 #endif
-#else
-typedef double lanes;
-#define SWAPPED(v, j) (v)[(j) ^ 1]
 
-ALWAYS_INLINE void raise_to(lanes *most, const lanes *than) { *most = *than > *most ? *than : *most; }
-#endif
-
-ALWAYS_INLINE double total(const lanes *of)
+ALWAYS_INLINE number total(const lanes *of)
 {
-    double sum[WIDTH];
-    for (int j = 0; j < WIDTH; j++) sum[j] = AT(of, j);
-    for (int half = WIDTH / 2; half > 0; half /= 2)
+    number sum[PER];
+    for (int j = 0; j < PER; j++) sum[j] = AT(of, j);
+    for (int half = PER / 2; half > 0; half /= 2)
         for (int j = 0; j < half; j++) sum[j] += sum[j + half];
     return sum[0];
 }
 
-ALWAYS_INLINE double largest(const lanes *of)
+ALWAYS_INLINE number absolute(const number of)
 {
-    double most = AT(of, 0);
-    for (int j = 1; j < WIDTH; j++) most = AT(of, j) > most ? AT(of, j) : most;
+#if ENTRIES > 1
+    return (number)((choice)of & INT64_MAX);
+#else
+    return fabs(of);
+#endif
+}
+
+/* The larger; the second where the first is no number. */
+ALWAYS_INLINE number at_least(const number of, const number least)
+{
+#if ENTRIES > 1
+    const choice above = of > least;
+    return (number)((above & (choice)of) | (~above & (choice)least));
+#else
+    return of > least ? of : least;
+#endif
+}
+
+ALWAYS_INLINE number largest(const lanes *of)
+{
+    number most = AT(of, 0);
+    for (int j = 1; j < PER; j++) most = at_least(AT(of, j), most);
     return most;
 }
 
@@ -386,65 +551,112 @@ typedef struct {
 
 /* Everything that lives during one solve. Differences carry a d: dE is the change of `error` by a Newton step. */
 typedef struct {
-    const tr_problem *q;
+    const tr_problem *q; /* the first of all */
+    const tr_problem *const *all;
     tr_watch *watch;
     int ld;                              /* length of a row of states, padded with zeros */
     int blocks;                          /* of all values of the rows */
+    /* What the problems say, each number of all of them. */
+    const number *E, *weight, *reference, *rule_gain, *rule_offset, *end_target, *d, *d_size;
+    const number *M, *b, *gain, *square, *F, *f;
+    number movement_weight, decay, ripple, copper, command_bound, constant;
     lanes *A, *At, *C, *G, *Z;          /* padded A, its transpose, C, G and Z */
     int paired;                          /* A couples states 2 i and 2 i + 1, and the held command to all */
+    int pairs_end;                       /* where the states begin that nothing couples */
     lanes own[MOST_BLOCKS], from_pair[MOST_BLOCKS], to_pair[MOST_BLOCKS]; /* its diagonal, A[j][j ^ 1] and A[j ^ 1][j] */
     lanes push[MOST_BLOCKS], held[MOST_BLOCKS];                           /* its last column; one at the held command */
+    unsigned char *tracked; /* (N, outputs) whether a weight is other than zero */
     lanes *K, *Ke;
-    double *Kth, *pivot;             /* gains of u by states and by nodes, inverse pivots */
-    double *Keth, *Ke_u, *pivot_e;  /* the same of e, its gain by u */
-    double *offset, *offset_e;           /* Newton step without feedback */
-    double *u, *e, *du, *de;
-    double *error, *d_error, *end_error, *d_end_error;
-    double *current, *command, *d_current, *d_command; /* i_k, c_k, where they heat */
-    double *heat;                        /* (N, 4): dh/di, dh/dc, times resistance; resistance; copper h */
-    double *theta;                       /* (N + 1, nodes) */
-    double *by_heat;                     /* (N) b' costate of th_(k+1) */
+    number *Kth, *pivot;             /* gains of u by states and by nodes, inverse pivots */
+    number *Keth, *Ke_u, *pivot_e;  /* the same of e, its gain by u */
+    number *offset, *offset_e;           /* Newton step without feedback */
+    number *u, *e, *du, *de;
+    number *error, *d_error, *end_error, *d_end_error;
+    number *current, *command, *d_current, *d_command; /* i_k, c_k, where they heat */
+    number *heat;                        /* (N, 4): dh/di, dh/dc, times resistance; resistance; copper h */
+    number *theta;                       /* (N + 1, nodes) */
+    number *by_heat;                     /* (N) b' costate of th_(k+1) */
     lanes *V, *dV, *sigma, *y;           /* rows: values, weights, gradients */
     tr_side side[2];                     /* their lower and their upper limits */
-    double *unit_offset, *unit_offset_e; /* (nodes, N) response to the closure's multiplier */
-    double *still;                       /* (N) zeros */
+    number *unit_offset, *unit_offset_e; /* (nodes, N) response to the closure's multiplier */
+    number *still;                       /* (N) zeros */
+    number *kept_movement, *kept_gradient, *kept_size; /* of the iterate that is the answer so far */
+    lanes *kept_lower, *kept_upper;
+    number kept_start[MOST_NODES], kept_objective, kept_gap, kept_residual;
+    number sound;                        /* 0 where a factorisation has broken down */
+    int limited;                         /* whether there is any limit */
     /* At the ends of the horizon: cost to go in th_0, its gradient, th_N of a step; the closure's multiplier. */
-    double P0[MOST_NODES * MOST_NODES], p0[MOST_NODES], th_end[MOST_NODES];
-    double eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
-    double closing[4 * MOST_NODES * MOST_NODES]; /* matrix of the closure's equations */
+    number P0[MOST_NODES * MOST_NODES], p0[MOST_NODES], th_end[MOST_NODES];
+    number eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
+    number closing[4 * MOST_NODES * MOST_NODES]; /* matrix of the closure's equations */
+    int direct[MOST_ROWS], moves[MOST_ROWS], sizes[MOST_ROWS]; /* whether E, d and d_size are other than zero */
     int from[MOST_ROWS], to[MOST_ROWS];          /* states between which a row of G has all that is not zero */
 } tr_work;
 
-/* Registers that a row of n states takes, padded with zeros. */
-#define BLOCKS(n) (((n) + WHOLE - 1) / WHOLE * (WHOLE / WIDTH))
+/* Where an iterate stands. */
+typedef struct {
+    number complementarity, residual, stationarity, objective;
+} tr_state;
 
-/* The next `count` doubles of the workspace, if there is one yet. */
-static void *take(double *workspace, size_t *taken, size_t count)
+/* Registers that a row of n states takes, padded with zeros; of row i of a symmetric matrix, those that are computed. */
+#undef BLOCKS
+#undef LOWER
+#define BLOCKS(n) (((n) + WHOLE - 1) / WHOLE * WHOLE / PER)
+#define LOWER(i, blocks) (ENTRIES > 1 ? (i) + 1 : (blocks))
+
+/* The next `count` numbers of the workspace, if there is one yet. */
+static void *take(double *space, size_t *taken, size_t count)
 {
-    void *found = workspace ? workspace + *taken : NULL;
-    *taken += (count + WIDTH - 1) / WIDTH * WIDTH;
+    void *found = space ? space + *taken : NULL;
+    *taken += (count * ENTRIES + WIDTH - 1) / WIDTH * WIDTH;
     return found;
 }
 
-/* Arrays in the workspace; in front those that a linear pass with its gains kept finds as it left them. Returns the
- * doubles that are taken, and in `kept` how many of them stand in front. */
-static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *kept)
+/* An array of all problems, number by number: their own array where there is one problem. NULL for none. */
+static const number *of_each(const void *const *all, size_t field, size_t count, double *space, size_t *taken)
 {
-    const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
-    const size_t ld = BLOCKS((size_t)q->states) * WIDTH;
+#if ENTRIES > 1
+    number *found = take(space, taken, count);
+    if (!space) return NULL;
+    for (int e = 0; e < ENTRIES; e++) {
+        const double *from = *(const double *const *)((const char *)all[e] + field);
+        for (size_t i = 0; i < count; i++) EACH(found[i], e) = from ? from[i] : 0.0;
+    }
+    return found;
+#else
+    (void)count, (void)space, (void)taken;
+    return *(const double *const *)((const char *)all[0] + field);
+#endif
+}
+
+/* A number of all problems. */
+static number each(const tr_problem *const *all, size_t field)
+{
+    number found;
+    for (int e = 0; e < ENTRIES; e++) EACH(found, e) = *(const double *)((const char *)all[e] + field);
+    return found;
+}
+
+/* Arrays in the workspace. Returns the doubles that are taken. */
+static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
+{
+    const tr_problem *q = w->q = all[0];
+    const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)NODES(q);
+    const size_t n = (size_t)q->states, ld = BLOCKS(n) * PER, ruled = N - (size_t)q->free_stages;
     size_t taken = 0;
-    w->q = q;
+    w->all = all;
     w->ld = (int)ld;
-    w->blocks = (int)((m + WIDTH - 1) / WIDTH);
+    w->blocks = (int)((m + PER - 1) / PER);
+    const size_t warm = t ? N : 0; /* what only temperatures need */
     w->A = take(space, &taken, ld * ld), w->At = take(space, &taken, ld * ld);
     w->C = take(space, &taken, ny * ld), w->G = take(space, &taken, (size_t)q->rows * ld);
-    w->Z = take(space, &taken, (size_t)q->ends * ld), w->d_end_error = take(space, &taken, (size_t)q->ends);
-    w->K = take(space, &taken, N * ld), w->pivot = take(space, &taken, N);
-    w->du = take(space, &taken, N), w->d_error = take(space, &taken, N * ny);
-    *kept = taken;
-    w->offset = take(space, &taken, N), w->u = take(space, &taken, N), w->error = take(space, &taken, N * ny);
-    w->end_error = take(space, &taken, (size_t)q->ends);
-    const size_t warm = t ? N : 0; /* what only temperatures need */
+    w->Z = take(space, &taken, (size_t)q->ends * ld), w->end_error = take(space, &taken, (size_t)q->ends);
+    w->K = take(space, &taken, N * ld), w->u = take(space, &taken, N), w->error = take(space, &taken, N * ny);
+    w->d_error = take(space, &taken, N * ny), w->offset = take(space, &taken, N), w->V = take(space, &taken, m);
+    for (tr_side *z = w->side; z < w->side + 2; z++) {
+        z->there = take(space, &taken, m), z->bound = take(space, &taken, m);
+        z->ds = take(space, &taken, m), z->dl = take(space, &taken, m);
+    }
     w->Kth = take(space, &taken, N * t), w->Keth = take(space, &taken, N * t);
     w->Ke = take(space, &taken, warm * ld), w->Ke_u = take(space, &taken, warm), w->pivot_e = take(space, &taken, warm);
     w->offset_e = take(space, &taken, warm), w->e = take(space, &taken, warm), w->de = take(space, &taken, warm);
@@ -453,94 +665,142 @@ static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *ke
     w->current = take(space, &taken, warm), w->command = take(space, &taken, warm);
     w->d_current = take(space, &taken, warm), w->d_command = take(space, &taken, warm);
     w->still = take(space, &taken, warm), w->theta = take(space, &taken, (N + 1) * t);
-    w->V = take(space, &taken, m), w->dV = take(space, &taken, m), w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
+    w->pivot = take(space, &taken, N), w->dV = take(space, &taken, m);
+    w->kept_movement = take(space, &taken, N), w->kept_gradient = take(space, &taken, N);
+    w->kept_size = take(space, &taken, warm);
+    w->kept_lower = take(space, &taken, m), w->kept_upper = take(space, &taken, m);
+    /* What stands behind here is written before it is read. */
+    w->du = take(space, &taken, N), w->d_end_error = take(space, &taken, (size_t)q->ends);
+    w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
-        z->there = take(space, &taken, m), z->bound = take(space, &taken, m), z->s = take(space, &taken, m), z->l = take(space, &taken, m);
+        z->s = take(space, &taken, m), z->l = take(space, &taken, m);
         z->inverse = take(space, &taken, m), z->residual = take(space, &taken, m);
-        z->ds = take(space, &taken, m), z->dl = take(space, &taken, m), z->target = take(space, &taken, m);
     }
+    w->tracked = take(space, &taken, N * ny); /* more than enough */
+#define OF_EACH(field, count) of_each((const void *const *)all, offsetof(tr_problem, field), count, space, &taken)
+    w->E = OF_EACH(E, ny), w->weight = OF_EACH(weight, N * ny), w->reference = OF_EACH(reference, N * ny);
+    w->rule_gain = OF_EACH(rule_gain, ruled * n), w->rule_offset = OF_EACH(rule_offset, ruled);
+    w->end_target = OF_EACH(end_target, (size_t)q->ends);
+    w->d = OF_EACH(d, (size_t)q->rows), w->d_size = OF_EACH(d_size, (size_t)q->rows);
+    w->M = OF_EACH(M, t * t), w->b = OF_EACH(b, t), w->gain = OF_EACH(gain, warm), w->square = OF_EACH(square, t ? 3 : 0);
+    w->F = OF_EACH(F, t * t), w->f = OF_EACH(f, t);
+#undef OF_EACH
     return taken;
 }
 
-/* Doubles that a problem needs, wherever they begin. */
+/* Doubles that this kernel needs, wherever they begin. */
 static size_t workspace(const tr_problem *q)
 {
     tr_work w;
-    size_t kept;
-    return lay_out(&w, q, NULL, &kept) + WIDTH - 1;
+    const tr_problem *all[MOST_ENTRIES];
+    for (int e = 0; e < MOST_ENTRIES; e++) all[e] = q;
+    return lay_out(&w, all, NULL) + WIDTH - 1;
 }
 
 /* Whether the states stand in pairs, and what couples them. */
 static void pair_up(tr_work *w)
 {
     const int n = w->q->states, last = n - 1;
-    const double *A = w->q->A;
-    w->paired = A[last * n + last] == 1.0;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < last; j++)
-            if (j != i && (j != (i ^ 1) || i == last) && A[i * n + j] != 0.0) w->paired = 0;
-    for (int i = 0; i < last; i++) {
-        const int other = i ^ 1;
-        AT(w->own, i) = A[i * n + i];
-        if (other < last) AT(w->from_pair, i) = A[i * n + other], AT(w->to_pair, i) = A[other * n + i];
-        AT(w->push, i) = A[i * n + last];
+    w->paired = is_paired(w->q);
+    for (int e = 0; e < ENTRIES; e++) {
+        const double *A = w->all[e]->A;
+        for (int i = 0; i < last; i++) {
+            const int other = i ^ 1;
+            EACH(AT(w->own, i), e) = A[i * n + i];
+            if (other < last) {
+                EACH(AT(w->from_pair, i), e) = A[i * n + other], EACH(AT(w->to_pair, i), e) = A[other * n + i];
+                if (A[i * n + other] != 0.0 && w->pairs_end < (i | 1) + 1) w->pairs_end = (i | 1) + 1;
+            }
+            EACH(AT(w->push, i), e) = A[i * n + last];
+        }
+        EACH(AT(w->push, last), e) = A[last * n + last];
+        EACH(AT(w->held, last), e) = 1.0;
     }
-    AT(w->push, last) = A[last * n + last];
-    AT(w->held, last) = 1.0;
 }
 
 /* The matrices, their rows padded with zeros. */
 static void pad(tr_work *w)
 {
     const tr_problem *q = w->q;
-    const size_t n = (size_t)q->states, ld = (size_t)w->ld, in_one = n * sizeof(double);
-    memset(w->A, 0, (size_t)((char *)w->d_end_error - (char *)w->A));
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < n; j++) AT(w->A, i * ld + j) = AT(w->At, j * ld + i) = q->A[i * n + j];
-    for (size_t s = 0; s < (size_t)q->outputs; s++) memcpy(&AT(w->C, s * ld), q->C + s * n, in_one);
-    for (size_t j = 0; j < (size_t)q->rows; j++) memcpy(&AT(w->G, j * ld), q->G + j * n, in_one);
-    for (size_t j = 0; j < (size_t)q->ends; j++) memcpy(&AT(w->Z, j * ld), q->end_gain + j * n, in_one);
-    for (int j = 0; j < q->rows; j++) {
-        const double *c = q->G + (size_t)j * n;
-        w->from[j] = 0, w->to[j] = q->states;
-        while (w->to[j] > 0 && c[w->to[j] - 1] == 0.0) w->to[j]--;
-        while (w->from[j] < w->to[j] && c[w->from[j]] == 0.0) w->from[j]++;
+    const size_t n = (size_t)q->states, ld = (size_t)w->ld;
+    memset(w->A, 0, (size_t)((char *)w->end_error - (char *)w->A));
+    for (int e = 0; e < ENTRIES; e++) {
+        q = w->all[e];
+        for (size_t j = 0; j < n; j++) {
+            for (size_t i = 0; i < n && !w->paired; i++)
+                EACH(AT(w->A, i * ld + j), e) = EACH(AT(w->At, j * ld + i), e) = q->A[i * n + j];
+            for (size_t s = 0; s < (size_t)q->outputs; s++) EACH(AT(w->C, s * ld + j), e) = q->C[s * n + j];
+            for (size_t s = 0; s < (size_t)q->rows; s++) EACH(AT(w->G, s * ld + j), e) = q->G[s * n + j];
+            for (size_t s = 0; s < (size_t)q->ends; s++) EACH(AT(w->Z, s * ld + j), e) = q->end_gain[s * n + j];
+        }
+        for (int j = 0; j < q->rows; j++) {
+            const double *c = q->G + (size_t)j * n;
+            int from = 0, to = q->states;
+            while (to > 0 && c[to - 1] == 0.0) to--;
+            while (from < to && c[from] == 0.0) from++;
+            if (e == 0 || from < w->from[j]) w->from[j] = from;
+            if (e == 0 || to > w->to[j]) w->to[j] = to;
+        }
     }
-    pair_up(w);
 }
 
-/* The workspace, all zero but what the problem says; with `keep_gains`, what stands in front is left alone. */
-static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains, tr_watch *watch)
+/* Whether a number is other than zero in any problem. */
+static int any(const number of)
 {
-    const size_t n = (size_t)q->states, ld = BLOCKS(n) * WIDTH, rows = (size_t)((q->stages + 1) * q->rows);
-    size_t kept;
+    int found = 0;
+    for (int e = 0; e < ENTRIES; e++) found = found || EACH(of, e) != 0.0;
+    return found;
+}
+
+/* The numbers of all problems. */
+static void state(tr_work *w)
+{
+    w->movement_weight = each(w->all, offsetof(tr_problem, movement_weight));
+    w->decay = each(w->all, offsetof(tr_problem, decay));
+    w->ripple = each(w->all, offsetof(tr_problem, ripple));
+    w->copper = each(w->all, offsetof(tr_problem, copper));
+    w->command_bound = each(w->all, offsetof(tr_problem, command_bound));
+    w->constant = each(w->all, offsetof(tr_problem, constant));
+    for (int o = 0; o < w->q->outputs; o++) w->direct[o] = any(w->E[o]);
+    for (int i = 0; i < w->q->rows; i++) w->moves[i] = any(w->d[i]), w->sizes[i] = any(w->d_size[i]);
+    for (int i = 0; i < w->q->stages * w->q->outputs; i++) w->tracked[i] = (unsigned char)any(w->weight[i]);
+    pair_up(w);
+    pad(w);
+}
+
+/* The workspace, all zero but what the problems say. */
+static void prepare(tr_work *w, const tr_problem *const *all, double *space, tr_watch *watch)
+{
+    const size_t n = (size_t)all[0]->states, ld = BLOCKS(n) * PER, stages = (size_t)all[0]->stages;
+    const size_t rows = (stages + 1) * (size_t)all[0]->rows, free = (size_t)all[0]->free_stages;
     while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
     memset(w, 0, sizeof *w);
     w->watch = watch;
-    const size_t all = lay_out(w, q, space, &kept);
-    if (!keep_gains) kept = 0;
-    memset(space + kept, 0, (all - kept) * sizeof(double));
+    lay_out(w, all, space);
+    memset(space, 0, (size_t)((char *)w->du - (char *)space));
     for (int side = 0; side < 2; side++) {
         tr_side *z = w->side + side;
-        const double *limit = side ? q->upper : q->lower;
         z->sign = side ? -1.0 : 1.0;
-        for (int i = 0; i < w->blocks * WIDTH; i++) AT(z->s, i) = 1.0;
-        for (size_t i = 0; i < rows; i++)
-            if (limit[i] > -INFINITY && limit[i] < INFINITY) AT(z->there, i) = 1.0, AT(z->bound, i) = limit[i];
+        for (int i = 0; i < w->blocks; i++) z->s[i] = z->there[i] + 1.0, z->l[i] = z->there[i];
+        for (int e = 0; e < ENTRIES; e++) {
+            const double *limit = side ? all[e]->upper : all[e]->lower;
+            for (size_t i = 0; i < rows; i++)
+                if (limit[i] > -INFINITY && limit[i] < INFINITY)
+                    EACH(AT(z->there, i), e) = 1.0, EACH(AT(z->bound, i), e) = limit[i];
+        }
     }
-    pad(w);
-    if (keep_gains) return;
-    for (size_t k = (size_t)q->free_stages; k < (size_t)q->stages; k++)
-        memcpy(&AT(w->K, k * ld), q->rule_gain + (k - (size_t)q->free_stages) * n, n * sizeof(double));
+    state(w);
+    for (size_t k = free; k < stages; k++)
+        for (size_t j = 0; j < n; j++) AT(w->K, k * ld + j) = w->rule_gain[(k - free) * n + j];
 }
 
 /* out = M' v, four rows of M at a time: short chains of additions. */
-ALWAYS_INLINE void combine(const int blocks, const lanes *restrict M, const double *restrict v, lanes *restrict out)
+ALWAYS_INLINE void combine(const int blocks, const lanes *restrict M, const number *restrict v, lanes *restrict out)
 {
     for (int j = 0; j < blocks; j++) {
         const lanes *m = M + j;
         lanes sum = (v[0] * m[0] + v[1] * m[blocks]) + (v[2] * m[2 * blocks] + v[3] * m[3 * blocks]);
-        for (int l = 4; l < blocks * WIDTH; l += 4) {
+        for (int l = 4; l < blocks * PER; l += 4) {
             m += 4 * blocks;
             sum += (v[l] * m[0] + v[l + 1] * m[blocks]) + (v[l + 2] * m[2 * blocks] + v[l + 3] * m[3 * blocks]);
         }
@@ -548,73 +808,119 @@ ALWAYS_INLINE void combine(const int blocks, const lanes *restrict M, const doub
     }
 }
 
-ALWAYS_INLINE double dot(const int blocks, const lanes *restrict a, const lanes *restrict b)
+ALWAYS_INLINE number dot(const int blocks, const lanes *restrict a, const lanes *restrict b)
 {
     lanes sum = a[0] * b[0];
+    if (ENTRIES > 1) { /* whole pairs */
+        lanes other = a[1] * b[1];
+        for (int j = 2; j < blocks; j += 2) sum += a[j] * b[j], other += a[j + 1] * b[j + 1];
+        sum += other;
+        return AT(&sum, 0);
+    }
     for (int j = 1; j < blocks; j++) sum += a[j] * b[j];
     return total(&sum);
 }
 
-ALWAYS_INLINE void add(const int blocks, const double by, const lanes *restrict c, lanes *restrict to)
+ALWAYS_INLINE void add(const int blocks, const number by, const lanes *restrict c, lanes *restrict to)
 {
     for (int j = 0; j < blocks; j++) to[j] += by * c[j];
 }
 
 /* out = A x + A[:, n-1] u. */
-ALWAYS_INLINE void flow(const int last, const int blocks, const tr_work *w, const lanes *restrict x, const double u,
+ALWAYS_INLINE void flow(const int last, const int blocks, const tr_work *w, const lanes *restrict x, const number u,
                         lanes *restrict out)
 {
-    if (!w->paired) {
-        combine(blocks, w->At, (const double *)x, out);
+    if (ENTRIES == 1 && !w->paired) {
+        combine(blocks, w->At, (const number *)x, out);
         add(blocks, u, w->At + last * blocks, out);
         return;
     }
-    const double command = AT(x, last) + u;
-    for (int j = 0; j < blocks; j++)
+    const int coupled = ENTRIES > 1 ? w->pairs_end : blocks;
+    const number command = AT(x, last) + u;
+    for (int j = 0; j < coupled; j++)
         out[j] = (w->own[j] * x[j] + w->from_pair[j] * SWAPPED(x, j)) + command * w->push[j];
+    for (int j = coupled; j < blocks; j++) out[j] = w->own[j] * x[j] + command * w->push[j];
 }
 
 /* out = A' p. */
 ALWAYS_INLINE void flow_back(const int blocks, const tr_work *w, const lanes *restrict p, lanes *restrict out)
 {
-    if (!w->paired) {
-        combine(blocks, w->A, (const double *)p, out);
+    if (ENTRIES == 1 && !w->paired) {
+        combine(blocks, w->A, (const number *)p, out);
         return;
     }
-    const double command = dot(blocks, w->push, p);
-    for (int j = 0; j < blocks; j++)
+    const int coupled = ENTRIES > 1 ? w->pairs_end : blocks;
+    const number command = dot(blocks, w->push, p);
+    for (int j = 0; j < coupled; j++)
         out[j] = (w->own[j] * p[j] + w->to_pair[j] * SWAPPED(p, j)) + command * w->held[j];
+    for (int j = coupled; j < blocks; j++) out[j] = w->own[j] * p[j] + command * w->held[j];
 }
 
 /* H = A' P A of a symmetric P; PA is scratch. */
 ALWAYS_INLINE void congruence(const int n, const int blocks, const tr_work *w, const lanes *restrict P,
                               lanes *restrict PA, lanes *restrict H)
 {
-    const int last = n - 1, ld = blocks * WIDTH;
-    if (!w->paired) {
-        for (int i = 0; i < ld; i++) combine(blocks, w->A, (const double *)(P + i * blocks), PA + i * blocks);
-        for (int i = 0; i < ld; i++) combine(blocks, PA, (const double *)(w->At + i * blocks), H + i * blocks);
+    const int last = n - 1, ld = blocks * PER, coupled = ENTRIES > 1 ? w->pairs_end : blocks;
+    if (ENTRIES == 1 && !w->paired) {
+        for (int i = 0; i < ld; i++) combine(blocks, w->A, (const number *)(P + i * blocks), PA + i * blocks);
+        for (int i = 0; i < ld; i++) combine(blocks, PA, (const number *)(w->At + i * blocks), H + i * blocks);
         return;
     }
     lanes pushed[MOST_BLOCKS];
-    memset(pushed, 0, (size_t)ld * sizeof(double));
-    for (int i = 0; i < n; i++) add(blocks, AT(w->push, i), P + i * blocks, pushed);
+    memset(pushed, 0, (size_t)blocks * sizeof(lanes));
+    for (int i = 0; i < n; i++) {
+        number rest = {0}; /* of the row, which is not computed beyond its diagonal */
+        add(LOWER(i, blocks), AT(w->push, i), P + i * blocks, pushed);
+        for (int j = 0; ENTRIES > 1 && j < i; j++) rest += AT(w->push, j) * AT(P, i * blocks + j);
+        if (ENTRIES > 1) AT(pushed, i) += rest;
+    }
     flow_back(blocks, w, pushed, H + last * blocks);
-    for (int i = 0; i < n; i++) /* of the last column the last row is enough */
-        for (int j = 0; j < blocks; j++)
+    for (int i = 0; i < last; i++) { /* of the last column the last row is enough */
+        const int end = ENTRIES > 1 ? (i | 1) + 1 : blocks, pairs = coupled < end ? coupled : end;
+        for (int j = 0; j < pairs; j++)
             PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * SWAPPED(P + i * blocks, j);
+        for (int j = pairs; j < end; j++) PA[i * blocks + j] = w->own[j] * P[i * blocks + j];
+    }
     for (int i = 0; i < last; i++) {
-        const int other = (i ^ 1) < last ? i ^ 1 : i;
-        const double own = AT(w->own, i), pair = AT(w->to_pair, i), command = AT(H + last * blocks, i);
-        for (int j = 0; j < blocks; j++)
-            H[i * blocks + j] = (own * PA[i * blocks + j] + pair * PA[other * blocks + j]) + command * w->held[j];
+        const int other = (i ^ 1) < last ? i ^ 1 : i, end = LOWER(i, blocks);
+        const number own = AT(w->own, i), pair = AT(w->to_pair, i), command = AT(H + last * blocks, i);
+        if (ENTRIES > 1 && i >= coupled) {
+            for (int j = 0; j < end; j++) H[i * blocks + j] = own * PA[i * blocks + j];
+            continue;
+        }
+        for (int j = 0; j < end; j++) {
+            H[i * blocks + j] = own * PA[i * blocks + j] + pair * PA[other * blocks + j];
+            if (ENTRIES == 1) H[i * blocks + j] += command * w->held[j];
+        }
     }
 }
 
 /* Add c d' to H. */
 ALWAYS_INLINE void add_product(const int blocks, const lanes *restrict c, const lanes *restrict d, lanes *restrict H)
 {
-    for (int i = 0; i < blocks * WIDTH; i++) add(blocks, AT(c, i), d, H + i * blocks);
+    for (int i = 0; i < blocks * PER; i++) add(LOWER(i, blocks), AT(c, i), d, H + i * blocks);
+}
+
+/* Add weight c c' to H, of a row c that is zero but between two of its states. */
+ALWAYS_INLINE void add_square(const int blocks, const number weight, const lanes *restrict c, const int from,
+                              const int to, lanes *restrict H)
+{
+    for (int i = from; i < to; i++) {
+        const number by = weight * AT(c, i);
+        for (int j = ENTRIES > 1 ? from : 0; j < LOWER(i, blocks); j++) H[i * blocks + j] += by * c[j];
+    }
+}
+
+/* Whether a factorisation may go on: a pivot is positive, in one of the problems at least. */
+ALWAYS_INLINE int keeps(tr_work *w, const number *pivot)
+{
+#if ENTRIES > 1
+    w->sound = (number)((choice)w->sound & (*pivot > 0.0));
+    return 1;
+#else
+    if (!(*pivot > 0.0)) w->sound = 0.0;
+    return w->sound != 0.0;
+#endif
 }
 
 /* What the nodes add to H = A' P A of the states: their flow is B x + M th with B = b g', where g = `by_x`.
@@ -622,39 +928,39 @@ ALWAYS_INLINE void add_product(const int blocks, const lanes *restrict c, const 
  * Cost to go P (states), Q (nodes, states), R (nodes, nodes). Out: H; HQ and HR; f = sum_i b_i U_i and fR = b' R M,
  * where [U R M] are the nodes' rows of P times the flow. Returns b' R b.
  */
-ALWAYS_INLINE double add_nodes(const int t, const int blocks, const tr_work *w, const double *heat,
-                               const lanes *restrict by_x, const lanes *restrict Q, const double *restrict R,
-                               lanes *restrict H, lanes *restrict HQ, double *restrict HR, lanes *restrict f,
-                               double *restrict fR)
+ALWAYS_INLINE number add_nodes(const int t, const int blocks, const tr_work *w, const number *heat,
+                               const lanes *restrict by_x, const lanes *restrict Q, const number *restrict R,
+                               lanes *restrict H, lanes *restrict HQ, number *restrict HR, lanes *restrict f,
+                               number *restrict fR)
 {
-    const tr_problem *q = w->q;
-    double M[MOST_NODES * MOST_NODES], RM[MOST_NODES * MOST_NODES], bRb = 0.0;
+    const number nothing = {0};
+    number M[MOST_NODES * MOST_NODES], RM[MOST_NODES * MOST_NODES], bRb = {0};
     lanes U[MOST_NODES * MOST_BLOCKS], half[MOST_BLOCKS];
     for (int i = 0; i < t; i++)
-        for (int j = 0; j < t; j++) M[i * t + j] = q->M[i * t + j] + (j == 0 ? q->b[i] * heat[3] : 0.0);
+        for (int j = 0; j < t; j++) M[i * t + j] = w->M[i * t + j] + (j == 0 ? w->b[i] * heat[3] : w->b[i] * 0.0);
     for (int i = 0; i < t; i++) {
-        double Rb = 0.0;
-        for (int j = 0; j < t; j++) Rb += R[i * t + j] * q->b[j];
-        bRb += q->b[i] * Rb;
+        number Rb = {0};
+        for (int j = 0; j < t; j++) Rb += R[i * t + j] * w->b[j];
+        bRb += w->b[i] * Rb;
         flow_back(blocks, w, Q + i * blocks, U + i * blocks);
         add(blocks, Rb, by_x, U + i * blocks);
         for (int j = 0; j < t; j++) {
-            RM[i * t + j] = 0.0;
+            RM[i * t + j] = nothing;
             for (int l = 0; l < t; l++) RM[i * t + j] += R[i * t + l] * M[l * t + j];
         }
     }
-    for (int j = 0; j < blocks; j++) f[j] = q->b[0] * U[j];
-    for (int i = 1; i < t; i++) add(blocks, q->b[i], U + i * blocks, f);
+    for (int j = 0; j < blocks; j++) f[j] = w->b[0] * U[j];
+    for (int i = 1; i < t; i++) add(blocks, w->b[i], U + i * blocks, f);
     for (int j = 0; j < blocks; j++) half[j] = f[j] - 0.5 * bRb * by_x[j];
-    for (int i = 0; i < blocks * WIDTH; i++)
-        for (int j = 0; j < blocks; j++) H[i * blocks + j] += AT(half, i) * by_x[j] + AT(by_x, i) * half[j];
+    for (int i = 0; i < blocks * PER; i++)
+        for (int j = 0; j < LOWER(i, blocks); j++) H[i * blocks + j] += AT(half, i) * by_x[j] + AT(by_x, i) * half[j];
     for (int i = 0; i < t; i++) {
         for (int j = 0; j < blocks; j++) HQ[i * blocks + j] = M[i] * U[j];
         for (int l = 1; l < t; l++) add(blocks, M[l * t + i], U + l * blocks, HQ + i * blocks);
-        fR[i] = 0.0;
-        for (int l = 0; l < t; l++) fR[i] += q->b[l] * RM[l * t + i];
+        fR[i] = nothing;
+        for (int l = 0; l < t; l++) fR[i] += w->b[l] * RM[l * t + i];
         for (int j = 0; j < t; j++) {
-            HR[i * t + j] = 0.0;
+            HR[i * t + j] = nothing;
             for (int l = 0; l < t; l++) HR[i * t + j] += M[l * t + i] * RM[l * t + j];
         }
     }
@@ -664,11 +970,11 @@ ALWAYS_INLINE double add_nodes(const int t, const int blocks, const tr_work *w, 
 /* A costate on its way backward. */
 typedef struct {
     lanes p[MOST_BLOCKS], by_x[MOST_BLOCKS];
-    double th[MOST_NODES];
+    number th[MOST_NODES];
 } tr_costate;
 
 /* The costate at N. `own` is 0 for the response to the closure's multiplier alone. */
-ALWAYS_INLINE void backward_begin(const int blocks, const tr_work *w, const int t, const double *end, const int own,
+ALWAYS_INLINE void backward_begin(const int blocks, const tr_work *w, const int t, const number *end, const int own,
                                   tr_costate *c)
 {
     const tr_problem *q = w->q;
@@ -678,53 +984,53 @@ ALWAYS_INLINE void backward_begin(const int blocks, const tr_work *w, const int 
     if (t && own) c->th[0] += AT(w->y, N * m);
     for (int j = 0; own && j < q->ends; j++) add(blocks, w->end_error[j], w->Z + j * blocks, c->p);
     for (int j = t ? 1 : 0; own && j < m; j++) {
-        const double y = AT(w->y, N * m + j);
-        if (y != 0.0) add(blocks, y, w->G + j * blocks, c->p);
+        add(blocks, AT(w->y, N * m + j), w->G + j * blocks, c->p);
     }
 }
 
 /* From k + 1 to k with the gains: steps without feedback into `offset`; without them, as not `newton`: the gradient
  * into `offset`, and the heat's prices. */
 ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, const int t, const int k, const int own,
-                                  double *restrict offset, double *restrict offset_e, const int newton, tr_costate *c)
+                                  number *restrict offset, number *restrict offset_e, const int newton, tr_costate *c)
 {
     const tr_problem *q = w->q;
     const int m = q->rows, last = n - 1;
     const lanes nothing = {0};
     lanes a[MOST_BLOCKS], drive[MOST_BLOCKS];
-    const double *y = &AT(w->y, k * m);
-    double by_size = 0.0, th_before[MOST_NODES] = {0}, direct = 0.0;
+    const number *y = &AT(w->y, k * m);
+    number by_size = {0}, th_before[MOST_NODES] = {0}, direct = {0};
     /* What does not depend on later stages stands apart, to be ready before they are. */
     for (int j = 0; j < blocks; j++) drive[j] = nothing;
     if (own) {
-        direct = q->movement_weight * w->u[k];
+        direct = w->movement_weight * w->u[k];
         for (int o = 0; o < q->outputs; o++) {
-            const double v = q->weight[k * q->outputs + o] * w->error[k * q->outputs + o];
-            direct += q->E[o] * v;
+            if (!w->tracked[k * q->outputs + o]) continue;
+            const number v = w->weight[k * q->outputs + o] * w->error[k * q->outputs + o];
+            direct += w->E[o] * v;
             add(blocks, v, w->C + o * blocks, drive);
         }
         if (t) th_before[0] = y[0];
         for (int j = t ? 1 : 0; j < m; j++) {
-            direct += q->d[j] * y[j];
-            by_size += q->d_size[j] * y[j];
+            direct += w->d[j] * y[j];
+            by_size += w->d_size[j] * y[j];
             add(blocks, y[j], w->G + j * blocks, drive);
         }
     }
     flow_back(blocks, w, c->p, a);
     if (t) {
-        const double *heat = w->heat + 4 * k;
-        double beta = 0.0;
-        for (int i = 0; i < t; i++) beta += q->b[i] * c->th[i];
+        const number *heat = w->heat + 4 * k;
+        number beta = {0};
+        for (int i = 0; i < t; i++) beta += w->b[i] * c->th[i];
         if (q->current >= 0) AT(c->by_x, q->current) = heat[0];
         AT(c->by_x, last) = heat[1];
         add(blocks, beta, c->by_x, a);
-        by_size += 2.0 * q->ripple * heat[2] * beta;
+        by_size += 2.0 * w->ripple * heat[2] * beta;
         for (int j = 0; j < t; j++)
-            for (int i = 0; i < t; i++) th_before[j] += q->M[i * t + j] * c->th[i];
+            for (int i = 0; i < t; i++) th_before[j] += w->M[i * t + j] * c->th[i];
         th_before[0] += heat[3] * beta;
         if (!newton) w->by_heat[k] = beta;
     }
-    double by_movement = AT(a, last) + direct;
+    number by_movement = AT(a, last) + direct;
     for (int j = 0; j < blocks; j++) a[j] += drive[j];
     if (newton) {
         const lanes *gain = w->K + k * blocks;
@@ -746,14 +1052,14 @@ ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, con
     }
 }
 
-ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, const int t, const double *end,
-                                  const int own, double *restrict offset, double *restrict offset_e, const int newton)
+ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, const int t, const number *end,
+                                  const int own, number *restrict offset, number *restrict offset_e, const int newton)
 {
     tr_costate costate;
     backward_begin(blocks, w, t, end, own, &costate);
     for (int k = w->q->stages - 1; k >= 0; k--)
         backward_stage(n, blocks, w, t, k, own, offset, offset_e, newton, &costate);
-    memcpy(w->p0, costate.th, (size_t)t * sizeof(double));
+    memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
 }
 
 /* Backward: gains of u and e from the weights `sigma` of the rows. With `curved` the copper's bilinear terms are in.
@@ -761,20 +1067,21 @@ ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, con
  * then waits while the products of the factorisation keep the processor busy. Returns 0, or the code of what has ended
  * it. */
 ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_work *w, const int curved,
-                               const double *end)
+                               const number *end)
 {
     const tr_problem *q = w->q;
-    const int N = q->stages, m = q->rows, last = n - 1, a = q->current, ld = blocks * WIDTH;
+    const int N = q->stages, m = q->rows, last = n - 1, a = q->current, ld = blocks * PER;
     const int of_current = t && a >= 0;
-    lanes P[MOST_STATES * MOST_BLOCKS], PA[MOST_STATES * MOST_BLOCKS], H[MOST_STATES * MOST_BLOCKS];
+    lanes P[PER * MOST_BLOCKS * MOST_BLOCKS], PA[PER * MOST_BLOCKS * MOST_BLOCKS], H[PER * MOST_BLOCKS * MOST_BLOCKS];
     lanes hu[MOST_BLOCKS], he[MOST_BLOCKS], by_x[MOST_BLOCKS], bend_a[MOST_BLOCKS], bend_c[MOST_BLOCKS];
     lanes Q[MOST_NODES * MOST_BLOCKS], HQ[MOST_NODES * MOST_BLOCKS];
-    double R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], hu_th[MOST_NODES], he_th[MOST_NODES];
-    const double e1 = q->decay, e2 = 1.0 - e1, *s = q->square;
+    number R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], hu_th[MOST_NODES], he_th[MOST_NODES];
+    const number e1 = w->decay, e2 = 1.0 - e1, *s = w->square;
     tr_costate costate;
     if (end) backward_begin(blocks, w, t, end, 1, &costate);
-    memset(P, 0, (size_t)(ld * ld) * sizeof(double));
-    memset(H, 0, (size_t)(ld * ld) * sizeof(double));
+    memset(P, 0, (size_t)(ld * blocks) * sizeof(lanes));
+    memset(H, 0, (size_t)(ld * blocks) * sizeof(lanes));
+    for (int e = 0; e < ENTRIES; e++) EACH(w->sound, e) = 1.0;
     memset(by_x, 0, sizeof by_x);
     memset(bend_a, 0, sizeof bend_a);
     memset(bend_c, 0, sizeof bend_c);
@@ -782,10 +1089,9 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
     memset(R, 0, sizeof R);
     for (int j = 0; j < q->ends; j++) add_product(blocks, w->Z + j * blocks, w->Z + j * blocks, P);
     for (int j = t ? 1 : 0; j < m; j++) {
-        const double weight = AT(w->sigma, N * m + j);
-        const lanes *c = w->G + j * blocks;
-        for (int i = w->from[j]; i < w->to[j] && weight != 0.0; i++) add(blocks, weight * AT(c, i), c, P + i * blocks);
+        add_square(blocks, AT(w->sigma, N * m + j), w->G + j * blocks, w->from[j], w->to[j], P);
     }
+    for (int i = 1; ENTRIES > 1 && i < n; i += 2) P[(i - 1) * blocks + i] = P[i * blocks + i - 1];
     if (t) R[0] = AT(w->sigma, N * m), AT(bend_c, last) = 2.0 * s[2] * e2 * e2;
     if (of_current) {
         AT(bend_a, a) = 2.0 * (s[0] + s[1] * e1 + s[2] * e1 * e1);
@@ -793,13 +1099,13 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
     }
     for (int k = N - 1; k >= 0; k--) {
         if (k % STRIDE == 0 && interrupted(w->watch)) return TR_INTERRUPTED;
-        const double *heat = w->heat + 4 * k, *sigma = &AT(w->sigma, k * m);
-        double r = q->movement_weight, hee = 0.0, heu = 0.0;
+        const number *heat = w->heat + 4 * k, *sigma = &AT(w->sigma, k * m);
+        number r = w->movement_weight, hee = {0}, heu = {0};
         lanes *gain = w->K + k * blocks;
         congruence(n, blocks, w, P, PA, H);
         if (t) {
             /* e moves the nodes only: column 2 ripple resistance b. */
-            const double by = 2.0 * q->ripple * heat[2];
+            const number by = 2.0 * w->ripple * heat[2];
             if (of_current) AT(by_x, a) = heat[0];
             AT(by_x, last) = heat[1];
             hee = by * by * add_nodes(t, blocks, w, heat, by_x, Q, R, H, HQ, HR, he, he_th);
@@ -807,12 +1113,12 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
             for (int j = 0; j < t; j++) he_th[j] *= by;
             heu = AT(he, last);
             /* Curvature of the heat, weighed by what a kelvin at the next instant costs. */
-            const double price = w->by_heat[k], bend = price * heat[2];
+            const number price = w->by_heat[k], bend = price * heat[2];
             if (of_current) add(blocks, bend, bend_a, H + a * blocks);
             add(blocks, bend, bend_c, H + last * blocks);
-            if (curved && heat[2] > 0.0) {
-                add(blocks, price * q->copper / heat[2], by_x, HQ);
-                he_th[0] += price * q->copper * 2.0 * q->ripple;
+            if (ENTRIES == 1 && curved && EACH(heat[2], 0) > 0.0) {
+                add(blocks, price * w->copper / heat[2], by_x, HQ);
+                he_th[0] += price * w->copper * 2.0 * w->ripple;
             }
             HR[0] += sigma[0];
             for (int j = 0; j < t; j++) hu_th[j] = AT(HQ + j * blocks, last);
@@ -820,33 +1126,34 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
         for (int j = 0; j < blocks; j++) hu[j] = H[last * blocks + j];
         r += AT(hu, last);
         for (int o = 0; o < q->outputs; o++) {
+            if (!w->tracked[k * q->outputs + o]) continue;
             const lanes *c = w->C + o * blocks;
-            const double weight = q->weight[k * q->outputs + o], direct = weight * q->E[o];
-            for (int i = 0; i < ld; i++) add(blocks, weight * AT(c, i), c, H + i * blocks);
-            if (direct != 0.0) {
+            const number weight = w->weight[k * q->outputs + o], direct = weight * w->E[o];
+            add_square(blocks, weight, c, 0, n, H);
+            if (w->direct[o]) {
                 add(blocks, direct, c, hu);
-                r += direct * q->E[o];
+                r += direct * w->E[o];
             }
         }
         for (int j = t ? 1 : 0; j < m; j++) {
-            const double weight = sigma[j], d = weight * q->d[j], size = weight * q->d_size[j];
+            const number weight = sigma[j], d = weight * w->d[j], size = weight * w->d_size[j];
             const lanes *c = w->G + j * blocks;
-            for (int i = w->from[j]; i < w->to[j]; i++) add(blocks, weight * AT(c, i), c, H + i * blocks);
-            if (d != 0.0) {
+            add_square(blocks, weight, c, w->from[j], w->to[j], H);
+            if (w->moves[j]) {
                 add(blocks, d, c, hu);
-                r += d * q->d[j];
-                heu += size * q->d[j];
+                r += d * w->d[j];
+                heu += size * w->d[j];
             }
-            if (size != 0.0) {
+            if (t && w->sizes[j]) {
                 add(blocks, size, c, he);
-                hee += size * q->d_size[j];
+                hee += size * w->d_size[j];
             }
         }
         if (t) {
             lanes *gain_e = w->Ke + k * blocks;
-            double *gain_e_th = w->Keth + k * t;
-            if (!(hee > 0.0)) return TR_BREAKDOWN;
-            const double inverse = 1.0 / hee, Ke_u = -heu * inverse;
+            number *gain_e_th = w->Keth + k * t;
+            if (!keeps(w, &hee)) return TR_BREAKDOWN;
+            const number inverse = 1.0 / hee, Ke_u = -heu * inverse;
             w->pivot_e[k] = inverse;
             w->Ke_u[k] = Ke_u;
             for (int j = 0; j < blocks; j++) gain_e[j] = -inverse * he[j];
@@ -862,17 +1169,17 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
         }
         if (k >= q->free_stages) {
             for (int i = 0; i < ld; i++) {
-                const double f = AT(gain, i), g = AT(hu, i) + f * r;
-                for (int j = 0; j < blocks; j++) P[i * blocks + j] = H[i * blocks + j] + (f * hu[j] + g * gain[j]);
+                const number f = AT(gain, i), g = AT(hu, i) + f * r;
+                for (int j = 0; j < LOWER(i, blocks); j++) P[i * blocks + j] = H[i * blocks + j] + (f * hu[j] + g * gain[j]);
             }
             for (int j = 0; j < t; j++) add(blocks, hu_th[j], gain, HQ + j * blocks);
         } else {
-            if (!(r > 0.0)) return TR_BREAKDOWN;
-            const double inverse = 1.0 / r;
+            if (!keeps(w, &r)) return TR_BREAKDOWN;
+            const number inverse = 1.0 / r;
             w->pivot[k] = inverse;
             for (int j = 0; j < blocks; j++) gain[j] = -inverse * hu[j];
             for (int i = 0; i < ld; i++)
-                for (int j = 0; j < blocks; j++) P[i * blocks + j] = H[i * blocks + j] + AT(hu, i) * gain[j];
+                for (int j = 0; j < LOWER(i, blocks); j++) P[i * blocks + j] = H[i * blocks + j] + AT(hu, i) * gain[j];
             for (int j = 0; j < t; j++) {
                 w->Kth[k * t + j] = -hu_th[j] * inverse;
                 add(blocks, hu_th[j], gain, HQ + j * blocks);
@@ -880,32 +1187,35 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
             for (int i = 0; i < t; i++)
                 for (int j = 0; j < t; j++) HR[i * t + j] += hu_th[i] * w->Kth[k * t + j];
         }
-        if (k % SYMMETRISED == 0)
+        if (ENTRIES > 1) { /* a pair's own two */
+            for (int i = 1; i < n; i += 2) P[(i - 1) * blocks + i] = P[i * blocks + i - 1];
+        } else if (k % SYMMETRISED == 0) {
             for (int i = 1; i < n; i++)
                 for (int j = 0; j < i; j++) AT(P, i * ld + j) = AT(P, j * ld + i);
+        }
         for (int j = 0; j < t; j++) {
             for (int i = 0; i < blocks; i++) Q[j * blocks + i] = HQ[j * blocks + i];
             for (int i = 0; i <= j; i++) R[i * t + j] = R[j * t + i] = HR[i * t + j];
         }
         if (end) backward_stage(n, blocks, w, t, k, 1, w->offset, w->offset_e, 1, &costate);
     }
-    if (end) memcpy(w->p0, costate.th, (size_t)t * sizeof(double));
-    memcpy(w->P0, R, (size_t)(t * t) * sizeof(double));
+    if (end) memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
+    memcpy(w->P0, R, (size_t)(t * t) * sizeof(number));
     return 0;
 }
 
 /* Forward by the gains from x_0 = 0 and th_0 = `th`: what a step changes, to first order. */
-ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, const int t, const double *start,
-                                 const double *restrict offset, const double *restrict offset_e, const int full)
+ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, const int t, const number *start,
+                                 const number *restrict offset, const number *restrict offset_e, const int full)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, m = q->rows, last = n - 1;
     lanes x[MOST_BLOCKS], next[MOST_BLOCKS];
-    double th[MOST_NODES] = {0};
+    number th[MOST_NODES] = {0};
     memset(x, 0, sizeof x);
     for (int i = 0; i < t; i++) th[i] = start[i];
     for (int k = 0; k < N; k++) {
-        double u = offset[k], e = 0.0;
+        number u = offset[k], e = {0};
         for (int j = 0; j < t; j++) u += w->Kth[k * t + j] * th[j];
         u += dot(blocks, w->K + k * blocks, x);
         if (t) {
@@ -913,26 +1223,29 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
             for (int j = 0; j < t; j++) e += w->Keth[k * t + j] * th[j];
             e += dot(blocks, w->Ke + k * blocks, x);
         }
-        const double current = q->current >= 0 ? AT(x, q->current) : 0.0, command = AT(x, last) + u;
+        const number command = AT(x, last) + u;
+        number current = {0};
+        if (q->current >= 0) current = AT(x, q->current);
         if (full) {
             w->du[k] = u;
             if (t) w->de[k] = e, w->d_current[k] = current, w->d_command[k] = command;
             for (int o = 0; o < q->outputs; o++)
-                w->d_error[k * q->outputs + o] = q->E[o] * u + dot(blocks, w->C + o * blocks, x);
+                if (w->tracked[k * q->outputs + o])
+                    w->d_error[k * q->outputs + o] = w->E[o] * u + dot(blocks, w->C + o * blocks, x);
             if (t) AT(w->dV, k * m) = th[0];
             for (int i = t ? 1 : 0; i < m; i++) {
-                double v = q->d[i] * u + q->d_size[i] * e;
+                number v = w->d[i] * u + w->d_size[i] * e;
                 for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
                 AT(w->dV, k * m + i) = v;
             }
         }
         if (t) {
-            const double *heat = w->heat + 4 * k;
-            const double h = heat[0] * current + heat[1] * command + heat[3] * th[0] + 2.0 * q->ripple * heat[2] * e;
-            double th_next[MOST_NODES];
+            const number *heat = w->heat + 4 * k;
+            const number h = heat[0] * current + heat[1] * command + heat[3] * th[0] + 2.0 * w->ripple * heat[2] * e;
+            number th_next[MOST_NODES];
             for (int i = 0; i < t; i++) {
-                th_next[i] = q->b[i] * h;
-                for (int j = 0; j < t; j++) th_next[i] += q->M[i * t + j] * th[j];
+                th_next[i] = w->b[i] * h;
+                for (int j = 0; j < t; j++) th_next[i] += w->M[i * t + j] * th[j];
             }
             for (int i = 0; i < t; i++) th[i] = th_next[i];
         }
@@ -942,7 +1255,7 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
     for (int j = 0; full && j < q->ends; j++) w->d_end_error[j] = dot(blocks, w->Z + j * blocks, x);
     if (full && t) AT(w->dV, N * m) = th[0];
     for (int i = t ? 1 : 0; full && i < m; i++) {
-        double v = 0.0;
+        number v = {0};
         for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
         AT(w->dV, N * m + i) = v;
     }
@@ -952,12 +1265,25 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
 /* Sizes that are known when compiled keep their rows in registers. A program that solves few problems, such as one for
  * sanitizers, may say which sizes it SOLVES: the others are then left to the code for any size.
  */
+#undef BY_SIZE
 #if !defined(SOLVES)
 #define SOLVES(n, t) 1
 #endif
+#undef OF_SIZE
 #define OF_SIZE(n, t, call)         \
     if (!SOLVES(n, t)) goto any;    \
     call(n, t, BLOCKS(n))
+#if ENTRIES > 1
+#undef BY_SIZE
+#define BY_SIZE(call)                                              \
+    switch (w->q->states) {                                        \
+    case 6: OF_SIZE(6, 0, call);                                   \
+    case 8: OF_SIZE(8, 0, call);                                   \
+    case 10: OF_SIZE(10, 0, call);                                 \
+    default:                                                       \
+    any: call(w->q->states, 0, w->ld / PER);                       \
+    }
+#else
 #define BY_SIZE(call)                                              \
     switch (w->q->nodes * 100 + w->q->states) {                    \
     case 4: OF_SIZE(4, 0, call);                                   \
@@ -974,23 +1300,27 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
     case 208: OF_SIZE(8, 2, call);                                 \
     case 210: OF_SIZE(10, 2, call);                                \
     default:                                                       \
-    any: call(w->q->states, w->q->nodes, w->ld / WIDTH);           \
+    any: call(w->q->states, w->q->nodes, w->ld / PER);             \
     }
+#endif
+#undef FACTOR
 #define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved, end)
+#undef BACKWARD
 #define BACKWARD(n, t, blocks) backward_sized(n, blocks, w, t, end, own, offset, offset_e, newton); return
+#undef FORWARD
 #define FORWARD(n, t, blocks) forward_sized(n, blocks, w, t, start, offset, offset_e, full); return
 
-static int factor(tr_work *w, int curved, const double *end)
+static int factor(tr_work *w, int curved, const number *end)
 {
     BY_SIZE(FACTOR)
 }
 
-static void backward(tr_work *w, const double *end, int own, double *offset, double *offset_e, int newton)
+static void backward(tr_work *w, const number *end, int own, number *offset, number *offset_e, int newton)
 {
     BY_SIZE(BACKWARD)
 }
 
-static void forward(tr_work *w, const double *start, const double *offset, const double *offset_e, int full)
+static void forward(tr_work *w, const number *start, const number *offset, const number *offset_e, int full)
 {
     BY_SIZE(FORWARD)
 }
@@ -999,45 +1329,46 @@ static void forward(tr_work *w, const double *start, const double *offset, const
 static void roll_heat(tr_work *w)
 {
     const tr_problem *q = w->q;
-    const int t = q->nodes;
+    const int t = NODES(q);
     if (!t) return;
-    const double e1 = q->decay, e2 = 1.0 - e1, *s = q->square;
+    const number e1 = w->decay, e2 = 1.0 - e1, *s = w->square;
     for (int k = 0; k < q->stages; k++) {
-        const double *th = w->theta + k * t, a = w->current[k], b = e1 * a + e2 * w->command[k];
-        double *heat = w->heat + 4 * k, *after = w->theta + (k + 1) * t;
-        const double by_a = 2.0 * s[0] * a + s[1] * b, by_b = s[1] * a + 2.0 * s[2] * b;
-        const double h = s[0] * a * a + s[1] * a * b + s[2] * b * b + q->ripple * (2.0 * w->e[k] + q->ripple);
-        const double resistance = q->gain[k] + q->copper * th[0];
+        const number *th = w->theta + k * t, a = w->current[k], b = e1 * a + e2 * w->command[k];
+        number *heat = w->heat + 4 * k, *after = w->theta + (k + 1) * t;
+        const number by_a = 2.0 * s[0] * a + s[1] * b, by_b = s[1] * a + 2.0 * s[2] * b;
+        const number h = s[0] * a * a + s[1] * a * b + s[2] * b * b + w->ripple * (2.0 * w->e[k] + w->ripple);
+        const number resistance = w->gain[k] + w->copper * th[0];
         heat[0] = resistance * (by_a + e1 * by_b);
         heat[1] = resistance * e2 * by_b;
         heat[2] = resistance;
-        heat[3] = q->copper * h;
+        heat[3] = w->copper * h;
         for (int i = 0; i < t; i++) {
-            after[i] = q->b[i] * resistance * h;
-            for (int j = 0; j < t; j++) after[i] += q->M[i * t + j] * th[j];
+            after[i] = w->b[i] * resistance * h;
+            for (int j = 0; j < t; j++) after[i] += w->M[i * t + j] * th[j];
         }
     }
     for (int k = 0; k <= q->stages; k++) AT(w->V, k * q->rows) = w->theta[k * t];
 }
 
 /* th_0 - F th_N - f. */
-static void closure_residual(const tr_work *w, double *residual)
+static void closure_residual(const tr_work *w, number *residual)
 {
     const tr_problem *q = w->q;
-    const int t = q->nodes;
+    const int t = NODES(q);
     for (int i = 0; i < t; i++) {
-        residual[i] = w->theta[i] - q->f[i];
-        for (int j = 0; j < t; j++) residual[i] -= q->F[i * t + j] * w->theta[q->stages * t + j];
+        residual[i] = w->theta[i] - w->f[i];
+        for (int j = 0; j < t; j++) residual[i] -= w->F[i * t + j] * w->theta[q->stages * t + j];
     }
 }
 
 /* Gradient of the closure's term by th_N. */
-static void closure_price(const tr_work *w, const double *eta, double *end)
+static void closure_price(const tr_work *w, const number *eta, number *end)
 {
     const tr_problem *q = w->q;
-    for (int j = 0; j < q->nodes; j++) {
-        end[j] = 0.0;
-        for (int i = 0; q->repeated && i < q->nodes; i++) end[j] -= q->F[i * q->nodes + j] * eta[i];
+    const number nothing = {0};
+    for (int j = 0; j < NODES(q); j++) {
+        end[j] = nothing;
+        for (int i = 0; REPEATED(q) && i < NODES(q); i++) end[j] -= w->F[i * NODES(q) + j] * eta[i];
     }
 }
 
@@ -1045,24 +1376,24 @@ static void closure_price(const tr_work *w, const double *eta, double *end)
 static void close_course(tr_work *w)
 {
     const tr_problem *q = w->q;
-    const int t = q->nodes, N = q->stages, c = 2 * t;
-    static const double nothing[MOST_NODES] = {0};
-    double end[MOST_NODES], unit[MOST_NODES], *E = w->closing;
+    const int t = NODES(q), N = q->stages, c = 2 * t;
+    static const number nothing[MOST_NODES];
+    number end[MOST_NODES], unit[MOST_NODES], *E = w->closing;
     for (int j = 0; j < t; j++) {
-        for (int i = 0; i < t; i++) unit[i] = i == j;
+        for (int i = 0; i < t; i++) unit[i] = nothing[0] + (i == j ? 1.0 : 0.0);
         closure_price(w, unit, end);
         backward(w, end, 0, w->unit_offset + j * N, w->unit_offset_e + j * N, 1);
         for (int i = 0; i < t; i++) E[i * c + t + j] = w->p0[i] + unit[i];
         forward(w, nothing, w->unit_offset + j * N, w->unit_offset_e + j * N, 0);
         for (int i = 0; i < t; i++) {
-            E[(t + i) * c + t + j] = 0.0;
-            for (int l = 0; l < t; l++) E[(t + i) * c + t + j] -= q->F[i * t + l] * w->th_end[l];
+            E[(t + i) * c + t + j] = nothing[0];
+            for (int l = 0; l < t; l++) E[(t + i) * c + t + j] -= w->F[i * t + l] * w->th_end[l];
         }
         forward(w, unit, w->still, w->still, 0);
         for (int i = 0; i < t; i++) {
             E[i * c + j] = w->P0[i * t + j];
             E[(t + i) * c + j] = unit[i];
-            for (int l = 0; l < t; l++) E[(t + i) * c + j] -= q->F[i * t + l] * w->th_end[l];
+            for (int l = 0; l < t; l++) E[(t + i) * c + j] -= w->F[i * t + l] * w->th_end[l];
         }
     }
 }
@@ -1071,14 +1402,14 @@ static void close_course(tr_work *w)
 static void newton(tr_work *w, int begun)
 {
     const tr_problem *q = w->q;
-    const int t = q->nodes, N = q->stages;
-    double end[MOST_NODES] = {0}, right[2 * MOST_NODES];
-    static const double nothing[MOST_NODES] = {0};
+    const int t = NODES(q), N = q->stages;
+    number end[MOST_NODES] = {0}, right[2 * MOST_NODES];
+    static const number nothing[MOST_NODES];
     if (!begun) {
         closure_price(w, w->eta, end);
         backward(w, end, 1, w->offset, w->offset_e, 1);
     }
-    if (!q->repeated) {
+    if (!REPEATED(q)) {
         forward(w, nothing, w->offset, w->offset_e, 1);
         return;
     }
@@ -1087,9 +1418,9 @@ static void newton(tr_work *w, int begun)
     closure_residual(w, right + t);
     for (int i = 0; i < t; i++) {
         right[t + i] = -right[t + i];
-        for (int j = 0; j < t; j++) right[t + i] += q->F[i * t + j] * w->th_end[j];
+        for (int j = 0; j < t; j++) right[t + i] += w->F[i * t + j] * w->th_end[j];
     }
-    eliminate(2 * t, w->closing, right);
+    eliminate(2 * t, (const double *)w->closing, (double *)right); /* of one problem */
     for (int j = 0; j < t; j++) {
         w->d_start[j] = right[j], w->d_eta[j] = right[t + j];
         for (int k = 0; k < N; k++) {
@@ -1100,33 +1431,33 @@ static void newton(tr_work *w, int begun)
     forward(w, w->d_start, w->offset, w->offset_e, 1);
 }
 
-static double cost(const tr_work *w)
+static number cost(const tr_work *w)
 {
     const tr_problem *q = w->q;
-    double twice = 0.0;
+    number twice = {0};
     for (int k = 0; k < q->stages; k++) {
-        twice += q->movement_weight * w->u[k] * w->u[k];
+        twice += w->movement_weight * w->u[k] * w->u[k];
         for (int o = 0; o < q->outputs; o++) {
-            const double e = w->error[k * q->outputs + o];
-            twice += q->weight[k * q->outputs + o] * e * e;
+            const number e = w->error[k * q->outputs + o];
+            twice += w->weight[k * q->outputs + o] * e * e;
         }
     }
     for (int j = 0; j < q->ends; j++) twice += w->end_error[j] * w->end_error[j];
-    return 0.5 * twice + q->constant;
+    return 0.5 * twice + w->constant;
 }
 
-static void move(int count, double step, const double *restrict by, double *restrict what)
+static void move(int count, const number step, const number *restrict by, number *restrict what)
 {
     for (int i = 0; i < count; i++) what[i] += step * by[i];
 }
 
 /* Move everything by a part of the Newton step. */
-static void advance(tr_work *w, double step)
+static void advance(tr_work *w, const number step)
 {
     const tr_problem *q = w->q;
     const int N = q->stages;
     move(N, step, w->du, w->u);
-    if (q->nodes) {
+    if (NODES(q)) {
         move(N, step, w->de, w->e);
         move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
     }
@@ -1135,41 +1466,40 @@ static void advance(tr_work *w, double step)
     for (int i = 0; i < w->blocks; i++) w->V[i] += step * w->dV[i];
     for (tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < w->blocks; i++) z->s[i] += step * z->ds[i], z->l[i] += step * z->dl[i];
-    if (q->repeated)
-        for (int i = 0; i < q->nodes; i++) w->theta[i] += step * w->d_start[i], w->eta[i] += step * w->d_eta[i];
+    if (REPEATED(q))
+        for (int i = 0; i < NODES(q); i++) w->theta[i] += step * w->d_start[i], w->eta[i] += step * w->d_eta[i];
     roll_heat(w);
 }
 
 /* Start at rest, where symmetric limits have all their room, slacks and multipliers well inside. Returns the number of
  * limits. */
-static double begin(tr_work *w)
+static number begin(tr_work *w)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, rows = (N + 1) * q->rows;
-    static const double nothing[MOST_NODES] = {0};
-    int moves = q->nodes > 0;
+    static const number nothing[MOST_NODES];
+    int moves = NODES(q) > 0;
     for (int k = q->free_stages; k < N; k++) {
-        w->offset[k] = q->rule_offset[k - q->free_stages];
-        moves = moves || w->offset[k] != 0.0;
+        w->offset[k] = w->rule_offset[k - q->free_stages];
+        for (int e = 0; e < ENTRIES; e++) moves = moves || EACH(w->offset[k], e) != 0.0;
     }
-    if (q->nodes)
-        for (int k = 0; k < N; k++) w->offset_e[k] = 1.0;
+    if (NODES(q))
+        for (int k = 0; k < N; k++) w->offset_e[k] = nothing[0] + 1.0;
     if (moves) {
         forward(w, nothing, w->offset, w->offset_e, 1);
-        advance(w, 1.0);
+        advance(w, nothing[0] + 1.0);
     }
-    for (int k = 0; k < N; k++)
-        for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k * q->outputs + o];
-    for (int j = 0; j < q->ends; j++) w->end_error[j] -= q->end_target[j];
-    double count = 0.0;
+    for (int i = 0; i < N * q->outputs; i++) w->error[i] -= w->reference[i];
+    for (int j = 0; j < q->ends; j++) w->end_error[j] -= w->end_target[j];
+    number count = {0};
     for (tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < rows; i++) count += AT(z->there, i);
-    const double product = FIRST_GAP * fmax(cost(w), 1.0) / fmax(count, 1.0);
+    const number product = FIRST_GAP * at_least(cost(w), nothing[0] + 1.0) / at_least(count, nothing[0] + 1.0);
     for (tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < rows; i++) {
-            if (AT(z->there, i) == 0.0) continue;
-            AT(z->s, i) = fmax(z->sign * (AT(w->V, i) - AT(z->bound, i)), 0.1);
-            AT(z->l, i) = product / AT(z->s, i);
+            const number there = AT(z->there, i), room = z->sign * (AT(w->V, i) - AT(z->bound, i));
+            AT(z->s, i) = there * at_least(room, nothing[0] + 0.1) + (1.0 - there);
+            AT(z->l, i) = there * product / AT(z->s, i);
         }
     return count;
 }
@@ -1197,45 +1527,48 @@ static tr_state judge(tr_work *w)
 {
     const tr_problem *q = w->q;
     const int N = q->stages;
-    tr_state found = {0.0, 0.0, 0.0, cost(w)};
-    double end[MOST_NODES] = {0}, closure[MOST_NODES];
+    const number nothing = {0};
+    tr_state found = {nothing, nothing, nothing, cost(w)};
+    number end[MOST_NODES] = {0}, closure[MOST_NODES], command = {0};
     lanes sum = {0};
     judge_rows(w, &found);
     closure_price(w, w->eta, end);
     backward(w, end, 1, w->offset, w->offset_e, 0);
-    double command = 0.0;
     for (int k = 0; k < q->free_stages; k++) {
-        const double after = k + 1 < q->free_stages ? w->offset[k + 1] : 0.0;
+        const number after = k + 1 < q->free_stages ? w->offset[k + 1] : nothing;
         command += w->u[k];
-        AT(&sum, k % WIDTH) += fabs(w->offset[k] - after) * (q->command_bound + fabs(command));
+        AT(&sum, k % PER) += absolute(w->offset[k] - after) * (w->command_bound + absolute(command));
     }
-    for (int k = 0; q->nodes && k < N; k++) AT(&sum, k % WIDTH) += 2.0 * fabs(w->offset_e[k]);
+    for (int k = 0; NODES(q) && k < N; k++) AT(&sum, k % PER) += 2.0 * absolute(w->offset_e[k]);
     found.stationarity = total(&sum);
-    if (q->repeated) {
+    if (REPEATED(q)) {
         closure_residual(w, closure);
-        for (int i = 0; i < q->nodes; i++) {
-            found.residual = fmax(found.residual, fabs(closure[i]));
-            found.stationarity += fabs(w->p0[i] + w->eta[i]);
+        for (int i = 0; i < NODES(q); i++) {
+            found.residual = at_least(absolute(closure[i]), found.residual);
+            found.stationarity += absolute(w->p0[i] + w->eta[i]);
         }
     }
     return found;
 }
 
-/* Weights and gradients of the rows for a step that aims at s l = target, or at 0. */
-static void aim(tr_work *w, int corrector)
+/* Mehrotra's target of a product s l: the cube of what the predictor leaves, less that of its steps. */
+#define TARGET(z, i, level) ((z)->there[i] * ((level) - (z)->ds[i] * (z)->dl[i]))
+
+/* Weights and gradients of the rows for a step that aims at s l = target or, as predictor, at 0. */
+static void aim(tr_work *w, int corrector, const number level)
 {
     const tr_side *low = w->side, *up = low + 1;
     for (int i = 0; i < w->blocks; i++) {
         const lanes of_low = low->l[i] * low->inverse[i], of_up = up->l[i] * up->inverse[i];
         w->sigma[i] = of_low + of_up;
         w->y[i] = of_low * low->residual[i] - of_up * up->residual[i];
-        if (corrector) w->y[i] += up->target[i] * up->inverse[i] - low->target[i] * low->inverse[i];
+        if (corrector) w->y[i] += TARGET(up, i, level) * up->inverse[i] - TARGET(low, i, level) * low->inverse[i];
     }
 }
 
 /* Steps of slacks and multipliers that belong to the Newton step; the longest part of it, at most 1, that leaves
  * `rest` of each. */
-static double slack_steps(tr_work *w, int corrector, double rest)
+static number slack_steps(tr_work *w, int corrector, const number level, const number rest)
 {
     lanes fastest = {0}; /* fall relative to the value */
     fastest += 1.0 - rest;
@@ -1243,7 +1576,7 @@ static double slack_steps(tr_work *w, int corrector, double rest)
         for (int i = 0; i < w->blocks; i++) {
             const lanes ds = z->there[i] * (z->sign * w->dV[i] + z->residual[i]), of_s = -ds * z->inverse[i];
             lanes dl = z->l[i] * (of_s - 1.0);
-            if (corrector) dl += z->target[i] * z->inverse[i];
+            if (corrector) dl += TARGET(z, i, level) * z->inverse[i];
             const lanes of_l = -dl / (z->l[i] + LEAST);
             z->ds[i] = ds;
             z->dl[i] = dl;
@@ -1253,180 +1586,321 @@ static double slack_steps(tr_work *w, int corrector, double rest)
     return (1.0 - rest) / largest(&fastest);
 }
 
-/* Mehrotra's target: the cube of what the predictor leaves, but no product below `least`, less that of its steps. */
-static void centre(tr_work *w, double step, double mean, double count, double least)
+/* What the corrector aims at: the cube of what the predictor leaves of the mean product, but not below `least`. */
+static number centre(const tr_work *w, const number step, const number mean, const number count, const number least)
 {
     lanes sum = {0};
     for (const tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < w->blocks; i++)
             sum += (z->s[i] + step * z->ds[i]) * (z->l[i] + step * z->dl[i]);
-    const double ratio = total(&sum) / count / mean, level = fmax(ratio * ratio * ratio * mean, least);
-    for (const tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < w->blocks; i++) z->target[i] = z->there[i] * (level - z->ds[i] * z->dl[i]);
+    const number ratio = total(&sum) / count / mean;
+    return at_least(ratio * ratio * ratio * mean, least);
 }
 
-/* The iterate that `judge` has just seen, as the result. */
-static void keep(const tr_work *w, const tr_state *now, tr_result *r)
+/* Put an array in the place of another one, for the problems that are `chosen`. */
+static void blend(size_t count, const int *chosen, const number *from, number *to)
+{
+#if ENTRIES > 1
+    choice these;
+    for (int e = 0; e < ENTRIES; e++) these[e] = -(long long)chosen[e];
+    for (size_t i = 0; i < count; i++) to[i] = (number)((these & (choice)from[i]) | (~these & (choice)to[i]));
+#else
+    if (chosen[0]) memcpy(to, from, count * sizeof(number));
+#endif
+}
+
+/* Keep the iterate that `judge` has just seen, of the problems that are `chosen`. */
+static void keep(tr_work *w, const tr_state *now, const int *chosen)
 {
     const tr_problem *q = w->q;
-    const size_t stages = (size_t)q->stages, rows = (stages + 1) * (size_t)q->rows;
-    double command = 0.0;
-    for (size_t k = 0; k < stages; k++) r->command[k] = command += w->u[k];
-    if (q->nodes) memcpy(r->size, w->e, stages * sizeof(double));
-    memcpy(r->gradient, w->offset, stages * sizeof(double));
-    memcpy(r->lower, w->side[0].l, rows * sizeof(double));
-    memcpy(r->upper, w->side[1].l, rows * sizeof(double));
-    for (int i = 0; i < q->nodes; i++) r->start[i] = w->theta[i];
-    r->objective = now->objective;
-    r->gap = now->complementarity + now->stationarity;
-    r->residual = now->residual;
+    const size_t N = (size_t)q->stages, rows = (N + 1) * (size_t)q->rows;
+    const number gap = now->complementarity + now->stationarity;
+    blend(N, chosen, w->u, w->kept_movement);
+    blend(N, chosen, w->offset, w->kept_gradient);
+    if (NODES(q)) blend(N, chosen, w->e, w->kept_size), blend((size_t)NODES(q), chosen, w->theta, w->kept_start);
+    blend(rows, chosen, (const number *)w->side[0].l, (number *)w->kept_lower);
+    blend(rows, chosen, (const number *)w->side[1].l, (number *)w->kept_upper);
+    blend(1, chosen, &now->objective, &w->kept_objective);
+    blend(1, chosen, &gap, &w->kept_gap);
+    blend(1, chosen, &now->residual, &w->kept_residual);
 }
 
-static int solve(const tr_problem *q, const tr_options *options, double *space, tr_result *r, tr_watch *watch)
+/* Hand out what was kept. */
+static void deliver(const tr_work *w, tr_result *const *results)
+{
+    const tr_problem *q = w->q;
+    const size_t N = (size_t)q->stages, rows = (N + 1) * (size_t)q->rows;
+    for (int e = 0; e < ENTRIES; e++) {
+        tr_result *r = results[e];
+        double command = 0.0;
+        for (size_t k = 0; k < N; k++) {
+            r->command[k] = command += EACH(w->kept_movement[k], e);
+            r->gradient[k] = EACH(w->kept_gradient[k], e);
+            if (NODES(q)) r->size[k] = EACH(w->kept_size[k], e);
+        }
+        for (size_t i = 0; i < rows; i++)
+            r->lower[i] = EACH(AT(w->kept_lower, i), e), r->upper[i] = EACH(AT(w->kept_upper, i), e);
+        for (int i = 0; i < NODES(q); i++) r->start[i] = EACH(w->kept_start[i], e);
+        r->objective = EACH(w->kept_objective, e);
+        r->gap = EACH(w->kept_gap, e);
+        r->residual = EACH(w->kept_residual, e);
+    }
+}
+
+/* How far the search has come for one problem. */
+typedef struct {
+    double best; /* measure of the best iterate: 1 is what was asked for */
+    int since;   /* iterations since then */
+    int ended;
+} tr_course;
+
+/* End the search for one problem; later iterates are none of its answer. */
+static void end_with(tr_course *course, tr_result *r, int code, int iterations)
+{
+    course->ended = 1;
+    r->code = code;
+    r->iterations = iterations;
+}
+
+/* Whether an iterate is to be kept, and whether the search ends with it. */
+static int follow(tr_course *course, tr_result *r, const tr_options *options, const tr_state *now, int e, int iterations)
+{
+    const double allowed = options->tolerance * fmax(EACH(now->objective, e), 1.0);
+    const double gap = (EACH(now->complementarity, e) + EACH(now->stationarity, e)) / allowed;
+    const double residual = EACH(now->residual, e), measure = fmax(gap, residual / options->tolerance);
+    const int number_found = gap < INFINITY && residual < INFINITY;
+    if (number_found && measure < course->best) course->best = measure, course->since = 0;
+    const int near = course->best <= NEAR, better = number_found && (course->since == 0 || !near);
+    if (number_found && measure <= 1.0)
+        end_with(course, r, TR_SOLVED, iterations);
+    else if (near && (!number_found || course->since >= PATIENCE))
+        end_with(course, r, TR_ACCURACY, iterations);
+    else if (!number_found)
+        end_with(course, r, TR_BREAKDOWN, iterations);
+    else if (iterations >= options->max_iterations)
+        end_with(course, r, near ? TR_ACCURACY : TR_ITERATION_LIMIT, iterations);
+    course->since++;
+    return better;
+}
+
+/* The gains of a step, and its costate where no closure comes in between. Returns TR_INTERRUPTED, or 0. */
+static int factored(tr_work *w)
+{
+    number end[MOST_NODES] = {0};
+    closure_price(w, w->eta, end);
+    const number *along = REPEATED(w->q) ? NULL : end;
+    int failed = factor(w, 1, along);
+    if (failed == TR_BREAKDOWN && NODES(w->q)) failed = factor(w, 0, along);
+    if (failed == TR_INTERRUPTED) return failed;
+    if (REPEATED(w->q) && !failed) close_course(w);
+    return 0;
+}
+
+/* Whether the search has ended for all problems; the step of those for which it has is made zero. */
+static int all_ended(const tr_course *course, number *step)
+{
+    int ended = 0;
+    for (int e = 0; e < ENTRIES; e++)
+        if (course[e].ended) EACH(*step, e) = 0.0, ended++;
+    return ended == ENTRIES;
+}
+
+static int solve(const tr_problem *const *all, const tr_options *options, double *space, tr_result *const *r, tr_watch *watch)
 {
     tr_work work, *w = &work;
-    prepare(w, q, space, 0, watch);
-    const double count = begin(w);
-    double best = INFINITY, end[MOST_NODES] = {0};
-    for (int since = 0;; r->iterations++, since++) {
+    tr_course course[ENTRIES];
+    const number nothing = {0};
+    number step = {0};
+    prepare(w, all, space, watch);
+    number count = begin(w);
+    w->limited = any(count);
+    count = at_least(count, nothing + 1.0);
+    for (int e = 0; e < ENTRIES; e++) course[e].best = INFINITY, course[e].since = course[e].ended = 0;
+    for (int iterations = 0;; iterations++) {
         const tr_state now = judge(w);
-        const double allowed = options->tolerance * fmax(now.objective, 1.0);
-        const double gap = (now.complementarity + now.stationarity) / allowed;
-        const double measure = fmax(gap, now.residual / options->tolerance);
-        const int number = gap < INFINITY && now.residual < INFINITY;
-        if (number && measure < best) best = measure, since = 0;
-        const int near = best <= NEAR;
-        if (number && (since == 0 || !near)) keep(w, &now, r);
-        if (number && measure <= 1.0) return TR_SOLVED;
-        if (near && (!number || since >= PATIENCE)) return TR_ACCURACY;
-        if (!number) return TR_BREAKDOWN;
-        if (r->iterations >= options->max_iterations) return near ? TR_ACCURACY : TR_ITERATION_LIMIT;
-        aim(w, 0);
+        int better[ENTRIES], kept = 0;
+        for (int e = 0; e < ENTRIES; e++)
+            kept |= better[e] = !course[e].ended && follow(course + e, r[e], options, &now, e, iterations);
+        if (kept) keep(w, &now, better);
+        if (all_ended(course, &step)) break;
+        aim(w, 0, nothing);
         if (interrupted(watch)) return TR_INTERRUPTED;
-        closure_price(w, w->eta, end);
-        /* The closure takes costates of its own in between. */
-        const double *along = q->repeated ? NULL : end;
-        int failed = factor(w, 1, along);
-        if (failed == TR_BREAKDOWN) failed = factor(w, 0, along);
-        if (failed) return failed == TR_BREAKDOWN && near ? TR_ACCURACY : failed;
-        if (q->repeated) close_course(w);
-        newton(w, along != NULL);
-        if (count > 0.0) {
-            const double step = slack_steps(w, 0, 0.0);
-            centre(w, step, now.complementarity / count, count, LAST_GAP * allowed / count);
-            aim(w, 1);
+        if (factored(w)) return TR_INTERRUPTED;
+        for (int e = 0; e < ENTRIES; e++)
+            if (!course[e].ended && EACH(w->sound, e) == 0.0)
+                end_with(course + e, r[e], course[e].best <= NEAR ? TR_ACCURACY : TR_BREAKDOWN, iterations);
+        if (all_ended(course, &step)) break;
+        newton(w, !REPEATED(w->q));
+        number level = {0};
+        if (w->limited) {
+            const number allowed = options->tolerance * at_least(now.objective, nothing + 1.0);
+            level = slack_steps(w, 0, nothing, nothing);
+            level = centre(w, level, now.complementarity / count, count, LAST_GAP * allowed / count);
+            aim(w, 1, level);
             newton(w, 0);
         }
         /* Closer to the limits as they matter less: the last iterations then gain more than two digits each. Not with
          * sizes, whose two rows share a multiplier: how, only a centred iterate tells. */
-        const double left = NEARNESS * now.complementarity / fmax(now.objective, 1.0);
-        const double step = slack_steps(w, count > 0.0, q->nodes ? FARTHEST : fmin(FARTHEST, fmax(left, NEAREST)));
-        if (!(step > SHORTEST)) return near ? TR_ACCURACY : TR_STALLED;
+        number rest = nothing + FARTHEST;
+        for (int e = 0; e < ENTRIES && !NODES(w->q); e++) {
+            const double left = NEARNESS * EACH(now.complementarity, e) / fmax(EACH(now.objective, e), 1.0);
+            EACH(rest, e) = fmin(FARTHEST, fmax(left, NEAREST));
+        }
+        step = slack_steps(w, w->limited, level, rest);
+        for (int e = 0; e < ENTRIES; e++)
+            if (!course[e].ended && !(EACH(step, e) > SHORTEST))
+                end_with(course + e, r[e], course[e].best <= NEAR ? TR_ACCURACY : TR_STALLED, iterations);
+        if (all_ended(course, &step)) break;
         advance(w, step);
     }
+    deliver(w, r);
+    return 0;
 }
 
-static int linear(const tr_problem *q, double tolerance, int factored, double *space, tr_result *r, tr_watch *watch)
+static int linear(const tr_problem *const *all, double tolerance, double *space, tr_result *const *r, tr_watch *watch)
 {
     tr_work work, *w = &work;
-    prepare(w, q, space, factored, watch);
-    const int failed = factored ? 0 : factor(w, 0, NULL);
-    if (failed) return failed;
-    begin(w);
-    for (double best = INFINITY;;) {
-        newton(w, 0);
-        advance(w, 1.0);
-        r->iterations++;
-        const tr_state now = judge(w);
-        const int better = now.stationarity < best;
-        if (better) best = now.stationarity, keep(w, &now, r);
-        if (best <= tolerance * fmax(now.objective, 1.0)) return TR_SOLVED;
-        if (!better || r->iterations > REFINEMENTS) return best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN;
+    tr_course course[ENTRIES];
+    number step = {0};
+    prepare(w, all, space, watch);
+    if (factor(w, 0, NULL) == TR_INTERRUPTED) return TR_INTERRUPTED;
+    for (int e = 0; e < ENTRIES; e++) {
+        course[e].best = INFINITY, course[e].ended = 0;
+        if (EACH(w->sound, e) == 0.0) end_with(course + e, r[e], TR_BREAKDOWN, 0);
     }
+    begin(w);
+    for (int iterations = 1; step += 1.0, !all_ended(course, &step); iterations++) {
+        int better[ENTRIES];
+        newton(w, 0);
+        advance(w, step);
+        const tr_state now = judge(w);
+        for (int e = 0; e < ENTRIES; e++) {
+            double *best = &course[e].best;
+            better[e] = !course[e].ended && EACH(now.stationarity, e) < *best;
+            if (better[e]) *best = EACH(now.stationarity, e);
+            if (course[e].ended) continue;
+            if (*best <= tolerance * fmax(EACH(now.objective, e), 1.0))
+                end_with(course + e, r[e], TR_SOLVED, iterations);
+            else if (!better[e] || iterations > REFINEMENTS)
+                end_with(course + e, r[e], *best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN, iterations);
+        }
+        keep(w, &now, better);
+    }
+    deliver(w, r);
+    return 0;
 }
 
 /* A multiplier times the size of its slack; nothing where there is no bound. */
-ALWAYS_INLINE double paired_with(const double multiplier, const double slack)
+ALWAYS_INLINE number paired_with(const number multiplier, const number slack)
 {
-    return multiplier != 0.0 && fabs(slack) < INFINITY ? multiplier * fabs(slack) : 0.0;
+    const number size = absolute(slack);
+#if ENTRIES > 1
+    return (number)((choice)(multiplier * size) & (size < INFINITY) & (multiplier != 0.0));
+#else
+    return multiplier != 0.0 && size < INFINITY ? multiplier * size : 0.0;
+#endif
 }
 
 /* The larger of both; what is no number stays none. */
-ALWAYS_INLINE double largest_of(const double so_far, const double next)
+ALWAYS_INLINE number largest_of(const number so_far, const number next)
 {
+#if ENTRIES > 1
+    const choice rises = (next > so_far) | (next != next);
+    return (number)((rises & (choice)next) | (~rises & (choice)so_far));
+#else
     return next > so_far || next != next ? next : so_far;
+#endif
 }
 
-static void prove(const tr_problem *q, double *space, tr_proof *proof)
+static void prove(const tr_problem *const *all, double *space, tr_proof *const *proofs)
 {
     tr_work work, *w = &work;
+    const tr_problem *q = all[0];
     const int N = q->stages, m = q->rows, ny = q->outputs, n = q->states, last = n - 1, blocks = BLOCKS(n);
+    const size_t stages = (size_t)N, bounds = stages * (size_t)m, free = (size_t)q->free_stages;
     lanes x[MOST_BLOCKS], next[MOST_BLOCKS], p[MOST_BLOCKS], rule[MOST_BLOCKS];
+    number slack = {0}, residual = {0}, dual_residual = {0}, by_command = {0}, by_movement = {0}, later = {0};
+    number excess[MOST_ROWS], before = {0};
     size_t taken;
+    int priced = 0;
     while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
     memset(w, 0, sizeof *w);
-    lay_out(w, q, space, &taken);
-    pad(w);
+    lay_out(w, all, space);
+    state(w);
+    /* What is judged takes the place of what only a search needs. */
+    taken = (size_t)((double *)w->V - space);
+#define OF_EACH(field, count) of_each((const void *const *)proofs, offsetof(tr_proof, field), count, space, &taken)
+    const number *commands = OF_EACH(command, stages), *by_rule = OF_EACH(by_rule, stages - free);
+    const number *by_lower = OF_EACH(by_lower, bounds), *by_upper = OF_EACH(by_upper, bounds);
+    const number *lower = OF_EACH(lower, bounds), *upper = OF_EACH(upper, bounds);
+#undef OF_EACH
+    for (int e = 0; e < ENTRIES; e++) priced = priced || proofs[e]->by_upper;
     memset(rule, 0, sizeof rule);
     memset(x, 0, sizeof x);
     memset(p, 0, sizeof p);
-    proof->slack = proof->residual = proof->dual_residual = proof->by_command = proof->by_movement = 0.0;
-    for (int i = 0; i < m; i++) proof->excess[i] = -INFINITY;
+    for (int i = 0; i < m; i++) excess[i] = by_command - INFINITY;
     for (int k = 0; k < N; k++) {
-        const double u = w->u[k] = proof->command[k] - (k ? proof->command[k - 1] : 0.0);
+        const number u = w->u[k] = commands[k] - before;
+        before = commands[k];
         for (int o = 0; o < ny; o++)
-            w->error[k * ny + o] = q->E[o] * u + dot(blocks, w->C + o * blocks, x) - q->reference[k * ny + o];
+            w->error[k * ny + o] = w->E[o] * u + dot(blocks, w->C + o * blocks, x) - w->reference[k * ny + o];
         for (int i = 0; i < m; i++) {
             const int at = k * m + i;
-            double v = q->d[i] * u;
+            number v = w->d[i] * u;
             for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
-            const double above = v - proof->upper[at], below = proof->lower[at] - v;
-            proof->excess[i] = largest_of(largest_of(proof->excess[i], above), below);
-            if (!proof->by_upper) continue;
-            proof->slack += paired_with(proof->by_upper[at], above) + paired_with(proof->by_lower[at], below);
+            const number above = v - upper[at], below = lower[at] - v;
+            excess[i] = largest_of(largest_of(excess[i], above), below);
+            if (priced) slack += paired_with(by_upper[at], above) + paired_with(by_lower[at], below);
         }
         if (k >= q->free_stages) {
-            memcpy(rule, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
-            const double left = fabs(u - dot(blocks, rule, x) - q->rule_offset[k - q->free_stages]);
-            proof->residual = largest_of(proof->residual, left);
-            proof->slack += fabs(proof->by_rule[k - q->free_stages]) * left;
+            memcpy(rule, w->rule_gain + ((size_t)k - free) * (size_t)n, (size_t)n * sizeof(number));
+            const number left = absolute(u - dot(blocks, rule, x) - w->rule_offset[(size_t)k - free]);
+            residual = largest_of(residual, left);
+            slack += absolute(by_rule[(size_t)k - free]) * left;
         }
         flow(last, blocks, w, x, u, next);
         memcpy(x, next, sizeof x);
     }
     for (int j = 0; j < q->ends; j++) {
-        w->end_error[j] = dot(blocks, w->Z + j * blocks, x) - q->end_target[j];
+        w->end_error[j] = dot(blocks, w->Z + j * blocks, x) - w->end_target[j];
         add(blocks, w->end_error[j], w->Z + j * blocks, p);
     }
-    proof->objective = cost(w);
-    double later = 0.0;
+    const number objective = cost(w);
     for (int k = N - 1; k >= 0; k--) {
-        double by_movement = dot(blocks, w->push, p) + q->movement_weight * w->u[k];
+        number gradient = dot(blocks, w->push, p) + w->movement_weight * w->u[k];
         flow_back(blocks, w, p, next);
         for (int o = 0; o < ny; o++) {
-            const double by_error = q->weight[k * ny + o] * w->error[k * ny + o];
-            by_movement += q->E[o] * by_error;
+            const number by_error = w->weight[k * ny + o] * w->error[k * ny + o];
+            gradient += w->E[o] * by_error;
             add(blocks, by_error, w->C + o * blocks, next);
         }
-        for (int i = 0; proof->by_upper && i < m; i++) {
-            const double by_row = proof->by_upper[k * m + i] - proof->by_lower[k * m + i];
-            by_movement += q->d[i] * by_row;
+        for (int i = 0; priced && i < m; i++) {
+            const number by_row = by_upper[k * m + i] - by_lower[k * m + i];
+            gradient += w->d[i] * by_row;
             add(blocks, by_row, w->G + i * blocks, next);
         }
         if (k >= q->free_stages) {
-            const double by_rule = proof->by_rule[k - q->free_stages];
-            memcpy(rule, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
-            by_movement += by_rule;
-            add(blocks, -by_rule, rule, next);
+            memcpy(rule, w->rule_gain + ((size_t)k - free) * (size_t)n, (size_t)n * sizeof(number));
+            gradient += by_rule[(size_t)k - free];
+            add(blocks, -by_rule[(size_t)k - free], rule, next);
         }
         memcpy(p, next, sizeof p);
         /* A command moves by its own movement and against the next. */
-        const double by_command = fabs(by_movement - later);
-        proof->dual_residual = largest_of(proof->dual_residual, by_command);
-        proof->by_command += by_command * (q->command_bound + fabs(proof->command[k]));
-        proof->by_movement += by_movement * by_movement;
-        later = by_movement;
+        const number size = absolute(gradient - later);
+        dual_residual = largest_of(dual_residual, size);
+        by_command += size * (w->command_bound + absolute(commands[k]));
+        by_movement += gradient * gradient;
+        later = gradient;
     }
-    proof->by_movement /= 2.0 * q->movement_weight;
+    by_movement /= 2.0 * w->movement_weight;
+    for (int e = 0; e < ENTRIES; e++) {
+        tr_proof *proof = proofs[e];
+        for (int i = 0; i < m; i++) proof->excess[i] = EACH(excess[i], e);
+        proof->objective = EACH(objective, e), proof->slack = EACH(slack, e), proof->residual = EACH(residual, e);
+        proof->dual_residual = EACH(dual_residual, e), proof->by_command = EACH(by_command, e);
+        proof->by_movement = EACH(by_movement, e);
+    }
 }
+
+static const tr_kernel OF_WIDTH(kernel) = {ENTRIES, workspace, solve, linear, prove};
 #endif
