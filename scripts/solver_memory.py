@@ -41,6 +41,7 @@ SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 VALGRIND = ("valgrind", "--quiet", "--leak-check=full", "--error-exitcode=9")
 TOLERANCE = 1e-9  # relative, between compilations; strict IEEE makes it zero on most machines
 MISSING = 3
+BESIDE = 9  # times that a problem is solved side by side with itself: a whole register of it, and one alone
 
 
 def hardest(name: str) -> TransientProblem:
@@ -115,36 +116,28 @@ def solving(given: Sequence[Stages]) -> str:
 
 def expected(stages: Stages) -> list[list[float]]:
     """What the installed extension says of a problem, as the driver prints it."""
-    buffers = extension.Buffers(stages.sizes)
     try:
-        answer = extension.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)
+        (answer,) = extension.interior_points([stages], tolerance=1e-9, max_iterations=60)
     except InputError:
         return [[extension.NO_BOUNDS, 0, 0.0, 0.0]]
-    answers, sums, proofs = [answer], [buffers.command.sum()], list[list[float]]()
+    answers, proofs = [answer] * BESIDE, list[list[float]]()
     if not stages.sizes["nodes"] and answer.code <= extension.ACCURACY:
-        proofs = [proved(stages, buffers, bare=bare) for bare in (True, False)]
+        proofs = [proved(stages, answer, bare=bare) for bare in (True, False)]
     if not stages.sizes["rows"] and not stages.sizes["nodes"]:
-        run = extension.LinearPass(stages)
-        for _ in range(2):
-            answers.append(run.solve(1e-9))
-            sums.append(run.buffers.command.sum())
-            if answers[-1].code > extension.ACCURACY:
-                break
+        answers += extension.linear_passes([stages], 1e-9)
     told = [
-        [a.code, a.iterations, a.objective if a.code <= extension.ACCURACY else 0.0, total]
-        for a, total in zip(answers, sums, strict=True)
+        [a.code, a.iterations, a.objective if a.code <= extension.ACCURACY else 0.0, a.command.sum()] for a in answers
     ]
-    return [told[0], *proofs, *told[1:]]
+    return [*told[:BESIDE], *proofs, *told[BESIDE:]]
 
 
-def proved(stages: Stages, buffers: extension.Buffers, *, bare: bool) -> list[float]:
-    """What the installed extension proves of the answer in the buffers; `bare`, without multipliers of the rows."""
-    N, rule = stages.sizes["stages"], -buffers.gradient[stages.sizes["free_stages"] :]
+def proved(stages: Stages, answer: extension.Answer, *, bare: bool) -> list[float]:
+    """What the installed extension proves of an answer; `bare`, without multipliers of the rows."""
+    N, rule = stages.sizes["stages"], -answer.gradient[stages.sizes["free_stages"] :]
     own = np.ascontiguousarray([stages.arrays[name].reshape(N + 1, -1)[:N] for name in ("lower", "upper")])
     stages = replace(stages, limits=replace(stages.limits, asked=own)) if stages.sizes["rows"] else stages
-    by_row = None if bare else (buffers.lower[:N].copy(), buffers.upper[:N].copy())
-    p = extension.prove(stages, buffers.command, by_row, rule)
-    assert p is not None
+    by_row = None if bare else (answer.lower[:N].copy(), answer.upper[:N].copy())
+    (p,) = extension.prove([extension.Judged(stages, answer.command, by_row, rule)])
     most = max(float(p.excess.max(initial=0.0)), 0.0)
     return [0, 0, p.objective, p.slack + p.residual + p.by_command + p.by_movement + most]
 

@@ -279,58 +279,35 @@ def anew(library: Library) -> list[Row]:
     return found
 
 
-def cached_pass(problem: TransientProblem) -> Peer:
-    """The linear pass when its gains are there: stage data and factorisation are its set-up."""
-    start = time.perf_counter()
-    run = extension.LinearPass(without_limits(problem))
-    run.solve(unlimited.GAP)
-    setup_ms = 1e3 * (time.perf_counter() - start)
-    proof = certify(problem, run.command(), replace(Multipliers.zero(problem), hand_over=run.hand_over()))
-
-    def again() -> None:
-        run.solve(unlimited.GAP)
-        run.command()
-
-    name, options = "riccati-pass, gains kept", "the same device and weight again, any reference"
-    return Peer(name, options, again, setup_ms, proof.relative_gap, proof.primal_violation)
-
-
 @dataclass(frozen=True)
 class Iterations:
-    """What an iteration of the own method takes beside its parts, all in C [ms].
+    """What an iteration of the own method takes beside a linear pass, all in C [ms].
 
     Attributes
     ----------
-    factorisation, vector_solve : of the linear pass, which has no rows: backward with the gains and forward is one.
+    linear_pass : one factorisation, backward and forward with its gains, and backward for the proof; without rows.
     """
 
     count: int
     each: float
-    factorisation: float
-    vector_solve: float
+    linear_pass: float
 
     @property
     def ratio(self) -> float:
-        """Ratio of an iteration to one factorisation and two vector solves; the bound is 2."""
-        return self.each / (self.factorisation + 2 * self.vector_solve)
+        """Ratio of an iteration, which has two vector solves and the rows, to a linear pass; the bound is 2."""
+        return self.each / self.linear_pass
 
 
 def iterations(problem: TransientProblem, runs: int) -> Iterations:
-    given, run = riccati.stages(problem), extension.LinearPass(without_limits(problem))
-    buffers = extension.Buffers(given.sizes)
+    given, bare = riccati.stages(problem), without_limits(problem)
 
     def whole() -> extension.Answer:
-        return extension.interior_point(given, buffers, tolerance=1e-9, max_iterations=250)
+        return extension.interior_points([given], tolerance=1e-9, max_iterations=250)[0]
 
-    def from_scratch() -> None:
-        run.forget()
-        run.solve(unlimited.GAP)
-
-    times = timed(runs, whole=whole, fresh=from_scratch, kept=lambda: run.solve(unlimited.GAP))
-    whole_ms, fresh_ms, kept_ms = (float(np.median(times[name])) for name in ("whole", "fresh", "kept"))
+    times = timed(runs, whole=whole, linear=lambda: extension.linear_passes([bare], unlimited.GAP))
+    whole_ms, linear_ms = (float(np.median(times[name])) for name in ("whole", "linear"))
     count = whole().iterations
-    # A pass with its gains kept is backward, forward, and backward once more for its proof.
-    return Iterations(count, whole_ms / count, fresh_ms - kept_ms, kept_ms / 1.5)
+    return Iterations(count, whole_ms / count, linear_ms)
 
 
 def servo_and_simulator(library: Library, runs: int) -> Row:

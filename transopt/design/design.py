@@ -10,6 +10,7 @@ from transopt.design.entry import Entry
 from transopt.design.intensity import best
 from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.side_by_side import Search, together
 
 
 @one_blas_thread()
@@ -22,7 +23,7 @@ def design(
 ) -> list[Entry]:
     """Design entries: each solved and proven; replayed, admitted and told when they are first read.
 
-    Problems of the same device are replayed by one simulation. What only some readers ask of an entry, as its prices
+    Problems of equal sizes are solved side by side, and those of the same device are replayed by one simulation. What only some readers ask of an entry, as its prices
     or the errors of the other methods, is made when it is read (`transopt.design.entry`).
 
     Parameters
@@ -38,19 +39,19 @@ def design(
     The entries in the order of the problems.
     """
     options = SolverOptions() if options is None else options
-    solved: dict[int, Designed] = {}
-    for number, posed in enumerate(problems):
-        try:
-            solved[number] = _solved(posed, options)
-        except Exception as error:
-            if failed is None:
-                raise
-            failed(posed, error)
+
+    def told_of(number: int, error: Exception) -> None:
+        if failed is None:
+            raise error
+        failed(problems[number], error)
+
+    found = together([_solved(posed, options) for posed in problems], told_of)
+    solved = {number: designed for number, designed in enumerate(found) if designed is not None}
     entries: dict[int, Entry] = {}
-    together: dict[tuple[object, ...], list[int]] = {}
+    played: dict[tuple[object, ...], list[int]] = {}
     for number, designed in solved.items():
-        together.setdefault(_played_with(problems[number], designed), []).append(number)
-    for numbers in together.values():
+        played.setdefault(_played_with(problems[number], designed), []).append(number)
+    for numbers in played.values():
         first = problems[numbers[0]]
         told = [problems[n].told or solved[n].problem.target for n in numbers]
         batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, told, with_rivals=rivals)
@@ -61,11 +62,11 @@ def design(
     return [entries[number] for number in sorted(entries)]
 
 
-def _solved(posed: Posed, options: SolverOptions) -> Designed:
+def _solved(posed: Posed, options: SolverOptions) -> Search[Designed]:
     if posed.warmer is not None:
-        return at_share_of_heat(posed, posed.warmer, posed.cool_share, options)
+        return (yield from at_share_of_heat(posed, posed.warmer, posed.cool_share, options))
     if posed.plant is None:
-        return best(posed.problem, options, objective=posed.objective)
+        return (yield from best(posed.problem, options, objective=posed.objective))
     # IPOPT is loaded for a nonlinear plant alone.
     from transopt.design.nonlinear import nonlinear_optimum
 

@@ -166,7 +166,7 @@ def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect
     small = leave_out(problem).problem
     if small.wall is None and small.thermal is None and not small.nonlinear:
         found = _without_limits(small) if _nearly_inside(unlimited.of(small)) else None
-        answer, proof, effect = found or solve_certified(small, options)
+        answer, proof, effect = found or solve_certified([small], options)[0]
         certified = answer.status is Status.OPTIMAL and proof.accepted
     else:
         # The ticks at which the wall pushes are looked for, and whether the temperature binds at all.
@@ -190,7 +190,7 @@ def _nearly_inside(effect: Effect) -> bool:
 
 def _without_limits(problem: TransientProblem) -> Certified | None:
     """The optimum without limits, where it keeps them all and is proven: one linear solve."""
-    answer = solve_unlimited(problem)
+    answer = solve_unlimited([problem])[0]
     effect = Effect(problem, answer.command)
     if answer.status is not Status.OPTIMAL or not inside(problem, answer.command, effect=effect):
         return None
@@ -356,5 +356,5 @@ def library_prices(library: Library, iv: int, ig: int) -> list[Price]:
     if library.nonlinear:
         return []
     problem = library.problem(iv, ig)
-    free = solve_unlimited(problem.without_intensity()).command
+    free = solve_unlimited([problem.without_intensity()])[0].command
     return prices(problem, library.command[iv, ig], library.multipliers(iv, ig), free, SolverOptions())

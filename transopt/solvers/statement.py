@@ -17,6 +17,7 @@ from transopt.solvers.program import Shape, nonzeros, program_shape, state_progr
 from transopt.solvers.stage_data import (
     SIZE_BOUND,
     StatedRow,
+    ended,
     heat_values,
     held,
     kelvin,
@@ -66,6 +67,11 @@ class Statement:
     def command(self, x: FloatArray) -> FloatArray:
         """(N,) commands of a program point [A], as `held`."""
         return self.held(self._by_stage(x)[:, self.shape.command] * self.stage.input_scale)
+
+    def unclipped(self, x: FloatArray) -> FloatArray:
+        """(N,) commands of a program point [A], moved by rounding only at a plain hand-over, where they are zero."""
+        command: FloatArray = self._by_stage(x)[:, self.shape.command] * self.stage.input_scale
+        return ended(self.problem, command)
 
     def held(self, command: FloatArray) -> FloatArray:
         """`stage_data.held`."""
