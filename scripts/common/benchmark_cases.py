@@ -11,6 +11,9 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
+from precision.methods import Setting
+from precision.qp import project_multipliers, quadratic_program
+from precision.wheels import piqp_multistage
 
 import problems
 from common.measuring import elapsed_ms, forget, timed
@@ -53,6 +56,7 @@ WIDE = {
 REPEATS = "recordings.simulated.repeats"
 ONLINE_TAPS = 1000
 STAGES = 800  # of the default scene
+BESIDE = 8  # entries: as many as the widest registers take
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,8 @@ def row(
     violation: float = float("nan"),
 ) -> Row:
     q25, median, q75 = np.percentile(times_ms, [25, 50, 75])
-    version = metadata.version("casadi") if method.startswith(("casadi", "opti")) else metadata.version("transopt")
+    package = "piqp" if method == "piqp" else "casadi" if method.startswith(("casadi", "opti")) else "transopt"
+    version = metadata.version(package)
     return Row(case, method, version, options, 1, stages, setup_ms, median, q25, q75, times_ms.size, gap, violation)
 
 
@@ -149,6 +154,32 @@ def unlimited_solver(
     name: str, options: str, method: Callable[[TransientProblem], Solution], problem: TransientProblem
 ) -> Peer:
     return reused(name, f"{options}: {method(problem).message}", lambda: method(problem), problem)
+
+
+def direct_piqp(problem: TransientProblem) -> Peer:
+    """PIQP's own interface in this process, on a QP that has been stated and set up."""
+    start = time.perf_counter()
+    qp = quadratic_program("saturated", problem)
+    run = piqp_multistage(qp, Setting("", SolverOptions().tolerance))
+    point = run()
+    setup_ms = max(1e3 * (time.perf_counter() - start) - elapsed_ms(run), 0.0)
+    assert point.y is not None
+    proof = certify(problem, qp.command(point.x), project_multipliers(problem, qp, point.y))
+    return Peer("piqp", "sparse_multistage, direct", run, setup_ms, proof.relative_gap, proof.primal_violation)
+
+
+def side_by_side(problem: TransientProblem) -> Peer:
+    """The own method on eight entries at once."""
+    several = [problem] * BESIDE
+
+    def run() -> list[Solution]:
+        return riccati.solve(several, SolverOptions())
+
+    answer = run()[0]
+    proof = certify(problem, answer.command, answer.multipliers)
+    return Peer(
+        f"riccati, {BESIDE} side by side", "all of them", run, 0.0, proof.relative_gap, proof.primal_violation
+    )
 
 
 def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:

@@ -87,13 +87,15 @@ def hpipm() -> Method:
 # ------------------------------------------------------------------------------------------------ the extra's
 
 
-def _piqp(qp: QP, setting: Setting) -> Solve:
+def piqp_multistage(qp: QP, setting: Setting) -> Solve:
+    """PIQP called directly, with its factorisation for problems that are ordered by stages."""
     import piqp
 
     P, A, m = sparse.csc_matrix(qp.P), sparse.csc_matrix(qp.A[: qp.rows]), qp.rows
     lower, upper = qp.bounds()
     solver = piqp.SparseSolver()
     solver.settings.num_threads = 1
+    solver.settings.kkt_solver = piqp.KKTSolver.sparse_multistage
     if np.isfinite(setting.tolerance):
         solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = setting.tolerance
         solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.0
@@ -214,7 +216,10 @@ def _daqp(qp: QP, setting: Setting) -> Solve:
 def wheels() -> tuple[list[Method], list[str]]:
     """Methods of the `bench` extra that are installed, and the names of those that are not."""
     sweeps = {
-        "piqp": (_piqp, sweep("own defaults, sparse", (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12), 1e-12, "eps")),
+        "piqp": (
+            piqp_multistage,
+            sweep("own defaults, multistage", (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12), 1e-12, "eps"),
+        ),
         "clarabel": (_clarabel, sweep("own defaults", (1e-2, 1e-4, 1e-6, 1e-10, 1e-12), 1e-12, "tol")),
         "osqp": (_osqp, sweep("own defaults (1e-3)", (1e-4, 1e-5, 1e-6, 1e-8), 1e-8, "eps", ", polished")),
         "daqp": (_daqp, sweep("own defaults, condensed", (1e-10,), 1e-10, "condensed, primal_tol")),

@@ -23,8 +23,9 @@ def design(
 ) -> list[Entry]:
     """Design entries: each solved and proven; replayed, admitted and told when they are first read.
 
-    Problems of equal sizes are solved side by side, and those of the same device are replayed by one simulation. What only some readers ask of an entry, as its prices
-    or the errors of the other methods, is made when it is read (`transopt.design.entry`).
+    Problems of equal sizes are solved side by side, and those of the same device are replayed by one simulation. What
+    only some readers ask of an entry, as its prices or the errors of the other methods, is made when it is read
+    (`transopt.design.entry`).
 
     Parameters
     ----------
@@ -39,13 +40,7 @@ def design(
     The entries in the order of the problems.
     """
     options = SolverOptions() if options is None else options
-
-    def told_of(number: int, error: Exception) -> None:
-        if failed is None:
-            raise error
-        failed(problems[number], error)
-
-    found = together([_solved(posed, options) for posed in problems], told_of)
+    found = together([_solved(posed, options, failed) for posed in problems])
     solved = {number: designed for number, designed in enumerate(found) if designed is not None}
     entries: dict[int, Entry] = {}
     played: dict[tuple[object, ...], list[int]] = {}
@@ -62,15 +57,23 @@ def design(
     return [entries[number] for number in sorted(entries)]
 
 
-def _solved(posed: Posed, options: SolverOptions) -> Search[Designed]:
-    if posed.warmer is not None:
-        return (yield from at_share_of_heat(posed, posed.warmer, posed.cool_share, options))
-    if posed.plant is None:
-        return (yield from best(posed.problem, options, objective=posed.objective))
-    # IPOPT is loaded for a nonlinear plant alone.
-    from transopt.design.nonlinear import nonlinear_optimum
+def _solved(
+    posed: Posed, options: SolverOptions, failed: Callable[[Posed, Exception], None] | None
+) -> Search[Designed | None]:
+    try:
+        if posed.warmer is not None:
+            return (yield from at_share_of_heat(posed, posed.warmer, posed.cool_share, options))
+        if posed.plant is None:
+            return (yield from best(posed.problem, options, objective=posed.objective))
+        # IPOPT is loaded for a nonlinear plant alone.
+        from transopt.design.nonlinear import nonlinear_optimum
 
-    return nonlinear_optimum(posed, options)
+        return nonlinear_optimum(posed, options)
+    except Exception as error:
+        if failed is None:
+            raise
+        failed(posed, error)
+        return None
 
 
 def _played_with(posed: Posed, designed: Designed) -> tuple[object, ...]:

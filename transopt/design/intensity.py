@@ -54,7 +54,7 @@ def most_price(problem: TransientProblem) -> float:
 
 
 def intense(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
-    """Search for the optimum with at least the energy that `problem.intensity_dB` asks for, of those that a price on it finds.
+    """Search for the optimum with the energy that `problem.intensity_dB` asks for, of those that a price on it finds.
 
     Floor, unlimited optimum and its peak stay those of J. The certificate is that of L at the lam that was found;
     what the search leaves of the energy is stated in dB (`Designed.attained`), never in the gap.

@@ -62,7 +62,7 @@ class TradeOff:
 
 
 def trade_off(entry: Entry, options: SolverOptions) -> Search[TradeOff | None]:
-    """Search for the path of an entry where a limit binds or intensity has a price; None elsewhere and for a refused one.
+    """Search for the path of an entry where a limit binds or intensity has a price; None elsewhere, or if refused.
 
     None as well where the worst of a spread of devices is least: intensity is traded for the mean alone.
     """
@@ -80,7 +80,7 @@ def trade_off(entry: Entry, options: SolverOptions) -> Search[TradeOff | None]:
     trial = TrialOptions(options.solver, options.tolerance, options.max_iterations)
     others = together([seek(replace(problem, intensity=float(price)), trial) for price in prices if price > 0])
     ends = (_point(wave), _point(found))
-    path = {point.price: point for point in (*ends, *(_point(each) for each in others if each is not None and each.is_proven))}
+    path = {point.price: point for point in (*ends, *(_point(each) for each in others if each.is_proven))}
     return TradeOff(
         speed_m_s=entry.speed_m_s,
         grip_N=entry.grip_N,

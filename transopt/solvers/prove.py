@@ -69,7 +69,9 @@ def _asked(effect: Effect, multipliers: Multipliers) -> Judged | None:
             np.stack([m.lower(name) for name in names], -1) * by,
             np.stack([m.upper(name) for name in names], -1) * by,
         )
-    return Judged(given, effect.command / given.input_scale, by_row, m.hand_over * (given.input_scale / OBJECTIVE_SCALE))
+    return Judged(
+        given, effect.command / given.input_scale, by_row, m.hand_over * (given.input_scale / OBJECTIVE_SCALE)
+    )
 
 
 def _units(problem: TransientProblem, given: Stages) -> FloatArray:

@@ -51,9 +51,7 @@ def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[
     """
     start = time.perf_counter()
     given = [stages(problem) for problem in problems]
-    answers = interior_points(
-        given, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations
-    )
+    answers = interior_points(given, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations)
     spent = (time.perf_counter() - start) / max(len(given), 1)
     return [_solution(each, answer, spent) for each, answer in zip(given, answers, strict=True)]
 

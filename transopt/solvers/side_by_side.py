@@ -10,7 +10,7 @@ Alone it reads as it runs. Of many that `together` carries on, all that ask the 
 """
 
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 Found = TypeVar("Found")
 
@@ -33,52 +33,44 @@ def alone(search: Search[Found]) -> Found:
     ------
     Exception : whatever the search, or a method that it asks, raises.
     """
-    (found,) = together([search])
-    return cast("Found", found)
+    return together([search])[0]
 
 
-def together(
-    searches: Sequence[Search[Found]], failed: Callable[[int, Exception], None] | None = None
-) -> list[Found | None]:
+def together(searches: Sequence[Search[Found]]) -> list[Found]:
     """Carry on searches until all have ended.
 
-    Parameters
-    ----------
-    failed : told of a search that ended in an exception, by its number; None is then what it has found. Without it
-        the exception is raised.
+    An exception of a method is raised in the search whose question it could not answer, and in no other.
 
     Returns
     -------
     What the searches have found, in their order.
+
+    Raises
+    ------
+    Exception : whatever a search raises.
     """
-    found: list[Any] = [None] * len(searches)
+    found = dict[int, Found]()
     asked = dict[int, Ask]()
 
-    def carry_on(number: int, step: Callable[[], Ask]) -> None:
+    def carry_on(number: int, answer: Any) -> None:
+        search = searches[number]
         try:
-            asked[number] = step()
+            asked[number] = search.throw(answer) if isinstance(answer, Exception) else search.send(answer)
         except StopIteration as ended:
             found[number] = ended.value
-        except Exception as error:
-            if failed is None:
-                raise
-            failed(number, error)
 
-    for number, search in enumerate(searches):
-        carry_on(number, lambda search=search: next(search))
+    for number in range(len(searches)):
+        carry_on(number, None)
     while asked:
         # The question that most ask is answered first: others may come to ask it too.
         groups: dict[tuple[Any, ...], list[int]] = {}
         for number, ask in asked.items():
             groups.setdefault((ask.method, *ask.settings), []).append(number)
-        (method, *settings), numbers = max(groups.items(), key=lambda item: len(item[1]))
-        for number, answer in zip(numbers, _answers(method, [asked.pop(n).of for n in numbers], settings), strict=True):
-            search = searches[number]
-            if isinstance(answer, Exception):
-                carry_on(number, lambda search=search, answer=answer: search.throw(answer))
-            else:
-                carry_on(number, lambda search=search, answer=answer: search.send(answer))
-    return found
+        (method, *settings), numbers = max(groups.items(), key=lambda group: len(group[1]))
+        answers = _answers(method, [asked.pop(number).of for number in numbers], settings)
+        for number, answer in zip(numbers, answers, strict=True):
+            carry_on(number, answer)
+    return [found[number] for number in range(len(searches))]
 
 
 def _answers(method: Callable[..., list[Any]], of: list[Any], settings: Sequence[Any]) -> list[Any]:

@@ -31,7 +31,7 @@ def solve(problems: Sequence[TransientProblem]) -> list[Solution]:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _by_compiled_pass(problems)
-    return [solve_apart(problem) if answer is None else answer for problem, answer in zip(problems, found, strict=True)]
+    return [solve_apart(problem) if own is None else own for problem, own in zip(problems, found, strict=True)]
 
 
 def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | None]:
@@ -53,7 +53,8 @@ def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | N
             left = movement_bound(problem, reduced_gradient(Effect(problem, command), multipliers))
             if not left <= GAP * OBJECTIVE_SCALE:
                 continue
-        found[i] = Solution(Status.OPTIMAL, command, multipliers, "unlimited", "Riccati pass", answer.iterations, spent)
+        told = ("unlimited", "Riccati pass", answer.iterations, spent)
+        found[i] = Solution(Status.OPTIMAL, command, multipliers, *told)
     return found
 
 

@@ -305,9 +305,7 @@ class TestSideBySide:
         return extension.interior_points(given, tolerance=1e-9, max_iterations=60)
 
     @pytest.mark.parametrize("name", SCENES)
-    def test_the_answers_are_those_of_each_alone(
-        self, hardest: Callable[[str], TransientProblem], name: str
-    ) -> None:
+    def test_the_answers_are_those_of_each_alone(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
         """Of harder and easier problems: those that end first wait for the others."""
         whole = hardest(name).without("temperature")
         limits = whole.limits.input_limit * np.linspace(1.0, 0.7, self.BESIDE)

@@ -1,4 +1,4 @@
-"""The unlimited optimum: the Riccati pass against dense least squares, the sparse system and solvers, on extreme devices."""
+"""The unlimited optimum: the Riccati pass against least squares, the sparse system, solvers, on extreme devices."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -195,9 +195,7 @@ class TestSparseSystem:
         wanted, passes = unlimited.solve([problem])[0], extension.linear_passes
 
         def spoilt(given: Sequence[Stages], tolerance: float) -> list[extension.Answer]:
-            return [
-                answer._replace(command=answer.command * 1.01, **change) for answer in passes(given, tolerance)
-            ]
+            return [answer._replace(command=answer.command * 1.01, **change) for answer in passes(given, tolerance)]
 
         monkeypatch.setattr(extension, "linear_passes", spoilt)
         (answer,) = unlimited.solve([problem])
@@ -226,9 +224,7 @@ class TestSparseSystem:
         assert not answer.command.any()
         assert certify(problem, answer.command, answer.multipliers).accepted
 
-    def test_that_is_singular_is_a_failure(
-        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_that_is_singular_is_a_failure(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
         def singular(_: object) -> None:
             raise RuntimeError("Factor is exactly singular")
 

@@ -169,7 +169,7 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         first, step = [address(array) for array in arrays], [array[0].nbytes for array in arrays]
         problems = (_Problem * count)(*(_stated(given[i]) for i in group))
         results = (_Result * count)(
-            *(tuple(at + j * by for at, by in zip(first, step, strict=True)) for j in range(count))
+            *(_Result(*(at + j * by for at, by in zip(first, step, strict=True))) for j in range(count))
         )
         method(count, problems, ct.byref(asked), address(_workspace(count, problems)), results)
         for j, i in enumerate(group):
@@ -247,6 +247,12 @@ class Judged(NamedTuple):
     by_rule: FloatArray
 
 
+def _asked(judged: Judged, excess: FloatArray) -> _Proof:
+    multipliers = (None, None) if judged.by_row is None else map(address, judged.by_row)
+    bounds = map(address, judged.stages.limits.asked)
+    return _Proof(address(judged.command), *multipliers, address(judged.by_rule), *bounds, address(excess))
+
+
 def prove(asked: Sequence[Judged]) -> list[Proof]:
     """Judge commands, those of problems of equal sizes side by side."""
     assert _LIBRARY is not None
@@ -255,18 +261,7 @@ def prove(asked: Sequence[Judged]) -> list[Proof]:
         some, count = [asked[i] for i in group], len(group)
         excess = np.empty((count, max(some[0].stages.sizes["rows"], 1)))
         problems = (_Problem * count)(*(_stated(each.stages) for each in some))
-        proofs = (_Proof * count)(
-            *(
-                (
-                    address(each.command),
-                    *((None, None) if each.by_row is None else map(address, each.by_row)),
-                    address(each.by_rule),
-                    *map(address, each.stages.limits.asked),
-                    address(row),
-                )
-                for each, row in zip(some, excess, strict=True)
-            )
-        )
+        proofs = (_Proof * count)(*(_asked(each, row) for each, row in zip(some, excess, strict=True)))
         _LIBRARY.tr_prove(count, problems, address(_workspace(count, problems)), proofs)
         for i, proof, row, each in zip(group, proofs, excess, some, strict=True):
             numbers = (getattr(proof, name) for name in Proof._fields[1:])

@@ -196,6 +196,8 @@ static void eliminate(int count, const double *matrix, double *right)
 #define add_square OF_WIDTH(add_square)
 #define advance OF_WIDTH(advance)
 #define aim OF_WIDTH(aim)
+#define by_row OF_WIDTH(by_row)
+#define correct OF_WIDTH(correct)
 #define all_ended OF_WIDTH(all_ended)
 #define any OF_WIDTH(any)
 #define at_least OF_WIDTH(at_least)
@@ -205,7 +207,6 @@ static void eliminate(int count, const double *matrix, double *right)
 #define backward_stage OF_WIDTH(backward_stage)
 #define begin OF_WIDTH(begin)
 #define blend OF_WIDTH(blend)
-#define centre OF_WIDTH(centre)
 #define choice OF_WIDTH(choice)
 #define close_course OF_WIDTH(close_course)
 #define closure_price OF_WIDTH(closure_price)
@@ -226,7 +227,6 @@ static void eliminate(int count, const double *matrix, double *right)
 #define forward OF_WIDTH(forward)
 #define forward_sized OF_WIDTH(forward_sized)
 #define judge OF_WIDTH(judge)
-#define judge_rows OF_WIDTH(judge_rows)
 #define keep OF_WIDTH(keep)
 #define keeps OF_WIDTH(keeps)
 #define lanes OF_WIDTH(lanes)
@@ -234,18 +234,20 @@ static void eliminate(int count, const double *matrix, double *right)
 #define largest_of OF_WIDTH(largest_of)
 #define lay_out OF_WIDTH(lay_out)
 #define linear OF_WIDTH(linear)
+#define longest OF_WIDTH(longest)
 #define move OF_WIDTH(move)
+#define move_slacks OF_WIDTH(move_slacks)
 #define newton OF_WIDTH(newton)
 #define number OF_WIDTH(number)
 #define of_each OF_WIDTH(of_each)
 #define pad OF_WIDTH(pad)
 #define pair_up OF_WIDTH(pair_up)
 #define paired_with OF_WIDTH(paired_with)
+#define predict OF_WIDTH(predict)
 #define prepare OF_WIDTH(prepare)
 #define prove OF_WIDTH(prove)
 #define raise_to OF_WIDTH(raise_to)
 #define roll_heat OF_WIDTH(roll_heat)
-#define slack_steps OF_WIDTH(slack_steps)
 #define solve OF_WIDTH(solve)
 #define state OF_WIDTH(state)
 #define take OF_WIDTH(take)
@@ -546,7 +548,7 @@ ALWAYS_INLINE number largest(const lanes *of)
 /* One side of every row: slack s = sign (value - bound), s * l -> 0. Where `there` is 0 there is no limit: l = 0. */
 typedef struct {
     double sign;
-    lanes *there, *bound, *s, *l, *inverse, *residual, *ds, *dl, *target;
+    lanes *there, *bound, *s, *l, *inverse, *residual, *cross; /* 1 / s, what s is off, product of the predictor's steps */
 } tr_side;
 
 /* Everything that lives during one solve. Differences carry a d: dE is the change of `error` by a Newton step. */
@@ -655,7 +657,8 @@ static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
     w->d_error = take(space, &taken, N * ny), w->offset = take(space, &taken, N), w->V = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
         z->there = take(space, &taken, m), z->bound = take(space, &taken, m);
-        z->ds = take(space, &taken, m), z->dl = take(space, &taken, m);
+        z->inverse = take(space, &taken, m), z->residual = take(space, &taken, m);
+        z->cross = take(space, &taken, m);
     }
     w->Kth = take(space, &taken, N * t), w->Keth = take(space, &taken, N * t);
     w->Ke = take(space, &taken, warm * ld), w->Ke_u = take(space, &taken, warm), w->pivot_e = take(space, &taken, warm);
@@ -674,7 +677,6 @@ static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
     w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
         z->s = take(space, &taken, m), z->l = take(space, &taken, m);
-        z->inverse = take(space, &taken, m), z->residual = take(space, &taken, m);
     }
     w->tracked = take(space, &taken, N * ny); /* more than enough */
 #define OF_EACH(field, count) of_each((const void *const *)all, offsetof(tr_problem, field), count, space, &taken)
@@ -973,18 +975,25 @@ typedef struct {
     number th[MOST_NODES];
 } tr_costate;
 
+/* Gradient by a row: of the Newton step, or of the Lagrangian. */
+ALWAYS_INLINE number by_row(const tr_work *w, const int newton, const int at)
+{
+    if (newton) return AT(w->y, at);
+    return AT(w->side[1].l, at) - AT(w->side[0].l, at);
+}
+
 /* The costate at N. `own` is 0 for the response to the closure's multiplier alone. */
 ALWAYS_INLINE void backward_begin(const int blocks, const tr_work *w, const int t, const number *end, const int own,
-                                  tr_costate *c)
+                                  const int newton, tr_costate *c)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, m = q->rows;
     memset(c, 0, sizeof *c);
     for (int i = 0; i < t; i++) c->th[i] = end[i];
-    if (t && own) c->th[0] += AT(w->y, N * m);
+    if (t && own) c->th[0] += by_row(w, newton, N * m);
     for (int j = 0; own && j < q->ends; j++) add(blocks, w->end_error[j], w->Z + j * blocks, c->p);
     for (int j = t ? 1 : 0; own && j < m; j++) {
-        add(blocks, AT(w->y, N * m + j), w->G + j * blocks, c->p);
+        add(blocks, by_row(w, newton, N * m + j), w->G + j * blocks, c->p);
     }
 }
 
@@ -997,7 +1006,6 @@ ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, con
     const int m = q->rows, last = n - 1;
     const lanes nothing = {0};
     lanes a[MOST_BLOCKS], drive[MOST_BLOCKS];
-    const number *y = &AT(w->y, k * m);
     number by_size = {0}, th_before[MOST_NODES] = {0}, direct = {0};
     /* What does not depend on later stages stands apart, to be ready before they are. */
     for (int j = 0; j < blocks; j++) drive[j] = nothing;
@@ -1009,11 +1017,12 @@ ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, con
             direct += w->E[o] * v;
             add(blocks, v, w->C + o * blocks, drive);
         }
-        if (t) th_before[0] = y[0];
+        if (t) th_before[0] = by_row(w, newton, k * m);
         for (int j = t ? 1 : 0; j < m; j++) {
-            direct += w->d[j] * y[j];
-            by_size += w->d_size[j] * y[j];
-            add(blocks, y[j], w->G + j * blocks, drive);
+            const number y = by_row(w, newton, k * m + j);
+            direct += w->d[j] * y;
+            by_size += w->d_size[j] * y;
+            add(blocks, y, w->G + j * blocks, drive);
         }
     }
     flow_back(blocks, w, c->p, a);
@@ -1056,7 +1065,7 @@ ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, con
                                   const int own, number *restrict offset, number *restrict offset_e, const int newton)
 {
     tr_costate costate;
-    backward_begin(blocks, w, t, end, own, &costate);
+    backward_begin(blocks, w, t, end, own, newton, &costate);
     for (int k = w->q->stages - 1; k >= 0; k--)
         backward_stage(n, blocks, w, t, k, own, offset, offset_e, newton, &costate);
     memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
@@ -1078,7 +1087,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
     number R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], hu_th[MOST_NODES], he_th[MOST_NODES];
     const number e1 = w->decay, e2 = 1.0 - e1, *s = w->square;
     tr_costate costate;
-    if (end) backward_begin(blocks, w, t, end, 1, &costate);
+    if (end) backward_begin(blocks, w, t, end, 1, 1, &costate);
     memset(P, 0, (size_t)(ld * blocks) * sizeof(lanes));
     memset(H, 0, (size_t)(ld * blocks) * sizeof(lanes));
     for (int e = 0; e < ENTRIES; e++) EACH(w->sound, e) = 1.0;
@@ -1451,7 +1460,7 @@ static void move(int count, const number step, const number *restrict by, number
     for (int i = 0; i < count; i++) what[i] += step * by[i];
 }
 
-/* Move everything by a part of the Newton step. */
+/* Move everything but slacks and multipliers by a part of the Newton step. */
 static void advance(tr_work *w, const number step)
 {
     const tr_problem *q = w->q;
@@ -1464,8 +1473,6 @@ static void advance(tr_work *w, const number step)
     move(N * q->outputs, step, w->d_error, w->error);
     move(q->ends, step, w->d_end_error, w->end_error);
     for (int i = 0; i < w->blocks; i++) w->V[i] += step * w->dV[i];
-    for (tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < w->blocks; i++) z->s[i] += step * z->ds[i], z->l[i] += step * z->dl[i];
     if (REPEATED(q))
         for (int i = 0; i < NODES(q); i++) w->theta[i] += step * w->d_start[i], w->eta[i] += step * w->d_eta[i];
     roll_heat(w);
@@ -1504,26 +1511,37 @@ static number begin(tr_work *w)
     return count;
 }
 
-/* Residuals of the slacks, the inverse slacks, and the gradients of the rows. */
-static void judge_rows(tr_work *w, tr_state *found)
+/* Steps of a slack and of its multiplier that belong to the Newton step; the predictor's are those to `aim` = 0. */
+#define SLACK_STEP(z, i) ((z)->there[i] * ((z)->sign * w->dV[i] + (z)->residual[i]))
+#define TARGET(z, i) ((z)->there[i] * (level - (z)->cross[i]))
+
+/* Move slacks and multipliers by a part of the step whose corrector aimed at `level`. Residuals and inverses of the slacks; weights and
+ * gradients of the rows for the next predictor, which aims at s l = 0. */
+static void move_slacks(tr_work *w, const number level, const number step, tr_state *found)
 {
     lanes sum = {0}, most = {0};
-    for (const tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < w->blocks; i++) {
-            const lanes residual = z->there[i] * (z->sign * (w->V[i] - z->bound[i]) - z->s[i]), below = -residual;
-            z->inverse[i] = 1.0 / z->s[i];
-            z->residual[i] = residual;
-            sum += z->s[i] * z->l[i];
+    for (int i = 0; i < w->blocks; i++) {
+        lanes sigma = {0}, y = {0};
+        for (const tr_side *z = w->side; z < w->side + 2; z++) {
+            const lanes ds = SLACK_STEP(z, i), dl = z->l[i] * (-ds * z->inverse[i] - 1.0) + TARGET(z, i) * z->inverse[i];
+            const lanes s = z->s[i] + step * ds, l = z->l[i] + step * dl, inverse = 1.0 / s, weight = l * inverse;
+            const lanes residual = z->there[i] * (z->sign * (w->V[i] - z->bound[i]) - s), below = -residual;
+            z->s[i] = s, z->l[i] = l, z->inverse[i] = inverse, z->residual[i] = residual;
+            sum += s * l;
             raise_to(&most, &residual);
             raise_to(&most, &below);
+            sigma += weight;
+            y += z->sign * (weight * residual);
         }
-    for (int i = 0; i < w->blocks; i++) w->y[i] = w->side[1].l[i] - w->side[0].l[i];
+        w->sigma[i] = sigma;
+        w->y[i] = y;
+    }
     found->complementarity = total(&sum);
     found->residual = largest(&most);
 }
 
-/* Where the iterate stands; leaves the gradient by the movements in `offset` and the heat's prices. */
-static tr_state judge(tr_work *w)
+/* Where the iterate stands, its slacks and multipliers moved by `step`; leaves the gradient by the movements in `offset` and the heat's prices. */
+static tr_state judge(tr_work *w, const number level, const number step)
 {
     const tr_problem *q = w->q;
     const int N = q->stages;
@@ -1531,7 +1549,7 @@ static tr_state judge(tr_work *w)
     tr_state found = {nothing, nothing, nothing, cost(w)};
     number end[MOST_NODES] = {0}, closure[MOST_NODES], command = {0};
     lanes sum = {0};
-    judge_rows(w, &found);
+    move_slacks(w, level, step, &found);
     closure_price(w, w->eta, end);
     backward(w, end, 1, w->offset, w->offset_e, 0);
     for (int k = 0; k < q->free_stages; k++) {
@@ -1551,50 +1569,55 @@ static tr_state judge(tr_work *w)
     return found;
 }
 
-/* Mehrotra's target of a product s l: the cube of what the predictor leaves, less that of its steps. */
-#define TARGET(z, i, level) ((z)->there[i] * ((level) - (z)->ds[i] * (z)->dl[i]))
-
-/* Weights and gradients of the rows for a step that aims at s l = target or, as predictor, at 0. */
-static void aim(tr_work *w, int corrector, const number level)
+/* The longest part, at most 1, of a step that leaves `rest` of each slack and multiplier. */
+ALWAYS_INLINE number longest(const lanes *fastest, const number rest)
 {
-    const tr_side *low = w->side, *up = low + 1;
-    for (int i = 0; i < w->blocks; i++) {
-        const lanes of_low = low->l[i] * low->inverse[i], of_up = up->l[i] * up->inverse[i];
-        w->sigma[i] = of_low + of_up;
-        w->y[i] = of_low * low->residual[i] - of_up * up->residual[i];
-        if (corrector) w->y[i] += TARGET(up, i, level) * up->inverse[i] - TARGET(low, i, level) * low->inverse[i];
-    }
+    return (1.0 - rest) / largest(fastest);
 }
 
-/* Steps of slacks and multipliers that belong to the Newton step; the longest part of it, at most 1, that leaves
- * `rest` of each. */
-static number slack_steps(tr_work *w, int corrector, const number level, const number rest)
+/* The predictor's steps. Returns what the corrector aims at (Mehrotra): the cube of what the longest step leaves of the
+ * mean product, but not below `least`. */
+static number predict(tr_work *w, const number product, const number count, const number least)
 {
-    lanes fastest = {0}; /* fall relative to the value */
-    fastest += 1.0 - rest;
-    for (const tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < w->blocks; i++) {
-            const lanes ds = z->there[i] * (z->sign * w->dV[i] + z->residual[i]), of_s = -ds * z->inverse[i];
-            lanes dl = z->l[i] * (of_s - 1.0);
-            if (corrector) dl += TARGET(z, i, level) * z->inverse[i];
-            const lanes of_l = -dl / (z->l[i] + LEAST);
-            z->ds[i] = ds;
-            z->dl[i] = dl;
+    const number whole = {0};
+    lanes fastest = {0}, first = {0}, second = {0}; /* fall relative to the value; parts of the products by the step */
+    fastest += 1.0;
+    for (int i = 0; i < w->blocks; i++)
+        for (const tr_side *z = w->side; z < w->side + 2; z++) {
+            const lanes ds = SLACK_STEP(z, i), of_s = -ds * z->inverse[i], of_l = 1.0 - of_s;
+            const lanes dl = -z->l[i] * of_l, cross = ds * dl;
+            z->cross[i] = cross;
+            first += z->s[i] * dl + z->l[i] * ds;
+            second += cross;
             raise_to(&fastest, &of_s);
             raise_to(&fastest, &of_l);
         }
-    return (1.0 - rest) / largest(&fastest);
+    const number step = longest(&fastest, whole), mean = product / count;
+    const number ratio = (product + step * (total(&first) + step * total(&second))) / product;
+    return at_least(ratio * ratio * ratio * mean, least);
 }
 
-/* What the corrector aims at: the cube of what the predictor leaves of the mean product, but not below `least`. */
-static number centre(const tr_work *w, const number step, const number mean, const number count, const number least)
+/* Gradients of the rows for a step that aims at s l = `level`, less what the predictor's steps add to it. */
+static void aim(tr_work *w, const number level)
 {
-    lanes sum = {0};
-    for (const tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < w->blocks; i++)
-            sum += (z->s[i] + step * z->ds[i]) * (z->l[i] + step * z->dl[i]);
-    const number ratio = total(&sum) / count / mean;
-    return at_least(ratio * ratio * ratio * mean, least);
+    const tr_side *low = w->side, *up = low + 1;
+    for (int i = 0; i < w->blocks; i++)
+        w->y[i] += TARGET(up, i) * up->inverse[i] - TARGET(low, i) * low->inverse[i];
+}
+
+/* The longest part of the corrector's step that leaves `rest` of each slack and multiplier. */
+static number correct(const tr_work *w, const number level, const number rest)
+{
+    lanes fastest = {0};
+    fastest += 1.0 - rest;
+    for (int i = 0; i < w->blocks; i++)
+        for (const tr_side *z = w->side; z < w->side + 2; z++) {
+            const lanes of_s = -SLACK_STEP(z, i) * z->inverse[i];
+            const lanes of_l = -(z->l[i] * (of_s - 1.0) + TARGET(z, i) * z->inverse[i]) / (z->l[i] + LEAST);
+            raise_to(&fastest, &of_s);
+            raise_to(&fastest, &of_l);
+        }
+    return longest(&fastest, rest);
 }
 
 /* Put an array in the place of another one, for the problems that are `chosen`. */
@@ -1710,20 +1733,19 @@ static int solve(const tr_problem *const *all, const tr_options *options, double
     tr_work work, *w = &work;
     tr_course course[ENTRIES];
     const number nothing = {0};
-    number step = {0};
+    number step = {0}, level = {0};
     prepare(w, all, space, watch);
     number count = begin(w);
     w->limited = any(count);
     count = at_least(count, nothing + 1.0);
     for (int e = 0; e < ENTRIES; e++) course[e].best = INFINITY, course[e].since = course[e].ended = 0;
     for (int iterations = 0;; iterations++) {
-        const tr_state now = judge(w);
+        const tr_state now = judge(w, level, step);
         int better[ENTRIES], kept = 0;
         for (int e = 0; e < ENTRIES; e++)
             kept |= better[e] = !course[e].ended && follow(course + e, r[e], options, &now, e, iterations);
         if (kept) keep(w, &now, better);
         if (all_ended(course, &step)) break;
-        aim(w, 0, nothing);
         if (interrupted(watch)) return TR_INTERRUPTED;
         if (factored(w)) return TR_INTERRUPTED;
         for (int e = 0; e < ENTRIES; e++)
@@ -1731,12 +1753,10 @@ static int solve(const tr_problem *const *all, const tr_options *options, double
                 end_with(course + e, r[e], course[e].best <= NEAR ? TR_ACCURACY : TR_BREAKDOWN, iterations);
         if (all_ended(course, &step)) break;
         newton(w, !REPEATED(w->q));
-        number level = {0};
         if (w->limited) {
             const number allowed = options->tolerance * at_least(now.objective, nothing + 1.0);
-            level = slack_steps(w, 0, nothing, nothing);
-            level = centre(w, level, now.complementarity / count, count, LAST_GAP * allowed / count);
-            aim(w, 1, level);
+            level = predict(w, now.complementarity, count, LAST_GAP * allowed / count);
+            aim(w, level);
             newton(w, 0);
         }
         /* Closer to the limits as they matter less: the last iterations then gain more than two digits each. Not with
@@ -1746,7 +1766,7 @@ static int solve(const tr_problem *const *all, const tr_options *options, double
             const double left = NEARNESS * EACH(now.complementarity, e) / fmax(EACH(now.objective, e), 1.0);
             EACH(rest, e) = fmin(FARTHEST, fmax(left, NEAREST));
         }
-        step = slack_steps(w, w->limited, level, rest);
+        step = correct(w, level, rest);
         for (int e = 0; e < ENTRIES; e++)
             if (!course[e].ended && !(EACH(step, e) > SHORTEST))
                 end_with(course + e, r[e], course[e].best <= NEAR ? TR_ACCURACY : TR_STALLED, iterations);
@@ -1761,6 +1781,7 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
 {
     tr_work work, *w = &work;
     tr_course course[ENTRIES];
+    const number nothing = {0};
     number step = {0};
     prepare(w, all, space, watch);
     if (factor(w, 0, NULL) == TR_INTERRUPTED) return TR_INTERRUPTED;
@@ -1773,7 +1794,7 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
         int better[ENTRIES];
         newton(w, 0);
         advance(w, step);
-        const tr_state now = judge(w);
+        const tr_state now = judge(w, nothing, nothing);
         for (int e = 0; e < ENTRIES; e++) {
             double *best = &course[e].best;
             better[e] = !course[e].ended && EACH(now.stationarity, e) < *best;
