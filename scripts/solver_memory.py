@@ -35,6 +35,7 @@ from transopt.solvers.stage_data import Stages, without_limits
 
 SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
 SOURCE = Path(__file__).with_suffix(".c")
+METHOD = sorted((Path(__file__).parents[1] / "transopt/solvers/native").glob("*.c"))
 RECURSIONS = SOURCE.with_name("recursions_memory.c")
 FLAGS = ("-std=c99", "-g1", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra")
 SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -142,20 +143,22 @@ def proved(stages: Stages, answer: extension.Answer, *, bare: bool) -> list[floa
     return [0, 0, p.objective, p.slack + p.residual + p.by_command + p.by_movement + most]
 
 
-def sanitized_or_traced(name: str, source: Path, flags: Sequence[str], given: Sequence[Path], folder: Path) -> str:
+def sanitized_or_traced(
+    name: str, sources: Sequence[Path], flags: Sequence[str], given: Sequence[Path], folder: Path
+) -> str:
     """What a driver prints, compiled with these flags; empty where it ran unclean, which is printed.
 
     Parameters
     ----------
     name : of the run; `valgrind` is run under it.
     """
-    driver = str(folder / f"{source.stem}, {name}")
+    driver = str(folder / f"{sources[0].stem}, {name}")
     compiler = shutil.which("gcc") or shutil.which("cc") or ""
-    subprocess.run([compiler, *FLAGS, *flags, str(source), "-o", driver, "-lm"], check=True)
+    subprocess.run([compiler, *FLAGS, *flags, *map(str, sources), "-o", driver, "-lm"], check=True)
     command = [*(VALGRIND if name == "valgrind" else ()), driver, *map(str, given)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
     if done.returncode:
-        print(f"{source.stem}, {name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+        print(f"{sources[0].stem}, {name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
         return ""
     return done.stdout
 
@@ -186,11 +189,11 @@ def main() -> int:
         data = folder / "problems"
         data.write_bytes(struct.pack("i", len(given)) + b"".join(written(stages) for stages in given))
         solved = {
-            name: pool.submit(sanitized_or_traced, name, SOURCE, (*flags, sizes), [data], folder)
+            name: pool.submit(sanitized_or_traced, name, [SOURCE, *METHOD], (*flags, sizes), [data], folder)
             for name, flags in runs.items()
         }
         summed = {
-            name: pool.submit(sanitized_or_traced, name, RECURSIONS, flags, [], folder)
+            name: pool.submit(sanitized_or_traced, name, [RECURSIONS], flags, [], folder)
             for name, flags in ({"sanitizers": SANITIZED} | traced).items()
         }
         for name, run in solved.items():
