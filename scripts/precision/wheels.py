@@ -102,8 +102,7 @@ def piqp_multistage(qp: QP, setting: Setting) -> Solve:
     solver.setup(P, qp.q, A, qp.l[:m], None, None, None, lower, upper)
 
     def solve() -> Point:
-        solver.update(P=P, c=qp.q, A=A, b=qp.l[:m], x_l=lower, x_u=upper)
-        status = solver.solve()
+        status = solver.solve()  # which begins anew every time
         found = solver.result
         y = np.append(found.y, (found.z_bu - found.z_bl)[qp.boxed])
         return Point(np.array(found.x), y, status.name, int(found.info.iter))

@@ -36,11 +36,11 @@ int tr_paired(const tr_problem *q)
     return q->A[last * n + last] == 1.0;
 }
 
-/* How many of the first problems go side by side with the first one, at most `most`. */
+/* How many of the first problems go side by side with the first one, at most `most`. Long ones would fit no cache. */
 static int alike(const tr_problem *q, int count, int most)
 {
     int found = 1;
-    if (q->states > MOST_STATES_BESIDE || q->nodes || !tr_paired(q)) return 1;
+    if (q->nodes || q->states > MOST_STATES_BESIDE || q->stages > MOST_STAGES_BESIDE || !tr_paired(q)) return 1;
     while (found < count && found < most && tr_paired(q + found)) found++;
     return found;
 }
@@ -75,7 +75,8 @@ static int fits(const tr_problem *q)
 {
     if (q->states < 1 || q->ends < 0 || q->ends > q->states || q->nodes < 0 || q->nodes > MOST_NODES) return 0;
     if (q->states + q->nodes > MOST_STATES || q->rows < (q->nodes > 0) || q->rows > MOST_ROWS) return 0;
-    return q->stages >= 1 && q->outputs >= 1 && q->free_stages >= 0 && q->free_stages <= q->stages;
+    if (q->outputs < 1 || q->outputs > MOST_ROWS) return 0;
+    return q->stages >= 1 && q->free_stages >= 0 && q->free_stages <= q->stages;
 }
 
 /* Whether all problems have the sizes of the first one, up to `A`, and fit this method. */

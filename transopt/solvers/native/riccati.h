@@ -4,7 +4,8 @@
 #include <stddef.h>
 #include <time.h>
 
-enum { MOST_STATES = 96, MOST_NODES = 2, MOST_ROWS = 128, MOST_ENTRIES = 8, MOST_STATES_BESIDE = 32 };
+enum { MOST_STATES = 96, MOST_NODES = 2, MOST_ROWS = 128, MOST_ENTRIES = 8 };
+enum { MOST_STATES_BESIDE = 32, MOST_STAGES_BESIDE = 4096 };
 
 typedef struct {
     int stages, free_stages, states, outputs, ends, rows, nodes;
