@@ -3,19 +3,27 @@
 import time
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
+from transopt.proof.certify import certify
 from transopt.solvers.program import Shape, state_program
 from transopt.solvers.stage_data import stated_rows
 from transopt.solvers.statement import state
 
 REFINEMENTS = 2
+GAP = 1e-8  # of max(J, 1e-3), below which an answer needs no damping
+# On each movement, of the largest weight. Where the system is singular some movements of the command change nothing,
+# and which of them is taken does not matter.
+DAMPINGS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
+DAMPED_STEPS = 30
 
 
 @lru_cache(maxsize=16)
@@ -25,8 +33,23 @@ def pattern(shape: Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int3
     return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
 
 
+def _solved(kkt: Any, right: FloatArray, damped: FloatArray, steps: int) -> FloatArray:
+    """Solution by the factors of the system with something on its diagonal, refined by steps of the proximal point
+    method; NaN where there are no factors.
+    """
+    point = np.zeros(right.size)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the answer
+            factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(kkt + scipy.sparse.diags_array(damped)))
+            for _ in range(1 + steps):
+                point += factors.solve(right - kkt @ point)
+    except RuntimeError:
+        return np.full(right.size, np.nan)
+    return point
+
+
 def solve(problem: TransientProblem) -> Solution:
-    """Solve without the limits; a numerical failure if the system is singular."""
+    """Solve without the limits; a numerical failure if nothing finite comes of it."""
     start = time.perf_counter()
     # What is no box would be an inequality among the rows.
     sums = {row.name for row in stated_rows(problem, linear_stage(problem)) if not row.single}
@@ -40,24 +63,27 @@ def solve(problem: TransientProblem) -> Solution:
     )
     kkt = scipy.sparse.block_array([[H, A.T], [A, None]], format="csc")
     right = np.concatenate([-np.asarray(data["q"]).ravel(), statement.lower_g])
-    point = np.full(right.size, np.nan)
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the answer
-            factors = scipy.sparse.linalg.splu(kkt)
-            point = factors.solve(right)
-            for _ in range(REFINEMENTS):
-                point += factors.solve(right - kkt @ point)
-    except RuntimeError:
-        pass
-    x, by_row = np.split(point, [H.shape[0]])
-    found = bool(np.isfinite(point).all())
-    multipliers = Multipliers.zero(problem)
-    if found:
-        by_rule = statement.multipliers(np.zeros(x.size), by_row).hand_over
-        multipliers = replace(multipliers, hand_over=by_rule)
+    best, least, multipliers = np.full(shape.stages, np.nan), np.inf, Multipliers.zero(problem)
+    for damping in DAMPINGS:
+        damped = np.zeros(right.size)
+        damped[shape.first : H.shape[0]].reshape(-1, shape.variables)[:, 0] = damping * np.abs(H.data).max(
+            initial=1.0
+        )
+        x, by_row = np.split(_solved(kkt, right, damped, DAMPED_STEPS if damping else REFINEMENTS), [H.shape[0]])
+        if not (np.isfinite(x).all() and np.isfinite(by_row).all()):
+            continue
+        command = statement.unclipped(x)
+        stated = replace(
+            Multipliers.zero(problem), hand_over=statement.multipliers(np.zeros(x.size), by_row).hand_over
+        )
+        gap = certify(problem, command, stated).relative_gap
+        if gap < least or np.isnan(best).any():
+            best, least, multipliers = command, gap, stated
+        if least <= GAP:
+            break
     return Solution(
-        status=Status.OPTIMAL if found else Status.NUMERICAL_FAILURE,
-        command=statement.unclipped(x),
+        status=Status.NUMERICAL_FAILURE if np.isnan(best).any() else Status.OPTIMAL,
+        command=best,
         multipliers=multipliers,
         solver="unlimited",
         message="sparse KKT system",

@@ -50,10 +50,8 @@ static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
 {
 #if defined(ONLY_WIDTH)
     const tr_kernel *one = &KERNEL(ONLY_WIDTH, 1);
-#if ONLY_WIDTH > 1
     *taken = alike(q, count, ONLY_WIDTH);
     if (*taken > 1) return &KERNEL(ONLY_WIDTH, ONLY_WIDTH);
-#endif
 #else
     const int four = __builtin_cpu_supports("avx2"), left = q->states % 8;
     const int eight = four && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
