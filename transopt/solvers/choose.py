@@ -27,6 +27,7 @@ __all__ = [
     "check_name",
     "default_solver",
     "global_bound",
+    "one_by_one",
     "prove",
     "prove_all",
     "solve",
@@ -42,6 +43,11 @@ LATE_S = 20.0  # after the time that a method gives itself: it does not come bac
 Method = Callable[[Sequence[TransientProblem], SolverOptions], list[Solution]]
 
 
+def one_by_one(method: Callable[[TransientProblem, SolverOptions], Solution]) -> Method:
+    """A method for any number of problems of one that solves a single one."""
+    return lambda problems, options: [method(problem, options) for problem in problems]
+
+
 def _apart(name: str, method: Callable[[TransientProblem, SolverOptions], Solution]) -> Method:
     """Run a method in a process of its own: a library's native code answers no signal and may not return."""
 
@@ -53,7 +59,7 @@ def _apart(name: str, method: Callable[[TransientProblem, SolverOptions], Soluti
             nothing = np.zeros(problem.grid.stages)
             return Solution(Status.NUMERICAL_FAILURE, nothing, Multipliers.zero(problem), name, str(why), 0, within_s)
 
-    return lambda problems, options: [alone(problem, options) for problem in problems]
+    return one_by_one(alone)
 
 
 @dataclass(frozen=True)

@@ -306,7 +306,7 @@ class TestSideBySide:
 
     @pytest.mark.parametrize("name", SCENES)
     def test_the_answers_are_those_of_each_alone(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
-        """Of harder and easier problems: those that end first wait for the others."""
+        """Harder and easier problems: those that end first wait for the others."""
         whole = hardest(name).without("temperature")
         limits = whole.limits.input_limit * np.linspace(1.0, 0.7, self.BESIDE)
         given = [stages(with_numbers(whole, current_A=limit)) for limit in limits]

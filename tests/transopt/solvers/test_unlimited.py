@@ -185,7 +185,7 @@ def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) ->
 
 
 class TestSparseSystem:
-    """Where the pass falls short, or is not there, the sparse KKT system is solved in a process of its own."""
+    """The sparse KKT system is solved in a process of its own where the pass falls short, or is not there."""
 
     @pytest.mark.parametrize("change", [{"gap": 1e6}, {"gap": float("nan")}, {"code": 4}])
     def test_is_asked_where_the_pass_leaves_a_gap(
