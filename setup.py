@@ -13,6 +13,7 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 FIRMWARE = Path("controller/firmware")
+SOLVER = Path("transopt/solvers/native")
 CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 # By name: Windows exports nothing else, and elsewhere everything is exported.
@@ -70,7 +71,8 @@ if __name__ == "__main__":
         ext_modules=[
             Extension(
                 "transopt.solvers.native._riccati",
-                ["transopt/solvers/native/riccati.c"],
+                sorted(path.as_posix() for path in SOLVER.glob("*.c")),
+                depends=[path.as_posix() for path in SOLVER.glob("*.h")],
                 export_symbols=SOLVER_CALLS,
                 optional=True,
             ),

@@ -1,15 +1,16 @@
 /* Runs the interior point on problems from a file, every array in memory of its exact size: for sanitizers and valgrind.
  *
  * Written by solver_memory.py: count, then per problem the integers and numbers of tr_problem in its order, the lengths
- * of its arrays, the arrays. Prints per problem and entry point: code, iterations, objective, sum of the commands; of a
- * proof, without and with multipliers, the sum of what it bounds in place of the commands.
+ * of its arrays, the arrays. Every problem is solved BESIDE times side by side with itself. Prints per answer: code,
+ * iterations, objective, sum of the commands; of a proof, without and with multipliers, the sum of what it bounds in
+ * place of the commands.
  */
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "../transopt/solvers/native/riccati.c"
+#include "../transopt/solvers/native/riccati.h"
 
-enum { INTEGERS = 9, ARRAYS = 20, NUMBERS = 6 };
+enum { INTEGERS = 9, ARRAYS = 20, NUMBERS = 6, BESIDE = 9 };
 
 static void read_or_stop(void *into, size_t size, size_t count, FILE *file)
 {
@@ -26,8 +27,9 @@ static double *doubles(size_t count)
     return found;
 }
 
-static void tell(const char *what, int code, const tr_result *r, int stages)
+static void tell(const char *what, const tr_result *r, int stages)
 {
+    const int code = r->code;
     double sum = 0.0;
     for (int k = 0; k < stages; k++) sum += r->command[k];
     printf("%s %d %d %.17g %.17g\n", what, code, r->iterations, code < TR_ITERATION_LIMIT ? r->objective : 0.0, sum);
@@ -37,7 +39,7 @@ static void tell(const char *what, int code, const tr_result *r, int stages)
 static void tell_proof(const tr_problem *q, const tr_result *r)
 {
     const size_t N = (size_t)q->stages, rows = N * (size_t)q->rows;
-    double *workspace = doubles(tr_workspace(q)), *excess = doubles((size_t)q->rows), most = 0.0;
+    double *workspace = doubles(tr_workspace(1, q)), *excess = doubles((size_t)q->rows), most = 0.0;
     double *by_lower = doubles(rows), *by_upper = doubles(rows), *by_rule = doubles(N - (size_t)q->free_stages);
     double *lower = doubles(rows), *upper = doubles(rows);
     for (size_t i = 0; i < rows; i++) {
@@ -48,7 +50,7 @@ static void tell_proof(const tr_problem *q, const tr_result *r)
     for (int with = 0; with < 2; with++) {
         tr_proof proof = {r->command, with ? by_lower : NULL, with ? by_upper : NULL, by_rule, lower, upper, excess,
                           0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
-        const int code = tr_prove(q, workspace, &proof);
+        const int code = tr_prove(1, q, workspace, &proof);
         for (int i = 0; i < q->rows; i++) most = excess[i] > most ? excess[i] : most;
         printf("%s %d 0 %.17g %.17g\n", with ? "proof" : "bare", code, code ? 0.0 : proof.objective,
                code ? 0.0 : proof.slack + proof.residual + proof.by_command + proof.by_movement + most);
@@ -75,26 +77,33 @@ static void run(FILE *file)
                     numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5]};
     const size_t N = (size_t)q.stages, rows = (N + 1) * (size_t)q.rows;
     const tr_options options = {60, 1e-9, NULL};
-    tr_result r = {doubles(N), doubles(N), doubles(rows), doubles(rows), doubles(N), doubles((size_t)q.nodes),
-                   0, 0.0, 0.0, 0.0};
-    /* A result that is not written, as of a breakdown at once, is zero as from Python. */
-    for (size_t k = 0; k < N; k++) r.command[k] = 0.0;
-    double *workspace = doubles(tr_workspace(&q));
-    const int code = tr_solve(&q, &options, workspace, &r);
-    tell("solve", code, &r, q.stages);
+    tr_problem beside[BESIDE];
+    tr_result r[BESIDE];
+    for (int i = 0; i < BESIDE; i++) {
+        const tr_result empty = {doubles(N), doubles(N), doubles(rows), doubles(rows), doubles(N), doubles((size_t)q.nodes),
+                                 0, 0, 0.0, 0.0, 0.0};
+        beside[i] = q;
+        r[i] = empty;
+        /* A result that is not written, as of a breakdown at once, is zero as from Python. */
+        for (size_t k = 0; k < N; k++) r[i].command[k] = 0.0;
+    }
+    double *workspace = doubles(tr_workspace(BESIDE, beside));
+    tr_solve(BESIDE, beside, &options, workspace, r);
+    /* Limits that are none are told once. */
+    for (int i = 0; i < (r[0].code == TR_NO_BOUNDS ? 1 : BESIDE); i++) tell("solve", r + i, q.stages);
     free(workspace);
-    if (!q.nodes && code <= TR_ACCURACY) tell_proof(&q, &r);
+    if (!q.nodes && r->code <= TR_ACCURACY) tell_proof(&q, r);
     if (!q.rows && !q.nodes) {
-        workspace = doubles(tr_workspace(&q));
-        for (int factored = 0; factored < 2; factored++) {
-            const int linear = tr_linear(&q, &options, factored, workspace, &r);
-            tell(factored ? "again" : "linear", linear, &r, q.stages);
-            if (linear > TR_ACCURACY) break;
-        }
+        workspace = doubles(tr_workspace(1, &q));
+        tr_linear(1, &q, &options, workspace, r);
+        tell("linear", r, q.stages);
         free(workspace);
     }
     for (int i = 0; i < ARRAYS; i++) free(arrays[i]);
-    free(r.command), free(r.size), free(r.lower), free(r.upper), free(r.gradient), free(r.start);
+    for (int i = 0; i < BESIDE; i++) {
+        free(r[i].command), free(r[i].size), free(r[i].gradient), free(r[i].start);
+        free(r[i].lower), free(r[i].upper);
+    }
 }
 
 int main(int argc, char **argv)

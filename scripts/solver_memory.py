@@ -35,12 +35,14 @@ from transopt.solvers.stage_data import Stages, without_limits
 
 SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
 SOURCE = Path(__file__).with_suffix(".c")
+METHOD = sorted((Path(__file__).parents[1] / "transopt/solvers/native").glob("*.c"))
 RECURSIONS = SOURCE.with_name("recursions_memory.c")
 FLAGS = ("-std=c99", "-g1", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra")
 SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 VALGRIND = ("valgrind", "--quiet", "--leak-check=full", "--error-exitcode=9")
 TOLERANCE = 1e-9  # relative, between compilations; strict IEEE makes it zero on most machines
 MISSING = 3
+BESIDE = 9  # times that a problem is solved side by side with itself: a whole register of it, and one alone
 
 
 def hardest(name: str) -> TransientProblem:
@@ -115,54 +117,48 @@ def solving(given: Sequence[Stages]) -> str:
 
 def expected(stages: Stages) -> list[list[float]]:
     """What the installed extension says of a problem, as the driver prints it."""
-    buffers = extension.Buffers(stages.sizes)
     try:
-        answer = extension.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)
+        (answer,) = extension.interior_points([stages], tolerance=1e-9, max_iterations=60)
     except InputError:
         return [[extension.NO_BOUNDS, 0, 0.0, 0.0]]
-    answers, sums, proofs = [answer], [buffers.command.sum()], list[list[float]]()
+    answers, proofs = [answer] * BESIDE, list[list[float]]()
     if not stages.sizes["nodes"] and answer.code <= extension.ACCURACY:
-        proofs = [proved(stages, buffers, bare=bare) for bare in (True, False)]
+        proofs = [proved(stages, answer, bare=bare) for bare in (True, False)]
     if not stages.sizes["rows"] and not stages.sizes["nodes"]:
-        run = extension.LinearPass(stages)
-        for _ in range(2):
-            answers.append(run.solve(1e-9))
-            sums.append(run.buffers.command.sum())
-            if answers[-1].code > extension.ACCURACY:
-                break
+        answers += extension.linear_passes([stages], 1e-9)
     told = [
-        [a.code, a.iterations, a.objective if a.code <= extension.ACCURACY else 0.0, total]
-        for a, total in zip(answers, sums, strict=True)
+        [a.code, a.iterations, a.objective if a.code <= extension.ACCURACY else 0.0, a.command.sum()] for a in answers
     ]
-    return [told[0], *proofs, *told[1:]]
+    return [*told[:BESIDE], *proofs, *told[BESIDE:]]
 
 
-def proved(stages: Stages, buffers: extension.Buffers, *, bare: bool) -> list[float]:
-    """What the installed extension proves of the answer in the buffers; `bare`, without multipliers of the rows."""
-    N, rule = stages.sizes["stages"], -buffers.gradient[stages.sizes["free_stages"] :]
+def proved(stages: Stages, answer: extension.Answer, *, bare: bool) -> list[float]:
+    """What the installed extension proves of an answer; `bare`, without multipliers of the rows."""
+    N, rule = stages.sizes["stages"], -answer.gradient[stages.sizes["free_stages"] :]
     own = np.ascontiguousarray([stages.arrays[name].reshape(N + 1, -1)[:N] for name in ("lower", "upper")])
     stages = replace(stages, limits=replace(stages.limits, asked=own)) if stages.sizes["rows"] else stages
-    by_row = None if bare else (buffers.lower[:N].copy(), buffers.upper[:N].copy())
-    p = extension.prove(stages, buffers.command, by_row, rule)
-    assert p is not None
+    by_row = None if bare else (answer.lower[:N].copy(), answer.upper[:N].copy())
+    (p,) = extension.prove([extension.Judged(stages, answer.command, by_row, rule)])
     most = max(float(p.excess.max(initial=0.0)), 0.0)
     return [0, 0, p.objective, p.slack + p.residual + p.by_command + p.by_movement + most]
 
 
-def sanitized_or_traced(name: str, source: Path, flags: Sequence[str], given: Sequence[Path], folder: Path) -> str:
+def sanitized_or_traced(
+    name: str, sources: Sequence[Path], flags: Sequence[str], given: Sequence[Path], folder: Path
+) -> str:
     """What a driver prints, compiled with these flags; empty where it ran unclean, which is printed.
 
     Parameters
     ----------
     name : of the run; `valgrind` is run under it.
     """
-    driver = str(folder / f"{source.stem}, {name}")
+    driver = str(folder / f"{sources[0].stem}, {name}")
     compiler = shutil.which("gcc") or shutil.which("cc") or ""
-    subprocess.run([compiler, *FLAGS, *flags, str(source), "-o", driver, "-lm"], check=True)
+    subprocess.run([compiler, *FLAGS, *flags, *map(str, sources), "-o", driver, "-lm"], check=True)
     command = [*(VALGRIND if name == "valgrind" else ()), driver, *map(str, given)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
     if done.returncode:
-        print(f"{source.stem}, {name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+        print(f"{sources[0].stem}, {name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
         return ""
     return done.stdout
 
@@ -193,11 +189,11 @@ def main() -> int:
         data = folder / "problems"
         data.write_bytes(struct.pack("i", len(given)) + b"".join(written(stages) for stages in given))
         solved = {
-            name: pool.submit(sanitized_or_traced, name, SOURCE, (*flags, sizes), [data], folder)
+            name: pool.submit(sanitized_or_traced, name, [SOURCE, *METHOD], (*flags, sizes), [data], folder)
             for name, flags in runs.items()
         }
         summed = {
-            name: pool.submit(sanitized_or_traced, name, RECURSIONS, flags, [], folder)
+            name: pool.submit(sanitized_or_traced, name, [RECURSIONS], flags, [], folder)
             for name, flags in ({"sanitizers": SANITIZED} | traced).items()
         }
         for name, run in solved.items():

@@ -194,7 +194,8 @@ def build_extension(root: Path, width: int) -> None:
     """Compile the solver's extension into a copy of the checkout."""
     command = [*compiler().command, "-shared", "-fPIC", *EXTENSION_FLAGS, f"-DONLY_WIDTH={width}"]
     native = root / "transopt/solvers/native"
-    subprocess.run([*command, "riccati.c", "-o", EXTENSION, "-lm"], cwd=native, check=True)
+    sources = sorted(path.name for path in native.glob("*.c"))
+    subprocess.run([*command, *sources, "-o", EXTENSION, "-lm"], cwd=native, check=True)
 
 
 @contextmanager

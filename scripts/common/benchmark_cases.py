@@ -11,6 +11,9 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
+from precision.methods import Setting
+from precision.qp import project_multipliers, quadratic_program
+from precision.wheels import piqp_multistage
 
 import problems
 from common.measuring import elapsed_ms, forget, timed
@@ -53,6 +56,7 @@ WIDE = {
 REPEATS = "recordings.simulated.repeats"
 ONLINE_TAPS = 1000
 STAGES = 800  # of the default scene
+BESIDE = 8  # entries: as many as the widest registers take
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,8 @@ def row(
     violation: float = float("nan"),
 ) -> Row:
     q25, median, q75 = np.percentile(times_ms, [25, 50, 75])
-    version = metadata.version("casadi") if method.startswith(("casadi", "opti")) else metadata.version("transopt")
+    package = "piqp" if method == "piqp" else "casadi" if method.startswith(("casadi", "opti")) else "transopt"
+    version = metadata.version(package)
     return Row(case, method, version, options, 1, stages, setup_ms, median, q25, q75, times_ms.size, gap, violation)
 
 
@@ -149,6 +154,32 @@ def unlimited_solver(
     name: str, options: str, method: Callable[[TransientProblem], Solution], problem: TransientProblem
 ) -> Peer:
     return reused(name, f"{options}: {method(problem).message}", lambda: method(problem), problem)
+
+
+def direct_piqp(problem: TransientProblem) -> Peer:
+    """PIQP's own interface in this process, on a QP that has been stated and set up."""
+    start = time.perf_counter()
+    qp = quadratic_program("saturated", problem)
+    run = piqp_multistage(qp, Setting("", SolverOptions().tolerance))
+    point = run()
+    setup_ms = max(1e3 * (time.perf_counter() - start) - elapsed_ms(run), 0.0)
+    assert point.y is not None
+    proof = certify(problem, qp.command(point.x), project_multipliers(problem, qp, point.y))
+    return Peer("piqp", "sparse_multistage, direct", run, setup_ms, proof.relative_gap, proof.primal_violation)
+
+
+def side_by_side(problem: TransientProblem) -> Peer:
+    """The own method on eight entries at once."""
+    several = [problem] * BESIDE
+
+    def run() -> list[Solution]:
+        return riccati.solve(several, SolverOptions())
+
+    answer = run()[0]
+    proof = certify(problem, answer.command, answer.multipliers)
+    return Peer(
+        f"riccati, {BESIDE} side by side", "all of them", run, 0.0, proof.relative_gap, proof.primal_violation
+    )
 
 
 def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
@@ -279,58 +310,35 @@ def anew(library: Library) -> list[Row]:
     return found
 
 
-def cached_pass(problem: TransientProblem) -> Peer:
-    """The linear pass when its gains are there: stage data and factorisation are its set-up."""
-    start = time.perf_counter()
-    run = extension.LinearPass(without_limits(problem))
-    run.solve(unlimited.GAP)
-    setup_ms = 1e3 * (time.perf_counter() - start)
-    proof = certify(problem, run.command(), replace(Multipliers.zero(problem), hand_over=run.hand_over()))
-
-    def again() -> None:
-        run.solve(unlimited.GAP)
-        run.command()
-
-    name, options = "riccati-pass, gains kept", "the same device and weight again, any reference"
-    return Peer(name, options, again, setup_ms, proof.relative_gap, proof.primal_violation)
-
-
 @dataclass(frozen=True)
 class Iterations:
-    """What an iteration of the own method takes beside its parts, all in C [ms].
+    """What an iteration of the own method takes beside a linear pass, all in C [ms].
 
     Attributes
     ----------
-    factorisation, vector_solve : of the linear pass, which has no rows: backward with the gains and forward is one.
+    linear_pass : one factorisation, backward and forward with its gains, and backward for the proof; without rows.
     """
 
     count: int
     each: float
-    factorisation: float
-    vector_solve: float
+    linear_pass: float
 
     @property
     def ratio(self) -> float:
-        """Ratio of an iteration to one factorisation and two vector solves; the bound is 2."""
-        return self.each / (self.factorisation + 2 * self.vector_solve)
+        """Ratio of an iteration, which has two vector solves and the rows, to a linear pass; the bound is 2."""
+        return self.each / self.linear_pass
 
 
 def iterations(problem: TransientProblem, runs: int) -> Iterations:
-    given, run = riccati.stages(problem), extension.LinearPass(without_limits(problem))
-    buffers = extension.Buffers(given.sizes)
+    given, bare = riccati.stages(problem), without_limits(problem)
 
     def whole() -> extension.Answer:
-        return extension.interior_point(given, buffers, tolerance=1e-9, max_iterations=250)
+        return extension.interior_points([given], tolerance=1e-9, max_iterations=250)[0]
 
-    def from_scratch() -> None:
-        run.forget()
-        run.solve(unlimited.GAP)
-
-    times = timed(runs, whole=whole, fresh=from_scratch, kept=lambda: run.solve(unlimited.GAP))
-    whole_ms, fresh_ms, kept_ms = (float(np.median(times[name])) for name in ("whole", "fresh", "kept"))
+    times = timed(runs, whole=whole, linear=lambda: extension.linear_passes([bare], unlimited.GAP))
+    whole_ms, linear_ms = (float(np.median(times[name])) for name in ("whole", "linear"))
     count = whole().iterations
-    # A pass with its gains kept is backward, forward, and backward once more for its proof.
-    return Iterations(count, whole_ms / count, fresh_ms - kept_ms, kept_ms / 1.5)
+    return Iterations(count, whole_ms / count, linear_ms)
 
 
 def servo_and_simulator(library: Library, runs: int) -> Row:

@@ -176,7 +176,7 @@ def baselines() -> list[Method]:
 
     def clipped(case: Case, setting: Setting) -> Prepared:
         def run() -> Answer:
-            free = unlimited.solve(case.small)
+            free = unlimited.solve([case.small])[0]
             limit = case.problem.limits.input_limit
             return Answer(clipped_optimum(case.problem.stage, case.problem.grid, free.command, limit), "clipped")
 

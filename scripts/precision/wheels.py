@@ -87,21 +87,22 @@ def hpipm() -> Method:
 # ------------------------------------------------------------------------------------------------ the extra's
 
 
-def _piqp(qp: QP, setting: Setting) -> Solve:
+def piqp_multistage(qp: QP, setting: Setting) -> Solve:
+    """PIQP called directly, with its factorisation for problems that are ordered by stages."""
     import piqp
 
     P, A, m = sparse.csc_matrix(qp.P), sparse.csc_matrix(qp.A[: qp.rows]), qp.rows
     lower, upper = qp.bounds()
     solver = piqp.SparseSolver()
     solver.settings.num_threads = 1
+    solver.settings.kkt_solver = piqp.KKTSolver.sparse_multistage
     if np.isfinite(setting.tolerance):
         solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = setting.tolerance
         solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.0
     solver.setup(P, qp.q, A, qp.l[:m], None, None, None, lower, upper)
 
     def solve() -> Point:
-        solver.update(P=P, c=qp.q, A=A, b=qp.l[:m], x_l=lower, x_u=upper)
-        status = solver.solve()
+        status = solver.solve()  # which begins anew every time
         found = solver.result
         y = np.append(found.y, (found.z_bu - found.z_bl)[qp.boxed])
         return Point(np.array(found.x), y, status.name, int(found.info.iter))
@@ -214,7 +215,10 @@ def _daqp(qp: QP, setting: Setting) -> Solve:
 def wheels() -> tuple[list[Method], list[str]]:
     """Methods of the `bench` extra that are installed, and the names of those that are not."""
     sweeps = {
-        "piqp": (_piqp, sweep("own defaults, sparse", (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12), 1e-12, "eps")),
+        "piqp": (
+            piqp_multistage,
+            sweep("own defaults, multistage", (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12), 1e-12, "eps"),
+        ),
         "clarabel": (_clarabel, sweep("own defaults", (1e-2, 1e-4, 1e-6, 1e-10, 1e-12), 1e-12, "tol")),
         "osqp": (_osqp, sweep("own defaults (1e-3)", (1e-4, 1e-5, 1e-6, 1e-8), 1e-8, "eps", ", polished")),
         "daqp": (_daqp, sweep("own defaults, condensed", (1e-10,), 1e-10, "condensed, primal_tol")),

@@ -37,6 +37,7 @@ from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
+from transopt.solvers.side_by_side import alone
 from transopt.solvers.statement import Statement, state
 
 ASKED_dB = 0.02  # how near to the energy asked for an entry has to come
@@ -165,7 +166,7 @@ def entries(scene: Scene, current_A: float, starts: int, seed: int) -> list[Foun
     for grip in changed.grid.grips_N:
         for speed in changed.grid.speeds_m_s:
             problem = replace(context.posed(speed, grip).problem, intensity_dB=0.0)
-            found.append(_found(intense(problem, SolverOptions()), current_A, speed, grip, starts, rng))
+            found.append(_found(alone(intense(problem, SolverOptions())), current_A, speed, grip, starts, rng))
     return found
 
 
@@ -182,7 +183,7 @@ def _found(
         return problem.yardstick.tap_error(problem.target, made), levels(made, r, dt_s).pacinian_dB
 
     tap_error, pacinian_dB = figures(designed.solution.command)
-    wave = intense(replace(problem, intensity=0.0, intensity_dB=-300.0), SolverOptions())
+    wave = alone(intense(replace(problem, intensity=0.0, intensity_dB=-300.0), SolverOptions()))
     wave_tap_error, wave_pacinian_dB = figures(wave.solution.command)
     least, met = rival(designed, starts, rng) if starts and attained.problems > 1 else (float("nan"), 0)
     return Found(

@@ -34,11 +34,13 @@ from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.side_by_side import together
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
 
 
+SOLVED_TOGETHER = 64  # entries, at least one grip: more would only keep more memory
 # Courses of a reference that a library has of every cell under the same name.
 CELLS = tuple(name for name in COURSES if name != "nominal_position_at_ticks_m")
 
@@ -102,7 +104,8 @@ class Build:
     def trade_offs(self) -> list[TradeOff]:
         """Waveform against intensity of every entry that a limit cuts; solved when it is first asked for."""
         options = SolverOptions(self.solver)
-        return [found for entry in self.all_entries() if (found := trade_off(entry, options)) is not None]
+        found = together([trade_off(entry, options) for entry in self.all_entries()])
+        return [each for each in found if each is not None]
 
     @one_blas_thread()
     def between_nodes(self, points: Iterable[Point]) -> list[OffNode]:
@@ -208,12 +211,17 @@ def build_library(
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
         context = context.varied(scene)
+    rows, grips = scene.axes.rows, scene.grid.grips_N
     columns: list[list[Entry]] = []
-    for grip in scene.grid.grips_N:
-        columns.append(design([context.posed(v, grip, target) for v, target in scene.axes.rows], options=options))
-        # An entry is replayed here, before its progress is told.
-        progress(len([entry.played for entry in columns[-1]]))
-    entries = [[column[i] for column in columns] for i in range(len(scene.axes.rows))]
+    some = max(SOLVED_TOGETHER // len(rows), 1)
+    for first in range(0, len(grips), some):
+        posed = [context.posed(v, grip, target) for grip in grips[first : first + some] for v, target in rows]
+        designed = design(posed, options=options)
+        for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
+            # An entry is replayed here, before its progress is told.
+            progress(len([entry.played for entry in column]))
+            columns.append(column)
+    entries = [[column[i] for column in columns] for i in range(len(rows))]
     if not scene.nonlinear:
         entries = with_remedies(context, entries, options)
     cool = _cool(context, entries, options)

@@ -13,6 +13,7 @@ from transopt.design.context import Posed
 from transopt.design.intensity import best
 from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.side_by_side import Search
 
 CLOSE = 2e-3  # relative, between the heat that is asked for and the heat attained: less than a coil's estimate knows
 MOST_PROBLEMS = 24
@@ -36,8 +37,8 @@ def heat_of(designed: Designed) -> float:
     return float(current @ current)
 
 
-def at_share_of_heat(posed: Posed, first: Designed, share: float, options: SolverOptions) -> Designed:
-    """The optimum with no more than a share of the heat of the first answer.
+def at_share_of_heat(posed: Posed, first: Designed, share: float, options: SolverOptions) -> Search[Designed]:
+    """Search for the optimum with no more than a share of the heat of the first answer.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def at_share_of_heat(posed: Posed, first: Designed, share: float, options: Solve
     price = max(FIRST / whole, 2 * warm.price)
     for _ in range(MOST_PROBLEMS):
         problem = replace(posed.problem.within(first.problem.parts), heat_price=price)
-        designed = best(problem, options, objective=posed.objective)
+        designed = yield from best(problem, options, objective=posed.objective)
         spent_s += designed.solution.solve_time_s
         heat = heat_of(designed)
         if not (designed.is_proven and heat > 0):

@@ -10,6 +10,7 @@ from transopt.design.entry import Entry
 from transopt.design.intensity import best
 from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.side_by_side import Search, together
 
 
 @one_blas_thread()
@@ -22,8 +23,9 @@ def design(
 ) -> list[Entry]:
     """Design entries: each solved and proven; replayed, admitted and told when they are first read.
 
-    Problems of the same device are replayed by one simulation. What only some readers ask of an entry, as its prices
-    or the errors of the other methods, is made when it is read (`transopt.design.entry`).
+    Problems of equal sizes are solved side by side, and those of the same device are replayed by one simulation. What
+    only some readers ask of an entry, as its prices or the errors of the other methods, is made when it is read
+    (`transopt.design.entry`).
 
     Parameters
     ----------
@@ -38,19 +40,13 @@ def design(
     The entries in the order of the problems.
     """
     options = SolverOptions() if options is None else options
-    solved: dict[int, Designed] = {}
-    for number, posed in enumerate(problems):
-        try:
-            solved[number] = _solved(posed, options)
-        except Exception as error:
-            if failed is None:
-                raise
-            failed(posed, error)
+    found = together([_solved(posed, options, failed) for posed in problems])
+    solved = {number: designed for number, designed in enumerate(found) if designed is not None}
     entries: dict[int, Entry] = {}
-    together: dict[tuple[object, ...], list[int]] = {}
+    played: dict[tuple[object, ...], list[int]] = {}
     for number, designed in solved.items():
-        together.setdefault(_played_with(problems[number], designed), []).append(number)
-    for numbers in together.values():
+        played.setdefault(_played_with(problems[number], designed), []).append(number)
+    for numbers in played.values():
         first = problems[numbers[0]]
         told = [problems[n].told or solved[n].problem.target for n in numbers]
         batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, told, with_rivals=rivals)
@@ -61,15 +57,23 @@ def design(
     return [entries[number] for number in sorted(entries)]
 
 
-def _solved(posed: Posed, options: SolverOptions) -> Designed:
-    if posed.warmer is not None:
-        return at_share_of_heat(posed, posed.warmer, posed.cool_share, options)
-    if posed.plant is None:
-        return best(posed.problem, options, objective=posed.objective)
-    # IPOPT is loaded for a nonlinear plant alone.
-    from transopt.design.nonlinear import nonlinear_optimum
+def _solved(
+    posed: Posed, options: SolverOptions, failed: Callable[[Posed, Exception], None] | None
+) -> Search[Designed | None]:
+    try:
+        if posed.warmer is not None:
+            return (yield from at_share_of_heat(posed, posed.warmer, posed.cool_share, options))
+        if posed.plant is None:
+            return (yield from best(posed.problem, options, objective=posed.objective))
+        # IPOPT is loaded for a nonlinear plant alone.
+        from transopt.design.nonlinear import nonlinear_optimum
 
-    return nonlinear_optimum(posed, options)
+        return nonlinear_optimum(posed, options)
+    except Exception as error:
+        if failed is None:
+            raise
+        failed(posed, error)
+        return None
 
 
 def _played_with(posed: Posed, designed: Designed) -> tuple[object, ...]:

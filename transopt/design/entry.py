@@ -32,6 +32,7 @@ from transopt.proof.replay import Replay
 from transopt.solvers import unlimited
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import Size, size
+from transopt.solvers.side_by_side import alone
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
@@ -120,7 +121,7 @@ class Entry(Answered):
         free = self.designed.unlimited_command
         if self.problem.intensity > 0:
             # A price on intensity moves that optimum; the floor is that of the waveform alone.
-            free = unlimited.solve(self.problem.without_intensity()).command
+            free = unlimited.solve([self.problem.without_intensity()])[0].command
         return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(free)[0])
 
     @property
@@ -170,7 +171,7 @@ class Entry(Answered):
             return None
         # Made for the node alone, and asked for the same.
         with one_blas_thread():
-            nominal = best(self.problem.alone(), self.options, objective=self.objective).solution.command
+            nominal = alone(best(self.problem.alone(), self.options, objective=self.objective)).solution.command
         return _spread_errors(self.problem, nominal, self.solution.command)
 
     @cached_property

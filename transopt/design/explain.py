@@ -132,7 +132,7 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
     """
     if solve(problem.without(*problem.nonlinear), options).status is not Status.INFEASIBLE:
         return []
-    free = unlimited.solve(problem).command
+    free = unlimited.solve([problem])[0].command
     motion = problem.stage.motion(free)
     values = boxes(problem, free, motion, Multipliers.zero(problem))
     peaks = {limit.name: max(box.peak for box in values if box.limit.name == limit.name) for limit in linear}

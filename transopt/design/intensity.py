@@ -16,11 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt.design.optimum import optimum
+from transopt.design.optimum import seek
 from transopt.design.worst import least_worst
 from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Attained, Designed, TOLERANCE_dB
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.side_by_side import Search
 
 MOST = 0.99  # of the smallest tracking weight, and of 1
 MOST_PROBLEMS = 14
@@ -52,16 +53,16 @@ def most_price(problem: TransientProblem) -> float:
     return MOST * min(1.0, float(problem.terms[-1].weights.min()))
 
 
-def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
-    """The optimum with at least the energy that `problem.intensity_dB` asks for, of those that a price on it finds.
+def intense(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
+    """Search for the optimum with the energy that `problem.intensity_dB` asks for, of those that a price on it finds.
 
     Floor, unlimited optimum and its peak stay those of J. The certificate is that of L at the lam that was found;
     what the search leaves of the energy is stated in dB (`Designed.attained`), never in the gap.
     """
-    first = optimum(problem.without_intensity(), options)
+    first = yield from seek(problem.without_intensity(), options)
     if not first.is_proven or problem.reference_is_zero:
         return first
-    found, problems, spent_s = _search(problem.within(first.problem.parts), first, options)
+    found, problems, spent_s = yield from _search(problem.within(first.problem.parts), first, options)
     wave = _tried(0.0, first)
     attained = Attained(
         asked_dB=problem.intensity_dB,
@@ -82,14 +83,14 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
     )
 
 
-def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -> Designed:
-    """The optimum of a scene's objective: "waveform" minimises J, "intensity" asks for the energy of the tap too.
+def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -> Search[Designed]:
+    """Search for the optimum of a scene's objective: "waveform" minimises J, "intensity" asks for energy too.
 
     Where the worst of a spread of devices is asked for, that is what is least.
     """
     if problem.worst:
         return least_worst(problem, options)
-    return intense(problem, options) if objective == "intensity" else optimum(problem, options)
+    return (yield from (intense if objective == "intensity" else seek)(problem, options))
 
 
 def _tried(lam: float, designed: Designed) -> _Tried:
@@ -133,7 +134,7 @@ class _Bracket:
             self.high, self.is_open = lam, False
 
 
-def _search(problem: TransientProblem, first: Designed, options: SolverOptions) -> tuple[_Tried, int, float]:
+def _search(problem: TransientProblem, first: Designed, options: SolverOptions) -> Search[tuple[_Tried, int, float]]:
     """The lam that was found with its answer, how many problems were solved, and the time of their solvers."""
     asked_dB = problem.intensity_dB
 
@@ -152,7 +153,7 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
             ends = [each for each in tried if each.lam in (bracket.low, bracket.high)]
             lam = bracket.halfway if len(ends) < 2 else _next(ends, asked_dB)
         lam = bracket.inside(lam)
-        designed = optimum(replace(problem, intensity=lam), options)
+        designed = yield from seek(replace(problem, intensity=lam), options)
         problems += 1
         spent_s += designed.solution.solve_time_s
         if not designed.is_proven:

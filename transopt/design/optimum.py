@@ -19,9 +19,10 @@ from transopt.proof.admit import stated_wall, unstable_wall
 from transopt.proof.certify import Effect, certify, gradient_rounding, inside
 from transopt.proof.designed import Designed
 from transopt.solvers import unlimited
-from transopt.solvers.choose import prove, solve, solve_certified
+from transopt.solvers.choose import prove, prove_all, solve, solve_certified
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.prove import certified
+from transopt.solvers.prove import certificates, certified
+from transopt.solvers.side_by_side import Ask, Search, alone
 
 NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
 KEPT = 1e-3  # of what is tolerated of limits and hand-over: less is rounding
@@ -31,6 +32,11 @@ STEADIER = 1e-3  # weight of the movement, that of a scene which states none, un
 
 
 def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """What `seek` finds for one entry alone."""
+    return alone(seek(problem, options))
+
+
+def seek(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
     """Solve one entry, leaving out what it does not need.
 
     With a wall the ticks at which it pushes are first taken from the reference's motion, then from the answer's,
@@ -39,10 +45,10 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     if problem.reference_is_zero:
         return _silent(problem, options)
     if problem.wall is None:
-        return _explained(_solved(problem, options), options)
+        return _explained((yield from _solved(problem, options)), options)
     first = None
     for course in _courses(problem):
-        designed, settled = _settled(pressing(problem, course), options)
+        designed, settled = yield from _settled(pressing(problem, course), options)
         if settled or designed.remarks:
             return designed
         first = designed if first is None else first
@@ -60,7 +66,7 @@ def _courses(problem: TransientProblem) -> Iterator[FloatArray]:
         yield encoder_course(*silence(problem))
 
 
-def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
+def _settled(problem: TransientProblem, options: SolverOptions) -> Search[tuple[Designed, bool]]:
     """The optimum with the wall pressing where its own answer makes it press, and whether that was found.
 
     The ticks are taken from the answer again and again; the search ends where they come back to what was tried, and
@@ -68,7 +74,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
     """
     spent, tried = 0.0, {_mask(problem)}
     for _ in range(MOST_MASKS):
-        designed = _solved(problem, options)
+        designed = yield from _solved(problem, options)
         spent += designed.solution.solve_time_s
         designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
         if not designed.is_proven:
@@ -115,11 +121,11 @@ def _flat(designed: Designed, options: SolverOptions) -> Designed:
     problem, answer = designed.problem, replace(designed.solution, status=Status.PRECISION)
     gap = f"precision: the gap of {designed.certificate.relative_gap:.1e}, limit {Certificate.GAP_TOLERANCE:.0e},"
     if problem.rho < STEADIER:
-        found = _solved(replace(problem, rho=STEADIER), options)
+        found = alone(_solved(replace(problem, rho=STEADIER), options))
         if found.is_proven and found.certificate.accepted:
             said = f"{gap} is what double precision leaves where J hardly depends on some movements of the command"
             return replace(designed, solution=answer, remarks=[said])
-    free = unlimited.solve(problem)
+    free = unlimited.solve([problem])[0]
     left = certify(problem, free.command, free.multipliers).relative_gap
     if left <= Certificate.GAP_TOLERANCE:
         return designed
@@ -210,12 +216,12 @@ def _hand_over_excess(problem: TransientProblem) -> str:
     )
 
 
-def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
+def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
     """The optimum with the wall's ticks fixed, limits on outputs stated at as many instants as it takes."""
-    designed = _at_its_instants(problem, options)
+    designed = yield from _at_its_instants(problem, options)
     spent = designed.solution.solve_time_s
     while not options.brief and (parts := finer(designed)):
-        again = _at_its_instants(designed.problem.within(parts), options)
+        again = yield from _at_its_instants(designed.problem.within(parts), options)
         spent += again.solution.solve_time_s
         if not again.is_proven:
             # Whether any command keeps the limits is told with the smaller margin.
@@ -228,11 +234,11 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     return replace(designed, solution=replace(designed.solution, solve_time_s=spent), left_out=left_out)
 
 
-def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Designed:
+def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
     """The optimum with the wall's ticks and the instants of all limits fixed."""
     reduced = leave_out(problem)
     small, left_out = reduced.problem, dict(reduced.left_out)
-    free = unlimited.solve(small)
+    free = yield Ask(unlimited.solve, small)
     effect = Effect(problem, free.command)
     floor = problem.tap_error(effect.motion.acceleration_m_s2)
     peak = float(np.abs(effect.motion.plant_input).max())
@@ -243,14 +249,14 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
         remarks: list[str],
         effect: Effect,
         proof: Certificate | None = None,
-    ) -> Designed:
+    ) -> Search[Designed]:
         if proof is None:
-            proof = prove(problem, answer.command, answer.multipliers, options, effect=effect)
+            proof = yield Ask(prove_all, (effect, answer.multipliers), (options,))
         return Designed(problem, answer, proof, effect, free.command, floor, peak, left_out, solved, remarks)
 
     free_proof = None
     if peak <= problem.limits.input_limit + tolerated(problem.limits.input_limit):
-        judged = certified(problem, free.command, free.multipliers, effect=effect)
+        judged = yield Ask(certificates, (effect, free.multipliers))
         free_proof = judged if judged.excess <= KEPT else None
     if free_proof is not None and not free_proof.is_stationary:
         # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
@@ -266,12 +272,12 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
             f"{problem.limits.input_limit:g} {unit}, "
             f"command {np.abs(free.command).max():.3g} {unit} of {problem.command_bound:g} {unit}"
         )
-        return designed(free, None, [], effect, free_proof)
+        return (yield from designed(free, None, [], effect, free_proof))
     hopeless = unavoidable(small)
     if hopeless:
-        return designed(replace(free, status=Status.INFEASIBLE), None, hopeless, effect)
+        return (yield from designed(replace(free, status=Status.INFEASIBLE), None, hopeless, effect))
     spent, cold = free.solve_time_s, small.without(TemperatureLimit.name)
-    answer, proof, its_effect = solve_certified(cold, options)
+    answer, proof, its_effect = yield Ask(solve_certified, cold, (options,))
     spent += answer.solve_time_s
     cold_proven = answer.status is Status.OPTIMAL and proof.is_stationary
     if small.thermal is not None:
@@ -284,10 +290,10 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
             answer = replace(answer, solve_time_s=spent)
-            return designed(answer, cold, [], whole)
+            return (yield from designed(answer, cold, [], whole))
         # What no command can do in the cold, none can with the temperature on top.
         if answer.status is not Status.INFEASIBLE:
-            answer, proof, its_effect = solve_certified(small, options)
+            answer, proof, its_effect = yield Ask(solve_certified, small, (options,))
             spent += answer.solve_time_s
     proven = answer.status is Status.OPTIMAL and proof.is_stationary
     least_gap = proof.relative_gap if proof.excess <= 1 else np.inf
@@ -298,5 +304,5 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Desig
     # forbidden by the heat.
     too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
-        return designed(replace(answer, status=Status.HAND_OVER), small, [too_deep], whole)
-    return designed(answer, small, [], whole)
+        return (yield from designed(replace(answer, status=Status.HAND_OVER), small, [too_deep], whole))
+    return (yield from designed(answer, small, [], whole))

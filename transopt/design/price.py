@@ -11,7 +11,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent, rounded_up
-from transopt.design.optimum import optimum
+from transopt.design.optimum import seek
 from transopt.library.library import Library
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import leave_out
@@ -21,7 +21,8 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, boxes_of, inside
 from transopt.solvers.choose import Certified, solve_certified
 from transopt.solvers.options import SolverOptions, TrialOptions
-from transopt.solvers.prove import certified
+from transopt.solvers.prove import certificates
+from transopt.solvers.side_by_side import Ask, Search, together
 from transopt.solvers.unlimited import solve as solve_unlimited
 
 BINDS = 1e-8  # of J: what all of a limit would buy along its multipliers; below, rounding
@@ -156,8 +157,8 @@ class _Answer:
     binding: dict[str, float]
 
 
-def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect) -> _Answer | None:
-    """The optimum; None where it is not certified, as an entry of a library has to be.
+def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect) -> Search[_Answer | None]:
+    """Search for the optimum; None where it is not certified, as an entry of a library has to be.
 
     Parameters
     ----------
@@ -165,12 +166,12 @@ def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect
     """
     small = leave_out(problem).problem
     if small.wall is None and small.thermal is None and not small.nonlinear:
-        found = _without_limits(small) if _nearly_inside(unlimited.of(small)) else None
-        answer, proof, effect = found or solve_certified(small, options)
+        found = (yield from _without_limits(small)) if _nearly_inside(unlimited.of(small)) else None
+        answer, proof, effect = found or (yield Ask(solve_certified, small, (options,)))
         certified = answer.status is Status.OPTIMAL and proof.accepted
     else:
         # The ticks at which the wall pushes are looked for, and whether the temperature binds at all.
-        designed = optimum(problem, options)
+        designed = yield from seek(problem, options)
         small, answer, effect = designed.problem, designed.solution, designed.effect
         bent = any(name != TemperatureLimit.name for name in problem.nonlinear)
         certified = designed.is_proven and (designed.certificate.accepted or bent)
@@ -188,13 +189,13 @@ def _nearly_inside(effect: Effect) -> bool:
     return all(bool((box.excess <= (ASIDE - 1) * box.limit.stated).all()) for box in of)
 
 
-def _without_limits(problem: TransientProblem) -> Certified | None:
+def _without_limits(problem: TransientProblem) -> Search[Certified | None]:
     """The optimum without limits, where it keeps them all and is proven: one linear solve."""
-    answer = solve_unlimited(problem)
+    answer = yield Ask(solve_unlimited, problem)
     effect = Effect(problem, answer.command)
     if answer.status is not Status.OPTIMAL or not inside(problem, answer.command, effect=effect):
         return None
-    proof = certified(problem, answer.command, answer.multipliers, effect=effect)
+    proof = yield Ask(certificates, (effect, answer.multipliers))
     return Certified(answer, proof, effect) if proof.is_stationary else None
 
 
@@ -213,19 +214,19 @@ class _Pricing:
     tap_error: float
     options: SolverOptions
 
-    def price(self, limit: Limit) -> Price:
+    def price(self, limit: Limit) -> Search[Price]:
         step = price_step(limit)
-        raised = free = self._raised(limit, step)
+        raised = free = yield from self._raised(limit, step)
         widest = limit.stated + step
         if free is None or limit.name in free.binding:
-            free, widest = self._out_of_the_way(limit)
+            free, widest = yield from self._out_of_the_way(limit)
         enough, there = (np.nan, np.nan)
         if free is not None and limit.name in free.binding:
             enough = np.inf
         elif free is not None:
             # A limit that does not bind is stated at the switching instants alone.
             plain = replace(self, problem=self.problem.within(dict.fromkeys(self.problem.parts, 1)))
-            enough, there = plain._enough(plain.problem.limits[limit.name], free, widest)
+            enough, there = yield from plain._enough(plain.problem.limits[limit.name], free, widest)
         return Price(
             limit=limit.label,
             unit=limit.unit,
@@ -243,10 +244,10 @@ class _Pricing:
         """How far this problem's limit would have to be raised for another problem's answer to keep it."""
         return _excess(answer.effect.of(self.problem), limit)
 
-    def _raised(self, limit: Limit, by: float) -> _Answer | None:
+    def _raised(self, limit: Limit, by: float) -> Search[_Answer | None]:
         return _solved(self.problem.replaced(limit.raised(by)), self.options, self.unlimited)
 
-    def _keeps(self, limit: Limit, by: float, without: _Answer) -> bool:
+    def _keeps(self, limit: Limit, by: float, without: _Answer) -> Search[bool]:
         """Whether the optimum without a limit is proven to be that with the limit raised by so much.
 
         Where the limit is in J as well the two have another J.
@@ -254,21 +255,21 @@ class _Pricing:
         if limit.scales_movement:
             return False
         raised = without.effect.of(self.problem.replaced(limit.raised(by)))
-        proof = certified(raised.problem, raised.command, without.multipliers, effect=raised)
+        proof = yield Ask(certificates, (raised, without.multipliers))
         return proof.accepted and inside(raised.problem, raised.command, only=limit.name, effect=raised)
 
-    def _out_of_the_way(self, limit: Limit) -> tuple[_Answer | None, float]:
+    def _out_of_the_way(self, limit: Limit) -> Search[tuple[_Answer | None, float]]:
         """The optimum without a limit, or with one that is so wide that it does not bind, and how wide it was."""
         if not limit.indispensable:
-            return _solved(self.problem.without(limit.name), self.options, self.unlimited), np.inf
+            return (yield from _solved(self.problem.without(limit.name), self.options, self.unlimited)), np.inf
         needed = limit.stated + max(_excess(self.unlimited, limit), 0.0)
         for ample in AMPLE:
-            answer = self._raised(limit, ample * needed - limit.stated)
+            answer = yield from self._raised(limit, ample * needed - limit.stated)
             if answer is None or limit.name not in answer.binding:
                 break
         return answer, ample * needed
 
-    def _enough(self, limit: Limit, without: _Answer, widest: float) -> tuple[float, float]:
+    def _enough(self, limit: Limit, without: _Answer, widest: float) -> Search[tuple[float, float]]:
         """The least bound at which a limit does not bind, and the tap error there: solved for, and found not to bind.
 
         What the optimum without the limit takes of it is enough, since any wider one has that same optimum. Only the
@@ -291,9 +292,9 @@ class _Pricing:
             bound = float(f"{rounded_up(max(peak + CLEARANCE * limit.room, least)):.8g}")
             if bound >= high[0]:
                 return high if np.isfinite(high[0]) else (np.nan, np.nan)
-            if self._keeps(limit, bound - limit.stated, without):
+            if (yield from self._keeps(limit, bound - limit.stated, without)):
                 return bound, without.tap_error
-            answer = self._raised(limit, bound - limit.stated)
+            answer = yield from self._raised(limit, bound - limit.stated)
             if answer is None:
                 break
             if limit.name in answer.binding:
@@ -347,7 +348,7 @@ def prices(
     error = problem.yardstick.tap_error(problem.target, effect.motion.acceleration_m_s2)
     trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
     pricing = _Pricing(problem, Effect(problem, unlimited), error, trials)
-    found = [pricing.price(limit) for limit in problem.limits if limit.name in binds]
+    found = together([pricing.price(limit) for limit in problem.limits if limit.name in binds])
     return sorted(found, key=lambda price: np.inf if np.isnan(price.then) else price.then)
 
 
@@ -356,5 +357,5 @@ def library_prices(library: Library, iv: int, ig: int) -> list[Price]:
     if library.nonlinear:
         return []
     problem = library.problem(iv, ig)
-    free = solve_unlimited(problem.without_intensity()).command
+    free = solve_unlimited([problem.without_intensity()])[0].command
     return prices(problem, library.command[iv, ig], library.multipliers(iv, ig), free, SolverOptions())

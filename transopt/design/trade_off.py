@@ -10,12 +10,13 @@ import numpy as np
 
 from transopt.design.entry import Entry
 from transopt.design.intensity import intense, most_price
-from transopt.design.optimum import optimum
+from transopt.design.optimum import seek
 from transopt.problem.answer import Status
 from transopt.problem.objective.bands import Levels, levels
 from transopt.proof.certify import BINDING_MULTIPLIER
 from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions, TrialOptions
+from transopt.solvers.side_by_side import Search, together
 
 POINTS = 8  # of the path, both ends among them
 BEND = 1.5  # of their steps, the shorter ones first
@@ -60,8 +61,8 @@ class TradeOff:
     path: tuple[TradeOffPoint, ...]
 
 
-def trade_off(entry: Entry, options: SolverOptions) -> TradeOff | None:
-    """The path of an entry where a limit binds or intensity has a price; None elsewhere and for a refused one.
+def trade_off(entry: Entry, options: SolverOptions) -> Search[TradeOff | None]:
+    """Search for the path of an entry where a limit binds or intensity has a price; None elsewhere, or if refused.
 
     None as well where the worst of a spread of devices is least: intensity is traded for the mean alone.
     """
@@ -69,15 +70,15 @@ def trade_off(entry: Entry, options: SolverOptions) -> TradeOff | None:
     if entry.status is not Status.OPTIMAL or entry.problem.reference_is_zero or entry.problem.worst or not binds:
         return None
     problem = entry.problem.without_intensity()
-    found = intense(problem, options)
+    found = yield from intense(problem, options)
     if found.attained is None:
         return None
-    wave = found if found.attained.price == 0 else optimum(problem, options)
+    wave = found if found.attained.price == 0 else (yield from seek(problem, options))
     # The energy in dB goes about evenly with -log(1 - lam); the path bends most near its start.
     prices = -np.expm1(np.linspace(0.0, 1.0, POINTS) ** BEND * np.log1p(-most_price(problem)))[1:]
     # A point of the path that the first method does not prove is left out: another one may take a second.
     trial = TrialOptions(options.solver, options.tolerance, options.max_iterations)
-    others = [optimum(replace(problem, intensity=float(price)), trial) for price in prices if price > 0]
+    others = together([seek(replace(problem, intensity=float(price)), trial) for price in prices if price > 0])
     ends = (_point(wave), _point(found))
     path = {point.price: point for point in (*ends, *(_point(each) for each in others if each.is_proven))}
     return TradeOff(

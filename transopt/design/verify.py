@@ -57,7 +57,7 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     for ig in range(ng):
         stage = library.stage(ig)
         designed = [
-            answer_of(library, iv, ig, stage, plant, proof, lambda problem: unlimited.solve(problem).command)
+            answer_of(library, iv, ig, stage, plant, proof, lambda problem: unlimited.solve([problem])[0].command)
             for iv in range(nv)
         ]
         told = [library.told(iv, ig) for iv in range(nv)]

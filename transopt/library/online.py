@@ -36,10 +36,9 @@ from transopt.solvers.native.extension import (
     ACCURACY,
     MOST_STATES,
     SOLVED,
-    Buffers,
-    LinearPass,
     available,
-    interior_point,
+    interior_points,
+    linear_passes,
 )
 from transopt.solvers.prove import certified
 from transopt.solvers.stage_data import Stages, stages, without_limits
@@ -135,11 +134,10 @@ class Online:
         self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
         entries = [library.parts(iv, ig) for iv, ig in np.ndindex(library.command.shape[:2])]
         self._parts = {name: max(parts[name] for parts in entries) for name in entries[0]}
-        self._buffers: dict[tuple[int, ...], Buffers] = {}
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
         problem = self._posed(self._posing, fastest, firmest, self._coil)
         # Memory of all that a tap can come to: without limits, with and without the temperature.
-        self._buffers_for(without_limits(problem))
+        linear_passes([_small_enough(without_limits(problem))], TOLERANCE)
         for each in (problem, problem.without(TemperatureLimit.name)):
             self._by_interior_point(each)
 
@@ -255,12 +253,12 @@ class Online:
             return self._proven(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
         bare, hot = without_limits(small), False
-        linear = LinearPass(bare, self._buffers_for(bare))
-        if linear.solve(TOLERANCE).code in (SOLVED, ACCURACY):
-            free = linear.command()
+        (linear,) = linear_passes([bare], TOLERANCE)
+        if linear.code in (SOLVED, ACCURACY):
+            free = bare.free_command(linear.command)
             effect = Effect(problem, free)
             if inside(problem, free, effect=effect):
-                multipliers = replace(Multipliers.zero(problem), hand_over=linear.hand_over())
+                multipliers = replace(Multipliers.zero(problem), hand_over=bare.hand_over(linear.gradient))
                 found = self._proven(effect, multipliers)
                 if found.proof.accepted:
                     return found
@@ -291,23 +289,13 @@ class Online:
                 return found
         return found
 
-    def _buffers_for(self, given: Stages) -> Buffers:
-        states = given.sizes["states"] + given.sizes["nodes"]
-        if states > MOST_STATES:
-            raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
-        key = tuple(given.sizes.values())
-        if key not in self._buffers:
-            self._buffers[key] = Buffers(given.sizes)
-        return self._buffers[key]
-
     def _by_interior_point(self, problem: TransientProblem) -> _Answer | None:
-        given = stages(problem)
-        buffers = self._buffers_for(given)
-        answer = interior_point(given, buffers, tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
+        given = _small_enough(stages(problem))
+        (answer,) = interior_points([given], tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
         if answer.code not in (SOLVED, ACCURACY):
             return None
-        by_row = buffers.upper - buffers.lower
-        return _Answer(given.command(buffers.command), given.multipliers(by_row, buffers.gradient))
+        by_row = answer.upper - answer.lower
+        return _Answer(given.command(answer.command), given.multipliers(by_row, answer.gradient))
 
     def _proven(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
@@ -322,6 +310,14 @@ class Online:
                     lower = certify(relaxed, bound.command, bound.multipliers).lower_bound
                     proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
         return _Found(command, multipliers, proof)
+
+
+def _small_enough(given: Stages) -> Stages:
+    """The stage data of a problem that the extension takes."""
+    states = given.sizes["states"] + given.sizes["nodes"]
+    if states > MOST_STATES:
+        raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
+    return given
 
 
 def _overheats(effect: Effect) -> bool:

@@ -35,10 +35,9 @@ from transopt.solvers.native.extension import (
     ACCURACY,
     MOST_STATES,
     SOLVED,
-    LinearPass,
     available,
-    buffers_of,
-    interior_point,
+    interior_points,
+    linear_passes,
 )
 from transopt.solvers.stage_data import stages, without_limits
 
@@ -119,12 +118,11 @@ def _bound_by_interior_point(relaxed: TransientProblem) -> float:
     if not available:
         return -np.inf
     given = stages(relaxed)
-    buffers = buffers_of(given.sizes)
-    answer = interior_point(given, buffers, tolerance=1e-9, max_iterations=MOST_ITERATIONS)
+    (answer,) = interior_points([given], tolerance=1e-9, max_iterations=MOST_ITERATIONS)
     if answer.code not in (SOLVED, ACCURACY):
         return -np.inf
-    multipliers = given.multipliers(buffers.upper - buffers.lower, buffers.gradient)
-    return certify(relaxed, given.command(buffers.command), multipliers).lower_bound
+    multipliers = given.multipliers(answer.upper - answer.lower, answer.gradient)
+    return certify(relaxed, given.command(answer.command), multipliers).lower_bound
 
 
 def _boundable(problem: TransientProblem) -> bool:
@@ -137,10 +135,9 @@ def _unlimited(problem: TransientProblem) -> FloatArray | None:
     given = without_limits(problem)
     if not available or given.sizes["states"] > MOST_STATES:
         return None
-    run = LinearPass(given, buffers_of(given.sizes))
-    answer = run.solve(PASS_GAP)
+    (answer,) = linear_passes([given], PASS_GAP)
     found = answer.code in (SOLVED, ACCURACY) and answer.relative_gap <= PASS_GAP
-    return run.command() if found else None
+    return given.free_command(answer.command) if found else None
 
 
 def _peak(course: Any) -> float:

@@ -1,6 +1,6 @@
-"""Solvers behind one function: `solve(problem, options) -> Solution`. One file per solver."""
+"""Solvers behind one function: `solve_all(problems, options) -> list[Solution]`. One file per solver."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from transopt.proof.certify import Effect
 from transopt.solvers import casadi_ipopt, casadi_piqp, riccati, several
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
-from transopt.solvers.prove import certified
+from transopt.solvers.prove import certificates, certified
 
 __all__ = [
     "SOLVERS",
@@ -27,8 +27,11 @@ __all__ = [
     "check_name",
     "default_solver",
     "global_bound",
+    "one_by_one",
     "prove",
+    "prove_all",
     "solve",
+    "solve_all",
     "solve_certified",
 ]
 
@@ -37,13 +40,18 @@ NEARLY_PROVEN = 100.0  # times the gap that is tolerated
 ROOM = 1.5  # times what was missed, by which the limit is taken narrower then
 MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another method
 LATE_S = 20.0  # after the time that a method gives itself: it does not come back
-Method = Callable[[TransientProblem, SolverOptions], Solution]
+Method = Callable[[Sequence[TransientProblem], SolverOptions], list[Solution]]
 
 
-def _apart(name: str, method: Method) -> Method:
+def one_by_one(method: Callable[[TransientProblem, SolverOptions], Solution]) -> Method:
+    """A method for any number of problems of one that solves a single one."""
+    return lambda problems, options: [method(problem, options) for problem in problems]
+
+
+def _apart(name: str, method: Callable[[TransientProblem, SolverOptions], Solution]) -> Method:
     """Run a method in a process of its own: a library's native code answers no signal and may not return."""
 
-    def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
+    def alone(problem: TransientProblem, options: SolverOptions) -> Solution:
         within_s = most_time_s(problem.grid.stages) + LATE_S
         try:
             return apart.call(method, problem, options, within_s=within_s)
@@ -52,27 +60,27 @@ def _apart(name: str, method: Method) -> Method:
                 Status.NUMERICAL_FAILURE, problem.rest, Multipliers.zero(problem), name, str(why), 0, within_s
             )
 
-    return solve
+    return one_by_one(alone)
+
+
+def _own(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:
+    """The project's own method: problems of one motor side by side, those of several motors one by one."""
+    of_one_motor = iter(riccati.solve([each for each in problems if each.stage.motors == 1], options))
+    return [next(of_one_motor) if each.stage.motors == 1 else several.solve(each, options) for each in problems]
 
 
 @dataclass(frozen=True)
 class Solver:
-    """A method, and which problems it takes."""
+    """A method for any number of problems, and which of them it takes."""
 
     method: Method
     takes: Callable[[TransientProblem], bool]
-
-    def __call__(self, problem: TransientProblem, options: SolverOptions) -> Solution:
-        return self.method(problem, options)
 
 
 # The first that takes a problem is the first choice for it: the project's own method where it is built, then PIQP
 # where the problem is a QP, then IPOPT, which takes all.
 SOLVERS: dict[str, Solver] = {
-    "riccati": Solver(
-        lambda problem, options: (several if problem.stage.motors > 1 else riccati).solve(problem, options),
-        lambda problem: riccati.can_solve(problem) or several.can_solve(problem),
-    ),
+    "riccati": Solver(_own, lambda problem: riccati.can_solve(problem) or several.can_solve(problem)),
     "casadi-piqp": Solver(_apart("casadi-piqp", casadi_piqp.solve), lambda problem: not problem.nonlinear),
     "casadi-ipopt": Solver(_apart("casadi-ipopt", casadi_ipopt.solve), lambda problem: True),
 }
@@ -100,23 +108,36 @@ def capable(problem: TransientProblem, wanted: str = "riccati") -> Iterator[str]
     return (name for name in dict.fromkeys((wanted, *SOLVERS)) if SOLVERS[name].takes(problem))
 
 
-@one_blas_thread()
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
-    """Solve one entry's problem; the answer's worth is judged by `certify` and `replay`, not here.
+    """`solve_all` of one problem."""
+    return solve_all([problem], SolverOptions() if options is None else options)[0]
+
+
+@one_blas_thread()
+def solve_all(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:
+    """Solve problems; what the answers are worth is judged by `certify` and `replay`, not here.
 
     A zero reference has the zero waveform as its answer and is not handed to a solver. A solver that cannot take
-    the problem (PIQP with the temperature in it) gives way to the first choice among those that can.
+    a problem (PIQP with the temperature in it) gives way to the first choice among those that can. The own method
+    solves problems of equal sizes side by side.
 
     Raises
     ------
     InputError : unknown solver name.
     """
-    options = SolverOptions() if options is None else options
     check_name(options.solver)
-    if problem.reference_is_zero:
-        none = Multipliers.zero(problem)
-        return Solution(Status.OPTIMAL, problem.rest, none, "none", "zero reference: zero waveform", 0, 0.0)
-    return SOLVERS[next(capable(problem, options.solver))](problem, options)
+    found = dict[int, Solution]()
+    by_solver: dict[str, list[int]] = {}
+    for i, problem in enumerate(problems):
+        if problem.reference_is_zero:
+            none = Multipliers.zero(problem)
+            found[i] = Solution(Status.OPTIMAL, problem.rest, none, "none", "zero reference: zero waveform", 0, 0.0)
+        else:
+            by_solver.setdefault(next(capable(problem, options.solver)), []).append(i)
+    for name, group in by_solver.items():
+        answers = SOLVERS[name].method([problems[i] for i in group], replace(options, solver=name))
+        found.update(zip(group, answers, strict=True))
+    return [found[i] for i in range(len(problems))]
 
 
 def prove(
@@ -133,10 +154,17 @@ def prove(
     ----------
     effect : of this command in this problem, where it is known already.
     """
-    certificate = certified(problem, command, multipliers, effect=effect)
-    if np.isfinite(certificate.lower_bound) or not certificate.finite or not problem.nonlinear:
-        return certificate
-    return replace(certificate, lower_bound=global_bound(problem, options))
+    return prove_all([(effect or Effect(problem, command), multipliers)], options)[0]
+
+
+def prove_all(answers: Sequence[tuple[Effect, Multipliers]], options: SolverOptions) -> list[Certificate]:
+    """`prove` of answers, each by what its command does in its problem."""
+    found = []
+    for (effect, _), certificate in zip(answers, certificates(answers), strict=True):
+        bounded = np.isfinite(certificate.lower_bound) or not certificate.finite or not effect.problem.nonlinear
+        bound = certificate.lower_bound if bounded else global_bound(effect.problem, options)
+        found.append(replace(certificate, lower_bound=bound))
+    return found
 
 
 def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
@@ -148,10 +176,8 @@ def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
     thermal = problem.thermal
     relaxed = problem if thermal is None else problem.replaced(thermal.relaxed())
     relaxed = relaxed.without(*(name for name in problem.nonlinear if name != TemperatureLimit.name))
-    return max(
-        (answer.proof.lower_bound for answer in _answers(relaxed, options)),
-        default=-np.inf,
-    )
+    first = _tried([relaxed], options)[0]
+    return max((answer.proof.lower_bound for answer in _answers(relaxed, options, first)), default=-np.inf)
 
 
 class Certified(NamedTuple):
@@ -162,19 +188,22 @@ class Certified(NamedTuple):
     effect: Effect
 
 
-def _certified(problem: TransientProblem, answer: Solution) -> Certified:
-    effect = Effect(problem, answer.command)
-    return Certified(answer, certified(problem, answer.command, answer.multipliers, effect=effect), effect)
+def _tried(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Certified]:
+    """Each problem's answer by the wanted solver, or the first choice that takes it, and the certificate."""
+    answers = solve_all(problems, options)
+    effects = [Effect(problem, answer.command) for problem, answer in zip(problems, answers, strict=True)]
+    proofs = certificates([(effect, answer.multipliers) for effect, answer in zip(effects, answers, strict=True)])
+    return [Certified(*found) for found in zip(answers, proofs, effects, strict=True)]
 
 
-def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Certified]:
-    """Answers and certificates until one is proven, which is the last: the wanted solver first, then the others.
+def _answers(problem: TransientProblem, options: SolverOptions, first: Certified) -> Iterator[Certified]:
+    """Answers and certificates until one is proven, which is the last: `first`, then those of the other solvers.
 
     On stiff and extreme problems the methods fail on different cases; the certificate tells.
     """
     asked = False
-    for name in capable(problem, options.solver):
-        found = _certified(problem, solve(problem, replace(options, solver=name)))
+    for number, name in enumerate(capable(problem, options.solver)):
+        found = first if number == 0 else _tried([problem], replace(options, solver=name))[0]
         if not found.proof.is_stationary and _nearly_proven(problem, found.proof):
             found = _pulled_inside(problem, found.proof, replace(options, solver=name))
         answer = found.solution
@@ -205,7 +234,9 @@ def _pulled_inside(problem: TransientProblem, proof: Certificate, options: Solve
     assert thermal is not None
     headroom = thermal.model.headroom_K - ROOM * proof.excess * thermal.tolerance
     narrower = replace(thermal, model=replace(thermal.model, headroom_K=headroom))
-    return _certified(problem, solve(problem.replaced(narrower), options))
+    answer = solve(problem.replaced(narrower), options)
+    effect = Effect(problem, answer.command)
+    return Certified(answer, certified(problem, answer.command, answer.multipliers, effect=effect), effect)
 
 
 def feasible(problem: TransientProblem) -> bool:
@@ -214,7 +245,13 @@ def feasible(problem: TransientProblem) -> bool:
     return found is None or found[0] == 1.0
 
 
-def solve_certified(problem: TransientProblem, options: SolverOptions) -> Certified:
-    """The first answer that is certified or, if none is, the wanted solver's."""
-    answers = list(_answers(problem, options))
-    return answers[-1] if answers[-1].proof.is_stationary else answers[0]
+def solve_certified(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Certified]:
+    """For each problem the first answer that is certified or, if none is, the wanted solver's.
+
+    The first answers are found and judged side by side; what is not certified by then goes on alone.
+    """
+    found = []
+    for problem, first in zip(problems, _tried(problems, options), strict=True):
+        answers = list(_answers(problem, options, first))
+        found.append(answers[-1] if answers[-1].proof.is_stationary else answers[0])
+    return found

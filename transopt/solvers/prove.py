@@ -4,6 +4,8 @@ It states what `proof.certify` states, from the stage data on which the own meth
 of no stage data, is the judge of both in the tests and of every library in `verify`.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from transopt.base.signals import FloatArray
@@ -11,8 +13,8 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import TEMPERATURE, Effect, boxes_of, certify, is_stated, left_over
-from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, available, prove
-from transopt.solvers.stage_data import stages
+from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Judged, Proof, available, prove
+from transopt.solvers.stage_data import Stages, stages
 
 
 def certified(
@@ -24,9 +26,18 @@ def certified(
     ----------
     effect : of this command in this problem, where it is known already.
     """
-    effect = effect or Effect(problem, command)
-    found = _compiled(effect, multipliers) if _is_known(effect, multipliers) else None
-    return certify(problem, command, multipliers, effect=effect) if found is None else found
+    return certificates([(effect or Effect(problem, command), multipliers)])[0]
+
+
+def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
+    """Certificates of commands, each by what it does in its problem, those of equal sizes side by side."""
+    asked = [_asked(effect, each) if _is_known(effect, each) else None for effect, each in answers]
+    proofs = iter(prove([each for each in asked if each is not None]))
+    found = []
+    for (effect, each), judged in zip(answers, asked, strict=True):
+        proof = None if judged is None else _certificate(effect, each, judged.stages, next(proofs))
+        found.append(certify(effect.problem, effect.command, each, effect=effect) if proof is None else proof)
+    return found
 
 
 def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
@@ -46,24 +57,34 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     return is_stated(problem, command, multipliers)
 
 
-def _compiled(effect: Effect, multipliers: Multipliers) -> Certificate | None:
-    """The certificate by the compiled call; None where the problem is too large, or a number is not finite."""
+def _asked(effect: Effect, multipliers: Multipliers) -> Judged | None:
+    """What the compiled call judges; None where the problem is too large."""
     problem, m = effect.problem, multipliers.clipped()
     given = stages(problem.without(TemperatureLimit.name))
     if given.sizes["rows"] > MOST_ROWS or given.sizes["states"] > MOST_STATES:
         return None
-    unit = given.input_scale
-    units = given.limits.unit * [limit.stated for limit, _ in problem.rows()]
     by_row = None
     if any(side.any() for name, pair in m.pairs.items() if name != TEMPERATURE for side in pair):
-        names, by = [row.name for _, row in problem.rows()], units / OBJECTIVE_SCALE
+        names, by = [row.name for _, row in problem.rows()], _units(problem, given) / OBJECTIVE_SCALE
         by_row = (
             np.stack([m.lower(name) for name in names], -1) * by,
             np.stack([m.upper(name) for name in names], -1) * by,
         )
-    found = prove(given, effect.command / unit, by_row, m.hand_over * (unit / OBJECTIVE_SCALE))
-    hot = list(boxes_of(effect, m, only=TemperatureLimit.name))
-    if found is None or not np.isfinite([*found[1:6], *found.excess, *(box.value.max() for box in hot)]).all():
+    return Judged(
+        given, effect.command / given.input_scale, by_row, m.hand_over * (given.input_scale / OBJECTIVE_SCALE)
+    )
+
+
+def _units(problem: TransientProblem, given: Stages) -> FloatArray:
+    """(rows,) unit of each row, in that of its limit."""
+    return np.asarray(given.limits.unit * [limit.stated for limit, _ in problem.rows()])
+
+
+def _certificate(effect: Effect, multipliers: Multipliers, given: Stages, found: Proof) -> Certificate | None:
+    """The certificate by the compiled call; None where a number is not finite."""
+    problem, unit, units = effect.problem, given.input_scale, _units(effect.problem, given)
+    hot = list(boxes_of(effect, multipliers, only=TemperatureLimit.name))
+    if not np.isfinite([*found[1:6], *found.excess, *(box.value.max() for box in hot)]).all():
         return None
     merit = found.objective * OBJECTIVE_SCALE
     reward = problem.tracking.reward(effect.accelerations_m_s2) if problem.intensity > 0 else 0.0

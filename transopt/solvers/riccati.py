@@ -4,15 +4,16 @@ The extension is optional. Where it could not be built, `available` is False and
 """
 
 import time
+from collections.abc import Sequence
 
 from transopt.problem.answer import Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.proof.farkas import is_infeasible
-from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, available, buffers_of, interior_point
+from transopt.solvers.native.extension import MOST_ROWS, MOST_STATES, Answer, available, interior_points
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.stage_data import stages
+from transopt.solvers.stage_data import Stages, stages
 
 __all__ = ["available", "can_solve", "solve", "stages"]
 
@@ -43,16 +44,23 @@ def can_solve(problem: TransientProblem) -> bool:
     return available and layout(problem).states + nodes <= MOST_STATES
 
 
-def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
-    """Solve the QP or the NLP stage by stage; infeasibility is claimed only with its proof (`farkas`)."""
+def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:
+    """Solve QPs and NLPs stage by stage; infeasibility is claimed only with its proof (`farkas`).
+
+    Problems of equal sizes are solved side by side, and share the time that it takes.
+    """
     start = time.perf_counter()
-    given = stages(problem)
-    found = buffers_of(given.sizes)
-    answer = interior_point(given, found, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations)
+    given = [stages(problem) for problem in problems]
+    answers = interior_points(given, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations)
+    spent = (time.perf_counter() - start) / max(len(given), 1)
+    return [_solution(each, answer, spent) for each, answer in zip(given, answers, strict=True)]
+
+
+def _solution(given: Stages, answer: Answer, spent_s: float) -> Solution:
     status, message = STATUS[answer.code]
-    command = given.command(found.command)
-    multipliers = given.multipliers(found.upper - found.lower, found.gradient)
-    if status is not Status.OPTIMAL and is_infeasible(problem, command, multipliers):
+    command = given.command(answer.command)
+    multipliers = given.multipliers(answer.upper - answer.lower, answer.gradient)
+    if status is not Status.OPTIMAL and is_infeasible(given.problem, command, multipliers):
         status, message = Status.INFEASIBLE, f"{message}: a ray proves that no command meets all limits"
     return Solution(
         status=status,
@@ -61,5 +69,5 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
         solver="riccati",
         message=message,
         iterations=answer.iterations,
-        solve_time_s=time.perf_counter() - start,
+        solve_time_s=spent_s,
     )

@@ -14,7 +14,6 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Stat
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
-from transopt.proof.certify import Effect, reduced_gradient
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers import sparse_kkt
 from transopt.solvers.bounds import check_bounds
@@ -96,20 +95,7 @@ def unlimited(problem: TransientProblem) -> Solution:
             return Solution(
                 Status.OPTIMAL, command, by.multipliers(answer), "unlimited", "Riccati pass", answer.iterations, spent
             )
-    command = np.cumsum(sparse_kkt.movement(problem), axis=-1) * problem.input_scale
-    command[..., problem.free_stages :] = 0.0
-    none = Multipliers.zero(problem)
-    with np.errstate(over="ignore", invalid="ignore"):  # a singular system shows in the status
-        left = reduced_gradient(Effect(problem, command), none)[..., problem.free_stages :]
-    return Solution(
-        status=Status.OPTIMAL if np.isfinite(command).all() else Status.NUMERICAL_FAILURE,
-        command=command,
-        multipliers=replace(none, hand_over=-left),
-        solver="unlimited",
-        message="sparse KKT system",
-        iterations=1,
-        solve_time_s=time.perf_counter() - start,
-    )
+    return sparse_kkt.solve(problem)
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,29 @@
 """The problem without its limits as one sparse KKT system: slower than the Riccati pass, but pivoting."""
 
+import time
+from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
+from transopt.problem.answer import Multipliers, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
+from transopt.proof.certify import certify
 from transopt.solvers.program import Shape, state_program
 from transopt.solvers.stage_data import stated_rows
 from transopt.solvers.statement import state
 
 REFINEMENTS = 2
+GAP = 1e-8  # of max(J, 1e-3), below which an answer needs no damping
+# On each movement, of the largest weight. Where the system is singular some movements of the command change nothing,
+# and which of them is taken does not matter.
+DAMPINGS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
+DAMPED_STEPS = 30
 
 
 @lru_cache(maxsize=16)
@@ -23,11 +33,24 @@ def pattern(shape: Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int3
     return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
 
 
-def movement(problem: TransientProblem) -> FloatArray:
-    """(N,) optimal movement of the command in units of the limit current; NaN if the system is singular.
-
-    Of several motors it is (m, N).
+def _solved(kkt: Any, right: FloatArray, damped: FloatArray, steps: int) -> FloatArray:
+    """Solution by the factors of the system with something on its diagonal, refined by steps of the proximal point
+    method; NaN where there are no factors.
     """
+    point = np.zeros(right.size)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the answer
+            factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(kkt + scipy.sparse.diags_array(damped)))
+            for _ in range(1 + steps):
+                point += factors.solve(right - kkt @ point)
+    except RuntimeError:
+        return np.full(right.size, np.nan)
+    return point
+
+
+def solve(problem: TransientProblem) -> Solution:
+    """Solve without the limits; a numerical failure if nothing finite comes of it."""
+    start = time.perf_counter()
     # What is no box would be an inequality among the rows.
     sums = {row.name for row in stated_rows(problem, linear_stage(problem)) if not row.single}
     no_boxes = {limit.name for limit, row in problem.rows() if row.name in sums}
@@ -40,12 +63,29 @@ def movement(problem: TransientProblem) -> FloatArray:
     )
     kkt = scipy.sparse.block_array([[H, A.T], [A, None]], format="csc")
     right = np.concatenate([-np.asarray(data["q"]).ravel(), statement.lower_g])
-    try:
-        factors = scipy.sparse.linalg.splu(kkt)
-    except RuntimeError:
-        return np.full_like(problem.rest, np.nan)
-    point = factors.solve(right)
-    for _ in range(REFINEMENTS):
-        point += factors.solve(right - kkt @ point)
-    variables = point[: shape.stages * shape.variables].reshape(-1, shape.variables)
-    return np.asarray(variables[:, : shape.layout.motors].T.reshape(problem.rest.shape))
+    best, least, multipliers = np.full(problem.rest.shape, np.nan), np.inf, Multipliers.zero(problem)
+    for damping in DAMPINGS:
+        damped = np.zeros(right.size)
+        movements = damped[shape.first : H.shape[0]].reshape(-1, shape.variables)[:, : shape.layout.motors]
+        movements[:] = damping * np.abs(H.data).max(initial=1.0)
+        x, by_row = np.split(_solved(kkt, right, damped, DAMPED_STEPS if damping else REFINEMENTS), [H.shape[0]])
+        if not (np.isfinite(x).all() and np.isfinite(by_row).all()):
+            continue
+        command = statement.unclipped(x)
+        stated = replace(
+            Multipliers.zero(problem), hand_over=statement.multipliers(np.zeros(x.size), by_row).hand_over
+        )
+        gap = certify(problem, command, stated).relative_gap
+        if gap < least or np.isnan(best).any():
+            best, least, multipliers = command, gap, stated
+        if least <= GAP:
+            break
+    return Solution(
+        status=Status.NUMERICAL_FAILURE if np.isnan(best).any() else Status.OPTIMAL,
+        command=best,
+        multipliers=multipliers,
+        solver="unlimited",
+        message="sparse KKT system",
+        iterations=1,
+        solve_time_s=time.perf_counter() - start,
+    )

@@ -23,7 +23,7 @@ from transopt.problem.stage import LinearStage, layout, linear_stage
 from transopt.solvers.modes import Modes, modes_of
 
 SIZE_BOUND = 2.0  # of the limit current
-MOST_KEPT = 2  # problems of one thread: that without the temperature, and the whole
+MOST_KEPT = 64  # problems of one thread: those that are solved side by side, some with and without the temperature
 WINDING = "winding"  # row of the recursion's first state
 
 
@@ -87,12 +87,16 @@ def heat_values(problem: TransientProblem, input_scale: float) -> dict[str, Floa
     }
 
 
-def held(problem: TransientProblem, command: FloatArray) -> FloatArray:
-    """(..., N) commands moved by rounding only: into the box, zero at a plain hand-over."""
-    c = np.clip(command, -problem.command_bound, problem.command_bound)
+def ended(problem: TransientProblem, command: FloatArray) -> FloatArray:
+    """(..., N) commands moved by rounding only: zero at a plain hand-over."""
     if problem.wall is None:
-        c[..., problem.free_stages :] = 0.0
-    return np.asarray(c)
+        command[..., problem.free_stages :] = 0.0
+    return command
+
+
+def held(problem: TransientProblem, command: FloatArray) -> FloatArray:
+    """(..., N) commands moved by rounding only: into the box, and `ended`."""
+    return ended(problem, np.clip(command, -problem.command_bound, problem.command_bound))
 
 
 @dataclass(frozen=True)
@@ -243,6 +247,14 @@ class Stages:
         """(N,) commands [A] of those in scaled units (N,), as `held`."""
         return held(self.problem, scaled * self.input_scale)
 
+    def free_command(self, scaled: FloatArray) -> FloatArray:
+        """(N,) commands [A] of those of the problem without limits (N,), which has no box."""
+        return ended(self.problem, scaled * self.input_scale)
+
+    def hand_over(self, gradient: FloatArray) -> FloatArray:
+        """(hand_over_samples,) multipliers of the hand-over [1/A] from the gradient (N,) by the movements."""
+        return np.asarray(-gradient[self.problem.free_stages :] * (OBJECTIVE_SCALE / self.input_scale))
+
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
         """Multipliers of J in SI from upper less lower ones (N + 1, rows) and the gradient (N,) by the movements."""
         problem, N = self.problem, self.sizes["stages"]
@@ -257,8 +269,7 @@ class Stages:
             slope = slope_of(-scaled["size_above"][:N], -scaled["size_below"][:N])
             mu = scaled[WINDING][1:] * (OBJECTIVE_SCALE / self.kelvin)
             pairs[problem.thermal.row_names[0]] = (np.zeros(N), mu)
-        tail = -gradient[problem.free_stages :] * (OBJECTIVE_SCALE / self.input_scale)
-        return Multipliers(N, pairs, tail, slope).clipped()
+        return Multipliers(N, pairs, self.hand_over(gradient), slope).clipped()
 
 
 def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
@@ -274,24 +285,20 @@ _memory = threading.local()
 
 
 def stages(problem: TransientProblem) -> Stages:
-    """Stage data of a problem; those made last are kept, for a problem is solved, proven and solved again."""
-    kept: list[Stages] = vars(_memory).setdefault("kept", [])
-    found = next((each for each in kept if _alike(each.problem, problem)), None)
-    if found is None:
-        found = _stages(problem)
-        kept[:] = [found, *kept[: MOST_KEPT - 1]]
+    """Stage data of a problem; those made last are kept, for a problem is solved, proven and solved again.
+
+    Problems are the same that are the same part by part, whoever has put them together.
+    """
+    kept: dict[tuple[int, ...], Stages] = vars(_memory).setdefault("kept", {})
+    parts = tuple(map(id, (*problem.limits, *PARTS(problem))))  # of objects that the kept problem keeps alive
+    found = kept.pop(parts, None) or _stages(problem)
+    if len(kept) >= MOST_KEPT:
+        del kept[next(iter(kept))]
+    kept[parts] = found
     return found if found.problem is problem else replace(found, problem=problem)
 
 
 PARTS = operator.attrgetter(*(field.name for field in fields(TransientProblem) if field.name != "limits"))
-
-
-def _alike(one: TransientProblem, other: TransientProblem) -> bool:
-    """Whether two problems are the same, part by part, whoever has put them together."""
-    if one is other:
-        return True
-    mine, its = (*one.limits, *PARTS(one)), (*other.limits, *PARTS(other))
-    return len(mine) == len(its) and all(map(operator.is_, mine, its))
 
 
 @dataclass(frozen=True)

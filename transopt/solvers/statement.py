@@ -17,6 +17,7 @@ from transopt.solvers.program import Shape, nonzeros, program_shape, state_progr
 from transopt.solvers.stage_data import (
     SIZE_BOUND,
     StatedRow,
+    ended,
     heat_values,
     held,
     kelvin,
@@ -65,8 +66,15 @@ class Statement:
 
     def command(self, x: FloatArray) -> FloatArray:
         """(N,) commands of a program point [A], or (m, N) of several motors, as `held`."""
+        return self.held(self._stated(x))
+
+    def unclipped(self, x: FloatArray) -> FloatArray:
+        """As `command`, moved by rounding only at a plain hand-over, where the commands are zero."""
+        return ended(self.problem, self._stated(x))
+
+    def _stated(self, x: FloatArray) -> FloatArray:
         commands = self._by_stage(x)[:, self.shape.commands].T * self.stage.input_scale
-        return self.held(commands[0] if self.stage.motors == 1 else commands)
+        return np.asarray(commands[0] if self.stage.motors == 1 else commands)
 
     def held(self, command: FloatArray) -> FloatArray:
         """`stage_data.held`."""

@@ -96,7 +96,7 @@ def test_baselines_are_those_whose_errors_a_report_tells(
 
 def test_unlimited_optimum_agrees_with_the_designers(library: Library) -> None:
     problem = library.problem(3, 2)
-    np.testing.assert_allclose(unlimited_optimum(problem), unlimited.solve(problem).command, atol=1e-7)
+    np.testing.assert_allclose(unlimited_optimum(problem), unlimited.solve([problem])[0].command, atol=1e-7)
     silent = problem.towards(np.zeros(problem.grid.stages))
     assert not unlimited_optimum(silent).any()
 

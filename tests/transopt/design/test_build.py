@@ -140,7 +140,8 @@ def test_progress_counts_the_entries(scene: Scene, taps: list[Recording]) -> Non
 
 def test_where_no_solver_proves_anything_the_wanted_ones_answer_stands(make_problem: ProblemMaker) -> None:
     """Two iterations are too few for all."""
-    refused, proof, _ = solve_certified(make_problem(0.4, 5.0), SolverOptions("casadi-piqp", max_iterations=2))
+    (found,) = solve_certified([make_problem(0.4, 5.0)], SolverOptions("casadi-piqp", max_iterations=2))
+    refused, proof, _ = found
     assert (refused.solver, refused.status) == ("casadi-piqp", Status.ITERATION_LIMIT)
     assert not proof.is_stationary
 

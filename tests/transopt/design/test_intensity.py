@@ -17,6 +17,7 @@ from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.side_by_side import alone
 
 OPTIONS = SolverOptions()
 Posed = Callable[..., TransientProblem]
@@ -51,7 +52,7 @@ def energy_dB(problem: TransientProblem, command: np.ndarray) -> float:
 @pytest.mark.parametrize("limit_A", [4.0, 2.5, 2.0])
 def test_a_saturated_tap_gets_the_energy_it_is_asked_for(posed: Posed, limit_A: float) -> None:
     problem = posed(limits__current_A=limit_A)
-    found = intense(problem, OPTIONS)
+    found = alone(intense(problem, OPTIONS))
     assert attained(found).waveform_dB < -1
     assert energy_dB(problem, found.solution.command) == pytest.approx(0.0, abs=0.01)
     assert attained(found).energy_dB == pytest.approx(energy_dB(problem, found.solution.command), abs=1e-9)
@@ -63,7 +64,7 @@ def test_a_saturated_tap_gets_the_energy_it_is_asked_for(posed: Posed, limit_A: 
 
 def test_floor_and_unlimited_optimum_stay_those_of_the_waveform(posed: Posed) -> None:
     problem = posed()
-    plain, found = optimum(problem, OPTIONS), intense(problem, OPTIONS)
+    plain, found = optimum(problem, OPTIONS), alone(intense(problem, OPTIONS))
     assert (found.floor, found.free_peak) == (plain.floor, plain.free_peak)
     np.testing.assert_array_equal(found.unlimited_command, plain.unlimited_command)
     assert attained(found).waveform_dB == pytest.approx(energy_dB(problem, plain.solution.command), abs=1e-9)
@@ -71,22 +72,22 @@ def test_floor_and_unlimited_optimum_stay_those_of_the_waveform(posed: Posed) ->
 
 def test_a_tap_that_is_strong_enough_is_left_as_it_is(posed: Posed) -> None:
     problem = posed(speed_m_s=0.2, dB=-0.1)  # where no limit cuts it, the end of the waveform costs 0.04 dB
-    found = intense(problem, OPTIONS)
+    found = alone(intense(problem, OPTIONS))
     np.testing.assert_array_equal(found.solution.command, optimum(problem, OPTIONS).solution.command)
     assert (attained(found).price, attained(found).problems) == (0.0, 1)
     assert "the optimum of the waveform has it" in attained(found).sentence
 
 
 def test_less_than_the_waveform_has_costs_nothing_and_more_can_be_asked_for(posed: Posed) -> None:
-    assert attained(intense(posed(dB=-3.0), OPTIONS)).price == 0
-    louder = intense(posed(speed_m_s=0.2, dB=3.0), OPTIONS)
+    assert attained(alone(intense(posed(dB=-3.0), OPTIONS))).price == 0
+    louder = alone(intense(posed(speed_m_s=0.2, dB=3.0), OPTIONS))
     assert attained(louder).energy_dB == pytest.approx(3.0, abs=0.01)
 
 
 def test_no_command_with_as_much_energy_is_nearer(posed: Posed) -> None:
     """The claim of the certificate, tried: feasible commands that are as strong all have a larger J."""
     problem = posed(limits__current_A=2.5)
-    found = intense(problem, OPTIONS)
+    found = alone(intense(problem, OPTIONS))
     best_A, rng = found.solution.command, np.random.default_rng(1)
     objective, level = J(problem, best_A), energy_dB(problem, best_A)
     lams = (0.7, 0.9, 0.97)
@@ -115,7 +116,7 @@ def test_energy_grows_with_its_price(posed: Posed) -> None:
 
 
 def test_what_is_out_of_reach_is_stated_in_dB(posed: Posed) -> None:
-    found = attained(intense(posed(limits__current_A=0.5), OPTIONS))
+    found = attained(alone(intense(posed(limits__current_A=0.5), OPTIONS)))
     assert found.price == pytest.approx(0.99)
     assert found.missing_dB > 1
     assert f"{found.missing_dB:.2f} dB are missing" in found.sentence
@@ -131,17 +132,17 @@ def weighed(problem: TransientProblem, weights: FloatArray) -> TransientProblem:
 def test_a_price_stays_below_the_smallest_weight(posed: Posed) -> None:
     problem = posed(limits__current_A=1.25)
     weights = np.where(np.arange(problem.grid.stages) < 300, 1.0, 0.5)
-    found = attained(intense(weighed(problem, weights), OPTIONS))
+    found = attained(alone(intense(weighed(problem, weights), OPTIONS)))
     assert found.price < 0.5
     assert most_price(weighed(problem, 0 * weights)) == 0
-    unweighted = attained(intense(weighed(problem, np.maximum(weights - 0.5, 0)), OPTIONS))
+    unweighted = attained(alone(intense(weighed(problem, np.maximum(weights - 0.5, 0)), OPTIONS)))
     assert unweighted.price == 0
     assert unweighted.missing_dB > 0
 
 
 def test_the_filter_decides_which_energy_counts(posed: Posed) -> None:
     problem = posed(limits__current_A=2.5, weights__rapid="pacinian")
-    found = intense(problem, OPTIONS)
+    found = alone(intense(problem, OPTIONS))
     rapid = problem.terms[-1]
     felt = rapid.filtered(problem.stage.rollout(found.solution.command)[0])
     wanted = rapid.filtered(problem.reference_m_s2)
@@ -152,7 +153,7 @@ def test_the_filter_decides_which_energy_counts(posed: Posed) -> None:
 def test_a_spread_is_asked_for_its_mean_energy(posed: Posed, scene: Scene) -> None:
     problem = posed(limits__current_A=2.5)
     several = replace(problem, spread=(Context(scene).stage(4.0), Context(scene).stage(3.0)))
-    found = intense(several, OPTIONS)
+    found = alone(intense(several, OPTIONS))
     rapid = several.terms[-1]
     made = rapid.filtered(several.accelerations(found.solution.command)[:, : several.grid.stages])
     ratio = np.mean(np.sum(made**2, axis=-1)) / np.sum(rapid.filtered(several.reference_m_s2) ** 2)
@@ -172,7 +173,7 @@ def test_a_spread_is_asked_for_its_mean_energy(posed: Posed, scene: Scene) -> No
 )
 def test_every_kind_of_limit(posed: Posed, changes: dict[str, object]) -> None:
     problem = posed(**changes)
-    found = intense(problem, OPTIONS)
+    found = alone(intense(problem, OPTIONS))
     assert found.is_proven
     assert found.certificate.is_stationary
     reached = attained(found)
@@ -182,7 +183,7 @@ def test_every_kind_of_limit(posed: Posed, changes: dict[str, object]) -> None:
 
 def test_a_zero_tap_asks_for_nothing(posed: Posed) -> None:
     problem = posed()
-    found = intense(problem.towards(0 * problem.reference_m_s2), OPTIONS)
+    found = alone(intense(problem.towards(0 * problem.reference_m_s2), OPTIONS))
     assert not found.solution.command.any()
     assert found.attained is None
 
@@ -190,6 +191,6 @@ def test_a_zero_tap_asks_for_nothing(posed: Posed) -> None:
 def test_the_scene_says_which_objective(scene: Scene, references: list[Reference]) -> None:
     louder = with_values(scene, {"weights.objective": "intensity", "weights.intensity_dB": 1.0})
     problem = Context(louder).posed_as(references[-1], 5.0).problem
-    found = best(problem, OPTIONS, objective=louder.weights.objective)
+    found = alone(best(problem, OPTIONS, objective=louder.weights.objective))
     assert attained(found).energy_dB == pytest.approx(1.0, abs=0.01)
-    assert best(problem, OPTIONS, objective="waveform").attained is None
+    assert alone(best(problem, OPTIONS, objective="waveform")).attained is None

@@ -71,11 +71,11 @@ def test_weighted_optimum_against_dense_least_squares(make_problem: ProblemMaker
     right = np.concatenate([weights * (filtering @ r), np.zeros(N)])
     dense, *_ = np.linalg.lstsq(matrix, right, rcond=None)
     J = float(np.sum((matrix @ dense - right) ** 2))
-    for answer in (solve(problem), unlimited.solve(problem)):
+    for answer in (solve(problem), unlimited.solve([problem])[0]):
         certificate = certify(problem, answer.command, answer.multipliers)
         assert certificate.accepted
         assert certificate.objective == pytest.approx(J, rel=1e-8, abs=1e-12)
-    np.testing.assert_allclose(unlimited.solve(problem).command[:free], dense, atol=1e-6 * np.abs(dense).max())
+    np.testing.assert_allclose(unlimited.solve([problem])[0].command[:free], dense, atol=1e-6 * np.abs(dense).max())
 
 
 @pytest.mark.parametrize("limit_A", [4.0, 2.0])

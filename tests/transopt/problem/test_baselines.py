@@ -16,14 +16,14 @@ from transopt.solvers import unlimited
 
 def test_clipping_at_no_limit_is_the_unlimited_optimum(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.2, 3.0)
-    free = unlimited.solve(problem).command
+    free = unlimited.solve([problem])[0].command
     again = clipped_optimum(problem.stage, problem.grid, free, 100.0)
     np.testing.assert_allclose(again, free, atol=1e-9)
 
 
 def test_clipped_optimum_keeps_the_limits(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.4, 5.0)
-    command = clipped_optimum(problem.stage, problem.grid, unlimited.solve(problem).command, 4.0)
+    command = clipped_optimum(problem.stage, problem.grid, unlimited.solve([problem])[0].command, 4.0)
     _, current = problem.stage.rollout(command)
     assert np.abs(current).max() <= 4 + 1e-9
 

@@ -76,7 +76,7 @@ def test_the_bound_by_the_movement_holds_and_falls_with_the_square(
 ) -> None:
     """The optimum itself is a command that the bound of every other one has to spare."""
     problem = replace(make_problem(0.2, 3.0), rho=rho)
-    free = unlimited.solve(problem)
+    free = unlimited.solve([problem])[0]
     least = certify(problem, free.command, free.multipliers).objective
     wave = np.sin(np.linspace(0, 20 * np.pi, problem.grid.stages))
     wave[problem.free_stages :] = 0
@@ -97,7 +97,7 @@ def test_the_bound_by_the_movement_holds_and_falls_with_the_square(
 
 def test_without_a_weight_of_the_movement_only_the_first_bound_is_there(make_problem: ProblemMaker) -> None:
     problem = replace(make_problem(0.2, 3.0), rho=0.0)
-    command = unlimited.solve(problem).command + 1e-4
+    command = unlimited.solve([problem])[0].command + 1e-4
     command[problem.free_stages :] = 0
     proof = certify(problem, command, Multipliers.zero(problem))
     assert 1e-6 < proof.relative_gap < np.inf
@@ -105,7 +105,7 @@ def test_without_a_weight_of_the_movement_only_the_first_bound_is_there(make_pro
 
 def test_unlimited_optimum_has_no_gradient_left(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.2, 3.0)
-    free = unlimited.solve(problem)
+    free = unlimited.solve([problem])[0]
     certificate = certify(problem, free.command, free.multipliers)
     assert certificate.accepted
     assert certificate.dual_residual < 1e-12
@@ -114,7 +114,7 @@ def test_unlimited_optimum_has_no_gradient_left(make_problem: ProblemMaker) -> N
 
 def test_unlimited_optimum_obeys_no_limit(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.4, 5.0)
-    _, current = problem.stage.rollout(unlimited.solve(problem).command)
+    _, current = problem.stage.rollout(unlimited.solve([problem])[0].command)
     assert np.abs(current).max() == pytest.approx(5.3, abs=0.1)
 
 
@@ -228,7 +228,7 @@ class TestTampering:
 
     def test_clipped_unlimited_optimum(self, judge: Judge, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.4, 5.0)
-        clipped = np.clip(unlimited.solve(problem).command, -4, 4)
+        clipped = np.clip(unlimited.solve([problem])[0].command, -4, 4)
         assert not judge(problem, clipped, Multipliers.zero(problem)).accepted
 
     def test_command_that_does_not_end(self, judge: Judge, saturated: tuple[TransientProblem, Solution]) -> None:

@@ -38,7 +38,7 @@ def saturated() -> TransientProblem:
 
 @pytest.mark.parametrize("solver", FALLBACKS)
 def test_a_method_that_ends_its_process_is_a_breakdown(saturated: TransientProblem, solver: str) -> None:
-    answer = choose._apart(solver, dies)(saturated, SolverOptions(solver))
+    answer = choose._apart(solver, dies)([saturated], SolverOptions(solver))[0]
     assert answer.status is Status.NUMERICAL_FAILURE
     assert answer.solver == solver
     assert "ended with code 134" in answer.message
@@ -51,7 +51,7 @@ def test_one_that_does_not_return_is_ended(
 ) -> None:
     monkeypatch.setattr(choose, "most_time_s", lambda stages: 0.0)
     monkeypatch.setattr(choose, "LATE_S", 1e-3)
-    answer = choose._apart(solver, waits)(saturated, SolverOptions(solver))
+    answer = choose._apart(solver, waits)([saturated], SolverOptions(solver))[0]
     assert answer.status is Status.NUMERICAL_FAILURE
     assert "no answer within 0.001 s" in answer.message
 
@@ -60,7 +60,7 @@ def test_the_next_method_is_asked(saturated: TransientProblem, monkeypatch: pyte
     monkeypatch.setitem(
         choose.SOLVERS, "riccati", choose.Solver(choose._apart("riccati", dies), lambda problem: True)
     )
-    answer, proof, _ = choose.solve_certified(saturated, SolverOptions("riccati"))
+    answer, proof, _ = choose.solve_certified([saturated], SolverOptions("riccati"))[0]
     assert answer.solver == "casadi-piqp"
     assert proof.is_stationary
 

@@ -42,7 +42,7 @@ def test_the_least_widening_is_the_least() -> None:
         again = least_widening(wide, everything)
         assert (again[0] == 1.0) == feasible
         # A thousandth of room is little: what the first method cannot settle goes to the next.
-        _, proof, _ = solve_certified(wide, SolverOptions())
+        (_, proof, _) = solve_certified([wide], SolverOptions())[0]
         assert (proof.excess <= 1) == feasible
 
 

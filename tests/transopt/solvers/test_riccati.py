@@ -20,6 +20,7 @@ from problems.stress.parts import Horizon
 from tests.benches.limits import drawn_ray, with_limit, with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
 from transopt.design.build import Build
 from transopt.design.context import Context
 from transopt.plant.wall import reference_course
@@ -30,7 +31,7 @@ from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
 from transopt.problem.wall_ticks import pressing
-from transopt.proof.certify import certify
+from transopt.proof.certify import Effect, certify
 from transopt.proof.farkas import is_infeasible
 from transopt.report.markdown import build_markdown
 from transopt.scene.recordings import recordings_of
@@ -39,6 +40,7 @@ from transopt.solvers import choose, modes, riccati
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.prove import certificates
 from transopt.solvers.stage_data import Stages, stages
 
 pytestmark = pytest.mark.skipif(not riccati.available, reason="the extension is not built")
@@ -198,9 +200,8 @@ class TestTheLastInstant:
         return replace(given, sizes=sizes, arrays=arrays)
 
     @staticmethod
-    def solved(given: Stages) -> tuple[extension.Answer, extension.Buffers]:
-        found = extension.Buffers(given.sizes)
-        return extension.interior_point(given, found, tolerance=1e-9, max_iterations=100), found
+    def solved(given: Stages) -> extension.Answer:
+        return extension.interior_points([given], tolerance=1e-9, max_iterations=100)[0]
 
     @staticmethod
     def reached(given: Stages, command: NDArray[np.float64]) -> float:
@@ -213,15 +214,15 @@ class TestTheLastInstant:
     def test_as_that_of_a_stage_more(self, make_problem: ProblemMaker) -> None:
         plain = stages(make_problem(0.4, 5.0, stages=60))
         N = plain.sizes["stages"]
-        _, free = self.solved(plain)
+        free = self.solved(plain)
         most = self.reached(plain, free.command) - 0.1 * abs(self.reached(plain, free.command))
-        answer, found = self.solved(self.bounded(plain, N, most))
-        other, again = self.solved(self.bounded(self.longer(plain), N, most))
+        answer = self.solved(self.bounded(plain, N, most))
+        other = self.solved(self.bounded(self.longer(plain), N, most))
         assert answer.code == other.code == extension.SOLVED
-        assert self.reached(plain, found.command) == pytest.approx(most, rel=1e-6)
+        assert self.reached(plain, answer.command) == pytest.approx(most, rel=1e-6)
         assert answer.objective == pytest.approx(other.objective, rel=1e-7)
-        np.testing.assert_allclose(found.command, again.command[:N], rtol=0, atol=1e-5)
-        assert found.upper[N, -1] == pytest.approx(again.upper[N, -1], rel=1e-4)
+        np.testing.assert_allclose(answer.command, other.command[:N], rtol=0, atol=1e-5)
+        assert answer.upper[N, -1] == pytest.approx(other.upper[N, -1], rel=1e-4)
 
 
 class TestModes:
@@ -264,30 +265,90 @@ class TestMemory:
 
     def test_an_answer_knows_nothing_of_the_problem_before(self, make_problem: ProblemMaker) -> None:
         problem, other = make_problem(0.4, 3.0), make_problem(0.1, 3.0, current_A=0.3)
-        first = riccati.solve(problem, SolverOptions())
-        riccati.solve(other, SolverOptions())
-        again = riccati.solve(problem, SolverOptions())
+        (first,) = riccati.solve([problem], SolverOptions())
+        riccati.solve([other], SolverOptions())
+        (again,) = riccati.solve([problem], SolverOptions())
         assert again.iterations == first.iterations
         np.testing.assert_allclose(again.command, first.command, rtol=1e-12, atol=1e-14)
         for one, its in zip(first.multipliers.arrays(), again.multipliers.arrays(), strict=True):
             np.testing.assert_allclose(its, one, rtol=1e-9, atol=1e-14)
 
-    def test_belongs_to_one_thread(self, make_problem: ProblemMaker) -> None:
+    def test_is_kept_by_each_thread_and_up_to_a_size(
+        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         given = stages(make_problem(0.4, 3.0, stages=40))
-        own = extension.buffers_of(given.sizes)
-        assert extension.buffers_of(dict(given.sizes)) is own
-        with ThreadPoolExecutor(1) as pool:
-            assert pool.submit(extension.buffers_of, given.sizes).result() is not own
 
-    def test_of_few_and_small_problems_is_kept(self, make_problem: ProblemMaker) -> None:
-        given = stages(make_problem(0.4, 3.0, stages=40))
-        first = extension.buffers_of(given.sizes)
-        for more in range(extension.MOST_KEPT):
-            extension.buffers_of({**given.sizes, "stages": 41 + more})
-        assert extension.buffers_of(given.sizes) is not first
-        huge = {**given.sizes, "stages": 200_000}
-        assert extension.buffers_of(huge).workspace.nbytes > extension.MOST_KEPT_BYTES
-        assert extension.buffers_of(huge) is not extension.buffers_of(huge)
+        def kept() -> FloatArray:
+            self.solved(given)
+            return extension._memory.kept
+
+        own = kept()
+        assert kept() is own
+        with ThreadPoolExecutor(1) as pool:
+            assert pool.submit(kept).result() is not own
+        monkeypatch.setattr(extension, "MOST_KEPT_BYTES", own.nbytes)
+        self.solved(stages(make_problem(0.4, 3.0, stages=4000)))
+        assert extension._memory.kept is own
+
+    @staticmethod
+    def solved(given: Stages) -> extension.Answer:
+        return extension.interior_points([given], tolerance=1e-9, max_iterations=60)[0]
+
+
+class TestSideBySide:
+    """Problems of equal sizes share the registers, and nothing else."""
+
+    BESIDE = 9  # the widest register has eight numbers; one problem is left over
+
+    @staticmethod
+    def solved(given: list[Stages]) -> list[extension.Answer]:
+        return extension.interior_points(given, tolerance=1e-9, max_iterations=60)
+
+    @pytest.mark.parametrize("name", SCENES)
+    def test_the_answers_are_those_of_each_alone(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        """Harder and easier problems: those that end first wait for the others."""
+        whole = hardest(name).without("temperature")
+        limits = whole.limits.input_limit * np.linspace(1.0, 0.7, self.BESIDE)
+        given = [stages(with_numbers(whole, current_A=limit)) for limit in limits]
+        beside = self.solved(given)
+        for each, found in zip(given, beside, strict=True):
+            (own,) = self.solved([each])
+            assert found.code == own.code
+            assert found.objective == pytest.approx(own.objective, rel=1e-9)
+            if found.iterations == own.iterations:  # rounding may put one below the tolerance a step earlier
+                np.testing.assert_allclose(found.command, own.command, rtol=0, atol=1e-8 * np.abs(own.command).max())
+            assert abs(found.iterations - own.iterations) <= 1
+
+    def test_no_answer_depends_on_the_problems_beside_it(self, make_problem: ProblemMaker) -> None:
+        """Not by a bit: on none that ends at once, breaks down, or is met by no command."""
+        easy, hard = (stages(make_problem(speed, 5.0)) for speed in (0.1, 0.4))
+        nothing = replace(easy, arrays=easy.arrays | {"reference": np.full_like(easy.arrays["reference"], np.nan)})
+        unmet = replace(hard, arrays=hard.arrays | {name: hard.arrays[name] + 2.0 for name in ("lower", "upper")})
+        wanted = self.solved([hard] * self.BESIDE)[3]
+        assert wanted.code == extension.SOLVED
+        for other in (easy, nothing, unmet):
+            found = self.solved([other, other, other, hard, *[other] * 5])
+            for one, its in zip(wanted, found[3], strict=True):
+                np.testing.assert_array_equal(its, one)
+            assert found[0].iterations != wanted.iterations
+
+    def test_any_problems_are_answered_in_their_order(self, make_problem: ProblemMaker) -> None:
+        given = [stages(make_problem(0.4, 5.0, stages=n)) for n in (40, 60, 40, 50, 60, 40, 60)]
+        for own, beside in zip([self.solved([each])[0] for each in given], self.solved(given), strict=True):
+            np.testing.assert_allclose(beside.command, own.command, atol=1e-9)
+        assert not self.solved([])
+
+    def test_the_certificates_are_those_of_each_alone(self, make_problem: ProblemMaker) -> None:
+        problems = [make_problem(0.4, grip, current_A=limit) for grip in (1.0, 5.0) for limit in (9.0, 4.0, 2.0, 1.0)]
+        answers = riccati.solve(problems, OWN)
+        effects = [Effect(problem, answer.command) for problem, answer in zip(problems, answers, strict=True)]
+        found = certificates([(effect, a.multipliers) for effect, a in zip(effects, answers, strict=True)])
+        for problem, answer, proof in zip(problems, answers, found, strict=True):
+            wanted = certify(problem, answer.command, answer.multipliers)
+            assert proof.accepted
+            assert proof.objective == pytest.approx(wanted.objective, rel=1e-9)
+            assert proof.relative_gap == pytest.approx(wanted.relative_gap, abs=1e-9)
+            assert proof.excess == pytest.approx(wanted.excess, abs=1e-6)
 
 
 class TestBounds:
@@ -305,7 +366,7 @@ class TestBounds:
         limits = replace(given.limits, **{name: bounds})
         broken = replace(given, limits=limits, arrays=given.arrays | {name: bounds})
         with pytest.raises(InputError, match=r"limit current: bounds .* at stage 7, .* must be numbers"):
-            extension.interior_point(broken, extension.Buffers(broken.sizes), tolerance=1e-9, max_iterations=9)
+            extension.interior_points([given, broken], tolerance=1e-9, max_iterations=9)
 
     @pytest.mark.parametrize("solver", ["riccati", "casadi-piqp", "casadi-ipopt"])
     def test_are_refused_by_every_method(self, make_problem: ProblemMaker, solver: str) -> None:
@@ -314,7 +375,7 @@ class TestBounds:
         object.__setattr__(limit, "limit", float("nan"))  # whatever a limit's own checks let through
         problem = problem.replaced(limit)
         with pytest.raises(InputError, match=r"limit .*bounds nan and nan at stage"):
-            choose.SOLVERS[solver](problem, SolverOptions(solver))
+            choose.SOLVERS[solver].method([problem], SolverOptions(solver))
 
 
 class Stopped(Exception):  # noqa: N818 - not an error
@@ -344,25 +405,26 @@ def signalled(after_s: float) -> Iterator[list[int]]:
 class TestSignals:
     def test_one_that_raises_ends_the_search(self, make_problem: ProblemMaker) -> None:
         given = stages(make_problem(0.4, 5.0, current_A=1.0))
-        found = extension.Buffers(given.sizes)
+
+        def solved() -> extension.Answer:
+            return extension.interior_points([given], tolerance=1e-9, max_iterations=60)[0]
 
         def search() -> None:
             while True:
-                extension.interior_point(given, found, tolerance=1e-9, max_iterations=60)
+                solved()
 
         with signalled(0.05) as came, pytest.raises(Stopped):
             search()
         assert came == [signal.SIGINT]
-        assert extension.interior_point(given, found, tolerance=1e-9, max_iterations=60).code == extension.SOLVED
+        assert solved().code == extension.SOLVED
 
     def test_the_largest_problem_does_not_hold_it_up(self) -> None:
         """One iteration of it takes a third of a second, all of them seven."""
         problem = StressCase("long", horizon=Horizon(stages=20000)).problem()
         given = stages(replace(problem, spread=(problem.stage,) * 6))
         assert given.sizes["states"] > 40
-        found = extension.Buffers(given.sizes)
         with signalled(0.2) as came, pytest.raises(Stopped):
-            extension.interior_point(given, found, tolerance=1e-9, max_iterations=100)
+            extension.interior_points([given], tolerance=1e-9, max_iterations=100)
         assert came == [signal.SIGINT]
 
 

@@ -1,10 +1,13 @@
-"""The unlimited optimum: the Riccati pass against dense least squares, against solvers, on extreme devices."""
+"""The unlimited optimum: the Riccati pass against least squares, the sparse system, solvers, on extreme devices."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from tests.benches.limits import with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
@@ -20,80 +23,77 @@ from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import pressing
 from transopt.proof.certify import certify, gradient_rounding
-from transopt.solvers import lq_pass, unlimited
+from transopt.solvers import sparse_kkt, unlimited
 from transopt.solvers.choose import solve
-from transopt.solvers.lq_pass import Gains, Pass, Tracking
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.stage_data import without_limits
+from transopt.solvers.stage_data import Stages, without_limits
 
 
-def random_tracking(stages: int, ny: int, rule_stages: int) -> Tracking:
+def random_stages(stages: int, ny: int, rule_stages: int) -> Stages:
+    """Stage data of no device: several outputs, feed-through, weights that change, an affine rule at the end."""
     random = np.random.default_rng(stages + 10 * ny)
-    n = 4
+    n, free = 4, stages - rule_stages
     A = random.standard_normal((n, n))
-    return Tracking(
-        A=A / np.abs(np.linalg.eigvals(A)).max(),
-        B=random.standard_normal(n),
-        C=random.standard_normal((ny, n)),
-        D=random.standard_normal(ny),
-        reference=random.standard_normal((stages, ny)),
-        weights=random.uniform(0, 2, (stages, ny)),
-        movement_weights=random.uniform(0.1, 2, stages),
-        rule_gains=0.5 * random.standard_normal((rule_stages, n)),
-        rule_offsets=random.standard_normal(rule_stages),
-        end_gain=random.standard_normal((3, n)),
-        end_target=random.standard_normal(3),
+    arrays = {
+        "A": A / np.abs(np.linalg.eigvals(A)).max(),
+        "C": random.standard_normal((ny, n)),
+        "E": random.standard_normal(ny),
+        "weight": random.uniform(0, 2, (stages, ny)),
+        "reference": random.standard_normal((stages, ny)),
+        "rule_gain": 0.5 * random.standard_normal((rule_stages, n)),
+        "rule_offset": random.standard_normal(rule_stages),
+        "end_gain": random.standard_normal((3, n)),
+        "end_target": random.standard_normal(3),
+    }
+    given = without_limits(StressCase("any").problem())
+    sizes = {"stages": stages, "free_stages": free, "states": n, "outputs": ny, "ends": 3}
+    return replace(
+        given,
+        sizes=given.sizes | sizes,
+        numbers=given.numbers | {"movement_weight": 0.7},
+        arrays=given.arrays | arrays,
     )
 
 
-def rolled_out(data: Tracking, free: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Movement (N,), error (N, ny) and error at the end (m,), stage by stage as the statement reads."""
-    z = np.zeros(data.B.size)
-    movement, error = np.empty(data.movement_weights.size), np.empty_like(data.reference)
-    for k in range(movement.size):
-        j = k - data.free_stages
-        movement[k] = free[k] if j < 0 else data.rule_gains[j] @ z + data.rule_offsets[j]
-        error[k] = data.C @ z + data.D * movement[k] - data.reference[k]
-        z = data.A @ z + data.B * movement[k]
-    return movement, error, data.end_gain @ z - data.end_target
-
-
-def residuals(data: Tracking, free: FloatArray) -> FloatArray:
-    """The objective is the sum of their squares; affine in the free movement."""
-    movement, error, end_error = rolled_out(data, free)
-    weighted = (np.sqrt(data.weights) * error).ravel()
-    return np.concatenate([weighted, np.sqrt(data.movement_weights) * movement, end_error])
+def residuals(given: Stages, free: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N,) commands, and what half the sum of the squares of which is the objective, stage by stage as it reads."""
+    d, N = given.arrays, given.sizes["stages"]
+    z, movement, error = np.zeros(4), np.empty(N), np.empty_like(d["reference"])
+    for k in range(N):
+        j = k - given.sizes["free_stages"]
+        movement[k] = free[k] if j < 0 else d["rule_gain"][j] @ z + d["rule_offset"][j]
+        error[k] = d["C"] @ z + d["E"] * movement[k] - d["reference"][k]
+        z = d["A"] @ z + d["A"][:, -1] * movement[k]
+    weighted = (np.sqrt(d["weight"]) * error).ravel()
+    moved = np.sqrt(given.numbers["movement_weight"]) * movement
+    return np.cumsum(movement), np.concatenate([weighted, moved, d["end_gain"] @ z - d["end_target"]])
 
 
 SIZES = [(stages, ny, rule) for ny in (1, 2, 3) for stages, rule in ((2, 1), (5, 0), (9, 3), (24, 4), (25, 25))]
 
 
+@pytest.mark.skipif(not extension.available, reason="the extension is not built")
 @pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
 def test_pass_is_the_dense_least_squares_solution(stages: int, ny: int, rule_stages: int) -> None:
-    """Several outputs, feed-through, weights that change, an affine rule at the end."""
-    data = random_tracking(stages, ny, rule_stages)
-    free = data.free_stages
-    at_zero = residuals(data, np.zeros(free))
-    jacobian = np.array([residuals(data, step) - at_zero for step in np.eye(free)]).reshape(free, at_zero.size).T
-    best = np.linalg.lstsq(jacobian, -at_zero)[0]
-
-    run = Pass(data)
-    found = run.improved(run.at_rest(), run.factored())
-    movement, error, end_error = rolled_out(data, best)
-    np.testing.assert_allclose(found.movement, movement, atol=1e-11)
-    np.testing.assert_allclose(found.error, error, atol=1e-11)
-    np.testing.assert_allclose(found.end_error, end_error, atol=1e-11)
-    assert np.abs(run.gradient(found)).max(initial=0.0) < 1e-11
+    given = random_stages(stages, ny, rule_stages)
+    free = given.sizes["free_stages"]
+    _, at_zero = residuals(given, np.zeros(free))
+    jacobian = np.array([residuals(given, step)[1] - at_zero for step in np.eye(free)]).reshape(free, at_zero.size).T
+    wanted, left = residuals(given, np.linalg.lstsq(jacobian, -at_zero)[0])
+    (found,) = extension.linear_passes([given], unlimited.GAP)
+    assert found.code == extension.SOLVED
+    np.testing.assert_allclose(found.command, wanted, atol=1e-10)
+    assert found.objective == pytest.approx(0.5 * left @ left + given.numbers["constant"], rel=1e-10)
 
 
 @pytest.mark.parametrize("ideal", [False, True])
 def test_agrees_with_solvers_whose_limits_are_far_away(make_problem: ProblemMaker, ideal: bool) -> None:
     problem = make_problem(0.3, 3.0, ideal=ideal, stages=60, current_A=40.0, **({} if ideal else {"command_A": 60.0}))
-    free = unlimited.solve(problem)
+    free = unlimited.solve([problem])[0]
     for solver in ("casadi-piqp", "casadi-ipopt"):
         np.testing.assert_allclose(free.command, solve(problem, SolverOptions(solver)).command, atol=1e-6)
-    np.testing.assert_allclose(free.command, unlimited.solve_sparse_kkt(problem).command, atol=1e-9)
+    np.testing.assert_allclose(free.command, unlimited.solve_sparse(problem).command, atol=1e-9)
 
 
 def test_every_entry_of_the_default_scene_is_proven_by_the_pass(make_problem: ProblemMaker) -> None:
@@ -101,7 +101,7 @@ def test_every_entry_of_the_default_scene_is_proven_by_the_pass(make_problem: Pr
         for grip in (1.0, 3.0, 5.0):
             # Limits wide enough for every optimum, so that the certificate judges nothing else.
             problem = make_problem(speed, grip, current_A=8.0, command_A=20.0)
-            answer = unlimited.solve(problem)
+            answer = unlimited.solve([problem])[0]
             proof = certify(problem, answer.command, answer.multipliers)
             assert answer.status is Status.OPTIMAL
             assert answer.message == "Riccati pass"
@@ -172,7 +172,7 @@ EXTREMES = {
 @pytest.mark.parametrize("ideal", [False, True])
 def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) -> None:
     problem = EXTREMES[name](make_problem(0.4, 5.0, ideal=ideal))
-    answer = unlimited.solve(problem)
+    answer = unlimited.solve([problem])[0]
     proof = certify(problem, answer.command, answer.multipliers)
     assert answer.status is Status.OPTIMAL
     assert answer.message.startswith("Riccati pass")
@@ -184,64 +184,63 @@ def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) ->
     assert not answer.command[problem.free_stages :].any()
 
 
-class TestWhenThePassFallsShort:
-    """Gains that are wrong, as rounding could leave them: the gradient notices."""
+class TestSparseSystem:
+    """The sparse KKT system is solved in a process of its own where the pass falls short, or is not there."""
 
-    @staticmethod
-    def spoil(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
-        exact = lq_pass.Pass.factored
-
-        def spoilt(run: Pass) -> Gains:
-            gains = exact(run)
-            return Gains(gains.feedback, factor * gains.inverse_factor)
-
-        monkeypatch.setattr(lq_pass.Pass, "factored", spoilt)
-
-    def test_a_small_error_is_refined_away(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
-        problem = make_problem(0.2, 3.0)
-        wanted = unlimited.solve(problem).command
-        self.spoil(monkeypatch, 1 + 1e-5)
-        answer = unlimited.solve_in_casadi(problem)
-        assert answer.message == "Riccati pass, refined"
-        assert certify(problem, answer.command, answer.multipliers).dual_residual < 1e-14
-        np.testing.assert_allclose(answer.command, wanted, atol=1e-10)
-
-    @pytest.mark.parametrize("factor", [2.0, float("nan")])
-    def test_a_large_one_is_left_to_the_sparse_system(
-        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch, factor: float
+    @pytest.mark.parametrize("change", [{"gap": 1e6}, {"gap": float("nan")}, {"code": 4}])
+    def test_is_asked_where_the_pass_leaves_a_gap(
+        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch, change: dict[str, Any]
     ) -> None:
         problem = make_problem(0.2, 3.0)
-        self.spoil(monkeypatch, factor)
-        answer = unlimited.solve_in_casadi(problem)
+        wanted, passes = unlimited.solve([problem])[0], extension.linear_passes
+
+        def spoilt(given: Sequence[Stages], tolerance: float) -> list[extension.Answer]:
+            return [answer._replace(command=answer.command * 1.01, **change) for answer in passes(given, tolerance)]
+
+        monkeypatch.setattr(extension, "linear_passes", spoilt)
+        (answer,) = unlimited.solve([problem])
         assert answer.message == "sparse KKT system"
         assert answer.status is Status.OPTIMAL
         proof = certify(problem, answer.command, answer.multipliers)
         assert proof.accepted
-        assert proof.dual_residual < 1e-14
+        assert proof.dual_residual < 1e-12
+        np.testing.assert_allclose(answer.command, wanted.command, atol=1e-9)
+
+    def test_is_asked_where_there_is_no_pass(
+        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        problem = make_problem(0.2, 3.0)
+        (wanted,) = unlimited.solve([problem])
+        monkeypatch.setattr(extension, "available", False)
+        (answer,) = unlimited.solve([problem])
+        assert answer.message == "sparse KKT system"
+        np.testing.assert_allclose(answer.command, wanted.command, atol=1e-9)
+        assert certify(problem, answer.command, answer.multipliers).accepted
 
     def test_where_any_command_is_optimal_none_is_the_answer(self, make_problem: ProblemMaker) -> None:
         """Without weights pass and sparse system would break down; rest is as good as any command, and proven."""
         problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, terms=(ErrorTerm("plain", np.zeros(30)),))
-        answer = unlimited.solve_in_casadi(problem)
+        answer = unlimited.solve_sparse(problem)
         assert not answer.command.any()
         assert certify(problem, answer.command, answer.multipliers).accepted
 
+    def test_that_is_singular_is_a_failure(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+        def singular(_: object) -> None:
+            raise RuntimeError("Factor is exactly singular")
 
-def test_the_other_passes_run_apart_and_give_the_same(
-    make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem = make_problem(0.2, 3.0)
-    monkeypatch.setattr(extension, "available", False)
-    np.testing.assert_array_equal(unlimited.solve(problem).command, unlimited.solve_in_casadi(problem).command)
+        monkeypatch.setattr(sparse_kkt.scipy.sparse.linalg, "splu", singular)
+        answer = unlimited.solve_sparse(make_problem(0.2, 3.0))
+        assert answer.status is Status.NUMERICAL_FAILURE
+        assert np.isnan(answer.command).any()
 
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
 class TestCompiledPass:
-    """The pass of the extension against the one in CasADi's virtual machine, and its cached gains."""
+    """The pass of the extension against the sparse system."""
 
     @staticmethod
     def difference(problem: TransientProblem) -> float:
-        own, other = unlimited.solve(problem), unlimited.solve_in_casadi(problem)
+        own, other = unlimited.solve([problem])[0], unlimited.solve_sparse(problem)
         assert own.message == "Riccati pass"
         np.testing.assert_allclose(
             own.multipliers.hand_over,
@@ -271,28 +270,12 @@ class TestCompiledPass:
         )
         assert self.difference(problem) < 1e-9
 
-    def test_in_shared_memory_no_pass_takes_anothers_gains(self, make_problem: ProblemMaker) -> None:
-        """Nor what an interior point leaves there."""
-        light, firm = (without_limits(make_problem(0.2, grip)) for grip in (1.0, 5.0))
-        alone = extension.LinearPass(light)
-        assert alone.solve(unlimited.GAP).code == extension.SOLVED
-        shared = extension.Buffers(light.sizes)
-        first, second = (extension.LinearPass(stages, shared) for stages in (light, firm))
-        for other in (second, None, second):
-            assert first.solve(unlimited.GAP).code == extension.SOLVED
-            np.testing.assert_array_equal(first.command(), alone.command())
-            if other is None:
-                extension.interior_point(firm, shared, tolerance=1e-9, max_iterations=5)
-            else:
-                assert other.solve(unlimited.GAP).code == extension.SOLVED
-                assert np.abs(other.command() - alone.command()).max() > 0.1
-
-    def test_without_any_weight_it_breaks_down_and_keeps_no_gains(self, make_problem: ProblemMaker) -> None:
+    def test_without_any_weight_it_breaks_down(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.2, 3.0, stages=30)
-        run = extension.LinearPass(
-            without_limits(replace(problem, rho=0.0, terms=(ErrorTerm("plain", np.zeros(30)),)))
-        )
-        assert all(run.solve(unlimited.GAP).code not in (extension.SOLVED, extension.ACCURACY) for _ in range(2))
+        nothing = without_limits(replace(problem, rho=0.0, terms=(ErrorTerm("plain", np.zeros(30)),)))
+        fine = without_limits(problem)
+        answers = extension.linear_passes([nothing, fine, nothing, fine], unlimited.GAP)
+        assert [answer.code <= extension.ACCURACY for answer in answers] == [False, True, False, True]
 
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
@@ -307,5 +290,5 @@ def test_a_gap_that_is_only_rounding_asks_no_other_method(monkeypatch: pytest.Mo
         raise AssertionError("another method was asked")
 
     monkeypatch.setattr(unlimited, "solve_apart", asked)
-    found = unlimited.solve(problem)
+    found = unlimited.solve([problem])[0]
     assert certify(problem, found.command, found.multipliers).is_stationary

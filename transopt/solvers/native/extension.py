@@ -9,6 +9,7 @@ The extension is optional. Where it could not be built, `available` is False.
 import ctypes as ct
 import os
 import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,13 +17,12 @@ import numpy as np
 
 from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
-from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.solvers.bounds import check_bounds
 from transopt.solvers.stage_data import Stages
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_ROWS = 96, 128  # of riccati.c
-INTERFACE = 7  # as `tr_interface` of riccati.c: both change with what arguments and results mean
+INTERFACE = 8  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 
 
@@ -53,7 +53,7 @@ class _Options(ct.Structure):
 class _Result(ct.Structure):
     _fields_ = (
         *[(name, DOUBLES) for name in ("command", "size", "lower", "upper", "gradient", "start")],
-        ("iterations", ct.c_int),
+        *[(name, ct.c_int) for name in ("code", "iterations")],
         *[(name, ct.c_double) for name in ("objective", "gap", "residual")],
     )
 
@@ -75,10 +75,10 @@ def _library() -> ct.CDLL | None:
     if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
         return None  # left behind by another version: as good as none
     problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)
-    library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (problem,)
-    library.tr_solve.argtypes = (problem, ct.POINTER(_Options), DOUBLES, result)
-    library.tr_linear.argtypes = (problem, ct.POINTER(_Options), ct.c_int, DOUBLES, result)
-    library.tr_prove.argtypes = (problem, DOUBLES, ct.POINTER(_Proof))
+    library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (ct.c_int, problem)
+    library.tr_solve.argtypes = (ct.c_int, problem, ct.POINTER(_Options), DOUBLES, result)
+    library.tr_linear.argtypes = library.tr_solve.argtypes
+    library.tr_prove.argtypes = (ct.c_int, problem, DOUBLES, ct.POINTER(_Proof))
     return library
 
 
@@ -94,55 +94,14 @@ _HOST = ct.pointer(_host())
 SOLVED, ACCURACY, NO_BOUNDS = 0, 1, 6  # codes of an answer; the others are failures
 
 
-class Buffers:
-    """Result arrays and workspace of one size, to be used again and again, by one thread at a time.
-
-    Attributes
-    ----------
-    command, gradient : (N,) of the last answer, in the statement's units. size : (N,), of a problem with temperature.
-    lower, upper : (N + 1, rows) its multipliers.
-    gains_of : the linear pass whose gains stand in the workspace, by its token; None for none.
-    """
-
-    def __init__(self, sizes: dict[str, int]) -> None:
-        assert _LIBRARY is not None
-        N, shape = sizes["stages"], (sizes["stages"] + 1, sizes["rows"])
-        self.command, self.size, self.gradient = np.zeros(N), np.zeros(N), np.zeros(N)
-        # A pointer to nothing is none that C may copy no bytes to.
-        self._lower, self._upper, self._start = (np.zeros(max(count, 1)) for count in (*[shape[0] * shape[1]] * 2, 4))
-        self.lower, self.upper = (flat[: shape[0] * shape[1]].reshape(shape) for flat in (self._lower, self._upper))
-        self.gains_of: object = None
-        self.workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(_Problem(**sizes))))
-        self.result = _Result(
-            *(address(a) for a in (self.command, self.size, self._lower, self._upper, self.gradient, self._start))
-        )
-
-
-MOST_KEPT, MOST_KEPT_BYTES = 4, 2**24  # a library's problem without limits, with them, with the temperature
-_memory = threading.local()
-
-
-def buffers_of(sizes: dict[str, int]) -> Buffers:
-    """Buffers of this thread for these sizes: fresh memory takes as long as solving a short problem.
-
-    What an answer consists of has to be taken out of them before the thread solves another problem.
-    """
-    kept: dict[tuple[int, ...], Buffers] = vars(_memory).setdefault("kept", {})
-    key = tuple(sizes.values())
-    found = kept.get(key) or Buffers(sizes)
-    if key not in kept and found.workspace.nbytes <= MOST_KEPT_BYTES:
-        if len(kept) == MOST_KEPT:
-            del kept[next(iter(kept))]
-        kept[key] = found
-    return found
-
-
 class Answer(NamedTuple):
-    """What the method says of its last iterate, which stands in the buffers.
+    """What the method says of its last iterate, in the statement's units.
 
     Attributes
     ----------
     code : 0 solved, 1 solved to what rounding leaves, otherwise a failure. gap, objective : in units of 1e-3.
+    command, gradient : (N,) and the Lagrangian's slope by each movement.
+    lower, upper : (N + 1, rows) multipliers >= 0.
     """
 
     code: int
@@ -150,12 +109,33 @@ class Answer(NamedTuple):
     objective: float
     gap: float
     residual: float
+    command: FloatArray
+    gradient: FloatArray
+    lower: FloatArray
+    upper: FloatArray
 
     @property
     def relative_gap(self) -> float:
         """The gap counts relative to max(J, 1e-3), and is inf where that is no number."""
         relative = self.gap / max(self.objective, 1.0)
         return relative if np.isfinite(relative) else np.inf
+
+
+MOST_KEPT_BYTES = 2**25  # of a thread's workspace: eight problems of a thousand stages side by side
+_memory = threading.local()
+
+
+def _workspace(count: int, problems: ct.Array[_Problem]) -> FloatArray:
+    """Memory of this thread to work in: fresh memory takes as long as solving a short problem."""
+    assert _LIBRARY is not None
+    kept: FloatArray = vars(_memory).setdefault("kept", np.empty(0))
+    needed = _LIBRARY.tr_workspace(count, problems)
+    if kept.size >= needed:
+        return kept
+    fresh = np.empty(needed)
+    if fresh.nbytes <= MOST_KEPT_BYTES:
+        _memory.kept = fresh
+    return fresh
 
 
 def _stated(stages: Stages) -> _Problem:
@@ -167,12 +147,40 @@ def _stated(stages: Stages) -> _Problem:
     return found
 
 
-def _answer(code: int, result: _Result) -> Answer:
-    return Answer(code, result.iterations, result.objective, result.gap, result.residual)
+def _of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
+    """Which problems stand side by side: those that have as many stages, states and rows."""
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for i, stages in enumerate(given):
+        groups.setdefault(tuple(stages.sizes.values()), []).append(i)
+    yield from groups.values()
 
 
-def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_iterations: int) -> Answer:
-    """Solve; the answer stands in the buffers, made for the same sizes.
+def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answer]:
+    """Answers of `tr_solve` or `tr_linear` to any problems, in their order."""
+    found: dict[int, Answer] = {}
+    for group in _of_equal_sizes(given):
+        sizes, count = given[group[0]].sizes, len(group)
+        N, rows = sizes["stages"], sizes["rows"]
+        command, size, gradient = np.zeros((3, count, N))
+        bounds = np.zeros((2, count, N + 1, rows))
+        start = np.zeros((count, max(sizes["nodes"], 1)))
+        # C copies no bytes to an address without any, and takes none.
+        arrays = (command, size, *(bounds if rows else np.zeros((2, count, 1))), gradient, start)
+        first, step = [address(array) for array in arrays], [array[0].nbytes for array in arrays]
+        problems = (_Problem * count)(*(_stated(given[i]) for i in group))
+        results = (_Result * count)(
+            *(_Result(*(at + j * by for at, by in zip(first, step, strict=True))) for j in range(count))
+        )
+        method(count, problems, ct.byref(asked), address(_workspace(count, problems)), results)
+        for j, i in enumerate(group):
+            r = results[j]
+            told = (r.code, r.iterations, r.objective, r.gap, r.residual)
+            found[i] = Answer(*told, command[j], gradient[j], bounds[0, j], bounds[1, j])
+    return [found[i] for i in range(len(given))]
+
+
+def interior_points(given: Sequence[Stages], *, tolerance: float, max_iterations: int) -> list[Answer]:
+    """Solve problems, those of equal sizes side by side.
 
     Parameters
     ----------
@@ -183,13 +191,24 @@ def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_it
     InputError : a limit's bounds are none.
     """
     assert _LIBRARY is not None
-    stated, asked, buffers.gains_of = _stated(stages), _Options(max_iterations, tolerance, _HOST), None
-    code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), address(buffers.workspace), ct.byref(buffers.result))
-    if code == NO_BOUNDS:
-        rows = stages.limits
-        for name, lower, upper in zip(rows.kinds, rows.lower.T, rows.upper.T, strict=True):
-            check_bounds(name, lower, upper)
-    return _answer(code, buffers.result)
+    found = _answers(_LIBRARY.tr_solve, given, _Options(max_iterations, tolerance, _HOST))
+    for stages, answer in zip(given, found, strict=True):
+        if answer.code == NO_BOUNDS:
+            rows = stages.limits
+            for name, lower, upper in zip(rows.kinds, rows.lower.T, rows.upper.T, strict=True):
+                check_bounds(name, lower, upper)
+    return found
+
+
+def linear_passes(given: Sequence[Stages], tolerance: float) -> list[Answer]:
+    """Solve problems without limits (`stage_data.without_limits`), those of equal sizes side by side.
+
+    Parameters
+    ----------
+    tolerance : on the gap, relative to max(J, 1e-3).
+    """
+    assert _LIBRARY is not None
+    return _answers(_LIBRARY.tr_linear, given, _Options(0, tolerance, _HOST))
 
 
 class Proof(NamedTuple):
@@ -212,77 +231,39 @@ class Proof(NamedTuple):
     by_movement: float
 
 
-def prove(
-    stages: Stages, command: FloatArray, by_row: tuple[FloatArray, FloatArray] | None, by_rule: FloatArray
-) -> Proof | None:
-    """Judge a command of a problem without temperature; None where the problem is too large.
+class Judged(NamedTuple):
+    """A command of a problem without temperature, which `prove` judges, in the statement's units.
 
-    Parameters
+    Attributes
     ----------
     command : (N,).
     by_row : (N, rows) multipliers >= 0 of lower and of upper bounds, contiguous; None for none.
     by_rule : (h,) of the hand-over.
     """
+
+    stages: Stages
+    command: FloatArray
+    by_row: tuple[FloatArray, FloatArray] | None
+    by_rule: FloatArray
+
+
+def _asked(judged: Judged, excess: FloatArray) -> _Proof:
+    multipliers = (None, None) if judged.by_row is None else map(address, judged.by_row)
+    bounds = map(address, judged.stages.limits.asked)
+    return _Proof(address(judged.command), *multipliers, address(judged.by_rule), *bounds, address(excess))
+
+
+def prove(asked: Sequence[Judged]) -> list[Proof]:
+    """Judge commands, those of problems of equal sizes side by side."""
     assert _LIBRARY is not None
-    buffers, excess = buffers_of(stages.sizes), np.empty(stages.sizes["rows"])
-    multipliers = (None, None) if by_row is None else map(address, by_row)
-    bounds = map(address, stages.limits.asked)
-    proof = _Proof(address(command), *multipliers, address(by_rule), *bounds, address(excess))
-    stated = _stated(stages)
-    buffers.gains_of = None
-    if _LIBRARY.tr_prove(ct.byref(stated), address(buffers.workspace), ct.byref(proof)) != SOLVED:
-        return None
-    return Proof(excess, *(getattr(proof, name) for name in Proof._fields[1:]))
-
-
-class LinearPass:
-    """The optimum without limits for one device and one weight, its gains factored once and used for any reference.
-
-    Parameters
-    ----------
-    stages : `stage_data.without_limits`. The reference stands in units of its norm, so |r| is part of the weight: two
-        references share gains only if they share rho |r|^2, as those of one (grip, speed) do.
-    buffers : of the same sizes, where there are any. Who else solves in them costs this pass its gains.
-
-    Attributes
-    ----------
-    reference : (N,) of the stages' problem in units of its norm; writing into it is how it is changed.
-    """
-
-    def __init__(self, stages: Stages, buffers: Buffers | None = None) -> None:
-        assert _LIBRARY is not None
-        self.stages = stages
-        self.buffers = Buffers(stages.sizes) if buffers is None else buffers
-        self.reference = stages.arrays["reference"].copy()
-        self._stated = _Problem.from_buffer_copy(_stated(stages))
-        self._stated.reference = address(self.reference)
-        self._arguments = (address(self.buffers.workspace), ct.byref(self.buffers.result))
-        self._problem, self._token = ct.byref(self._stated), object()
-        self._asked = _Options(0, 0.0, _HOST)
-        self._pass = _LIBRARY.tr_linear
-        problem = stages.problem
-        self._tail = slice(problem.free_stages, None)
-        self._zeros = self._tail if problem.wall is None else slice(0, 0)
-
-    def solve(self, tolerance: float) -> Answer:
-        """Answer to `tolerance` on the gap, relative to max(J, 1e-3); command and gradient stand in the buffers."""
-        buffers = self.buffers
-        factored, buffers.gains_of = buffers.gains_of is self._token, None
-        self._asked.tolerance = tolerance
-        code = self._pass(self._problem, ct.byref(self._asked), factored, *self._arguments)
-        buffers.gains_of = self._token if code in (SOLVED, ACCURACY) else None
-        return _answer(code, buffers.result)
-
-    def forget(self) -> None:
-        """Factor again at the next solve."""
-        self.buffers.gains_of = None
-
-    def command(self) -> FloatArray:
-        """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
-        command: FloatArray = self.buffers.command * self.stages.input_scale
-        command[self._zeros] = 0.0
-        return command
-
-    def hand_over(self) -> FloatArray:
-        """(hand_over_samples,) its multipliers of the hand-over [1/A]."""
-        return np.asarray(-self.buffers.gradient[self._tail] * OBJECTIVE_SCALE / self.stages.input_scale)
+    found: dict[int, Proof] = {}
+    for group in _of_equal_sizes([each.stages for each in asked]):
+        some, count = [asked[i] for i in group], len(group)
+        excess = np.empty((count, max(some[0].stages.sizes["rows"], 1)))
+        problems = (_Problem * count)(*(_stated(each.stages) for each in some))
+        proofs = (_Proof * count)(*(_asked(each, row) for each, row in zip(some, excess, strict=True)))
+        _LIBRARY.tr_prove(count, problems, address(_workspace(count, problems)), proofs)
+        for i, proof, row, each in zip(group, proofs, excess, some, strict=True):
+            numbers = (getattr(proof, name) for name in Proof._fields[1:])
+            found[i] = Proof(row[: each.stages.sizes["rows"]], *numbers)
+    return [found[i] for i in range(len(asked))]

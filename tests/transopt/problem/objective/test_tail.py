@@ -111,7 +111,7 @@ def test_the_unlimited_optimum_is_that_of_a_dense_program(plain: TransientProble
     H, g = dense.Program.of(problem).quadratic()
     free = problem.free_stages
     command = np.append(np.linalg.solve(H[:free, :free], -g[:free]), np.zeros(problem.hand_over_samples))
-    for found in (unlimited.solve(problem), unlimited.solve_in_casadi(problem)):
+    for found in (unlimited.solve([problem])[0], unlimited.solve_sparse(problem)):
         np.testing.assert_allclose(found.command, command, atol=1e-6)
 
 

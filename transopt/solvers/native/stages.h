@@ -1,0 +1,1533 @@
+/* A primal-dual interior-point method over the stages of one transient.
+ *
+ *     minimise    1/2 sum_k w_k |C x_k + E u_k - r_k|^2 + 1/2 s u_k^2 + 1/2 |Z x_N - z|^2 + constant
+ *     subject to  x_(k+1) = A x_k + A[:, n-1] u_k,  x_0 = 0,
+ *                 th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k,  th_0 = 0 or th_0 = F th_N + f,
+ *                 h_k = quadratic in (current, command) + 2 ripple e_k + ripple^2,
+ *                 u_k = f_k' x_k + g_k over the last stages (the hand-over),
+ *                 lower_k <= G x_k + d u_k + d_size e_k <= upper_k,  the winding th_w,k being the first row,
+ *
+ * k = 0..N-1 but for the rows and the temperatures, which are bounded at N as well, where u_N = e_N = 0.
+ *
+ * The movement u and the size e of the mean current are the controls; x_(n-1) is the command held before. Predictor and
+ * corrector follow Mehrotra (SIAM J. Optim. 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings,
+ * J. Optim. Theory Appl. 99, 1998), in which the size is eliminated before the movement. Where the states stand in pairs
+ * that only the held command couples to others, as the modes of a device do, products with A have no more terms than
+ * that: they are taken pair by pair. Every iterate obeys the dynamics exactly: states are rolled out, the reduced
+ * gradient comes from the adjoint recursion, so rounding in a factorisation costs a step's quality and never the
+ * answer's.
+ *
+ * Problems of equal sizes are solved side by side: each register then holds the same number of several problems, and an
+ * answer does not depend, to the last bit, on the problems beside it. A problem alone has its rows of states in
+ * registers instead, as have problems whose states do not stand in pairs.
+ *
+ * C99 without dependencies, no global state, no allocation: the caller gives the workspace. Compile with contraction of
+ * floating-point expressions off. All arrays are row by row. A caller that may be interrupted is asked for it now and
+ * then (`tr_host`).
+ */
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "riccati.h"
+
+#if HAS_WIDTH(WIDTH)
+#if !defined(ONLY_WIDTH) && WIDTH == 8
+#pragma GCC target("avx512f,avx512dq,avx512vl,prefer-vector-width=512")
+#elif !defined(ONLY_WIDTH) && WIDTH == 4
+#pragma GCC target("avx2")
+#endif
+
+/* Constants of the method. */
+static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
+static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
+static const double FARTHEST = 5e-3;  /* part of slacks and multipliers that a step leaves */
+static const double NEAREST = 1e-9, NEARNESS = 0.1;
+static const double FIRST_GAP = 3.0;  /* of the first iterate, in units of its objective */
+static const double LAST_GAP = 0.03;  /* that is aimed at, of what is allowed: less only costs digits elsewhere */
+static const double LEAST = 1e-290;   /* nothing beside a multiplier, and never zero */
+enum {
+    PATIENCE = 6,    /* iterations without a better iterate */
+    STRIDE = 256,    /* stages of a factorisation after which the host may be asked */
+    SYMMETRISED = 4, /* stages after which the cost to go is made symmetric again */
+    REFINEMENTS = 4  /* of a linear pass, each one more step with the same gains */
+};
+
+/* Solve the closure's equations in place, by elimination with row pivoting; they are at most four. */
+static void eliminate(int count, const double *matrix, double *right)
+{
+    double A[4 * MOST_NODES * MOST_NODES];
+    memcpy(A, matrix, (size_t)(count * count) * sizeof(double));
+    for (int c = 0; c < count; c++) {
+        int best = c;
+        for (int i = c + 1; i < count; i++)
+            if (fabs(A[i * count + c]) > fabs(A[best * count + c])) best = i;
+        for (int j = 0; j < count; j++) {
+            const double swap = A[c * count + j];
+            A[c * count + j] = A[best * count + j], A[best * count + j] = swap;
+        }
+        const double swap = right[c];
+        right[c] = right[best], right[best] = swap;
+        for (int i = c + 1; i < count; i++) {
+            const double by = A[i * count + c] / A[c * count + c];
+            for (int j = c; j < count; j++) A[i * count + j] -= by * A[c * count + j];
+            right[i] -= by * right[c];
+        }
+    }
+    for (int i = count - 1; i >= 0; i--) {
+        for (int j = i + 1; j < count; j++) right[i] -= A[i * count + j] * right[j];
+        right[i] /= A[i * count + i];
+    }
+}
+
+#if defined(__GNUC__)
+#define ALWAYS_INLINE static inline __attribute__((always_inline))
+#else
+#define ALWAYS_INLINE static inline
+#endif
+#define AT(rows, i) (((number *)(rows))[i])        /* one number of a row */
+#define EACH(what, e) (((double *)&(what))[e])     /* a number's double of entry e */
+#define PER (WIDTH / ENTRIES)                      /* numbers in a register */
+/* Temperatures are solved for one problem at a time. */
+#define NODES(q) (ENTRIES > 1 ? 0 : (q)->nodes)
+#define REPEATED(q) (ENTRIES > 1 ? 0 : (q)->repeated)
+#define MOST_BLOCKS (ENTRIES > 1 ? MOST_STATES_BESIDE : MOST_STATES / WIDTH)
+#define WHOLE (ENTRIES > 1 ? 2 : WIDTH > 4 ? WIDTH : 4) /* a row of states has whole pairs or fours, and registers */
+
+/* A register of doubles: of rows and of states of one problem or, of several problems, the same number of each. Every
+ * array of the workspace begins with a whole one. */
+#if WIDTH > 1
+typedef double lanes __attribute__((vector_size(8 * WIDTH), may_alias));
+typedef long long choice __attribute__((vector_size(8 * WIDTH), may_alias));
+#else
+typedef double lanes;
+#endif
+
+/* One number of every problem that is solved. */
+#if ENTRIES > 1
+typedef lanes number;
+#else
+typedef double number;
+#endif
+
+/* One of two values, chosen number by number and, of registers, lane by lane. */
+#if WIDTH > 1
+#define CHOSEN_LANES(test, one, other) \
+    ((lanes)(((choice)(test) & (choice)(one)) | (~(choice)(test) & (choice)(other))))
+#else
+#define CHOSEN_LANES(test, one, other) ((test) ? (one) : (other))
+#endif
+#if ENTRIES > 1
+#define CHOSEN CHOSEN_LANES
+#else
+#define CHOSEN(test, one, other) ((test) ? (one) : (other))
+#endif
+
+/* The larger, lane by lane; what is no number is passed over. */
+ALWAYS_INLINE void raise_to(lanes *most, const lanes than)
+{
+    *most = CHOSEN_LANES(than > *most, than, *most);
+}
+
+/* Block j of v with neighbours 2 i and 2 i + 1 in each other's place. */
+#if PER == 8
+#define PAIRS 1, 0, 3, 2, 5, 4, 7, 6
+#elif PER == 4
+#define PAIRS 1, 0, 3, 2
+#elif PER == 2
+#define PAIRS 1, 0
+#endif
+#if PER == 1
+#define SWAPPED(v, j) (v)[(j) ^ 1]
+#elif defined(__clang__)
+#define SWAPPED(v, j) __builtin_shufflevector((v)[j], (v)[j], PAIRS)
+#else
+#define SWAPPED(v, j) __builtin_shuffle((v)[j], (choice){PAIRS})
+#endif
+
+ALWAYS_INLINE number total(const lanes *of)
+{
+    number sum[PER];
+    for (int j = 0; j < PER; j++) sum[j] = AT(of, j);
+    for (int half = PER / 2; half > 0; half /= 2)
+        for (int j = 0; j < half; j++) sum[j] += sum[j + half];
+    return sum[0];
+}
+
+#if ENTRIES > 1
+ALWAYS_INLINE number absolute(const number of) { return (number)((choice)of & INT64_MAX); }
+#else
+#define absolute fabs
+#endif
+
+/* The larger; the second where the first is no number. */
+ALWAYS_INLINE number at_least(const number of, const number least) { return CHOSEN(of > least, of, least); }
+
+ALWAYS_INLINE number largest(const lanes *of)
+{
+    number most = AT(of, 0);
+    for (int j = 1; j < PER; j++) most = at_least(AT(of, j), most);
+    return most;
+}
+
+/* One side of every row: slack s = sign (value - bound), s * l -> 0. Where `there` is 0 there is no limit: l = 0. */
+typedef struct {
+    double sign;
+    lanes *there, *bound, *s, *l, *inverse, *residual, *cross; /* 1 / s, what s is off, product of the predictor's steps */
+} tr_side;
+
+/* Everything that lives during one solve. Differences carry a d: dE is the change of `error` by a Newton step. */
+typedef struct {
+    const tr_problem *q; /* the first of all */
+    const tr_problem *const *all;
+    tr_watch *watch;
+    int ld;                              /* length of a row of states, padded with zeros */
+    int blocks;                          /* of all values of the rows */
+    /* What the problems say, each number of all of them. */
+    const number *E, *weight, *reference, *rule_gain, *rule_offset, *end_target, *d, *d_size;
+    const number *M, *b, *gain, *square, *F, *f;
+    number movement_weight, decay, ripple, copper, command_bound, constant;
+    lanes *A, *At, *C, *G, *Z;          /* padded A, its transpose, C, G and Z */
+    int paired;                          /* A couples states 2 i and 2 i + 1, and the held command to all */
+    int pairs_end;                       /* where the states begin that nothing couples */
+    lanes own[MOST_BLOCKS], from_pair[MOST_BLOCKS], to_pair[MOST_BLOCKS]; /* its diagonal, A[j][j ^ 1] and A[j ^ 1][j] */
+    lanes push[MOST_BLOCKS], held[MOST_BLOCKS];                           /* its last column; one at the held command */
+    unsigned char *tracked; /* (N, outputs) whether a weight is other than zero */
+    lanes *K, *Ke;
+    number *Kth, *pivot;             /* gains of u by states and by nodes, inverse pivots */
+    number *Keth, *Ke_u, *pivot_e;  /* the same of e, its gain by u */
+    number *offset, *offset_e;           /* Newton step without feedback */
+    number *u, *e, *du, *de;
+    number *error, *d_error, *end_error, *d_end_error;
+    number *current, *command, *d_current, *d_command; /* i_k, c_k, where they heat */
+    number *heat;                        /* (N, 4): dh/di, dh/dc, times resistance; resistance; copper h */
+    number *theta;                       /* (N + 1, nodes) */
+    number *by_heat;                     /* (N) b' costate of th_(k+1) */
+    lanes *V, *dV, *sigma, *y;           /* rows: values, weights, gradients */
+    tr_side side[2];                     /* their lower and their upper limits */
+    number *unit_offset, *unit_offset_e; /* (nodes, N) response to the closure's multiplier */
+    number *still;                       /* (N) zeros */
+    number *kept_movement, *kept_gradient, *kept_size; /* of the iterate that is the answer so far */
+    lanes *kept_lower, *kept_upper;
+    number kept_start[MOST_NODES], kept_objective, kept_gap, kept_residual;
+    number sound;                        /* 0 where a factorisation has broken down */
+    int limited;                         /* whether there is any limit */
+    /* At the ends of the horizon: cost to go in th_0, its gradient, th_N of a step; the closure's multiplier. */
+    number P0[MOST_NODES * MOST_NODES], p0[MOST_NODES], th_end[MOST_NODES];
+    number eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
+    number closing[4 * MOST_NODES * MOST_NODES]; /* matrix of the closure's equations */
+    int direct[MOST_ROWS], moves[MOST_ROWS], sizes[MOST_ROWS]; /* whether E, d and d_size are other than zero */
+    int from[MOST_ROWS], to[MOST_ROWS];          /* states between which a row of G has all that is not zero */
+} tr_work;
+
+/* Where an iterate stands. */
+typedef struct {
+    number complementarity, residual, stationarity, objective;
+} tr_state;
+
+/* Registers that a row of n states takes, padded with zeros; of row i of a symmetric matrix, those that are computed. */
+#define BLOCKS(n) (((n) + WHOLE - 1) / WHOLE * WHOLE / PER)
+#define LOWER(i, blocks) (ENTRIES > 1 ? (i) + 1 : (blocks))
+
+/* The next `count` numbers of the workspace, if there is one yet. */
+static void *take(double *space, size_t *taken, size_t count)
+{
+    void *found = space ? space + *taken : NULL;
+    *taken += (count * ENTRIES + WIDTH - 1) / WIDTH * WIDTH;
+    return found;
+}
+
+/* An array of all problems, number by number: their own array where there is one problem. NULL for none. */
+static const number *of_each(const void *const *all, size_t field, size_t count, double *space, size_t *taken)
+{
+#if ENTRIES > 1
+    number *found = take(space, taken, count);
+    if (!space) return NULL;
+    for (int e = 0; e < ENTRIES; e++) {
+        const double *from = *(const double *const *)((const char *)all[e] + field);
+        for (size_t i = 0; i < count; i++) EACH(found[i], e) = from ? from[i] : 0.0;
+    }
+    return found;
+#else
+    (void)count, (void)space, (void)taken;
+    return *(const double *const *)((const char *)all[0] + field);
+#endif
+}
+
+/* A number of all problems. */
+static number each(const tr_problem *const *all, size_t field)
+{
+    number found;
+    for (int e = 0; e < ENTRIES; e++) EACH(found, e) = *(const double *)((const char *)all[e] + field);
+    return found;
+}
+
+/* Arrays in the workspace. Returns the doubles that are taken. */
+static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
+{
+    const tr_problem *q = w->q = all[0];
+    const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)NODES(q);
+    const size_t n = (size_t)q->states, ld = BLOCKS(n) * PER, ruled = N - (size_t)q->free_stages;
+    size_t taken = 0;
+    w->all = all;
+    w->ld = (int)ld;
+    w->blocks = (int)((m + PER - 1) / PER);
+    const size_t warm = t ? N : 0; /* what only temperatures need */
+    w->A = take(space, &taken, ld * ld), w->At = take(space, &taken, ld * ld);
+    w->C = take(space, &taken, ny * ld), w->G = take(space, &taken, (size_t)q->rows * ld);
+    w->Z = take(space, &taken, (size_t)q->ends * ld), w->end_error = take(space, &taken, (size_t)q->ends);
+    w->K = take(space, &taken, N * ld), w->u = take(space, &taken, N), w->error = take(space, &taken, N * ny);
+    w->d_error = take(space, &taken, N * ny), w->offset = take(space, &taken, N), w->V = take(space, &taken, m);
+    for (tr_side *z = w->side; z < w->side + 2; z++) {
+        z->there = take(space, &taken, m), z->bound = take(space, &taken, m);
+        z->inverse = take(space, &taken, m), z->residual = take(space, &taken, m);
+        z->cross = take(space, &taken, m);
+    }
+    w->Kth = take(space, &taken, N * t), w->Keth = take(space, &taken, N * t);
+    w->Ke = take(space, &taken, warm * ld), w->Ke_u = take(space, &taken, warm), w->pivot_e = take(space, &taken, warm);
+    w->offset_e = take(space, &taken, warm), w->e = take(space, &taken, warm), w->de = take(space, &taken, warm);
+    w->heat = take(space, &taken, 4 * warm), w->by_heat = take(space, &taken, warm);
+    w->unit_offset = take(space, &taken, N * t), w->unit_offset_e = take(space, &taken, N * t);
+    w->current = take(space, &taken, warm), w->command = take(space, &taken, warm);
+    w->d_current = take(space, &taken, warm), w->d_command = take(space, &taken, warm);
+    w->still = take(space, &taken, warm), w->theta = take(space, &taken, (N + 1) * t);
+    w->pivot = take(space, &taken, N), w->dV = take(space, &taken, m);
+    w->kept_movement = take(space, &taken, N), w->kept_gradient = take(space, &taken, N);
+    w->kept_size = take(space, &taken, warm);
+    w->kept_lower = take(space, &taken, m), w->kept_upper = take(space, &taken, m);
+    /* What stands behind here is written before it is read. */
+    w->du = take(space, &taken, N), w->d_end_error = take(space, &taken, (size_t)q->ends);
+    w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
+    for (tr_side *z = w->side; z < w->side + 2; z++) {
+        z->s = take(space, &taken, m), z->l = take(space, &taken, m);
+    }
+    w->tracked = take(space, &taken, N * ny); /* more than enough */
+#define OF_EACH(field, count) of_each((const void *const *)all, offsetof(tr_problem, field), count, space, &taken)
+    w->E = OF_EACH(E, ny), w->weight = OF_EACH(weight, N * ny), w->reference = OF_EACH(reference, N * ny);
+    w->rule_gain = OF_EACH(rule_gain, ruled * n), w->rule_offset = OF_EACH(rule_offset, ruled);
+    w->end_target = OF_EACH(end_target, (size_t)q->ends);
+    w->d = OF_EACH(d, (size_t)q->rows), w->d_size = OF_EACH(d_size, (size_t)q->rows);
+    w->M = OF_EACH(M, t * t), w->b = OF_EACH(b, t), w->gain = OF_EACH(gain, warm), w->square = OF_EACH(square, t ? 3 : 0);
+    w->F = OF_EACH(F, t * t), w->f = OF_EACH(f, t);
+    return taken;
+}
+
+/* Doubles that this kernel needs, wherever they begin. */
+static size_t workspace(const tr_problem *q)
+{
+    tr_work w;
+    const tr_problem *all[MOST_ENTRIES];
+    for (int e = 0; e < MOST_ENTRIES; e++) all[e] = q;
+    return lay_out(&w, all, NULL) + WIDTH - 1;
+}
+
+/* Whether the states stand in pairs, and what couples them. */
+static void pair_up(tr_work *w)
+{
+    const int n = w->q->states, last = n - 1;
+    w->paired = tr_paired(w->q);
+    for (int e = 0; e < ENTRIES; e++) {
+        const double *A = w->all[e]->A;
+        for (int i = 0; i < last; i++) {
+            const int other = i ^ 1;
+            EACH(AT(w->own, i), e) = A[i * n + i];
+            if (other < last) {
+                EACH(AT(w->from_pair, i), e) = A[i * n + other], EACH(AT(w->to_pair, i), e) = A[other * n + i];
+                if (A[i * n + other] != 0.0 && w->pairs_end < (i | 1) + 1) w->pairs_end = (i | 1) + 1;
+            }
+            EACH(AT(w->push, i), e) = A[i * n + last];
+        }
+        EACH(AT(w->push, last), e) = A[last * n + last];
+        EACH(AT(w->held, last), e) = 1.0;
+    }
+}
+
+/* The matrices, their rows padded with zeros. */
+static void pad(tr_work *w)
+{
+    const tr_problem *q = w->q;
+    const size_t n = (size_t)q->states, ld = (size_t)w->ld;
+    memset(w->A, 0, (size_t)((char *)w->end_error - (char *)w->A));
+    for (int e = 0; e < ENTRIES; e++) {
+        q = w->all[e];
+        for (size_t j = 0; j < n; j++) {
+            for (size_t i = 0; i < n && !w->paired; i++)
+                EACH(AT(w->A, i * ld + j), e) = EACH(AT(w->At, j * ld + i), e) = q->A[i * n + j];
+            for (size_t s = 0; s < (size_t)q->outputs; s++) EACH(AT(w->C, s * ld + j), e) = q->C[s * n + j];
+            for (size_t s = 0; s < (size_t)q->rows; s++) EACH(AT(w->G, s * ld + j), e) = q->G[s * n + j];
+            for (size_t s = 0; s < (size_t)q->ends; s++) EACH(AT(w->Z, s * ld + j), e) = q->end_gain[s * n + j];
+        }
+        for (int j = 0; j < q->rows; j++) {
+            const double *c = q->G + (size_t)j * n;
+            int from = 0, to = q->states;
+            while (to > 0 && c[to - 1] == 0.0) to--;
+            while (from < to && c[from] == 0.0) from++;
+            if (e == 0 || from < w->from[j]) w->from[j] = from;
+            if (e == 0 || to > w->to[j]) w->to[j] = to;
+        }
+    }
+}
+
+/* Whether a number is other than zero in any problem. */
+static int any(const number of)
+{
+    int found = 0;
+    for (int e = 0; e < ENTRIES; e++) found = found || EACH(of, e) != 0.0;
+    return found;
+}
+
+/* The numbers of all problems. */
+static void state(tr_work *w)
+{
+    w->movement_weight = each(w->all, offsetof(tr_problem, movement_weight));
+    w->decay = each(w->all, offsetof(tr_problem, decay));
+    w->ripple = each(w->all, offsetof(tr_problem, ripple));
+    w->copper = each(w->all, offsetof(tr_problem, copper));
+    w->command_bound = each(w->all, offsetof(tr_problem, command_bound));
+    w->constant = each(w->all, offsetof(tr_problem, constant));
+    for (int o = 0; o < w->q->outputs; o++) w->direct[o] = any(w->E[o]);
+    for (int i = 0; i < w->q->rows; i++) w->moves[i] = any(w->d[i]), w->sizes[i] = any(w->d_size[i]);
+    for (int i = 0; i < w->q->stages * w->q->outputs; i++) w->tracked[i] = (unsigned char)any(w->weight[i]);
+    pair_up(w);
+    pad(w);
+}
+
+/* The workspace, all zero but what the problems say. */
+static void prepare(tr_work *w, const tr_problem *const *all, double *space, tr_watch *watch)
+{
+    const size_t n = (size_t)all[0]->states, ld = BLOCKS(n) * PER, stages = (size_t)all[0]->stages;
+    const size_t rows = (stages + 1) * (size_t)all[0]->rows, free = (size_t)all[0]->free_stages;
+    while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
+    memset(w, 0, sizeof *w);
+    w->watch = watch;
+    lay_out(w, all, space);
+    memset(space, 0, (size_t)((char *)w->du - (char *)space));
+    for (int side = 0; side < 2; side++) {
+        tr_side *z = w->side + side;
+        z->sign = side ? -1.0 : 1.0;
+        for (int i = 0; i < w->blocks; i++) z->s[i] = z->there[i] + 1.0, z->l[i] = z->there[i];
+        for (int e = 0; e < ENTRIES; e++) {
+            const double *limit = side ? all[e]->upper : all[e]->lower;
+            for (size_t i = 0; i < rows; i++)
+                if (limit[i] > -INFINITY && limit[i] < INFINITY)
+                    EACH(AT(z->there, i), e) = 1.0, EACH(AT(z->bound, i), e) = limit[i];
+        }
+    }
+    state(w);
+    for (size_t k = free; k < stages; k++)
+        for (size_t j = 0; j < n; j++) AT(w->K, k * ld + j) = w->rule_gain[(k - free) * n + j];
+}
+
+/* out = M' v, four rows of M at a time: short chains of additions. */
+ALWAYS_INLINE void combine(const int blocks, const lanes *restrict M, const number *restrict v, lanes *restrict out)
+{
+    for (int j = 0; j < blocks; j++) {
+        const lanes *m = M + j;
+        lanes sum = (v[0] * m[0] + v[1] * m[blocks]) + (v[2] * m[2 * blocks] + v[3] * m[3 * blocks]);
+        for (int l = 4; l < blocks * PER; l += 4) {
+            m += 4 * blocks;
+            sum += (v[l] * m[0] + v[l + 1] * m[blocks]) + (v[l + 2] * m[2 * blocks] + v[l + 3] * m[3 * blocks]);
+        }
+        out[j] = sum;
+    }
+}
+
+ALWAYS_INLINE number dot(const int blocks, const lanes *restrict a, const lanes *restrict b)
+{
+    lanes sum = a[0] * b[0];
+    if (ENTRIES > 1) { /* whole pairs */
+        lanes other = a[1] * b[1];
+        for (int j = 2; j < blocks; j += 2) sum += a[j] * b[j], other += a[j + 1] * b[j + 1];
+        sum += other;
+        return AT(&sum, 0);
+    }
+    for (int j = 1; j < blocks; j++) sum += a[j] * b[j];
+    return total(&sum);
+}
+
+ALWAYS_INLINE void add(const int blocks, const number by, const lanes *restrict c, lanes *restrict to)
+{
+    for (int j = 0; j < blocks; j++) to[j] += by * c[j];
+}
+
+/* out = A x + A[:, n-1] u. */
+ALWAYS_INLINE void flow(const int last, const int blocks, const tr_work *w, const lanes *restrict x, const number u,
+                        lanes *restrict out)
+{
+    if (ENTRIES == 1 && !w->paired) {
+        combine(blocks, w->At, (const number *)x, out);
+        add(blocks, u, w->At + last * blocks, out);
+        return;
+    }
+    const int coupled = ENTRIES > 1 ? w->pairs_end : blocks;
+    const number command = AT(x, last) + u;
+    for (int j = 0; j < coupled; j++)
+        out[j] = (w->own[j] * x[j] + w->from_pair[j] * SWAPPED(x, j)) + command * w->push[j];
+    for (int j = coupled; j < blocks; j++) out[j] = w->own[j] * x[j] + command * w->push[j];
+}
+
+/* out = A' p. */
+ALWAYS_INLINE void flow_back(const int blocks, const tr_work *w, const lanes *restrict p, lanes *restrict out)
+{
+    if (ENTRIES == 1 && !w->paired) {
+        combine(blocks, w->A, (const number *)p, out);
+        return;
+    }
+    const int coupled = ENTRIES > 1 ? w->pairs_end : blocks;
+    const number command = dot(blocks, w->push, p);
+    for (int j = 0; j < coupled; j++)
+        out[j] = (w->own[j] * p[j] + w->to_pair[j] * SWAPPED(p, j)) + command * w->held[j];
+    for (int j = coupled; j < blocks; j++) out[j] = w->own[j] * p[j] + command * w->held[j];
+}
+
+/* H = A' P A of a symmetric P; PA is scratch. */
+ALWAYS_INLINE void congruence(const int n, const int blocks, const tr_work *w, const lanes *restrict P,
+                              lanes *restrict PA, lanes *restrict H)
+{
+    const int last = n - 1, ld = blocks * PER, coupled = ENTRIES > 1 ? w->pairs_end : blocks;
+    if (ENTRIES == 1 && !w->paired) {
+        for (int i = 0; i < ld; i++) combine(blocks, w->A, (const number *)(P + i * blocks), PA + i * blocks);
+        for (int i = 0; i < ld; i++) combine(blocks, PA, (const number *)(w->At + i * blocks), H + i * blocks);
+        return;
+    }
+    lanes pushed[MOST_BLOCKS];
+    memset(pushed, 0, (size_t)blocks * sizeof(lanes));
+    for (int i = 0; i < n; i++) {
+        number rest = {0}; /* of the row, which is not computed beyond its diagonal */
+        add(LOWER(i, blocks), AT(w->push, i), P + i * blocks, pushed);
+        for (int j = 0; ENTRIES > 1 && j < i; j++) rest += AT(w->push, j) * AT(P, i * blocks + j);
+        if (ENTRIES > 1) AT(pushed, i) += rest;
+    }
+    flow_back(blocks, w, pushed, H + last * blocks);
+    for (int i = 0; i < last; i++) { /* of the last column the last row is enough */
+        const int end = ENTRIES > 1 ? (i | 1) + 1 : blocks, pairs = coupled < end ? coupled : end;
+        for (int j = 0; j < pairs; j++)
+            PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * SWAPPED(P + i * blocks, j);
+        for (int j = pairs; j < end; j++) PA[i * blocks + j] = w->own[j] * P[i * blocks + j];
+    }
+    for (int i = 0; i < last; i++) {
+        const int other = (i ^ 1) < last ? i ^ 1 : i, end = LOWER(i, blocks);
+        const number own = AT(w->own, i), pair = AT(w->to_pair, i), command = AT(H + last * blocks, i);
+        if (ENTRIES > 1 && i >= coupled) {
+            for (int j = 0; j < end; j++) H[i * blocks + j] = own * PA[i * blocks + j];
+            continue;
+        }
+        for (int j = 0; j < end; j++) {
+            H[i * blocks + j] = own * PA[i * blocks + j] + pair * PA[other * blocks + j];
+            if (ENTRIES == 1) H[i * blocks + j] += command * w->held[j];
+        }
+    }
+}
+
+/* Add c d' to H. */
+ALWAYS_INLINE void add_product(const int blocks, const lanes *restrict c, const lanes *restrict d, lanes *restrict H)
+{
+    for (int i = 0; i < blocks * PER; i++) add(LOWER(i, blocks), AT(c, i), d, H + i * blocks);
+}
+
+/* Add weight c c' to H, of a row c that is zero but between two of its states. */
+ALWAYS_INLINE void add_square(const int blocks, const number weight, const lanes *restrict c, const int from,
+                              const int to, lanes *restrict H)
+{
+    for (int i = from; i < to; i++) {
+        const number by = weight * AT(c, i);
+        for (int j = ENTRIES > 1 ? from : 0; j < LOWER(i, blocks); j++) H[i * blocks + j] += by * c[j];
+    }
+}
+
+/* Whether a factorisation may go on: a pivot is positive, in one of the problems at least. */
+ALWAYS_INLINE int keeps(tr_work *w, const number *pivot)
+{
+#if ENTRIES > 1
+    w->sound = (number)((choice)w->sound & (*pivot > 0.0));
+    return 1;
+#else
+    if (!(*pivot > 0.0)) w->sound = 0.0;
+    return w->sound != 0.0;
+#endif
+}
+
+/* What the nodes add to H = A' P A of the states: their flow is B x + M th with B = b g', where g = `by_x`.
+ *
+ * Cost to go P (states), Q (nodes, states), R (nodes, nodes). Out: H; HQ and HR; f = sum_i b_i U_i and fR = b' R M,
+ * where [U R M] are the nodes' rows of P times the flow. Returns b' R b.
+ */
+ALWAYS_INLINE number add_nodes(const int t, const int blocks, const tr_work *w, const number *heat,
+                               const lanes *restrict by_x, const lanes *restrict Q, const number *restrict R,
+                               lanes *restrict H, lanes *restrict HQ, number *restrict HR, lanes *restrict f,
+                               number *restrict fR)
+{
+    const number nothing = {0};
+    number M[MOST_NODES * MOST_NODES], RM[MOST_NODES * MOST_NODES], bRb = {0};
+    lanes U[MOST_NODES * MOST_BLOCKS], half[MOST_BLOCKS];
+    for (int i = 0; i < t; i++)
+        for (int j = 0; j < t; j++) M[i * t + j] = w->M[i * t + j] + (j == 0 ? w->b[i] * heat[3] : w->b[i] * 0.0);
+    for (int i = 0; i < t; i++) {
+        number Rb = {0};
+        for (int j = 0; j < t; j++) Rb += R[i * t + j] * w->b[j];
+        bRb += w->b[i] * Rb;
+        flow_back(blocks, w, Q + i * blocks, U + i * blocks);
+        add(blocks, Rb, by_x, U + i * blocks);
+        for (int j = 0; j < t; j++) {
+            RM[i * t + j] = nothing;
+            for (int l = 0; l < t; l++) RM[i * t + j] += R[i * t + l] * M[l * t + j];
+        }
+    }
+    for (int j = 0; j < blocks; j++) f[j] = w->b[0] * U[j];
+    for (int i = 1; i < t; i++) add(blocks, w->b[i], U + i * blocks, f);
+    for (int j = 0; j < blocks; j++) half[j] = f[j] - 0.5 * bRb * by_x[j];
+    for (int i = 0; i < blocks * PER; i++)
+        for (int j = 0; j < LOWER(i, blocks); j++) H[i * blocks + j] += AT(half, i) * by_x[j] + AT(by_x, i) * half[j];
+    for (int i = 0; i < t; i++) {
+        for (int j = 0; j < blocks; j++) HQ[i * blocks + j] = M[i] * U[j];
+        for (int l = 1; l < t; l++) add(blocks, M[l * t + i], U + l * blocks, HQ + i * blocks);
+        fR[i] = nothing;
+        for (int l = 0; l < t; l++) fR[i] += w->b[l] * RM[l * t + i];
+        for (int j = 0; j < t; j++) {
+            HR[i * t + j] = nothing;
+            for (int l = 0; l < t; l++) HR[i * t + j] += M[l * t + i] * RM[l * t + j];
+        }
+    }
+    return bRb;
+}
+
+/* A costate on its way backward. */
+typedef struct {
+    lanes p[MOST_BLOCKS], by_x[MOST_BLOCKS];
+    number th[MOST_NODES];
+} tr_costate;
+
+/* Gradient by a row: of the Newton step, or of the Lagrangian. */
+ALWAYS_INLINE number by_row(const tr_work *w, const int newton, const int at)
+{
+    if (newton) return AT(w->y, at);
+    return AT(w->side[1].l, at) - AT(w->side[0].l, at);
+}
+
+/* The costate at N. `own` is 0 for the response to the closure's multiplier alone. */
+ALWAYS_INLINE void backward_begin(const int blocks, const tr_work *w, const int t, const number *end, const int own,
+                                  const int newton, tr_costate *c)
+{
+    const tr_problem *q = w->q;
+    const int N = q->stages, m = q->rows;
+    memset(c, 0, sizeof *c);
+    for (int i = 0; i < t; i++) c->th[i] = end[i];
+    if (t && own) c->th[0] += by_row(w, newton, N * m);
+    for (int j = 0; own && j < q->ends; j++) add(blocks, w->end_error[j], w->Z + j * blocks, c->p);
+    for (int j = t ? 1 : 0; own && j < m; j++) {
+        add(blocks, by_row(w, newton, N * m + j), w->G + j * blocks, c->p);
+    }
+}
+
+/* From k + 1 to k with the gains: steps without feedback into `offset`; without them, as not `newton`: the gradient
+ * into `offset`, and the heat's prices. */
+ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, const int t, const int k, const int own,
+                                  number *restrict offset, number *restrict offset_e, const int newton, tr_costate *c)
+{
+    const tr_problem *q = w->q;
+    const int m = q->rows, last = n - 1;
+    const lanes nothing = {0};
+    lanes a[MOST_BLOCKS], drive[MOST_BLOCKS];
+    number by_size = {0}, th_before[MOST_NODES] = {0}, direct = {0};
+    /* What does not depend on later stages stands apart, to be ready before they are. */
+    for (int j = 0; j < blocks; j++) drive[j] = nothing;
+    if (own) {
+        direct = w->movement_weight * w->u[k];
+        for (int o = 0; o < q->outputs; o++) {
+            if (!w->tracked[k * q->outputs + o]) continue;
+            const number v = w->weight[k * q->outputs + o] * w->error[k * q->outputs + o];
+            direct += w->E[o] * v;
+            add(blocks, v, w->C + o * blocks, drive);
+        }
+        if (t) th_before[0] = by_row(w, newton, k * m);
+        for (int j = t ? 1 : 0; j < m; j++) {
+            const number y = by_row(w, newton, k * m + j);
+            direct += w->d[j] * y;
+            by_size += w->d_size[j] * y;
+            add(blocks, y, w->G + j * blocks, drive);
+        }
+    }
+    flow_back(blocks, w, c->p, a);
+    if (t) {
+        const number *heat = w->heat + 4 * k;
+        number beta = {0};
+        for (int i = 0; i < t; i++) beta += w->b[i] * c->th[i];
+        if (q->current >= 0) AT(c->by_x, q->current) = heat[0];
+        AT(c->by_x, last) = heat[1];
+        add(blocks, beta, c->by_x, a);
+        by_size += 2.0 * w->ripple * heat[2] * beta;
+        for (int j = 0; j < t; j++)
+            for (int i = 0; i < t; i++) th_before[j] += w->M[i * t + j] * c->th[i];
+        th_before[0] += heat[3] * beta;
+        if (!newton) w->by_heat[k] = beta;
+    }
+    number by_movement = AT(a, last) + direct;
+    for (int j = 0; j < blocks; j++) a[j] += drive[j];
+    if (newton) {
+        const lanes *gain = w->K + k * blocks;
+        if (t) {
+            offset_e[k] = -by_size * w->pivot_e[k];
+            by_movement += w->Ke_u[k] * by_size;
+            add(blocks, by_size, w->Ke + k * blocks, a);
+            for (int j = 0; j < t; j++) th_before[j] += w->Keth[k * t + j] * by_size;
+        }
+        offset[k] = -by_movement * w->pivot[k];
+        for (int j = 0; j < blocks; j++) c->p[j] = a[j] + by_movement * gain[j];
+        for (int j = 0; j < t; j++) c->th[j] = th_before[j] + w->Kth[k * t + j] * by_movement;
+    } else {
+        offset[k] = by_movement;
+        if (t) offset_e[k] = by_size;
+        for (int j = 0; j < blocks; j++) c->p[j] = a[j];
+        if (k >= q->free_stages) add(blocks, by_movement, w->K + k * blocks, c->p);
+        for (int j = 0; j < t; j++) c->th[j] = th_before[j];
+    }
+}
+
+ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, const int t, const number *end,
+                                  const int own, number *restrict offset, number *restrict offset_e, const int newton)
+{
+    tr_costate costate;
+    backward_begin(blocks, w, t, end, own, newton, &costate);
+    for (int k = w->q->stages - 1; k >= 0; k--)
+        backward_stage(n, blocks, w, t, k, own, offset, offset_e, newton, &costate);
+    memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
+}
+
+/* Backward: gains of u and e from the weights `sigma` of the rows. With `curved` the copper's bilinear terms are in.
+ * With `end`, the heat's price at N, the Newton step's costate goes along, as in `backward`: its chain of short sums
+ * then waits while the products of the factorisation keep the processor busy. Returns 0, or the code of what has ended
+ * it. */
+ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_work *w, const int curved,
+                               const number *end)
+{
+    const tr_problem *q = w->q;
+    const int N = q->stages, m = q->rows, last = n - 1, a = q->current, ld = blocks * PER;
+    const int of_current = t && a >= 0;
+    lanes P[PER * MOST_BLOCKS * MOST_BLOCKS], PA[PER * MOST_BLOCKS * MOST_BLOCKS], H[PER * MOST_BLOCKS * MOST_BLOCKS];
+    lanes hu[MOST_BLOCKS], he[MOST_BLOCKS], by_x[MOST_BLOCKS], bend_a[MOST_BLOCKS], bend_c[MOST_BLOCKS];
+    lanes Q[MOST_NODES * MOST_BLOCKS], HQ[MOST_NODES * MOST_BLOCKS];
+    number R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], hu_th[MOST_NODES], he_th[MOST_NODES];
+    const number e1 = w->decay, e2 = 1.0 - e1, *s = w->square;
+    tr_costate costate;
+    if (end) backward_begin(blocks, w, t, end, 1, 1, &costate);
+    memset(P, 0, (size_t)(ld * blocks) * sizeof(lanes));
+    memset(H, 0, (size_t)(ld * blocks) * sizeof(lanes));
+    for (int e = 0; e < ENTRIES; e++) EACH(w->sound, e) = 1.0;
+    memset(by_x, 0, sizeof by_x);
+    memset(bend_a, 0, sizeof bend_a);
+    memset(bend_c, 0, sizeof bend_c);
+    memset(Q, 0, sizeof Q);
+    memset(R, 0, sizeof R);
+    for (int j = 0; j < q->ends; j++) add_product(blocks, w->Z + j * blocks, w->Z + j * blocks, P);
+    for (int j = t ? 1 : 0; j < m; j++) {
+        add_square(blocks, AT(w->sigma, N * m + j), w->G + j * blocks, w->from[j], w->to[j], P);
+    }
+    for (int i = 1; ENTRIES > 1 && i < n; i += 2) P[(i - 1) * blocks + i] = P[i * blocks + i - 1];
+    if (t) R[0] = AT(w->sigma, N * m), AT(bend_c, last) = 2.0 * s[2] * e2 * e2;
+    if (of_current) {
+        AT(bend_a, a) = 2.0 * (s[0] + s[1] * e1 + s[2] * e1 * e1);
+        AT(bend_a, last) = AT(bend_c, a) = (s[1] + 2.0 * s[2] * e1) * e2;
+    }
+    for (int k = N - 1; k >= 0; k--) {
+        if (k % STRIDE == 0 && tr_interrupted(w->watch)) return TR_INTERRUPTED;
+        const number *heat = w->heat + 4 * k, *sigma = &AT(w->sigma, k * m);
+        number r = w->movement_weight, hee = {0}, heu = {0};
+        lanes *gain = w->K + k * blocks;
+        congruence(n, blocks, w, P, PA, H);
+        if (t) {
+            /* e moves the nodes only: column 2 ripple resistance b. */
+            const number by = 2.0 * w->ripple * heat[2];
+            if (of_current) AT(by_x, a) = heat[0];
+            AT(by_x, last) = heat[1];
+            hee = by * by * add_nodes(t, blocks, w, heat, by_x, Q, R, H, HQ, HR, he, he_th);
+            for (int j = 0; j < blocks; j++) he[j] *= by;
+            for (int j = 0; j < t; j++) he_th[j] *= by;
+            heu = AT(he, last);
+            /* Curvature of the heat, weighed by what a kelvin at the next instant costs. */
+            const number price = w->by_heat[k], bend = price * heat[2];
+            if (of_current) add(blocks, bend, bend_a, H + a * blocks);
+            add(blocks, bend, bend_c, H + last * blocks);
+            if (ENTRIES == 1 && curved && EACH(heat[2], 0) > 0.0) {
+                add(blocks, price * w->copper / heat[2], by_x, HQ);
+                he_th[0] += price * w->copper * 2.0 * w->ripple;
+            }
+            HR[0] += sigma[0];
+            for (int j = 0; j < t; j++) hu_th[j] = AT(HQ + j * blocks, last);
+        }
+        for (int j = 0; j < blocks; j++) hu[j] = H[last * blocks + j];
+        r += AT(hu, last);
+        for (int o = 0; o < q->outputs; o++) {
+            if (!w->tracked[k * q->outputs + o]) continue;
+            const lanes *c = w->C + o * blocks;
+            const number weight = w->weight[k * q->outputs + o], direct = weight * w->E[o];
+            add_square(blocks, weight, c, 0, n, H);
+            if (w->direct[o]) {
+                add(blocks, direct, c, hu);
+                r += direct * w->E[o];
+            }
+        }
+        for (int j = t ? 1 : 0; j < m; j++) {
+            const number weight = sigma[j], d = weight * w->d[j], size = weight * w->d_size[j];
+            const lanes *c = w->G + j * blocks;
+            add_square(blocks, weight, c, w->from[j], w->to[j], H);
+            if (w->moves[j]) {
+                add(blocks, d, c, hu);
+                r += d * w->d[j];
+                heu += size * w->d[j];
+            }
+            if (t && w->sizes[j]) {
+                add(blocks, size, c, he);
+                hee += size * w->d_size[j];
+            }
+        }
+        if (t) {
+            lanes *gain_e = w->Ke + k * blocks;
+            number *gain_e_th = w->Keth + k * t;
+            if (!keeps(w, &hee)) return TR_BREAKDOWN;
+            const number inverse = 1.0 / hee, Ke_u = -heu * inverse;
+            w->pivot_e[k] = inverse;
+            w->Ke_u[k] = Ke_u;
+            for (int j = 0; j < blocks; j++) gain_e[j] = -inverse * he[j];
+            for (int j = 0; j < t; j++) gain_e_th[j] = -he_th[j] * inverse;
+            add(blocks, Ke_u, he, hu);
+            add_product(blocks, he, gain_e, H);
+            for (int j = 0; j < t; j++) {
+                hu_th[j] += Ke_u * he_th[j];
+                add(blocks, gain_e_th[j], he, HQ + j * blocks);
+                for (int i = 0; i < t; i++) HR[i * t + j] += he_th[i] * gain_e_th[j];
+            }
+            r += heu * Ke_u;
+        }
+        if (k >= q->free_stages) {
+            for (int i = 0; i < ld; i++) {
+                const number f = AT(gain, i), g = AT(hu, i) + f * r;
+                for (int j = 0; j < LOWER(i, blocks); j++) P[i * blocks + j] = H[i * blocks + j] + (f * hu[j] + g * gain[j]);
+            }
+            for (int j = 0; j < t; j++) add(blocks, hu_th[j], gain, HQ + j * blocks);
+        } else {
+            if (!keeps(w, &r)) return TR_BREAKDOWN;
+            const number inverse = 1.0 / r;
+            w->pivot[k] = inverse;
+            for (int j = 0; j < blocks; j++) gain[j] = -inverse * hu[j];
+            for (int i = 0; i < ld; i++)
+                for (int j = 0; j < LOWER(i, blocks); j++) P[i * blocks + j] = H[i * blocks + j] + AT(hu, i) * gain[j];
+            for (int j = 0; j < t; j++) {
+                w->Kth[k * t + j] = -hu_th[j] * inverse;
+                add(blocks, hu_th[j], gain, HQ + j * blocks);
+            }
+            for (int i = 0; i < t; i++)
+                for (int j = 0; j < t; j++) HR[i * t + j] += hu_th[i] * w->Kth[k * t + j];
+        }
+        if (ENTRIES > 1) { /* a pair's own two */
+            for (int i = 1; i < n; i += 2) P[(i - 1) * blocks + i] = P[i * blocks + i - 1];
+        } else if (k % SYMMETRISED == 0) {
+            for (int i = 1; i < n; i++)
+                for (int j = 0; j < i; j++) AT(P, i * ld + j) = AT(P, j * ld + i);
+        }
+        for (int j = 0; j < t; j++) {
+            for (int i = 0; i < blocks; i++) Q[j * blocks + i] = HQ[j * blocks + i];
+            for (int i = 0; i <= j; i++) R[i * t + j] = R[j * t + i] = HR[i * t + j];
+        }
+        if (end) backward_stage(n, blocks, w, t, k, 1, w->offset, w->offset_e, 1, &costate);
+    }
+    if (end) memcpy(w->p0, costate.th, (size_t)t * sizeof(number));
+    memcpy(w->P0, R, (size_t)(t * t) * sizeof(number));
+    return 0;
+}
+
+/* Forward by the gains from x_0 = 0 and th_0 = `th`: what a step changes, to first order. */
+ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, const int t, const number *start,
+                                 const number *restrict offset, const number *restrict offset_e, const int full)
+{
+    const tr_problem *q = w->q;
+    const int N = q->stages, m = q->rows, last = n - 1;
+    lanes x[MOST_BLOCKS], next[MOST_BLOCKS];
+    number th[MOST_NODES] = {0};
+    memset(x, 0, sizeof x);
+    for (int i = 0; i < t; i++) th[i] = start[i];
+    for (int k = 0; k < N; k++) {
+        number u = offset[k], e = {0};
+        for (int j = 0; j < t; j++) u += w->Kth[k * t + j] * th[j];
+        u += dot(blocks, w->K + k * blocks, x);
+        if (t) {
+            e = offset_e[k] + w->Ke_u[k] * u;
+            for (int j = 0; j < t; j++) e += w->Keth[k * t + j] * th[j];
+            e += dot(blocks, w->Ke + k * blocks, x);
+        }
+        const number command = AT(x, last) + u;
+        number current = {0};
+        if (q->current >= 0) current = AT(x, q->current);
+        if (full) {
+            w->du[k] = u;
+            if (t) w->de[k] = e, w->d_current[k] = current, w->d_command[k] = command;
+            for (int o = 0; o < q->outputs; o++)
+                if (w->tracked[k * q->outputs + o])
+                    w->d_error[k * q->outputs + o] = w->E[o] * u + dot(blocks, w->C + o * blocks, x);
+            if (t) AT(w->dV, k * m) = th[0];
+            for (int i = t ? 1 : 0; i < m; i++) {
+                number v = w->d[i] * u + w->d_size[i] * e;
+                for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
+                AT(w->dV, k * m + i) = v;
+            }
+        }
+        if (t) {
+            const number *heat = w->heat + 4 * k;
+            const number h = heat[0] * current + heat[1] * command + heat[3] * th[0] + 2.0 * w->ripple * heat[2] * e;
+            number th_next[MOST_NODES];
+            for (int i = 0; i < t; i++) {
+                th_next[i] = w->b[i] * h;
+                for (int j = 0; j < t; j++) th_next[i] += w->M[i * t + j] * th[j];
+            }
+            for (int i = 0; i < t; i++) th[i] = th_next[i];
+        }
+        flow(last, blocks, w, x, u, next);
+        for (int j = 0; j < blocks; j++) x[j] = next[j];
+    }
+    for (int j = 0; full && j < q->ends; j++) w->d_end_error[j] = dot(blocks, w->Z + j * blocks, x);
+    if (full && t) AT(w->dV, N * m) = th[0];
+    for (int i = t ? 1 : 0; full && i < m; i++) {
+        number v = {0};
+        for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
+        AT(w->dV, N * m + i) = v;
+    }
+    for (int i = 0; i < t; i++) w->th_end[i] = th[i];
+}
+
+/* Sizes that are known when compiled keep their rows in registers. A program that solves few problems, such as one for
+ * sanitizers, may say which sizes it SOLVES: the others are then left to the code for any size.
+ */
+#if !defined(SOLVES)
+#define SOLVES(n, t) 1
+#endif
+#define OF_SIZE(n, t, call)         \
+    if (!SOLVES(n, t)) goto any;    \
+    call(n, t, BLOCKS(n))
+#if ENTRIES > 1
+#define BY_SIZE(call)                                              \
+    switch (w->q->states) {                                        \
+    case 6: OF_SIZE(6, 0, call);                                   \
+    case 8: OF_SIZE(8, 0, call);                                   \
+    case 10: OF_SIZE(10, 0, call);                                 \
+    default:                                                       \
+    any: call(w->q->states, 0, w->ld / PER);                       \
+    }
+#else
+#define BY_SIZE(call)                                              \
+    switch (w->q->nodes * 100 + w->q->states) {                    \
+    case 4: OF_SIZE(4, 0, call);                                   \
+    case 5: OF_SIZE(5, 0, call);                                   \
+    case 6: OF_SIZE(6, 0, call);                                   \
+    case 7: OF_SIZE(7, 0, call);                                   \
+    case 8: OF_SIZE(8, 0, call);                                   \
+    case 9: OF_SIZE(9, 0, call);                                   \
+    case 10: OF_SIZE(10, 0, call);                                 \
+    case 11: OF_SIZE(11, 0, call);                                 \
+    case 12: OF_SIZE(12, 0, call);                                 \
+    case 108: OF_SIZE(8, 1, call);                                 \
+    case 110: OF_SIZE(10, 1, call);                                \
+    case 208: OF_SIZE(8, 2, call);                                 \
+    case 210: OF_SIZE(10, 2, call);                                \
+    default:                                                       \
+    any: call(w->q->states, w->q->nodes, w->ld / PER);             \
+    }
+#endif
+#define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved, end)
+#define BACKWARD(n, t, blocks) backward_sized(n, blocks, w, t, end, own, offset, offset_e, newton); return
+#define FORWARD(n, t, blocks) forward_sized(n, blocks, w, t, start, offset, offset_e, full); return
+
+static int factor(tr_work *w, int curved, const number *end)
+{
+    BY_SIZE(FACTOR)
+}
+
+static void backward(tr_work *w, const number *end, int own, number *offset, number *offset_e, int newton)
+{
+    BY_SIZE(BACKWARD)
+}
+
+static void forward(tr_work *w, const number *start, const number *offset, const number *offset_e, int full)
+{
+    BY_SIZE(FORWARD)
+}
+
+/* Temperatures and their derivatives along the horizon, from currents, commands, sizes and th_0. */
+static void roll_heat(tr_work *w)
+{
+    const tr_problem *q = w->q;
+    const int t = NODES(q);
+    if (!t) return;
+    const number e1 = w->decay, e2 = 1.0 - e1, *s = w->square;
+    for (int k = 0; k < q->stages; k++) {
+        const number *th = w->theta + k * t, a = w->current[k], b = e1 * a + e2 * w->command[k];
+        number *heat = w->heat + 4 * k, *after = w->theta + (k + 1) * t;
+        const number by_a = 2.0 * s[0] * a + s[1] * b, by_b = s[1] * a + 2.0 * s[2] * b;
+        const number h = s[0] * a * a + s[1] * a * b + s[2] * b * b + w->ripple * (2.0 * w->e[k] + w->ripple);
+        const number resistance = w->gain[k] + w->copper * th[0];
+        heat[0] = resistance * (by_a + e1 * by_b);
+        heat[1] = resistance * e2 * by_b;
+        heat[2] = resistance;
+        heat[3] = w->copper * h;
+        for (int i = 0; i < t; i++) {
+            after[i] = w->b[i] * resistance * h;
+            for (int j = 0; j < t; j++) after[i] += w->M[i * t + j] * th[j];
+        }
+    }
+    for (int k = 0; k <= q->stages; k++) AT(w->V, k * q->rows) = w->theta[k * t];
+}
+
+/* th_0 - F th_N - f. */
+static void closure_residual(const tr_work *w, number *residual)
+{
+    const tr_problem *q = w->q;
+    const int t = NODES(q);
+    for (int i = 0; i < t; i++) {
+        residual[i] = w->theta[i] - w->f[i];
+        for (int j = 0; j < t; j++) residual[i] -= w->F[i * t + j] * w->theta[q->stages * t + j];
+    }
+}
+
+/* Gradient of the closure's term by th_N. */
+static void closure_price(const tr_work *w, const number *eta, number *end)
+{
+    const tr_problem *q = w->q;
+    const number nothing = {0};
+    for (int j = 0; j < NODES(q); j++) {
+        end[j] = nothing;
+        for (int i = 0; REPEATED(q) && i < NODES(q); i++) end[j] -= w->F[i * NODES(q) + j] * eta[i];
+    }
+}
+
+/* What one unit of th_0 and of the closure's multiplier does, with the gains of the last factorisation. */
+static void close_course(tr_work *w)
+{
+    const tr_problem *q = w->q;
+    const int t = NODES(q), N = q->stages, c = 2 * t;
+    static const number nothing[MOST_NODES];
+    number end[MOST_NODES], unit[MOST_NODES], *E = w->closing;
+    for (int j = 0; j < t; j++) {
+        for (int i = 0; i < t; i++) unit[i] = nothing[0] + (i == j ? 1.0 : 0.0);
+        closure_price(w, unit, end);
+        backward(w, end, 0, w->unit_offset + j * N, w->unit_offset_e + j * N, 1);
+        for (int i = 0; i < t; i++) E[i * c + t + j] = w->p0[i] + unit[i];
+        forward(w, nothing, w->unit_offset + j * N, w->unit_offset_e + j * N, 0);
+        for (int i = 0; i < t; i++) {
+            E[(t + i) * c + t + j] = nothing[0];
+            for (int l = 0; l < t; l++) E[(t + i) * c + t + j] -= w->F[i * t + l] * w->th_end[l];
+        }
+        forward(w, unit, w->still, w->still, 0);
+        for (int i = 0; i < t; i++) {
+            E[i * c + j] = w->P0[i * t + j];
+            E[(t + i) * c + j] = unit[i];
+            for (int l = 0; l < t; l++) E[(t + i) * c + j] -= w->F[i * t + l] * w->th_end[l];
+        }
+    }
+}
+
+/* One Newton step for the gradients in `y`; `begun`, where the factorisation has taken its costate along. */
+static void newton(tr_work *w, int begun)
+{
+    const tr_problem *q = w->q;
+    const int t = NODES(q), N = q->stages;
+    number end[MOST_NODES] = {0}, right[2 * MOST_NODES];
+    static const number nothing[MOST_NODES];
+    if (!begun) {
+        closure_price(w, w->eta, end);
+        backward(w, end, 1, w->offset, w->offset_e, 1);
+    }
+    if (!REPEATED(q)) {
+        forward(w, nothing, w->offset, w->offset_e, 1);
+        return;
+    }
+    for (int i = 0; i < t; i++) right[i] = -w->p0[i] - w->eta[i];
+    forward(w, nothing, w->offset, w->offset_e, 0);
+    closure_residual(w, right + t);
+    for (int i = 0; i < t; i++) {
+        right[t + i] = -right[t + i];
+        for (int j = 0; j < t; j++) right[t + i] += w->F[i * t + j] * w->th_end[j];
+    }
+    eliminate(2 * t, (const double *)w->closing, (double *)right); /* of one problem */
+    for (int j = 0; j < t; j++) {
+        w->d_start[j] = right[j], w->d_eta[j] = right[t + j];
+        for (int k = 0; k < N; k++) {
+            w->offset[k] += right[t + j] * w->unit_offset[j * N + k];
+            w->offset_e[k] += right[t + j] * w->unit_offset_e[j * N + k];
+        }
+    }
+    forward(w, w->d_start, w->offset, w->offset_e, 1);
+}
+
+static number cost(const tr_work *w)
+{
+    const tr_problem *q = w->q;
+    number twice = {0};
+    for (int k = 0; k < q->stages; k++) {
+        twice += w->movement_weight * w->u[k] * w->u[k];
+        for (int o = 0; o < q->outputs; o++) {
+            const number e = w->error[k * q->outputs + o];
+            twice += w->weight[k * q->outputs + o] * e * e;
+        }
+    }
+    for (int j = 0; j < q->ends; j++) twice += w->end_error[j] * w->end_error[j];
+    return 0.5 * twice + w->constant;
+}
+
+static void move(int count, const number step, const number *restrict by, number *restrict what)
+{
+    for (int i = 0; i < count; i++) what[i] += step * by[i];
+}
+
+/* Move everything but slacks and multipliers by a part of the Newton step. */
+static void advance(tr_work *w, const number step)
+{
+    const tr_problem *q = w->q;
+    const int N = q->stages;
+    move(N, step, w->du, w->u);
+    if (NODES(q)) {
+        move(N, step, w->de, w->e);
+        move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
+    }
+    move(N * q->outputs, step, w->d_error, w->error);
+    move(q->ends, step, w->d_end_error, w->end_error);
+    for (int i = 0; i < w->blocks; i++) w->V[i] += step * w->dV[i];
+    if (REPEATED(q))
+        for (int i = 0; i < NODES(q); i++) w->theta[i] += step * w->d_start[i], w->eta[i] += step * w->d_eta[i];
+    roll_heat(w);
+}
+
+/* Start at rest, where symmetric limits have all their room, slacks and multipliers well inside. Returns the number of
+ * limits. */
+static number begin(tr_work *w)
+{
+    const tr_problem *q = w->q;
+    const int N = q->stages, rows = (N + 1) * q->rows;
+    static const number nothing[MOST_NODES];
+    int moves = NODES(q) > 0;
+    for (int k = q->free_stages; k < N; k++) {
+        w->offset[k] = w->rule_offset[k - q->free_stages];
+        for (int e = 0; e < ENTRIES; e++) moves = moves || EACH(w->offset[k], e) != 0.0;
+    }
+    if (NODES(q))
+        for (int k = 0; k < N; k++) w->offset_e[k] = nothing[0] + 1.0;
+    if (moves) {
+        forward(w, nothing, w->offset, w->offset_e, 1);
+        advance(w, nothing[0] + 1.0);
+    }
+    for (int i = 0; i < N * q->outputs; i++) w->error[i] -= w->reference[i];
+    for (int j = 0; j < q->ends; j++) w->end_error[j] -= w->end_target[j];
+    number count = {0};
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) count += AT(z->there, i);
+    const number product = FIRST_GAP * at_least(cost(w), nothing[0] + 1.0) / at_least(count, nothing[0] + 1.0);
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) {
+            const number there = AT(z->there, i), room = z->sign * (AT(w->V, i) - AT(z->bound, i));
+            AT(z->s, i) = there * at_least(room, nothing[0] + 0.1) + (1.0 - there);
+            AT(z->l, i) = there * product / AT(z->s, i);
+        }
+    return count;
+}
+
+/* Steps of a slack and of its multiplier that belong to the Newton step; the predictor's are those to `aim` = 0. */
+#define SLACK_STEP(z, i) ((z)->there[i] * ((z)->sign * w->dV[i] + (z)->residual[i]))
+#define TARGET(z, i) ((z)->there[i] * (level - (z)->cross[i]))
+
+/* Move slacks and multipliers by a part of the step whose corrector aimed at `level`. Residuals and inverses of the slacks; weights and
+ * gradients of the rows for the next predictor, which aims at s l = 0. */
+static void move_slacks(tr_work *w, const number level, const number step, tr_state *found)
+{
+    lanes sum = {0}, most = {0};
+    for (int i = 0; i < w->blocks; i++) {
+        lanes sigma = {0}, y = {0};
+        for (const tr_side *z = w->side; z < w->side + 2; z++) {
+            const lanes ds = SLACK_STEP(z, i), dl = z->l[i] * (-ds * z->inverse[i] - 1.0) + TARGET(z, i) * z->inverse[i];
+            const lanes s = z->s[i] + step * ds, l = z->l[i] + step * dl, inverse = 1.0 / s, weight = l * inverse;
+            const lanes residual = z->there[i] * (z->sign * (w->V[i] - z->bound[i]) - s);
+            z->s[i] = s, z->l[i] = l, z->inverse[i] = inverse, z->residual[i] = residual;
+            sum += s * l;
+            raise_to(&most, residual);
+            raise_to(&most, -residual);
+            sigma += weight;
+            y += z->sign * (weight * residual);
+        }
+        w->sigma[i] = sigma;
+        w->y[i] = y;
+    }
+    found->complementarity = total(&sum);
+    found->residual = largest(&most);
+}
+
+/* Where the iterate stands, its slacks and multipliers moved by `step`; leaves the gradient by the movements in `offset` and the heat's prices. */
+static tr_state judge(tr_work *w, const number level, const number step)
+{
+    const tr_problem *q = w->q;
+    const int N = q->stages;
+    const number nothing = {0};
+    tr_state found = {nothing, nothing, nothing, cost(w)};
+    number end[MOST_NODES] = {0}, closure[MOST_NODES], command = {0};
+    lanes sum = {0};
+    move_slacks(w, level, step, &found);
+    closure_price(w, w->eta, end);
+    backward(w, end, 1, w->offset, w->offset_e, 0);
+    for (int k = 0; k < q->free_stages; k++) {
+        const number after = k + 1 < q->free_stages ? w->offset[k + 1] : nothing;
+        command += w->u[k];
+        AT(&sum, k % PER) += absolute(w->offset[k] - after) * (w->command_bound + absolute(command));
+    }
+    for (int k = 0; NODES(q) && k < N; k++) AT(&sum, k % PER) += 2.0 * absolute(w->offset_e[k]);
+    found.stationarity = total(&sum);
+    if (REPEATED(q)) {
+        closure_residual(w, closure);
+        for (int i = 0; i < NODES(q); i++) {
+            found.residual = at_least(absolute(closure[i]), found.residual);
+            found.stationarity += absolute(w->p0[i] + w->eta[i]);
+        }
+    }
+    return found;
+}
+
+/* The longest part, at most 1, of a step that leaves `rest` of each slack and multiplier. */
+ALWAYS_INLINE number longest(const lanes *fastest, const number rest)
+{
+    return (1.0 - rest) / largest(fastest);
+}
+
+/* The predictor's steps. Returns what the corrector aims at (Mehrotra): the cube of what the longest step leaves of the
+ * mean product, but not below `least`. */
+static number predict(tr_work *w, const number product, const number count, const number least)
+{
+    const number whole = {0};
+    lanes fastest = {0}, first = {0}, second = {0}; /* fall relative to the value; parts of the products by the step */
+    fastest += 1.0;
+    for (int i = 0; i < w->blocks; i++)
+        for (const tr_side *z = w->side; z < w->side + 2; z++) {
+            const lanes ds = SLACK_STEP(z, i), of_s = -ds * z->inverse[i], of_l = 1.0 - of_s;
+            const lanes dl = -z->l[i] * of_l, cross = ds * dl;
+            z->cross[i] = cross;
+            first += z->s[i] * dl + z->l[i] * ds;
+            second += cross;
+            raise_to(&fastest, of_s);
+            raise_to(&fastest, of_l);
+        }
+    const number step = longest(&fastest, whole), mean = product / count;
+    const number ratio = (product + step * (total(&first) + step * total(&second))) / product;
+    return at_least(ratio * ratio * ratio * mean, least);
+}
+
+/* Gradients of the rows for a step that aims at s l = `level`, less what the predictor's steps add to it. */
+static void aim(tr_work *w, const number level)
+{
+    const tr_side *low = w->side, *up = low + 1;
+    for (int i = 0; i < w->blocks; i++)
+        w->y[i] += TARGET(up, i) * up->inverse[i] - TARGET(low, i) * low->inverse[i];
+}
+
+/* The longest part of the corrector's step that leaves `rest` of each slack and multiplier. */
+static number correct(const tr_work *w, const number level, const number rest)
+{
+    lanes fastest = {0};
+    fastest += 1.0 - rest;
+    for (int i = 0; i < w->blocks; i++)
+        for (const tr_side *z = w->side; z < w->side + 2; z++) {
+            const lanes of_s = -SLACK_STEP(z, i) * z->inverse[i];
+            const lanes of_l = -(z->l[i] * (of_s - 1.0) + TARGET(z, i) * z->inverse[i]) / (z->l[i] + LEAST);
+            raise_to(&fastest, of_s);
+            raise_to(&fastest, of_l);
+        }
+    return longest(&fastest, rest);
+}
+
+/* Put an array in the place of another one, for the problems that are `chosen`. */
+static void blend(size_t count, const int *chosen, const number *from, number *to)
+{
+#if ENTRIES > 1
+    choice these;
+    for (int e = 0; e < ENTRIES; e++) these[e] = -(long long)chosen[e];
+    for (size_t i = 0; i < count; i++) to[i] = CHOSEN(these, from[i], to[i]);
+#else
+    if (chosen[0]) memcpy(to, from, count * sizeof(number));
+#endif
+}
+
+/* Keep the iterate that `judge` has just seen, of the problems that are `chosen`. */
+static void keep(tr_work *w, const tr_state *now, const int *chosen)
+{
+    const tr_problem *q = w->q;
+    const size_t N = (size_t)q->stages, rows = (N + 1) * (size_t)q->rows;
+    const number gap = now->complementarity + now->stationarity;
+    blend(N, chosen, w->u, w->kept_movement);
+    blend(N, chosen, w->offset, w->kept_gradient);
+    if (NODES(q)) blend(N, chosen, w->e, w->kept_size), blend((size_t)NODES(q), chosen, w->theta, w->kept_start);
+    blend(rows, chosen, (const number *)w->side[0].l, (number *)w->kept_lower);
+    blend(rows, chosen, (const number *)w->side[1].l, (number *)w->kept_upper);
+    blend(1, chosen, &now->objective, &w->kept_objective);
+    blend(1, chosen, &gap, &w->kept_gap);
+    blend(1, chosen, &now->residual, &w->kept_residual);
+}
+
+/* Hand out what was kept. */
+static void deliver(const tr_work *w, tr_result *const *results)
+{
+    const tr_problem *q = w->q;
+    const size_t N = (size_t)q->stages, rows = (N + 1) * (size_t)q->rows;
+    for (int e = 0; e < ENTRIES; e++) {
+        tr_result *r = results[e];
+        double command = 0.0;
+        for (size_t k = 0; k < N; k++) {
+            r->command[k] = command += EACH(w->kept_movement[k], e);
+            r->gradient[k] = EACH(w->kept_gradient[k], e);
+            if (NODES(q)) r->size[k] = EACH(w->kept_size[k], e);
+        }
+        for (size_t i = 0; i < rows; i++)
+            r->lower[i] = EACH(AT(w->kept_lower, i), e), r->upper[i] = EACH(AT(w->kept_upper, i), e);
+        for (int i = 0; i < NODES(q); i++) r->start[i] = EACH(w->kept_start[i], e);
+        r->objective = EACH(w->kept_objective, e);
+        r->gap = EACH(w->kept_gap, e);
+        r->residual = EACH(w->kept_residual, e);
+    }
+}
+
+/* How far the search has come for one problem. */
+typedef struct {
+    double best; /* measure of the best iterate: 1 is what was asked for */
+    int since;   /* iterations since then */
+    int ended;
+} tr_course;
+
+/* End the search for one problem; later iterates are none of its answer. */
+static void end_with(tr_course *course, tr_result *r, int code, int iterations)
+{
+    course->ended = 1;
+    r->code = code;
+    r->iterations = iterations;
+}
+
+/* Whether an iterate is to be kept, and whether the search ends with it. */
+static int follow(tr_course *course, tr_result *r, const tr_options *options, const tr_state *now, int e, int iterations)
+{
+    const double allowed = options->tolerance * fmax(EACH(now->objective, e), 1.0);
+    const double gap = (EACH(now->complementarity, e) + EACH(now->stationarity, e)) / allowed;
+    const double residual = EACH(now->residual, e), measure = fmax(gap, residual / options->tolerance);
+    const int number_found = gap < INFINITY && residual < INFINITY;
+    if (number_found && measure < course->best) course->best = measure, course->since = 0;
+    const int near = course->best <= NEAR, better = number_found && (course->since == 0 || !near);
+    if (number_found && measure <= 1.0)
+        end_with(course, r, TR_SOLVED, iterations);
+    else if (near && (!number_found || course->since >= PATIENCE))
+        end_with(course, r, TR_ACCURACY, iterations);
+    else if (!number_found)
+        end_with(course, r, TR_BREAKDOWN, iterations);
+    else if (iterations >= options->max_iterations)
+        end_with(course, r, near ? TR_ACCURACY : TR_ITERATION_LIMIT, iterations);
+    course->since++;
+    return better;
+}
+
+/* The gains of a step, and its costate where no closure comes in between. Returns TR_INTERRUPTED, or 0. */
+static int factored(tr_work *w)
+{
+    number end[MOST_NODES] = {0};
+    closure_price(w, w->eta, end);
+    const number *along = REPEATED(w->q) ? NULL : end;
+    int failed = factor(w, 1, along);
+    if (failed == TR_BREAKDOWN && NODES(w->q)) failed = factor(w, 0, along);
+    if (failed == TR_INTERRUPTED) return failed;
+    if (REPEATED(w->q) && !failed) close_course(w);
+    return 0;
+}
+
+/* Whether the search has ended for all problems; the step of those for which it has is made zero. */
+static int all_ended(const tr_course *course, number *step)
+{
+    int ended = 0;
+    for (int e = 0; e < ENTRIES; e++)
+        if (course[e].ended) EACH(*step, e) = 0.0, ended++;
+    return ended == ENTRIES;
+}
+
+static int solve(const tr_problem *const *all, const tr_options *options, double *space, tr_result *const *r, tr_watch *watch)
+{
+    tr_work work, *w = &work;
+    tr_course course[ENTRIES];
+    const number nothing = {0};
+    number step = {0}, level = {0};
+    prepare(w, all, space, watch);
+    number count = begin(w);
+    w->limited = any(count);
+    count = at_least(count, nothing + 1.0);
+    for (int e = 0; e < ENTRIES; e++) course[e].best = INFINITY, course[e].since = course[e].ended = 0;
+    for (int iterations = 0;; iterations++) {
+        const tr_state now = judge(w, level, step);
+        int better[ENTRIES], kept = 0;
+        for (int e = 0; e < ENTRIES; e++)
+            kept |= better[e] = !course[e].ended && follow(course + e, r[e], options, &now, e, iterations);
+        if (kept) keep(w, &now, better);
+        if (all_ended(course, &step)) break;
+        if (tr_interrupted(watch)) return TR_INTERRUPTED;
+        if (factored(w)) return TR_INTERRUPTED;
+        for (int e = 0; e < ENTRIES; e++)
+            if (!course[e].ended && EACH(w->sound, e) == 0.0)
+                end_with(course + e, r[e], course[e].best <= NEAR ? TR_ACCURACY : TR_BREAKDOWN, iterations);
+        if (all_ended(course, &step)) break;
+        newton(w, !REPEATED(w->q));
+        if (w->limited) {
+            const number allowed = options->tolerance * at_least(now.objective, nothing + 1.0);
+            level = predict(w, now.complementarity, count, LAST_GAP * allowed / count);
+            aim(w, level);
+            newton(w, 0);
+        }
+        /* Closer to the limits as they matter less: the last iterations then gain more than two digits each. Not with
+         * sizes, whose two rows share a multiplier: how, only a centred iterate tells. */
+        number rest = nothing + FARTHEST;
+        for (int e = 0; e < ENTRIES && !NODES(w->q); e++) {
+            const double left = NEARNESS * EACH(now.complementarity, e) / fmax(EACH(now.objective, e), 1.0);
+            EACH(rest, e) = fmin(FARTHEST, fmax(left, NEAREST));
+        }
+        step = correct(w, level, rest);
+        for (int e = 0; e < ENTRIES; e++)
+            if (!course[e].ended && !(EACH(step, e) > SHORTEST))
+                end_with(course + e, r[e], course[e].best <= NEAR ? TR_ACCURACY : TR_STALLED, iterations);
+        if (all_ended(course, &step)) break;
+        advance(w, step);
+    }
+    deliver(w, r);
+    return 0;
+}
+
+static int linear(const tr_problem *const *all, double tolerance, double *space, tr_result *const *r, tr_watch *watch)
+{
+    tr_work work, *w = &work;
+    tr_course course[ENTRIES];
+    const number nothing = {0};
+    number step = {0};
+    prepare(w, all, space, watch);
+    if (factor(w, 0, NULL) == TR_INTERRUPTED) return TR_INTERRUPTED;
+    for (int e = 0; e < ENTRIES; e++) {
+        course[e].best = INFINITY, course[e].ended = 0;
+        if (EACH(w->sound, e) == 0.0) end_with(course + e, r[e], TR_BREAKDOWN, 0);
+    }
+    begin(w);
+    for (int iterations = 1; step += 1.0, !all_ended(course, &step); iterations++) {
+        int better[ENTRIES];
+        newton(w, 0);
+        advance(w, step);
+        const tr_state now = judge(w, nothing, nothing);
+        for (int e = 0; e < ENTRIES; e++) {
+            double *best = &course[e].best;
+            better[e] = !course[e].ended && EACH(now.stationarity, e) < *best;
+            if (better[e]) *best = EACH(now.stationarity, e);
+            if (course[e].ended) continue;
+            if (*best <= tolerance * fmax(EACH(now.objective, e), 1.0))
+                end_with(course + e, r[e], TR_SOLVED, iterations);
+            else if (!better[e] || iterations > REFINEMENTS)
+                end_with(course + e, r[e], *best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN, iterations);
+        }
+        keep(w, &now, better);
+    }
+    deliver(w, r);
+    return 0;
+}
+
+/* A multiplier times the size of its slack; nothing where there is no bound. */
+ALWAYS_INLINE number paired_with(const number multiplier, const number slack)
+{
+    const number size = absolute(slack), nothing = {0};
+    return CHOSEN((size < INFINITY) & (multiplier != 0.0), multiplier * size, nothing);
+}
+
+/* The larger of both; what is no number stays none. */
+ALWAYS_INLINE number largest_of(const number so_far, const number next)
+{
+    return CHOSEN((next > so_far) | (next != next), next, so_far);
+}
+
+static void prove(const tr_problem *const *all, double *space, tr_proof *const *proofs)
+{
+    tr_work work, *w = &work;
+    const tr_problem *q = all[0];
+    const int N = q->stages, m = q->rows, ny = q->outputs, n = q->states, last = n - 1, blocks = BLOCKS(n);
+    const size_t stages = (size_t)N, bounds = stages * (size_t)m, free = (size_t)q->free_stages;
+    lanes x[MOST_BLOCKS], next[MOST_BLOCKS], p[MOST_BLOCKS], rule[MOST_BLOCKS];
+    number slack = {0}, residual = {0}, dual_residual = {0}, by_command = {0}, by_movement = {0}, later = {0};
+    number excess[MOST_ROWS], before = {0};
+    size_t taken;
+    int priced = 0;
+    while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
+    memset(w, 0, sizeof *w);
+    lay_out(w, all, space);
+    state(w);
+    /* What is judged takes the place of what only a search needs. */
+    taken = (size_t)((double *)w->V - space);
+#define OF_PROOF(field, count) of_each((const void *const *)proofs, offsetof(tr_proof, field), count, space, &taken)
+    const number *commands = OF_PROOF(command, stages), *by_rule = OF_PROOF(by_rule, stages - free);
+    const number *by_lower = OF_PROOF(by_lower, bounds), *by_upper = OF_PROOF(by_upper, bounds);
+    const number *lower = OF_PROOF(lower, bounds), *upper = OF_PROOF(upper, bounds);
+    for (int e = 0; e < ENTRIES; e++) priced = priced || proofs[e]->by_upper;
+    memset(rule, 0, sizeof rule);
+    memset(x, 0, sizeof x);
+    memset(p, 0, sizeof p);
+    for (int i = 0; i < m; i++) excess[i] = by_command - INFINITY;
+    for (int k = 0; k < N; k++) {
+        const number u = w->u[k] = commands[k] - before;
+        before = commands[k];
+        for (int o = 0; o < ny; o++)
+            w->error[k * ny + o] = w->E[o] * u + dot(blocks, w->C + o * blocks, x) - w->reference[k * ny + o];
+        for (int i = 0; i < m; i++) {
+            const int at = k * m + i;
+            number v = w->d[i] * u;
+            for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
+            const number above = v - upper[at], below = lower[at] - v;
+            excess[i] = largest_of(largest_of(excess[i], above), below);
+            if (priced) slack += paired_with(by_upper[at], above) + paired_with(by_lower[at], below);
+        }
+        if (k >= q->free_stages) {
+            memcpy(rule, w->rule_gain + ((size_t)k - free) * (size_t)n, (size_t)n * sizeof(number));
+            const number left = absolute(u - dot(blocks, rule, x) - w->rule_offset[(size_t)k - free]);
+            residual = largest_of(residual, left);
+            slack += absolute(by_rule[(size_t)k - free]) * left;
+        }
+        flow(last, blocks, w, x, u, next);
+        memcpy(x, next, sizeof x);
+    }
+    for (int j = 0; j < q->ends; j++) {
+        w->end_error[j] = dot(blocks, w->Z + j * blocks, x) - w->end_target[j];
+        add(blocks, w->end_error[j], w->Z + j * blocks, p);
+    }
+    const number objective = cost(w);
+    for (int k = N - 1; k >= 0; k--) {
+        number gradient = dot(blocks, w->push, p) + w->movement_weight * w->u[k];
+        flow_back(blocks, w, p, next);
+        for (int o = 0; o < ny; o++) {
+            const number by_error = w->weight[k * ny + o] * w->error[k * ny + o];
+            gradient += w->E[o] * by_error;
+            add(blocks, by_error, w->C + o * blocks, next);
+        }
+        for (int i = 0; priced && i < m; i++) {
+            const number by_row = by_upper[k * m + i] - by_lower[k * m + i];
+            gradient += w->d[i] * by_row;
+            add(blocks, by_row, w->G + i * blocks, next);
+        }
+        if (k >= q->free_stages) {
+            memcpy(rule, w->rule_gain + ((size_t)k - free) * (size_t)n, (size_t)n * sizeof(number));
+            gradient += by_rule[(size_t)k - free];
+            add(blocks, -by_rule[(size_t)k - free], rule, next);
+        }
+        memcpy(p, next, sizeof p);
+        /* A command moves by its own movement and against the next. */
+        const number size = absolute(gradient - later);
+        dual_residual = largest_of(dual_residual, size);
+        by_command += size * (w->command_bound + absolute(commands[k]));
+        by_movement += gradient * gradient;
+        later = gradient;
+    }
+    by_movement /= 2.0 * w->movement_weight;
+    for (int e = 0; e < ENTRIES; e++) {
+        tr_proof *proof = proofs[e];
+        for (int i = 0; i < m; i++) proof->excess[i] = EACH(excess[i], e);
+        proof->objective = EACH(objective, e), proof->slack = EACH(slack, e), proof->residual = EACH(residual, e);
+        proof->dual_residual = EACH(dual_residual, e), proof->by_command = EACH(by_command, e);
+        proof->by_movement = EACH(by_movement, e);
+    }
+}
+
+const tr_kernel KERNEL(WIDTH, ENTRIES) = {ENTRIES, workspace, solve, linear, prove};
+#endif
