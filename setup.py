@@ -17,8 +17,10 @@ SOLVER = Path("transopt/solvers/native")
 CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
 PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
 # By name: Windows exports nothing else, and elsewhere everything is exported.
-SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"]
-MOTORS_CALLS = ["tm_interface", "tm_workspace", "tm_solve"]
+SOLVER_CALLS = [
+    *("tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"),
+    *("tm_interface", "tm_workspace", "tm_solve"),
+]
 RECURSION_CALLS = [
     *("tr_most_states", "tr_most_width", "tr_run", "tr_forwards", "tr_backwards"),
     *("tr_courses", "tr_bilinear", "tr_spline", "tr_spline_even", "tr_struck"),
@@ -74,12 +76,6 @@ if __name__ == "__main__":
                 sorted(path.as_posix() for path in SOLVER.glob("*.c")),
                 depends=[path.as_posix() for path in SOLVER.glob("*.h")],
                 export_symbols=SOLVER_CALLS,
-                optional=True,
-            ),
-            Extension(
-                "transopt.solvers.native._motors",
-                ["transopt/solvers/native/motors.c"],
-                export_symbols=MOTORS_CALLS,
                 optional=True,
             ),
             Extension(

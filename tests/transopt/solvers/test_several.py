@@ -224,7 +224,7 @@ def test_claims_infeasibility_only_with_a_proof() -> None:
 def test_unlimited_optimum_is_the_limited_one_where_no_limit_binds() -> None:
     problem = posed(drawn_chain(np.random.default_rng(4), 3), limit_A=500.0)
     problem = replace(problem, limits=limits_of(CurrentLimit(500.0), CommandLimit(500.0)))
-    free = unlimited.solve(problem)
+    free = unlimited.solve([problem])[0]
     assert free.message == "Riccati pass"
     assert certify(problem, free.command, free.multipliers).accepted
 
@@ -232,9 +232,9 @@ def test_unlimited_optimum_is_the_limited_one_where_no_limit_binds() -> None:
 def test_unlimited_optimum_without_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = posed(drawn_chain(np.random.default_rng(4), 3), limit_A=500.0)
     problem = replace(problem, limits=limits_of(CurrentLimit(500.0), CommandLimit(500.0)))
-    own = unlimited.solve(problem)
+    own = unlimited.solve([problem])[0]
     monkeypatch.setattr(several, "available", False)
-    free = unlimited.solve(problem)
+    free = unlimited.solve([problem])[0]
     assert free.message == "sparse KKT system"
     assert certify(problem, free.command, free.multipliers).accepted
     np.testing.assert_allclose(free.command, own.command, atol=1e-6)

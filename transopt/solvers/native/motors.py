@@ -1,10 +1,9 @@
 """The compiled interior point of several motors (`motors.c`) through ctypes; the GIL is free while it works.
 
-The extension is optional. Where it could not be built, `available` is False.
+The extension is that of one motor, and optional. Where it could not be built, `available` is False.
 """
 
 import ctypes as ct
-import os
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,8 +13,8 @@ import numpy as np
 
 from transopt.base.recursions import address
 from transopt.base.signals import FloatArray
+from transopt.solvers.native.extension import EXTENSION
 
-EXTENSION = "_motors.pyd" if os.name == "nt" else "_motors.so"
 MOST_STATES, MOST_MOTORS, MOST_ROWS, MOST_OUTPUTS = 64, 4, 64, 32  # of motors.c
 INTERFACE = 1  # as `tm_interface` of motors.c
 SOLVED, ACCURACY = 0, 1  # codes of an answer; the others are failures
