@@ -20,7 +20,7 @@ CASES, EVERY = 1000, 20  # of each seed, and of them those that are replayed as 
 def judged(number: int) -> str:
     """What a drawn problem ends as; "bad" where the answer is neither proven nor refused with a proof."""
     problem = drawn(number, fewest=1)
-    found = solve_certified(problem, SolverOptions())
+    found = solve_certified([problem], SolverOptions())[0]
     answer = found.solution
     if answer.status is Status.INFEASIBLE:
         return "infeasible" if is_infeasible(problem, answer.command, answer.multipliers) else "bad"

@@ -243,14 +243,14 @@ def test_unlimited_optimum_without_the_extension(monkeypatch: pytest.MonkeyPatch
 def test_falls_back_to_piqp_without_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = drawn(5)
     monkeypatch.setattr(several, "available", False)
-    found = solve_certified(problem, OPTIONS)
+    found = solve_certified([problem], OPTIONS)[0]
     assert found.solution.solver == "casadi-piqp"
     assert found.proof.accepted
 
 
 def test_one_motor_with_several_directions() -> None:
     problem = posed(drawn_chain(np.random.default_rng(8), 1), limit_A=0.7)
-    found = solve_certified(problem, OPTIONS)
+    found = solve_certified([problem], OPTIONS)[0]
     assert found.proof.accepted
     _, optimum = Dense.of(problem).optimum(problem)
     assert within(found.proof.objective, optimum, 1e-8)
