@@ -10,6 +10,7 @@ from controller.protocol.codes import EVENTS, REASONS, STATES, Kind, Stage
 from controller.protocol.packed import HASH_BYTES, OPEN_END
 from controller.protocol.requests_table import REQUESTS
 from controller.protocol.wire import encode
+from controller.servo import settings
 
 HERE = Path(__file__).parent
 PAGE, VECTORS = HERE / "reference" / "protocol.md", HERE / "reference" / "protocol_vectors.json"
@@ -95,11 +96,12 @@ Magic u32 0x{configuration.CONFIGURATION_MAGIC:08X}, version u16, count u16 = {l
 these numbers as f64, in order; their unit ends their name. Flags are 0 or 1, what is not there is 0. Only stated
 numbers travel. From them follow, with dt the servo period and w = 2 pi pole_Hz: decay exp(-w dt) of the amplifier,
 exp(-w dt (1 + tolerance)) of the fastest and exp(-w dt (1 - tolerance)) of the slowest, prefilter 1 / (1 - decay)
-and -decay / (1 - decay), durations in whole periods (halves to the even neighbour, one at least), skip =
-ceil(delay / dt) + 1 periods and push = min(5 ms, pulse) of a test pulse. Readings are corrected before anything
-looks at them: counts times `encoder_direction`, acceleration times scale less `acceleration_rest_m_s2`, grip times
-scale less `grip_zero_N`, current times `monitor_scale`; the amplifier is asked for the command over
-`amplifier_scale`.
+and -decay / (1 - decay), durations in whole periods (halves to the even neighbour, one at least; three at least for
+a current that is missing or wrong), late = floor(delay / dt + 1e-9) periods by which a current is expected later than
+the amplifier's pole alone says, {settings.DELAY_TICKS} at most, skip = ceil(delay / dt) + 1 periods and push =
+min(5 ms, pulse) of a test pulse. Readings are corrected before anything looks at them: counts times
+`encoder_direction`, acceleration times scale less `acceleration_rest_m_s2`, grip times scale less `grip_zero_N`,
+current times `monitor_scale`; the amplifier is asked for the command over `amplifier_scale`.
 
 """
 

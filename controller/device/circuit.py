@@ -16,6 +16,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from controller.servo.settings import DELAY_TICKS, ROUNDED_TICKS
 from transopt.base.errors import InputError
 from transopt.base.section import Finite, Positive, Section, Words
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -145,9 +146,14 @@ class Circuit(Section):
     grip: Sensor | None = None
 
     @model_validator(mode="after")
-    def _one_amplifier(self) -> Self:
+    def _one_amplifier_in_time(self) -> Self:
         if (self.servo is None) == (self.bridge is None):
             raise ValueError("state one amplifier: a table [servo] or a table [bridge]")
+        if self.power.delay_s > (DELAY_TICKS + ROUNDED_TICKS) * self.dt_s:
+            raise ValueError(
+                f"power.delay_s = {1e3 * self.power.delay_s:g} ms: must be {1e3 * DELAY_TICKS * self.dt_s:g} ms at "
+                f"most, {DELAY_TICKS} servo periods of dt_s: take an amplifier with less delay"
+            )
         return self
 
 

@@ -28,8 +28,10 @@ CAPACITY = {
 # Limits of `capacity`, under the same names; what a host takes by default is not the device's business.
 LIMITS = {name: value for name, value in vars(capacity).items() if name.isupper() and name != "LEASE_DEFAULT_MS"}
 LIMITS |= {name: value for name, value in vars(crosscheck).items() if name.isupper()}
-LIMITS |= {name: value for name, value in vars(faults).items() if name.startswith("WRONG_CURRENT")}
-LIMITS |= {name: getattr(settings, name) for name in ("PULSE_NODES", "PUSH_S", "SCALE_LEAST", "SCALE_MOST")}
+LIMITS |= {name: value for name, value in vars(faults).items() if name.startswith(("WRONG_CURRENT", "FEWEST"))}
+LIMITS |= {
+    name: getattr(settings, name) for name in ("DELAY_TICKS", "PULSE_NODES", "PUSH_S", "SCALE_LEAST", "SCALE_MOST")
+}
 
 
 def _define(name: str, value: object, note: str = "") -> str:

@@ -20,6 +20,9 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 # While a transient plays a measured current may be off by so much and by this part of what is expected, for so long.
 # Amplifier and monitor that are 10 % off each leave 22 %; their lag passes within a few ticks.
 WRONG_CURRENT_A, WRONG_CURRENT_PART, WRONG_CURRENT_S = 0.3, 0.3, 2e-3
+# Neither this nor a missing current is judged by fewer: the part of a period by which an amplifier is late beyond
+# whole ones is not in what is expected, and at a jump of the command one reading and the next may be off by it.
+FEWEST_TICKS = 3
 
 
 class Watch:
@@ -32,7 +35,7 @@ class Watch:
     ----------
     bad_encoder, bad_current : no number, or outside anything the device can give.
     raw_grip_N : as read. step_m_s : speed of the encoder over the last tick.
-    expected_A : current that the amplifier model expects now; measured_A as read.
+    expected_A : current that the amplifier model expects now, its whole ticks of delay included.
     missing_ticks : for so long far less current than expected was measured.
     still_ticks, still_A_s : since the last count: ticks with current, impulse of the transient.
     wrong_ticks : for so long another current than expected was measured while a transient plays.
@@ -45,7 +48,8 @@ class Watch:
         self.has_grip = s.assumed_grip_N is None
         self.grip_N = 0.0 if s.assumed_grip_N is None else s.assumed_grip_N
         self.over_current_A = s.over_current * s.current_limit_A
-        self.missing_limit, self.still_limit = s.ticks(s.no_current_s), s.ticks(s.stuck_s)
+        self.missing_limit = max(s.ticks(s.no_current_s), FEWEST_TICKS)
+        self.still_limit = s.ticks(s.stuck_s)
         self._rate_m_s = s.count_m / s.dt_s
         self._new_grip = 1.0 if s.grip_filter_s == 0 else min(s.dt_s / s.grip_filter_s, 1.0)
         self._seen = self._gripped = False
@@ -53,7 +57,7 @@ class Watch:
         self.current_A = self.expected_A = self.raw_grip_N = self.step_m_s = 0.0
         self.emergency_stop = self.host_stop = self.late = False
         self.bad_encoder = self.bad_current = self.playing = self.held = False
-        self.wrong_limit = s.ticks(WRONG_CURRENT_S)
+        self.wrong_limit = max(s.ticks(WRONG_CURRENT_S), FEWEST_TICKS)
         self.crosscheck = Crosscheck(s)
         self.forget()
 
@@ -169,11 +173,11 @@ SEEN_WHEN = {
     ),
     Fault.NO_CURRENT: (
         "for {no_current_s} s less than {no_current_part} of the expected current flows, where that is "
-        "{no_current_A} A or more"
+        f"{{no_current_A}} A or more; {FEWEST_TICKS} periods at least"
     ),
     Fault.WRONG_CURRENT: (
         f"while a transient plays the measured current is for {1e3 * WRONG_CURRENT_S:g} ms further from the expected "
-        f"one than {WRONG_CURRENT_A:g} A and {100 * WRONG_CURRENT_PART:g} % of it"
+        f"one than {WRONG_CURRENT_A:g} A and {100 * WRONG_CURRENT_PART:g} % of it; {FEWEST_TICKS} periods at least"
     ),
     Fault.ACCELEROMETER_DEAD: (
         f"while a transient plays the current swings by {QUIET_SWING_A:g} A or more within "

@@ -17,6 +17,7 @@ contact arrays are touched, to blend the waveform.
 """
 
 import math
+from collections import deque
 
 from controller.servo.approach import Approach, Touch, Trigger
 from controller.servo.faults import FAULTS, Watch
@@ -39,6 +40,8 @@ class Servo:
     play : what was played last, None before anything. cooled : the part of its cool command in the blend that
         the heat allowed. scale : how much of that blend it allowed, below 0 with the other sign.
     expected_A : current of the amplifier model at the coming switching instant.
+    awaited_A : of the last ticks, the oldest first: the amplifier is late by so many whole ones, so that the oldest
+        is what the coming reading is compared with.
     gain : in force, follows `wanted_gain`.
     """
 
@@ -67,6 +70,7 @@ class Servo:
         self._decay = math.exp(-rate)
         # Decay in a tick of the fastest and the slowest amplifier that may be there.
         self._fast, self._slow = (math.exp(-rate * (1.0 + sign * s.amplifier_tolerance)) for sign in (1.0, -1.0))
+        self.awaited_A = deque([0.0] * (s.late_ticks + 1), maxlen=s.late_ticks + 1)
         self._least_A = self._most_A = 0.0  # between these the current is at the coming switching instant
         # Coefficients of the feedback's prefilter (`plant.amplifier.prefilter_coefficients`).
         self._now, self._before = 1 / (1 - self._decay), -self._decay / (1 - self._decay)
@@ -137,7 +141,7 @@ class Servo:
         """The command that answers one tick's readings, to be held until the next tick."""
         watch, guard, tick = self.watch, self.guard, readings.tick
         playing = self.state is State.PLAYING
-        watch.step(readings, self.expected_A, self._transient_A, playing, playing and self._held)
+        watch.step(readings, self.awaited_A[0], self._transient_A, playing, playing and self._held)
         if guard is not None:
             # The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing.
             measured = watch.over_current_A if watch.bad_current else abs(watch.current_A)
@@ -291,6 +295,7 @@ class Servo:
         The upper bound rises with the fastest amplifier and falls with the slowest, the lower one the other way.
         """
         self.expected_A = self._decay * self.expected_A + (1.0 - self._decay) * command_A
+        self.awaited_A.append(self.expected_A)
         most = self._fast if command_A > self._most_A else self._slow
         least = self._fast if command_A < self._least_A else self._slow
         self._most_A = most * self._most_A + (1.0 - most) * command_A

@@ -7,15 +7,19 @@ from typing import Any, Self
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.writing import rounded_up
 from transopt.library.library import Library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import split_delay
 from transopt.plant.wall import Wall
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.warm_coil import LEAST_SCALE, WITHHOLD_K
 
 SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # size of a calibration's scale: further off something else is wrong
 PULSE_NODES = 4
+DELAY_TICKS = 4  # servo periods that an amplifier may be late by, at most
+ROUNDED_TICKS = 1e-9
 # Amplifier and motor of the built-in device (a Maxon RE 25), assumed where neither a library nor the device says.
 AMPLIFIER = Amplifier(1050.0, 68e-6, 6.0)
 RE_25 = CoilModel(R_ohm=2.18, R_wh_K_W=3.1, R_ha_K_W=14.0, tau_w_s=12.0, tau_h_s=612.0, limit_C=100.0)
@@ -171,6 +175,12 @@ class Settings:
             raise InputError("servo: surface_counts and grip_open_N must be finite, grip_open_N below grip_short_N")
         self._check_calibration()
         self._check_pulse()
+        if self.delay_s > (DELAY_TICKS + ROUNDED_TICKS) * self.dt_s:
+            raise InputError(
+                f"amplifier.delay_s = {1e3 * self.delay_s:g} ms: a device follows an amplifier that is late by up to "
+                f"{DELAY_TICKS} servo periods, {1e3 * DELAY_TICKS * self.dt_s:g} ms: take one with less delay, or "
+                f"time.dt_s of {rounded_up(self.delay_s / DELAY_TICKS):g} s or more"
+            )
         if self.amplifier_tolerance >= 1:
             raise InputError(f"servo: amplifier_tolerance = {self.amplifier_tolerance:g}: must be below 1")
         if self.host_starts and self.wall is not None:
@@ -223,10 +233,18 @@ class Settings:
         return self.current_limit_A if self.amplifier is None else self.amplifier.command_limit
 
     @property
+    def delay_s(self) -> float:
+        return 0.0 if self.amplifier is None else self.amplifier.delay_s
+
+    @property
+    def late_ticks(self) -> int:
+        """Whole servo periods of the amplifier's delay."""
+        return split_delay(self.delay_s, self.dt_s)[0]
+
+    @property
     def pulse_skip_ticks(self) -> int:
         """From the first command of a pulse to the first reading that it certainly moves, behind the delay."""
-        delay_s = 0.0 if self.amplifier is None else self.amplifier.delay_s
-        return math.ceil(delay_s / self.dt_s) + 1
+        return math.ceil(self.delay_s / self.dt_s) + 1
 
     @property
     def pulse_push_ticks(self) -> int:

@@ -3,8 +3,8 @@
 Three masses in absolute coordinates (motor, stylus, hand), an amplifier with a PI current loop on the motor's voltage
 and an accelerometer with one pole, all linear for one grip, by the classical Runge-Kutta rule at 5 us. For a linear
 system one such step is the polynomial I + hA + (hA)^2/2 + (hA)^3/6 + (hA)^4/24, so a servo period is a product of two
-powers of it: before and after the moment at which the command of the tick is felt. The sensors round and add noise of
-their own.
+powers of it: before and after the moment at which a command is felt, which may be ticks after it was given. The
+sensors round and add noise of their own.
 
 The scripted person does what the check asks for: moves by a ruler, shakes, rests, lets go, holds, taps; a hand never
 holds quite still.
@@ -12,6 +12,7 @@ holds quite still.
 
 import math
 import re
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -40,7 +41,7 @@ class Truth:
     arm_N_m, arm_N_m_N, arm_N_s_m, arm_N_s_m_N : between hand and the hand's intention, likewise.
     bearing_N_s_m : friction of the motor's bearings, which no model here knows.
     force_N_A : at the tip.
-    pole_Hz, delay_s, R_ohm, L_H : of the amplifier's loop and of the motor.
+    pole_Hz, delay_s, R_ohm, L_H : of the amplifier's loop and of the motor; the delay counts in whole steps of 5 us.
     """
 
     motor_kg: float = 0.0140
@@ -175,7 +176,9 @@ class OwnWorld:
         self.path_m: Callable[[float], float] = lambda _: ABOVE_M
         self._x = np.zeros(12)
         self._x[[Z1, Z2, Z3, HAND]] = ABOVE_M
-        self._before_A = 0.0
+        self._late_ticks, self._felt_after = divmod(round(self.truth.delay_s / STEP_S), round(dt_s / STEP_S))
+        # The oldest first: felt before and after the moment within this period, and those that are under way.
+        self._commands = deque([0.0] * (self._late_ticks + 2), maxlen=self._late_ticks + 2)
         self.person = Person(self)
 
     @property
@@ -220,19 +223,18 @@ class OwnWorld:
             # The hand is away, and takes hold again where the stylus is.
             x[HAND], x[HAND_SPEED] = x[Z2], x[V2]
             x[Z3], x[V3] = x[Z2], x[V2]
-        early, late = self._at(self.grip_N)
-        x[COMMAND] = self._before_A
-        x = early @ x
-        x[COMMAND] = self._before_A = self.wires.amplifier * output.command_A
-        self._x = late @ x
+        self._commands.append(self.wires.amplifier * output.command_A)
+        for flow, command_A in zip(self._at(self.grip_N), self._commands, strict=False):
+            x[COMMAND] = command_A
+            x = flow @ x
+        self._x = x
         self.tick += 1
 
     def _at(self, grip_N: float) -> tuple[FloatArray, FloatArray]:
         if grip_N not in self._flows:
             step = _step(_flow(self.truth, self.sensing, self.wires.motor, grip_N))
-            whole, first = round(self.dt_s / STEP_S), round(self.truth.delay_s / STEP_S)
-            power = np.linalg.matrix_power
-            self._flows[grip_N] = power(step, first), power(step, whole - first)
+            power, rest = np.linalg.matrix_power, round(self.dt_s / STEP_S) - self._felt_after
+            self._flows[grip_N] = power(step, self._felt_after), power(step, rest)
         return self._flows[grip_N]
 
     def asked(self, what: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from controller.protocol.image import bank_of, image_of
 from controller.servo.interface import Readings, State
-from controller.servo.settings import Settings
+from controller.servo.settings import DELAY_TICKS, Settings
 from controller.sim.simulated_tap import approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
@@ -112,7 +112,10 @@ def draw_settings(random: Random, amplifier: Amplifier | None, *, free: bool) ->
 
 
 def draw_amplifier(random: Random) -> Amplifier | None:
-    return None if random.uniform() < 0.2 else Amplifier(float(random.uniform(300, 3000)), 68e-6, 6.0)
+    if random.uniform() < 0.2:
+        return None
+    pole_Hz = float(random.uniform(300, 3000))
+    return Amplifier(pole_Hz, 68e-6 + int(pole_Hz) % DELAY_TICKS * DT_S, 6.0)
 
 
 def stored(settings: Settings, table: Bank, tail: int) -> bytes:
@@ -192,7 +195,7 @@ def random_run(seed: int, ticks: int) -> Recorder:
             tick,
             counts,
             max(held + 0.02 * random.standard_normal(), 0.0),
-            servo.expected_A * (wrong.get(tick // 500 % 20, 1.0) if tick % 9000 < 8900 else 0.1)
+            servo.awaited_A[0] * (wrong.get(tick // 500 % 20, 1.0) if tick % 9000 < 8900 else 0.1)
             + 0.005 * random.standard_normal(),
             felt * bend + tilt + (0.2 * sensed.standard_normal() if felt else 0.0),
         )

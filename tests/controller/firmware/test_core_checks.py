@@ -131,6 +131,13 @@ def test_what_the_device_cannot_do(device: Talker, settings: Settings, expected:
     assert reason(device.configure(configuration_of(settings))) is expected
 
 
+@pytest.mark.parametrize(
+    ("delay_s", "expected"), [(4e-4, None), (4.01e-4, Reason.BEYOND_HARDWARE), (1e300, Reason.BEYOND_HARDWARE)]
+)
+def test_how_late_an_amplifier_may_be(device: Talker, delay_s: float, expected: Reason | None) -> None:
+    assert reason(device.configure(with_number(SETTINGS, "amplifier_delay_s", delay_s))) is expected
+
+
 def test_other_formats(device: Talker) -> None:
     data = configuration_of(BARE)
     for at in (0, 4, 6):  # magic, version, count

@@ -135,6 +135,7 @@ static double beyond(const double *n, const td_hardware *hardware)
         {n[TD_CFG_WINDOW_TICKS], TD_MAX_WINDOW_TICKS},
         {n[TD_CFG_ENCODER_LIMIT_COUNTS], TD_ENCODER_MOST_COUNTS},
         {walled ? n[TD_CFG_WALL_LATENCY_TICKS] : 0, TD_MAX_LATENCY_TICKS},
+        {driven ? n[TD_CFG_AMPLIFIER_DELAY_S] : 0, (TD_DELAY_TICKS + TD_ROUNDED_TICKS) * hardware->dt_s},
         {n[TD_CFG_REARM_S], TD_LONGEST_S},
         {n[TD_CFG_NO_CURRENT_S], TD_LONGEST_S},
         {n[TD_CFG_STUCK_S], TD_LONGEST_S},

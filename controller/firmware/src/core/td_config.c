@@ -6,7 +6,6 @@
 #include "td_bytes.h"
 
 #define MOST_TICKS 1e9 /* of any duration */
-#define MOST_DELAY_TICKS 1e4
 #define UPDATE_S 0.01  /* of the coil */
 #define DYING_TICKS 4  /* of the present current: until the answer is felt, and what is left then */
 #define COPPER_PER_K 0.0039
@@ -63,6 +62,19 @@ static double periods(double duration_s, double dt_s)
     const double nearest = part < 0.5 || (!(part > 0.5) && !(fmod(below, 2) > 0)) ? below : below + 1;
 
     return nearest > 1 ? nearest : 1;
+}
+
+/* A duration for which something may be wrong. */
+static int32_t patience(table *from, double duration_s)
+{
+    const double ticks = periods(duration_s, from->n[TD_CFG_DT_S]);
+
+    return whole(from, ticks > TD_FEWEST_TICKS ? ticks : TD_FEWEST_TICKS, 1, MOST_TICKS);
+}
+
+static double delay_ticks(const table *from)
+{
+    return flag(from, TD_CFG_HAS_AMPLIFIER) ? from->n[TD_CFG_AMPLIFIER_DELAY_S] / from->n[TD_CFG_DT_S] : 0;
 }
 
 /* The approach's fits, over the whole window and over its newer half if that holds readings enough. */
@@ -179,7 +191,7 @@ static void unpack_faults(td_config *config, table *from)
     config->no_current_part = narrow(from, n[TD_CFG_NO_CURRENT_PART]);
     config->stuck_A = narrow(from, n[TD_CFG_STUCK_A]);
     config->stuck_A_s = narrow(from, n[TD_CFG_STUCK_A_S]);
-    config->missing_limit = whole(from, periods(n[TD_CFG_NO_CURRENT_S], n[TD_CFG_DT_S]), 1, MOST_TICKS);
+    config->missing_limit = patience(from, n[TD_CFG_NO_CURRENT_S]);
     config->still_limit = whole(from, periods(n[TD_CFG_STUCK_S], n[TD_CFG_DT_S]), 1, MOST_TICKS);
 }
 
@@ -206,7 +218,7 @@ static void unpack_crosscheck(td_config *config, table *from)
     config->swing_A = (td_real)swing_A;
     config->rest_limit = whole(from, periods(TD_FOLLOW_STILL_S, dt), 1, MOST_TICKS);
     config->block_ticks = whole(from, periods(TD_QUIET_BLOCK_S, dt), 1, MOST_TICKS);
-    config->wrong_limit = whole(from, periods(TD_WRONG_CURRENT_S, dt), 1, MOST_TICKS);
+    config->wrong_limit = patience(from, TD_WRONG_CURRENT_S);
 }
 
 static void unpack_amplifier(td_config *config, table *from)
@@ -224,6 +236,7 @@ static void unpack_amplifier(td_config *config, table *from)
     config->now = narrow(from, 1 / (1 - decay));
     config->before = narrow(from, -decay / (1 - decay));
     divides(from, config->now);
+    config->late_ticks = whole(from, floor(delay_ticks(from) + TD_ROUNDED_TICKS), 0, TD_DELAY_TICKS);
     config->current_limit_A = narrow(from, n[TD_CFG_CURRENT_LIMIT_A]);
     config->command_limit_A = narrow(from, driven ? n[TD_CFG_AMPLIFIER_COMMAND_LIMIT_A] : n[TD_CFG_CURRENT_LIMIT_A]);
     config->has_slew = flag(from, TD_CFG_HAS_SLEW_LIMIT_A_PER_S);
@@ -264,13 +277,12 @@ static void unpack_calibration(td_calibration *calibration, table *from)
 static void unpack_pulse(td_pulse_plan *pulse, table *from)
 {
     const double *n = from->n, dt = n[TD_CFG_DT_S];
-    const double delay_s = flag(from, TD_CFG_HAS_AMPLIFIER) ? n[TD_CFG_AMPLIFIER_DELAY_S] : 0;
     const double push = periods(TD_PUSH_S, dt);
     int32_t j;
 
     pulse->current_A = n[TD_CFG_PULSE_A];
     pulse->ticks = whole(from, n[TD_CFG_PULSE_TICKS], 1, UINT16_MAX);
-    pulse->skip_ticks = whole(from, ceil(delay_s / dt) + 1, 1, MOST_DELAY_TICKS);
+    pulse->skip_ticks = whole(from, ceil(delay_ticks(from)) + 1, 1, TD_DELAY_TICKS + 2);
     pulse->push_ticks = push < pulse->ticks ? (int32_t)push : pulse->ticks;
     pulse->nodes = whole(from, n[TD_CFG_PULSE_NODES], 0, TD_PULSE_NODES);
     for (j = 0; j < TD_PULSE_NODES; j++) {

@@ -8,6 +8,7 @@
 #include "td_real.h"
 
 #define TD_LEAST_READINGS 4 /* that a parabola is fitted to */
+#define TD_ROUNDED_TICKS 1e-9 /* of a number of ticks */
 
 /* Coil, one implicit midpoint step of its two nodes per update (controller/servo/guard.py). */
 typedef struct {
@@ -69,6 +70,7 @@ typedef struct {
     td_wide least_speed_m_s, touch_height_m, rearm_height_m;
     int32_t rearm_ticks;
     /* amplifier and limits */
+    int32_t late_ticks;         /* whole servo periods of the amplifier's delay */
     td_real decay, fast, slow;  /* exp(-w dt) of the amplifier as stated, and of the fastest and the slowest */
     td_real now, before;        /* prefilter of the feedback */
     td_real current_limit_A, command_limit_A;

@@ -279,6 +279,8 @@ enum {
 #define TD_WRONG_CURRENT_A 0.3
 #define TD_WRONG_CURRENT_PART 0.3
 #define TD_WRONG_CURRENT_S 0.002
+#define TD_FEWEST_TICKS 3
+#define TD_DELAY_TICKS 4
 #define TD_PULSE_NODES 4
 #define TD_PUSH_S 0.005
 #define TD_SCALE_LEAST 0.2

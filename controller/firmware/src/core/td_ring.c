@@ -6,7 +6,6 @@
 #include "td_watch.h"
 
 #define PI 3.141592653589793
-#define DELAY_TICKS 4 /* of an amplifier, at most: what was commanded before a trip is felt for so long after it */
 #define BELOW_LIMIT_K 0.1
 #ifdef TD_REAL_FLOAT
 #define ROUNDING 1e-4 /* of the current limit; the bounds' own rounding adds up to less */
@@ -40,8 +39,9 @@ static void start_coil(td_ring *ring, const td_hardware *h, double winding_C, do
     const double steady_C = h->ambient_C + (hottest_C - h->ambient_C) * h->R_ha_K_W / (h->R_wh_K_W + h->R_ha_K_W);
 
     td_coil_derive(&ring->coil, &numbers, h->dt_s, 0);
-    /* The energy of a current that dies away with the slowest amplifier, in ticks of what flows now. */
-    ring->coil.dying_ticks = DELAY_TICKS + 1 / (1 - (double)ring->slow * (double)ring->slow);
+    /* What was commanded before a trip is felt for the delay after it; then the energy of a current that dies away with
+     * the slowest amplifier, in ticks of what flows now. */
+    ring->coil.dying_ticks = TD_DELAY_TICKS + 1 / (1 - (double)ring->slow * (double)ring->slow);
     ring->coil.start_winding_C = known(winding_C, hottest_C);
     ring->coil.start_housing_C = known(housing_C, steady_C);
     td_guard_start(&ring->guard, &ring->coil);

@@ -316,8 +316,11 @@ static void expect(td_servo *servo, td_real command_A)
     const td_config *config = servo->config;
     const td_real most = command_A > servo->most_A ? config->fast : config->slow;
     const td_real least = command_A < servo->least_A ? config->fast : config->slow;
+    int32_t j;
 
-    servo->expected_A = config->decay * servo->expected_A + (1 - config->decay) * command_A;
+    for (j = config->late_ticks; j > 0; j--)
+        servo->expected_A[j] = servo->expected_A[j - 1];
+    servo->expected_A[0] = config->decay * servo->expected_A[0] + (1 - config->decay) * command_A;
     servo->most_A = most * servo->most_A + (1 - most) * command_A;
     servo->least_A = least * servo->least_A + (1 - least) * command_A;
 }
@@ -372,9 +375,12 @@ static void drive(td_servo *servo, uint64_t tick, td_output *output)
 
 void td_servo_flowing(td_servo *servo, td_real least_A, td_real most_A)
 {
+    int32_t j;
+
     servo->least_A = least_A;
     servo->most_A = most_A;
-    servo->expected_A = (least_A + most_A) / 2;
+    for (j = 0; j <= TD_DELAY_TICKS; j++)
+        servo->expected_A[j] = (least_A + most_A) / 2;
 }
 
 void td_servo_applied(td_servo *servo, td_real command_A)
@@ -397,12 +403,12 @@ void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *ou
 
     output->command_A = output->transient_A = output->feedback_A = 0;
     output->event_count = 0;
-    td_watch_step(watch, config, readings, servo->expected_A, servo->transient_A,
+    td_watch_step(watch, config, readings, servo->expected_A[config->late_ticks], servo->transient_A,
                   servo->state == TD_STATE_PLAYING, servo->state == TD_STATE_PLAYING && servo->held);
     if (config->coil.present) {
         /* The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing. */
         const td_real measured = watch->bad_current ? config->over_current_A : td_size(watch->current_A);
-        const td_real expected = td_size(servo->expected_A);
+        const td_real expected = td_size(servo->expected_A[0]);
 
         td_guard_step(&servo->guard, &config->coil, measured > expected ? measured : expected);
     }

@@ -27,7 +27,7 @@ typedef struct {
     uint32_t counts[TD_NOTICES];   /* how often each notice was given, modulo 2^32 */
     td_wide gain, wanted_gain;     /* in force; it follows the wanted one, in steps that would add up their rounding */
     td_real scale;                 /* how much of the blend in `play` the heat allowed */
-    td_real expected_A;            /* current of the amplifier model at the coming switching instant */
+    td_real expected_A[TD_DELAY_TICKS + 1]; /* current of the amplifier model at the coming switching instant, and before */
     td_real least_A, most_A;       /* between these it is, for every amplifier within the tolerance */
     td_real earlier_A;             /* feedback current wanted one tick ago */
     td_real transient_A, command_A; /* of the last tick */
