@@ -148,6 +148,7 @@ def block_text(built: Electronics, file: str) -> str:
 #define COMMAND_BY_DAC {int(built.circuit.converter.output == "dac")}
 #endif
 #define HAS_GRIP {int(s.grip is not None)}
+#define CONVERTER_BITS {built.circuit.converter.bits}
 
 /* value = (counts - zero_counts) * per_count; outside least..most counts there is no number, since a sensor at the
  * rail is a broken wire or a short. */

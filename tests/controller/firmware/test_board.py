@@ -1,11 +1,13 @@
 """The port for a bare processor: its functions, its memories, and processors that are no good for it."""
 
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from controller.device.circuit_file import CIRCUITS, block_text, load_circuit
 from controller.firmware.build import FIRMWARE
 from tests.benches.board import PORT, MissingToolError, need_tools
 from tests.campaigns.test_desk import Tap
@@ -56,6 +58,25 @@ def test_a_board_has_all_functions_and_no_others(board: Path, tmp_path: Path) ->
     declared = set(re.findall(r"^[a-z].*?\b(board_\w+)\(", (PORT.parent / "board.h").read_text(), re.MULTILINE))
     assert set(re.findall(r" T (board_\w+)", said.stdout)) == declared
     assert len(declared) > 10
+
+
+@pytest.mark.parametrize(("old", "new"), [("bits = 12", "bits = 10"), ('"dac"', '"pwm"')])
+def test_a_circuit_with_converters_that_the_board_has_not_does_not_compile(
+    old: str, new: str, tmp_path: Path
+) -> None:
+    text = CIRCUITS["escon_re25"].read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "circuit.toml").write_text(text.replace(old, new))
+    (tmp_path / "port").mkdir()
+    for name in ("board.h", "stm32f405/board.c", "stm32f405/registers.h"):
+        (tmp_path / "port" / name).parent.mkdir(exist_ok=True)
+        shutil.copy(PORT.parent / name, tmp_path / "port" / name)
+    block = block_text(load_circuit(tmp_path / "circuit.toml")[0], "circuit.toml")
+    (tmp_path / "port" / "hardware.h").write_text(block)
+    source = tmp_path / "port" / "stm32f405" / "board.c"
+    done = arm(*M4F, *STRICT, "-DTRANSOPT_PORT", f"-I{SRC}", "-c", source, folder=tmp_path)
+    assert done.returncode != 0
+    assert "this board has converters of 12 bits" in done.stderr
 
 
 def test_the_template_states_a_budget_for_every_function() -> None:

@@ -52,9 +52,10 @@ def test_the_manifests_agree_and_name_what_is_there() -> None:
         assert (FIRMWARE / name).exists()
 
 
-def test_the_hardware_block_of_the_sketch_is_that_of_the_built_in_circuit() -> None:
+@pytest.mark.parametrize("place", [SKETCH.parent, FIRMWARE / "port"], ids=["teensy41", "port"])
+def test_the_hardware_block_of_a_port_is_that_of_the_built_in_circuit(place: Path) -> None:
     text = block_text(BUILT, CIRCUITS["escon_re25"].name)
-    assert (SKETCH.parent / "hardware.h").read_text() == text, "run transopt-play device circuit on it again"
+    assert (place / "hardware.h").read_text() == text, "run transopt-play device circuit on it again"
 
 
 @pytest.mark.parametrize("by_dac", OUTPUTS)
@@ -66,6 +67,22 @@ def test_the_sketch_compiles_for_the_processor(by_dac: int, tmp_path: Path) -> N
     command = ["arm-none-eabi-g++", *CPP, *processor, *include, "-x", "c++", "-c", str(SKETCH)]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_circuit_with_converters_that_the_sketch_has_not_does_not_compile(tmp_path: Path) -> None:
+    if shutil.which("g++") is None:
+        pytest.skip("g++: not found")
+    text = CIRCUITS["escon_re25"].read_text(encoding="utf-8").replace("bits = 12", "bits = 16")
+    (tmp_path / "circuit.toml").write_text(text)
+    shutil.copy(SKETCH, tmp_path / SKETCH.name)
+    block = block_text(load_circuit(tmp_path / "circuit.toml")[0], "circuit.toml")
+    (tmp_path / "hardware.h").write_text(block)
+    include = (f"-I{STUB}", f"-I{SRC}", "-include", "Arduino.h")
+    for by_dac, words in ((1, "the MCP4921 takes 12 bits"), (0, "the Teensy converts 12 bits")):
+        command = ["g++", *include, f"-DCOMMAND_BY_DAC={by_dac}", "-x", "c++", "-c", str(tmp_path / SKETCH.name)]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode != 0
+        assert words in done.stderr
 
 
 def build_sketch(folder: Path, by_dac: int, extra: tuple[str, ...] = ()) -> Path:

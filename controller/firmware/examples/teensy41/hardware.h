@@ -10,6 +10,7 @@
 #define COMMAND_BY_DAC 1
 #endif
 #define HAS_GRIP 1
+#define CONVERTER_BITS 12
 
 /* value = (counts - zero_counts) * per_count; outside least..most counts there is no number, since a sensor at the
  * rail is a broken wire or a short. */

@@ -18,6 +18,11 @@
 
 /* Everything that follows from datasheets: period, limits, coil, scales. `transopt-play device circuit` writes it. */
 #include "hardware.h"
+#if COMMAND_BY_DAC && CONVERTER_BITS != 12
+#error "the MCP4921 takes 12 bits: converter.bits = 12 in the circuit file, or output = \"pwm\""
+#elif CONVERTER_BITS > 12
+#error "the Teensy converts 12 bits: converter.bits = 12 in the circuit file"
+#endif
 
 /* ========================================== the one block to change: the pins ================================== */
 
@@ -205,12 +210,12 @@ void setup()
     SPI.beginTransaction(SPISettings(20000000, MSBFIRST, SPI_MODE0)); /* nobody else is on this bus */
 #else
     analogWriteFrequency(PIN_PWM, PWM_HZ);
-    analogWriteResolution(12);
+    analogWriteResolution(CONVERTER_BITS);
 #endif
     put_nothing();
     pinMode(PIN_ALIVE, OUTPUT);
     pinMode(PIN_STOP, INPUT_PULLUP);
-    analogReadResolution(12);
+    analogReadResolution(CONVERTER_BITS);
     analogReadAveraging(1);
     encoder.setInitConfig();
     encoder.init();

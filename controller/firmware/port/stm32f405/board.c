@@ -13,6 +13,10 @@
 #include "../hardware.h"
 #include "registers.h"
 
+#if !COMMAND_BY_DAC || CONVERTER_BITS != 12
+#error "this board has converters of 12 bits for command and inputs: converter.output = \"dac\", bits = 12 in the circuit file"
+#endif
+
 #define CRYSTAL_MHZ 8u
 #define PLL_M (CRYSTAL_MHZ / 2u)
 #define PLL_N 168u

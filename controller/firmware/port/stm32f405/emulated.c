@@ -21,6 +21,10 @@
 #include "registers.h"
 #include "stylus.h"
 
+#if !COMMAND_BY_DAC || CONVERTER_BITS != 12
+#error "this board has converters of 12 bits for command and inputs: converter.output = \"dac\", bits = 12 in the circuit file"
+#endif
+
 #define START AT(0x2002fff0u) /* behind the stack; QEMU's -device loader puts it there */
 #define RX_BYTES 16384u /* divides 2^16 */
 #define PERIODS_PER_TURN ((uint32_t)(5e-3 / HARDWARE.dt_s + 0.5))
@@ -152,8 +156,10 @@ uint32_t board_converted(int input)
 {
     if (input == BOARD_CURRENT)
         return counts_of(stylus_current_A(), &CURRENT_A);
+#if HAS_GRIP
     if (input == BOARD_GRIP)
         return counts_of(stylus_grip_N(), &GRIP_N);
+#endif
     return counts_of(stylus_acceleration_m_s2(), &ACCELERATION_M_S2);
 }
 
