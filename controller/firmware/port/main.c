@@ -73,9 +73,7 @@ static void keep_heat(void)
     float parts_C[2];
     uint32_t words[2];
 
-    board_hold(true);
     td_device_coil(&device, &winding_C, &housing_C);
-    board_hold(false);
     parts_C[0] = (float)winding_C;
     parts_C[1] = (float)housing_C;
     memcpy(words, parts_C, sizeof words);

@@ -19,6 +19,7 @@ static void hold(void *context, bool held)
     td_probe *probe = context;
 
     probe->held += held ? 1 : -1;
+    probe->holds += held;
     if (probe->held != (held ? 1 : 0))
         abort();
 }
@@ -36,9 +37,14 @@ bool td_probe_enabled(const td_probe *probe)
     return probe->enabled;
 }
 
-void td_probe_coil(const td_device *device, double *heat_C)
+void td_probe_coil(const td_probe *probe, double *heat_C)
 {
-    td_device_coil(device, &heat_C[0], &heat_C[1]);
+    const uint32_t before = probe->holds;
+
+    td_device_coil(&probe->device, &heat_C[0], &heat_C[1]);
+    /* A tick in between would leave the halves of two numbers. */
+    if (probe->holds != before + 1)
+        abort();
 }
 
 void td_probe_start(td_probe *probe, uint32_t boot, const double *hardware, const double *heat_C, bool simulated)
@@ -56,6 +62,7 @@ void td_probe_start(td_probe *probe, uint32_t boot, const double *hardware, cons
     };
 
     probe->held = 0;
+    probe->holds = 0;
     probe->enabled = false;
     td_device_start(&probe->device, &port);
 }

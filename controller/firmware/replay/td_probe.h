@@ -8,6 +8,7 @@
 typedef struct {
     td_device device;
     int32_t held;
+    uint32_t holds; /* so far, modulo 2^32 */
     bool enabled; /* of the amplifier, as it was last put out */
 } td_probe;
 
@@ -41,7 +42,7 @@ typedef struct {
 
 /* Whether the amplifier may be on; winding and housing as a port keeps them. */
 bool td_probe_enabled(const td_probe *probe);
-void td_probe_coil(const td_device *device, double *heat_C);
+void td_probe_coil(const td_probe *probe, double *heat_C);
 
 void td_probe_look(const td_device *device, td_probe_view *view);
 

@@ -27,6 +27,8 @@ STRICT = (
     "-Wdouble-promotion",
     "-Wshadow",
 )
+EXCEPTION_FRAME = 112  # with floating-point registers, and aligned
+IN_A_LIBRARY = 256  # of a function of libm or libgcc with all that it calls
 BOARDS = (PORT / "board.c", PORT / "emulated.c", PORT.parent / "port_template.c")
 
 
@@ -77,6 +79,34 @@ def test_a_circuit_with_converters_that_the_board_has_not_does_not_compile(
     done = arm(*M4F, *STRICT, "-DTRANSOPT_PORT", f"-I{SRC}", "-c", source, folder=tmp_path)
     assert done.returncode != 0
     assert "this board has converters of 12 bits" in done.stderr
+
+
+def test_the_stack_has_room_for_the_deepest_loop_and_a_tick_on_top_of_it(tmp_path: Path) -> None:
+    """What the compiler says of every frame, along the deepest calls; ports are called by pointers."""
+    core = sorted((SRC / "core").glob("*.c"))
+    asked = ("-std=c11", "-O2", "-DTRANSOPT_PORT", f"-I{SRC}", "-fcallgraph-info=su", "-c")
+    done = arm(*M4F, *asked, *core, PORT.parent / "main.c", PORT / "board.c", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    graph = "".join(path.read_text() for path in tmp_path.glob("*.ci"))
+    assert graph.count("(static)") > 100
+    assert "dynamic" not in graph  # no array of a length that only the run knows
+    frames = {name: int(size) for name, size in re.findall(r'title: "([^"]+)" label: ".*?(\d+) bytes', graph)}
+    calls: dict[str, set[str]] = {}
+    for caller, called in re.findall(r'sourcename: "([^"]+)" targetname: "([^"]+)"', graph):
+        calls.setdefault(caller, set()).add(called)
+    of_port = max(
+        size for name, size in frames.items() if name.endswith((":hold", ":put", "board_hold", "board_put"))
+    )
+
+    def deepest(name: str) -> int:
+        below = max(map(deepest, calls.get(name, ())), default=0)
+        return frames.get(name, of_port if name == "__indirect_call" else IN_A_LIBRARY) + below
+
+    took = deepest("main") + EXCEPTION_FRAME + deepest("ADC_IRQHandler")
+    assert took > 4096  # it is what it was made for
+    least = re.search(r"td_stack_bottom >= (\d+)K", (PORT / "memory.ld").read_text())
+    assert least is not None
+    assert took <= 1024 * int(least[1])
 
 
 def test_the_template_states_a_budget_for_every_function() -> None:

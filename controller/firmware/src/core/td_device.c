@@ -9,6 +9,12 @@
 
 const size_t TD_DEVICE_BYTES = sizeof(td_device);
 
+static void hold(const td_device *device, bool held)
+{
+    if (device->port.hold != NULL)
+        device->port.hold(device->port.context, held);
+}
+
 void td_device_begin(td_device *device, const td_port *port, const size_t *bytes)
 {
     memset(device, 0, *bytes);
@@ -145,8 +151,10 @@ void td_device_coil(const td_device *device, double *winding_C, double *housing_
 {
     const bool known = device->ring.coil.present;
 
+    hold(device, true);
     *winding_C = known ? device->ring.guard.winding_C : (double)NAN;
     *housing_C = known ? device->ring.guard.housing_C : (double)NAN;
+    hold(device, false);
 }
 
 /* Take the next event or the next records that are due, between hold(true) and hold(false): a copy, no more. */
@@ -176,16 +184,13 @@ static size_t take_due(td_device *device, uint8_t *kind)
 
 size_t td_device_send(td_device *device, uint8_t *bytes, size_t room)
 {
-    const td_port *port = &device->port;
     uint8_t kind = 0;
     size_t body_size;
 
     while (device->output.size < room && td_output_has_room(&device->output)) {
-        if (port->hold != NULL)
-            port->hold(port->context, true);
+        hold(device, true);
         body_size = take_due(device, &kind);
-        if (port->hold != NULL)
-            port->hold(port->context, false);
+        hold(device, false);
         if (body_size == 0)
             break;
         td_device_put(device, kind, 0, device->session, body_size);
@@ -385,10 +390,8 @@ void td_device_receive(td_device *device, const uint8_t *bytes, size_t size)
 
         if (payload_size == 0)
             continue;
-        if (device->port.hold != NULL)
-            device->port.hold(device->port.context, true);
+        hold(device, true);
         take_payload(device, device->decoder.held, payload_size);
-        if (device->port.hold != NULL)
-            device->port.hold(device->port.context, false);
+        hold(device, false);
     }
 }

@@ -97,7 +97,8 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
 /* At most `room` bytes that wait to go out; how many. */
 size_t td_device_send(td_device *device, uint8_t *bytes, size_t room);
 
-/* The coil as the hardware's own guard has it, to be kept over a restart; NaN where the motor's coil is not known. */
+/* The coil as the hardware's own guard has it, to be kept over a restart; NaN where the motor's coil is not known. For the
+ * loop: both are of one tick, which is kept out meanwhile. */
 void td_device_coil(const td_device *device, double *winding_C, double *housing_C);
 
 uint8_t td_device_state(const td_device *device); /* TD_STATE_... */
