@@ -112,7 +112,6 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                         patience_s=series.patience_s,
                     )
                     with sweeps, disarmed_by_ctrl_c(device):
-                        device.set_telemetry(1)
                         sweeps.try_out(say)
                         for trial in trials:
                             say(f"trial {len(written) + 1} of {len(planned)}")

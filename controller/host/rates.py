@@ -1,6 +1,7 @@
 """What telemetry asks of a line, and what to do about one that is too slow for it."""
 
 from controller.protocol.messages import Record
+from transopt.base.writing import rounded_down
 
 UART_BITS = 10  # of a byte with start and stop
 FRAMING = 1.08  # on the records alone: heads, check sums, stuffing, events and heartbeats beside them
@@ -19,18 +20,22 @@ BAUDS = (
 )
 
 
-def remedy(dt_s: float, carried: float) -> str:
+def remedy(dt_s: float, carried: float, kept_s: float = 0.0) -> str:
     """What a line lacks that brought only a part of the records of every tick.
 
     Parameters
     ----------
-    carried : that part.
+    carried : that part. kept_s : length of a sweep that the device keeps until the line has carried it.
     """
     needed_B_s = Record.FORMAT.size / dt_s
     baud = next((baud for baud in BAUDS if baud >= UART_BITS * FRAMING * needed_B_s), None)
     uart = "" if baud is None else f" or over a UART as PORT@{baud}, its firmware at that rate"
+    shorter = (
+        f"; a sweep of --seconds {rounded_down(kept_s, 2):g} is kept and sent afterwards" if kept_s > 0.01 else ""
+    )
     every = max(round(1 / carried + 0.5), 2) if carried > 0 else 100
     return (
         f"every tick takes {1e-3 * needed_B_s:.0f} kB/s, this line carried {1e-3 * carried * needed_B_s:.0f} kB/s: "
-        f"connect it by USB without an adapter{uart}; `transopt-play monitor --every {every}` looks at it as it is"
+        f"connect it by USB without an adapter{uart}; `transopt-play monitor --every {every}` looks at it as it "
+        f"is{shorter}"
     )

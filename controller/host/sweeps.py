@@ -2,6 +2,9 @@
 
 A trial is every tick of the excitation, with a rest before it and what rings after it. One of which telemetry was
 lost, or in which the grip was not the one asked for, is repeated, not written.
+
+Every tick is asked for only while a trial goes on, so that the memory in which a device keeps its telemetry is empty
+when it begins: what a slow line does not carry meanwhile comes afterwards.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,6 +31,9 @@ FREE_N = 0.2  # a sensor that nobody touches
 GRIP_N, GRIP_PART = 0.3, 0.1  # by which the grip may be off, the larger of the two
 ATTEMPTS = 3  # at each trial
 PATIENCE_S = 60.0  # for what a person has to do
+LOOK_S = 0.02  # between two records while nothing but the hand is looked at: 3 kB/s
+WAITED_S = 2e-3  # beyond the rest before it, for two clocks that differ
+KEPT_PART = 0.9  # of what was kept once, that a shorter sweep may take
 LATE_S = 2.0  # for telemetry that is under way, beyond the excitation itself
 
 
@@ -111,7 +117,7 @@ class Sweeps:
 
     Parameters
     ----------
-    device : IDLE, the excitation in force, telemetry of every tick on. samples : of the excitation. gain : of it.
+    device : IDLE, the excitation in force. samples : of the excitation. gain : of it.
     hold : asks whoever is at it for a grip. grip_N : 0 to let go, None for any.
     assumed_grip_N : of a device without a grip sensor, whose readings are not looked at; None with one.
     """
@@ -181,6 +187,7 @@ class Sweeps:
     # What comes before.
 
     def _wait_for_hand(self) -> None:
+        self._device.set_telemetry(max(round(LOOK_S / self._dt_s), 1))
         self._hold(self._grip_N)
         self._ears.forget()
         if not self._until(self._ready, self._patience_s, (State.FAULT,)):
@@ -193,7 +200,7 @@ class Sweeps:
             raise AbortedError(f"not as asked within {self._patience_s:g} s: {seen}")
 
     def _window(self, name: str) -> FloatArray:
-        size = round(WINDOW_S / self._dt_s)
+        size = round(WINDOW_S / LOOK_S)
         return column((record for _, record in self._ears.records[-size:]), name)
 
     def _ready(self) -> bool:
@@ -203,7 +210,7 @@ class Sweeps:
         if not ears.records or newest - ears.records[0][0] < window or newest - self._looked < window // 10:
             return False
         self._looked = newest
-        del ears.records[: -2 * window]
+        del ears.records[: -2 * round(WINDOW_S / LOOK_S)]
         places, grips = self._window("encoder_counts"), self._grips(self._window("grip_N"))
         return float(np.ptp(places)) * self._count_m <= STILL_M and self._wrong_grip(grips) is None
 
@@ -266,22 +273,46 @@ class Sweeps:
         dt_s = self._dt_s
         before, after = round(BEFORE_S / dt_s), round(AFTER_S / dt_s)
         self._device.arm(self._gain)
+        self._device.set_telemetry(1)
         self._ears.forget()
-        # The rest before it, and whatever still was under way.
-        self._until(lambda: len(self._ears.records) > before, LATE_S)
+        self._until(lambda: False, BEFORE_S + WAITED_S)
         end = self._play(negative=negative)
-        self._until(lambda: bool(self._ears.records) and self._ears.records[-1][0] >= end + after, LATE_S)
+        self._until(lambda: self._has(end + after), AFTER_S + WAITED_S)
         # What follows takes longer than a lease may.
         self._device.disarm()
+        self._fetch(end + after)
         # A lost lease may have been reported only now, and nothing is armed again after one.
         self._need_nothing_wrong()
         first = end - self._samples
         rows = [(tick, record) for tick, record in self._ears.records if first - before <= tick <= end + after]
         lost = before + self._samples + after + 1 - len(rows)
         if lost > 0:
-            carried = len(rows) / (len(rows) + lost)
-            raise _AgainError(f"{lost} of {len(rows) + lost} records of telemetry were lost; {remedy(dt_s, carried)}")
+            raise _AgainError(f"{lost} of {len(rows) + lost} records of telemetry were lost; {self._remedy(first)}")
         return self._kept(rows, first, negative)
+
+    def _has(self, tick: int) -> bool:
+        return bool(self._ears.records) and self._ears.records[-1][0] >= tick
+
+    def _fetch(self, tick: int) -> None:
+        """What the device has kept up to this tick, for as long as any of it comes."""
+        records, seen = self._ears.records, -1
+        while not self._has(tick) and len(records) > seen:
+            seen = len(records)
+            self._until(lambda: self._has(tick) or len(records) > seen, LATE_S, (State.FAULT,))  # noqa: B023
+
+    def _remedy(self, begin: int) -> str:
+        """What to do about a line that was too slow for the excitation that began at this tick.
+
+        The first gap says how long a sweep the device keeps. With r records of memory and a part c of them carried it
+        comes behind f = r / (1 - c) records, and of n in all r + c n are there.
+        """
+        ticks = np.array([tick for tick, _ in self._ears.records], dtype=float)
+        gaps = np.flatnonzero(np.diff(ticks) > 1)
+        if not gaps.size:
+            return remedy(self._dt_s, 0.0)
+        first, all_of_them = float(gaps[0] + 1), float(ticks[-1] - ticks[0] + 1)
+        carried = max((ticks.size - first) / (all_of_them - first), 0.0)
+        return remedy(self._dt_s, carried, KEPT_PART * (first - begin + ticks[0]) * self._dt_s - AFTER_S)
 
     def _kept(self, rows: Sequence[tuple[int, Record]], first: int, negative: bool) -> Trial:
         records = [record for _, record in rows]
