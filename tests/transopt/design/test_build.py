@@ -1,5 +1,6 @@
 """The built-in scene end to end: what the issue asks for, entry by entry."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,16 @@ from tests.conftest import ProblemMaker
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.design import entry as entries_room
 from transopt.design.build import Build, build_library
+from transopt.design.optimum import optimum
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
 from transopt.library.proven import doubts
-from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
+from transopt.problem.answer import OBJECTIVE_SCALE, Solution, Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.weighting import pacinian
+from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
 from transopt.proof.certify import Effect, certify
 from transopt.proof.designed import Designed
@@ -33,6 +36,7 @@ from transopt.recordings.tap import read_recordings
 from transopt.report.markdown import build_markdown
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
+from transopt.solvers import unlimited
 from transopt.solvers.choose import solve, solve_certified
 from transopt.solvers.options import SolverOptions
 
@@ -130,6 +134,21 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
             assert entry.figures.felt_error < 0.5 * rival.felt_error
     assert "scaled to every grid speed" in build.library.meta["sources"][0]["speed_source"]
     assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+def test_no_floor_is_told_where_the_optimum_without_limits_is_not_found(
+    make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unfound(problems: Sequence[TransientProblem]) -> list[Solution]:
+        return [
+            replace(found, status=Status.NUMERICAL_FAILURE, command=0 * found.command) for found in solved(problems)
+        ]
+
+    solved = unlimited.solve
+    monkeypatch.setattr(unlimited, "solve", unfound)
+    designed = optimum(make_problem(), SolverOptions())
+    assert designed.certificate.accepted
+    assert np.isnan(designed.floor)
 
 
 def test_progress_counts_the_entries(scene: Scene, taps: list[Recording]) -> None:
