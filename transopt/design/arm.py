@@ -23,7 +23,7 @@ from transopt.library.arm import SCHEMA, ArmLibrary
 from transopt.problem.answer import Status
 from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
-from transopt.proof.certify import binding_limits, certify
+from transopt.proof.certify import Effect, binding_limits, certify
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay
 from transopt.proof.several import replay_several
@@ -32,9 +32,10 @@ from transopt.recordings.references import References
 from transopt.scene.builtin import load_scene
 from transopt.scene.recordings import recordings_of, references_of
 from transopt.scene.scene import Scene
+from transopt.solvers import unlimited
 from transopt.solvers.options import SolverOptions
 
-FIGURES_AGREE = 1e-9  # of figures made again, relative to 1
+FIGURES_AGREE = 1e-6  # of figures made again, relative to 1: the floor is solved for anew
 
 
 @dataclass(frozen=True)
@@ -302,11 +303,18 @@ def verify_arm(library: ArmLibrary, progress: Callable[[int], None] = lambda don
     return checks
 
 
+def _floor(problem: TransientProblem) -> float:
+    """Tap error of the optimum without limits."""
+    (free,) = unlimited.solve([problem])
+    return problem.tap_error(Effect(problem, free.command).motion.acceleration_m_s2)
+
+
 def _checked(
     library: ArmLibrary, node: tuple[int, int, int, int], problem: TransientProblem, played: Replay
 ) -> ArmCheck:
-    command, said = library.command[node], list[str]()
-    proof = certify(problem, command, library.multipliers_at(node))
+    command, multipliers, said = library.command[node], library.multipliers_at(node), list[str]()
+    effect = Effect(problem, command)
+    proof = certify(problem, command, multipliers, effect=effect)
     if not proof.accepted:
         said.append(
             f"not certified: gap {proof.relative_gap:.1e}, limit {proof.GAP_TOLERANCE:.0e}, {proof.excess:.1e} times "
@@ -320,11 +328,19 @@ def _checked(
         "tangential_error": tangential,
         "direction_rad": angle,
         "felt_error": played.figures.felt_error,
+        "felt_dB": played.figures.felt_dB,
+        "floor": _floor(problem),
         "peak_input": played.peak_input,
         "objective": proof.objective,
+        "duality_gap": proof.duality_gap,
     }
     for name, value in again.items():
         stated = float(library.arrays[name][node])
         if not abs(stated - value) <= FIGURES_AGREE * max(1.0, abs(value)):
             said.append(f"{name} is stated as {stated:.9g} and comes out as {value:.9g}")
+    binding = binding_limits(problem, command, multipliers, effect=effect)
+    if binding != library.arrays["binding"][node]:
+        said.append(
+            f"binding is stated as {cut(str(library.arrays['binding'][node]))!r} and comes out as {binding!r}"
+        )
     return ArmCheck(library.place(node), proof.relative_gap, played.figures.tap_error, said)

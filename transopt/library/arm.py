@@ -35,9 +35,11 @@ from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
 
 if TYPE_CHECKING:
+    from transopt.plant.arm import Arm
     from transopt.scene.scene import Scene
 
 SCHEMA = "arm 1"
+SAME = 1e-9  # of the largest: what rounding and another processor leave between the plant of a scene and a file's
 ADVICE = "give a library.npz that `transopt solve` wrote for a scene of an arm"
 NODE_UNITS = ("m/s", "N", "", "")
 NODES = "vgoq"  # axes: speeds, grips, normals (o for orientation), postures
@@ -296,6 +298,24 @@ def load_arm_library(path: str | Path) -> ArmLibrary:
     return library
 
 
+def _check_places(path: Path, library: ArmLibrary, arm: "Arm") -> None:
+    """Refuse nodes, and plants at them, that are not those of the scene."""
+    grid, (o, q) = library.scene().grid, library.command.shape[2:4]
+    places = [[arm.place(iq, io) for iq in range(q)] for io in range(o)]
+    plants = [[[arm.plant_at(grip, each) for each in row] for row in places] for grip in grid.grips_N]
+    stated = {
+        "speeds_m_s": grid.speeds_m_s,
+        "grips_N": grid.grips_N,
+        "normals": [row[0].normal for row in places],
+        "postures_rad": [each.posture_rad for each in places[0]],
+        **{f"plant_{name}": [[[getattr(p, name) for p in row] for row in by] for by in plants] for name in "ABCD"},
+    }
+    for name, wanted in stated.items():
+        expected, found = np.array(wanted), library.arrays[name]
+        if found.shape != expected.shape or np.abs(found - expected).max() > SAME * np.abs(expected).max():
+            raise InputError(f"{path}: {name} is not that of the scene in meta; solve the scene again")
+
+
 def _check(path: Path, library: ArmLibrary) -> None:
     sizes: dict[str, int] = {}
     for name, declared in ARRAYS.items():
@@ -314,6 +334,7 @@ def _check(path: Path, library: ArmLibrary) -> None:
     places, times = (len(arm.normals), len(arm.postures_deg)), (grid.stages, grid.after_stages)
     if tuple(sizes[letter] for letter in "oqNMh") != (*places, *times, posing.hand_over_samples):
         raise InputError(f"{path}: the arrays do not go with the scene in meta; solve the scene again")
+    _check_places(path, library, arm)
     for name, array in library.multipliers.items():
         if array.shape != (*library.command.shape[:4], grid.stages) or not np.all(np.isfinite(array)):
             raise InputError(f"{path}: {name} is no finite array of the grid's shape; solve the scene again")

@@ -138,6 +138,33 @@ def test_what_is_no_optimum_is_found(file: Path, library: ArmLibrary, part: str)
     assert any(check.shortfalls for check in checks)
 
 
+@pytest.mark.parametrize("part", ["felt_error", "felt_dB", "floor", "objective", "peak_input", "tangential_error"])
+def test_a_figure_that_does_not_follow_from_the_commands_is_named(file: Path, library: ArmLibrary, part: str) -> None:
+    figure = library.arrays[part].copy()
+    figure[-1, 0, 0, 0] += 0.01
+    rewritten(file, **{part: figure})
+    said = [text for check in verify_arm(load_arm_library(file)) for text in check.shortfalls]
+    assert len(said) == 1
+    assert said[0].startswith(f"{part} is stated as ")
+
+
+def test_a_limit_that_does_not_bind_is_named(file: Path, library: ArmLibrary) -> None:
+    binding = library.arrays["binding"].copy()
+    binding[-1, 0, 0, 0] = "none"
+    rewritten(file, binding=binding)
+    (said,) = (text for check in verify_arm(load_arm_library(file)) for text in check.shortfalls)
+    assert said.startswith("binding is stated as 'none' and comes out as ")
+
+
+@pytest.mark.parametrize(
+    "part", ["speeds_m_s", "grips_N", "normals", "postures_rad", "plant_A", "plant_B", "plant_C", "plant_D"]
+)
+def test_nodes_and_plants_of_another_scene_are_refused(file: Path, library: ArmLibrary, part: str) -> None:
+    rewritten(file, **{part: 1.001 * library.arrays[part] + 1e-3})
+    with pytest.raises(InputError, match=f"{part} is not that of the scene in meta; solve the scene again"):
+        load_arm_library(file)
+
+
 def test_other_readers_say_what_reads_it(file: Path) -> None:
     with pytest.raises(InputError, match=r"a library of an arm with several motors.*load_arm_library"):
         to.load_library(file)
