@@ -25,7 +25,7 @@ def show(
     if is_arm_library(library):
         from transopt.cli.arm import show_arm_library
 
-        show_arm_library(library, figure)
+        show_arm_library(library, figure, table=table)
         return
     loaded = opened(library, unproven=unproven)
     if figure is not None and figure.suffix.lower() != ".png":

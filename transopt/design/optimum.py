@@ -240,7 +240,7 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Searc
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = yield Ask(unlimited.solve, small)
     effect = Effect(problem, free.command)
-    # Where no method finds the optimum without limits, nothing is known of its error.
+    # An optimum without limits that no method finds has no error that is known.
     floor = problem.tap_error(effect.motion.acceleration_m_s2) if free.status is Status.OPTIMAL else np.nan
     peak = float(np.abs(effect.motion.plant_input).max())
 

@@ -1,6 +1,8 @@
 """Tables, report and figure of a library of an arm."""
 
-from collections.abc import Callable
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,8 @@ from transopt.base.terminal import make_folder
 from transopt.base.writing import percent, table, write_text
 from transopt.design.arm import ArmBuild, ArmCheck
 from transopt.library.arm import ArmLibrary
+from transopt.problem.answer import held_back
+from transopt.report.first import HELD, MOST_LIMITS, MOST_ROWS, POOR, chosen, named_limits, stated_limit
 from transopt.report.publish import publish
 
 if TYPE_CHECKING:
@@ -18,6 +22,9 @@ if TYPE_CHECKING:
 
 LIBRARY, REPORT, REFUSED, DRAWN = "library.npz", "report.md", "refused.md", "transients.png"
 
+Node = tuple[int, int, int, int]  # speed, grip, normal, posture
+WORST = ("tap_error", "felt_error", "tangential_error", "floor")  # what is said of the worst entry
+OF_A_MOTOR = re.compile(r" of motor \d+")
 HEADS = ("entry", "tap error %", "tangential %", "off normal deg", "felt %", "felt dB", "floor %", "binds")
 LEGEND = (
     "tap error: acceleration along the normal against the recorded one, over the intention, nothing filtered. "
@@ -37,6 +44,57 @@ def rows(library: ArmLibrary) -> list[list[str]]:
         floor = percent(float(arrays["floor"][node]))
         found.append([library.place(node), *errors, angle, *felt, floor, str(arrays["binding"][node])])
     return found
+
+
+def first_look(library: ArmLibrary, proof: str) -> list[str]:
+    """What was designed, the tap error over speed and grip at the worst normal and posture, the worst entry.
+
+    Parameters
+    ----------
+    proof : what is proven of all entries, as "proven optimal and replayed".
+    """
+    arrays, held = library.arrays, {node: _held(library, node) for node in library.nodes}
+    errors, (o, q) = arrays["tap_error"], library.command.shape[2:4]
+    poor = int((errors >= POOR).sum())
+    every = (
+        f"{poor} of {errors.size} taps are poor, half of each is missing; all" if poor else f"{errors.size} taps, all"
+    )
+    lines = [f"{library.meta['scene']['name']}: {every} {proof}."]
+    lines += [f"tap error %, the worst of {o} normals and {q} postures", *_matrix(library, held)]
+    names = Counter(name for found in held.values() for name in found)
+    if names:
+        lines.append(f"{HELD} held back by {named_limits([name for name, _ in names.most_common(MOST_LIMITS)])}")
+    node = library.nodes[int(errors.argmax())]
+    error, felt, across, floor = (percent(float(arrays[name][node])) for name in WORST)
+    at = library.place(node)
+    lines.append(f"Worst: {at}: {error} % (felt {felt} %), {across} % across the normal; without limits {floor} %.")
+    return lines
+
+
+def _matrix(library: ArmLibrary, held: Mapping[Node, list[str]]) -> list[str]:
+    """Largest tap error over normals and postures, by speed and grip; a mark where a limit holds one of them back."""
+    errors, (v, g, o, q) = library.arrays["tap_error"], library.command.shape[:4]
+    down = chosen(v, MOST_ROWS, int(errors.argmax() // (g * o * q)))
+    table = [["", *(f"{grip:g} N " for grip in library.arrays["grips_N"])]]
+    for iv in down:
+        marks = [HELD if any(held[iv, ig, io, iq] for io, iq in np.ndindex(o, q)) else " " for ig in range(g)]
+        cells = [percent(float(errors[iv, ig].max())) + mark for ig, mark in enumerate(marks)]
+        table.append([f"{library.arrays['speeds_m_s'][iv]:g} m/s", *cells])
+    first, *widths = (max(map(len, column)) for column in zip(*table, strict=True))
+    lines = [
+        f"{row[0]:<{first}}" + "".join(f"{text:>{n + 2}}" for text, n in zip(row[1:], widths, strict=True))
+        for row in table
+    ]
+    if v > len(down):
+        lines.append(f"({len(down)} of {v} speeds, the worst among them; --table has all)")
+    return [line.rstrip() for line in lines]
+
+
+def _held(library: ArmLibrary, node: Node) -> list[str]:
+    """The limits that hold an entry back, each once, whichever motors they hold."""
+    error, floor = (float(library.arrays[name][node]) for name in ("tap_error", "floor"))
+    found = held_back(error, floor, str(library.arrays["binding"][node]))
+    return list(dict.fromkeys(stated_limit(OF_A_MOTOR.sub("", text)) for text in found))
 
 
 def refusals(build: ArmBuild) -> list[str]:

@@ -116,7 +116,7 @@ class Look:
         if row.refusal:
             return []
         floor = float(row.value("floor")) if self.floored else NAN
-        return list(dict.fromkeys(map(_stated, held_back(row.value("tap"), floor, row.value("binding")))))
+        return list(dict.fromkeys(map(stated_limit, held_back(row.value("tap"), floor, row.value("binding")))))
 
 
 def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
@@ -126,14 +126,14 @@ def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
     return int(iv), int(ig)
 
 
-def _stated(binding: str) -> str:
+def stated_limit(binding: str) -> str:
     """A limit and its bound: "4 A current" of "current +4 A at 1.2 to 3.1 ms"."""
     name, *rest = NAMED.split(binding, maxsplit=1)
     bound = rest[0].split(" at ")[0].split(" with ")[0].lstrip("+-") if rest else ""
     return f"{bound} {name}".strip()
 
 
-def _named(limits: Sequence[str]) -> str:
+def named_limits(limits: Sequence[str]) -> str:
     """Limits in a sentence: "the 6 A command and the 4 A current limits"."""
     return f"the {' and the '.join(limits)} limit{'s' if len(limits) > 1 else ''}"
 
@@ -160,7 +160,7 @@ def head(look: Look) -> str:
     return f"{look.name}: {look.counted(total)}, {'' if total == 1 else 'all '}{look.proof}."
 
 
-def _chosen(count: int, most: int, must: int | None) -> list[int]:
+def chosen(count: int, most: int, must: int | None) -> list[int]:
     """At most so many of `count` places, evenly spread, the first, the last and one that must be there among them."""
     if count <= most:
         return list(range(count))
@@ -191,8 +191,8 @@ def matrix(look: Look, width: int) -> list[str]:
     size = max(len(text) for texts in [columns, *cells] for text in texts) + 2
     worst = look.worst
     must = (None, None) if worst is None else worst[::-1] if turned else worst
-    down = _chosen(len(rows), MOST_ROWS, must[0])
-    across = _chosen(len(columns), max((width - label) // size, 1), must[1])
+    down = chosen(len(rows), MOST_ROWS, must[0])
+    across = chosen(len(columns), max((width - label) // size, 1), must[1])
 
     def line(first: str, texts: Sequence[str]) -> str:
         return (f"{first:<{label}}" + "".join(f"{text:>{size}}" for text in texts)).rstrip()
@@ -222,7 +222,7 @@ def marks(look: Look) -> list[str]:
     if held:
         named = [limit for limit, _ in held.most_common()]
         more = f"; and by {len(named) - MOST_LIMITS} more" if len(named) > MOST_LIMITS else ""
-        lines.append(f"{HELD} held back by {_named(named[:MOST_LIMITS])}{more}")
+        lines.append(f"{HELD} held back by {named_limits(named[:MOST_LIMITS])}{more}")
     if look.refused:
         lines.append(f"{REFUSED} refused, for what is said below")
     return lines
@@ -244,7 +244,7 @@ def worst_line(look: Look, prices: Sequence[Price]) -> str:
     place = look.axes.place(*worst)
     said = f"{'Worst: ' if look.errors.size > 1 else ''}{place}: {figures}"
     if look.held(*worst) and (not prices or costliest != worst):
-        said += f", held back by {_named(look.held(*worst))}"
+        said += f", held back by {named_limits(look.held(*worst))}"
     elif not look.held(*worst):
         ends = look.floored and not look.axes.targets and row.value("floor") > ENDS
         said += ", held back by no limit" + (": the waveform ends while the hand still pushes" if ends else "")

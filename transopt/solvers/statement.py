@@ -69,7 +69,7 @@ class Statement:
         return self.held(self._stated(x))
 
     def unclipped(self, x: FloatArray) -> FloatArray:
-        """As `command`, moved by rounding only at a plain hand-over, where the commands are zero."""
+        """(N,) or (m, N) commands of a program point [A], moved by rounding at a plain hand-over alone, to zero."""
         return ended(self.problem, self._stated(x))
 
     def _stated(self, x: FloatArray) -> FloatArray:

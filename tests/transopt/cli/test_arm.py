@@ -48,12 +48,22 @@ def changed(scene: Path, old: str, new: str) -> Path:
 def test_solve_writes_a_library_that_verifies(run: Run, scene: Path) -> None:
     outcome = run("solve", scene, "--out", "solved", "--table")
     assert outcome.code == 0
-    assert "4 of 4 entries certified and replayed" in " ".join(outcome.out.split())
+    assert "4 taps, all proven optimal and replayed." in outcome.out
     assert sorted(path.name for path in Path("solved").iterdir()) == ["library.npz", "report.md", "transients.png"]
     assert "normal 2, posture 2" in Path("solved/report.md").read_text(encoding="utf-8")
     verified = run("verify", "solved/library.npz")
     assert verified.code == 0
     assert "4 of 4 entries certified and replayed clean" in verified.out
+
+
+def test_the_first_look_is_short_and_detail_is_asked_for(run: Run, library: Path) -> None:
+    loaded = load_arm_library(library)
+    first = run("show", library).out
+    assert len(first.splitlines()) <= 14
+    assert f"{100 * loaded.arrays['tap_error'].max():.1f} % (felt " in first
+    level = f"{loaded.arrays['felt_dB'][0, 0, 0, 0]:.2f}"
+    assert level not in first
+    assert level in run("show", library, "--table").out
 
 
 def test_show_draws(run: Run, library: Path) -> None:
