@@ -32,7 +32,8 @@ def certified(
 def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
     """Certificates of commands, each by what it does in its problem, those of equal sizes side by side."""
     asked = [_asked(effect, each) if _is_known(effect, each) else None for effect, each in answers]
-    proofs = iter(prove([each for each in asked if each is not None]))
+    known = [each for each in asked if each is not None]
+    proofs = iter(prove(known) if known else ())  # none is known where there is no extension
     found = []
     for (effect, each), judged in zip(answers, asked, strict=True):
         proof = None if judged is None else _certificate(effect, each, judged.stages, next(proofs))

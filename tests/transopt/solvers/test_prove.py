@@ -37,6 +37,18 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prove, "certify", asked)
 
 
+def test_without_the_extension_the_other_certificate_judges(
+    make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = make_problem()
+    found = solve(problem, SolverOptions())
+    monkeypatch.setattr(prove, "available", False)
+    monkeypatch.setattr(extension, "_LIBRARY", None)
+    assert_same(
+        certified(problem, found.command, found.multipliers), certify(problem, found.command, found.multipliers)
+    )
+
+
 def around(problem: TransientProblem, command: FloatArray, m: Multipliers) -> Iterator[Tried]:
     """An answer, and what is a little or far away from it."""
     random, unit = np.random.default_rng(0), problem.limits.input_limit
