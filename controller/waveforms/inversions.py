@@ -25,7 +25,7 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
     if problem.reference_is_zero:
         return np.zeros(N)
     stage = linear_stage(problem)
-    A, b, C, E = stage.A, stage.A[:, -1], stage.C, stage.E
+    A, b, C, E = stage.A, stage.A[:, -1], stage.C, stage.E[:, 0]
     values = tracking_values(problem, stage)
     wanted, weights, movement = values["r"], values["w"], float(values["rho"][0])
     rows, constants = hand_over.rows(problem, stage)

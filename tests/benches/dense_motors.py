@@ -7,8 +7,8 @@ dense), which knows no stages.
 
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
-import piqp
 from scipy import linalg, signal
 
 from transopt.base.signals import FloatArray
@@ -107,13 +107,14 @@ class Dense:
         shares = problem.limits.input.shares or (1.0,) * m
         most = np.repeat([problem.limits.input_limit * share for share in shares], N)
         moved = np.abs(self.currents).max(axis=1) > 0
-        solver = piqp.DenseSolver()
-        solver.settings.eps_abs, solver.settings.eps_rel = EPS, 0.0
-        solver.settings.eps_duality_gap_abs, solver.settings.eps_duality_gap_rel = EPS, 0.0
+        tolerances = {"eps_abs": EPS, "eps_rel": 0.0, "eps_duality_gap_abs": EPS, "eps_duality_gap_rel": 0.0}
+        shape = {"h": ca.Sparsity.dense(m * free, m * free), "a": ca.Sparsity.dense(int(moved.sum()), m * free)}
+        solver = ca.conic("dense", "piqp", shape, {"piqp": tolerances})
         box = np.full(m * free, problem.command_bound)
         scale = 1e3  # objectives of order one
-        solver.setup(scale * H, scale * g, None, None, self.currents[moved], -most[moved], most[moved], -box, box)
-        solver.solve()
+        answer = solver(
+            h=scale * H, g=scale * g, a=self.currents[moved], lba=-most[moved], uba=most[moved], lbx=-box, ubx=box
+        )
         command = np.zeros((m, N))
-        command[:, :free] = np.clip(solver.result.x, -box, box).reshape(m, free)
+        command[:, :free] = np.clip(np.asarray(answer["x"]).ravel(), -box, box).reshape(m, free)
         return command, self.value(command[:, :free])

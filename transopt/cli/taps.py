@@ -142,7 +142,8 @@ def taps(
             after = "solve refuses it until that is put right or accepted (--accept)"
         typer.echo(f"{scene} written; {after}")
     else:
-        console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
+        console.print("\nLines for your scene, which this command begins:", style="bold")
+        console.print("transopt scene new mine.toml --from own_taps\n")
         typer.echo(scene_lines(prepared, files, settings))
     if refusal is not None:
         raise refusal

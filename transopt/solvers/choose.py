@@ -108,6 +108,7 @@ def capable(problem: TransientProblem, wanted: str = "riccati") -> Iterator[str]
     return (name for name in dict.fromkeys((wanted, *SOLVERS)) if SOLVERS[name].takes(problem))
 
 
+@one_blas_thread()
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
     """`solve_all` of one problem."""
     return solve_all([problem], SolverOptions() if options is None else options)[0]

@@ -121,10 +121,11 @@ def test_nor_any_other_command_at_any_width(tmp_path: Path) -> None:
 
 
 PIPED = """
+from rich.text import Text
 from transopt.base.terminal import console
 out = console()
-out.print("word " * 100, style="red", soft_wrap=True)
-out.print("word " * 30)
+out.print("word " * 100, style="red")
+out.print(Text("word " * 30))
 """
 
 
