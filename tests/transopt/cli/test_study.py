@@ -18,7 +18,7 @@ from matplotlib import image
 import problems
 from tests.benches.commands import Run, Terminal, assert_refused
 from tests.benches.places import ROOT
-from tests.benches.study import plain, read, serial, short_scene
+from tests.benches.study import assert_same_rows, read, serial, short_scene
 from transopt.design import entry as entries
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
@@ -256,6 +256,6 @@ class TestCommandLine:
             before = there.execute('SELECT "index", total_ms FROM rows').fetchall()
         assert TOGETHER <= len(before) < 128
         assert run(*words, "--executor", "serial", "--out", out).code == 0
-        assert plain(out / "rows.csv") == plain(unstopped / "rows.csv")
+        assert_same_rows(out / "rows.csv", unstopped / "rows.csv")
         rows = read(out / "rows.csv")
         assert all(rows[number]["total_ms"] == total_ms for number, total_ms in before)

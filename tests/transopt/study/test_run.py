@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.benches.study import plain, read, serial
+from tests.benches.study import assert_same_rows, read, serial
 from transopt.base.apart import Processes
 from transopt.base.errors import InputError
 from transopt.study.executors import Pool, executor_pool, processes
@@ -49,7 +49,7 @@ class TestExecutors:
             for name, pool in pools.items():
                 run_plan(small, tmp_path / name, pool)
                 pool.close()
-                assert plain(tmp_path / name / "rows.csv") == plain(finished / "rows.csv"), name
+                assert_same_rows(tmp_path / name / "rows.csv", finished / "rows.csv")
 
     def test_workers_that_die_again_and_again(self, small: Plan, finished: Path, tmp_path: Path) -> None:
         dies = itertools.chain([False], itertools.repeat(True))
@@ -58,7 +58,7 @@ class TestExecutors:
             run_plan(small, tmp_path, pool)
         assert 0 < len(read(tmp_path / "rows.csv")) < 24
         run_plan(small, tmp_path, serial())
-        assert plain(tmp_path / "rows.csv") == plain(finished / "rows.csv")
+        assert_same_rows(tmp_path / "rows.csv", finished / "rows.csv")
 
     def test_a_killed_process(self, small: Plan, finished: Path, tmp_path: Path) -> None:
         killed: list[int] = []
@@ -73,7 +73,7 @@ class TestExecutors:
 
             run_plan(small, tmp_path, pool, watch=kill)
         assert killed
-        assert plain(tmp_path / "rows.csv") == plain(finished / "rows.csv")
+        assert_same_rows(tmp_path / "rows.csv", finished / "rows.csv")
 
     @pytest.mark.skipif(os.name != "posix", reason="asks the system by a signal")
     def test_workers_end_when_they_are_let_go_in_the_middle_of_a_task(self) -> None:
@@ -111,7 +111,7 @@ class TestExecutors:
         assert 0 < len(kept) < 24
         assert f"stopped: {len(kept)} of 24 entries are in" in capsys.readouterr().err
         run_plan(small, tmp_path, serial())
-        assert plain(tmp_path / "rows.csv") == plain(finished / "rows.csv")
+        assert_same_rows(tmp_path / "rows.csv", finished / "rows.csv")
 
     def test_tasks_under_way_are_bounded(self, small: Plan) -> None:
         taken: list[Any] = []
