@@ -102,7 +102,7 @@ enum { PATIENCE = 6, SYMMETRISED = 16 };
 #if defined(ONLY_WIDTH)
 #define WIDTH ONLY_WIDTH
 #include "motors.c"
-#define BY_WIDTH(name) OF_WIDTH(name, ONLY_WIDTH)
+#define BY_WIDTH(name) name /* which stands for that of `WIDTH` */
 #else
 #pragma GCC push_options
 #pragma GCC target("avx512f,avx512dq,avx512vl,prefer-vector-width=512")
