@@ -386,7 +386,11 @@ def test_own_taps_are_taken_and_what_is_none_is_answered_before_it_is_sent(windo
     (tmp_path / "letter.doc").write_text("Dear reader,\n")
     with (tmp_path / "long.csv").open("wb") as long:
         long.truncate(30 * 2**20)
-    for name, words in (("letter.csv", "unknown column"), ("letter.doc", "no recording"), ("long.csv", "30.0 MB")):
+    for name, words in (
+        ("letter.csv", "no rows of numbers"),
+        ("letter.doc", "no recording"),
+        ("long.csv", "30.0 MB"),
+    ):
         window.see("#files").set_input_files(str(tmp_path / name))
         window.says("#message", name)
         window.says("#taps-answer", words)

@@ -20,6 +20,8 @@ from websockets.sync.client import connect  # noqa: E402
 from transopt.web.serve import Page, page  # noqa: E402
 from transopt.web.server import STATIC  # noqa: E402
 
+SVG = "http://www.w3.org/2000/svg"  # the name of a language, which nobody fetches
+
 
 def asked(address: str, path: str, **headers: str) -> tuple[int, http.client.HTTPMessage, bytes]:
     parts = urlsplit(address)
@@ -49,7 +51,7 @@ def test_the_pages_files_come_with_a_policy_that_allows_nothing_from_elsewhere(a
 
 def test_nothing_of_the_page_names_another_place() -> None:
     for path in STATIC.iterdir():
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8").replace(SVG, "")
         assert "http://" not in text
         assert "https://" not in text
 
