@@ -30,19 +30,11 @@ from transopt.solvers.native.motors import (
     interior_point,
 )
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.riccati import LOOSER, STATUS
 from transopt.solvers.stage_data import StatedRow, held, stated_rows, tracking_values
 
-LOOSER = 10.0  # than `SolverOptions.tolerance`, as `riccati.LOOSER`
 UNLIMITED_GAP = 1e-8  # of max(J, 1e-3), as `unlimited.GAP`
 UNLIMITED_STEPS = 5  # Newton steps: one solves the problem without limits, more refine it
-STATUS = (
-    (Status.OPTIMAL, "solved"),
-    (Status.OPTIMAL, "solved to what rounding leaves"),
-    (Status.ITERATION_LIMIT, "iteration limit"),
-    (Status.NUMERICAL_FAILURE, "no step left"),
-    (Status.NUMERICAL_FAILURE, "a factorisation broke down"),
-    (Status.NUMERICAL_FAILURE, "too many states"),
-)
 
 
 def can_solve(problem: TransientProblem) -> bool:
