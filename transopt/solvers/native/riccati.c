@@ -77,11 +77,11 @@ static int fits(const tr_problem *q)
     return q->stages >= 1 && q->free_stages >= 0 && q->free_stages <= q->stages;
 }
 
-/* Whether all problems have the sizes of the first one, up to `A`, and fit this method. */
+/* Whether all problems have the sizes of the first one, which `repeated` ends, and fit this method. */
 static int have_one_size(int count, const tr_problem *q)
 {
     for (int i = 1; i < count; i++)
-        if (memcmp(q, q + i, offsetof(tr_problem, A))) return 0;
+        if (memcmp(q, q + i, offsetof(tr_problem, repeated) + sizeof q->repeated)) return 0;
     return count > 0 && fits(q);
 }
 
