@@ -43,7 +43,7 @@ def main(
     keep: Annotated[Path | None, Option(metavar="FOLDER", help="for corpus and findings")] = None,
 ) -> int:
     if shutil.which("clang") is None:
-        pytest.skip("clang: not found; install clang (Debian)")
+        pytest.skip("clang: not found; install clang and libclang-rt-dev (Debian)")
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if keep is None else keep
         running = {}
