@@ -10,6 +10,7 @@ import numpy as np
 
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
+from transopt.base.writing import percent
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE
 from transopt.problem.objective.bands import JUST_NOTICED_dB, Levels
 from transopt.problem.objective.figures import Figures
@@ -18,6 +19,7 @@ from transopt.problem.problem import TransientProblem
 OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
 AT_FLOOR = 1e-3  # a tap error within 0.1 % of the floor is at the floor
 ENDS = 0.02  # a floor above it is that of a waveform which ends while a hand pushes
+OTHER_WAVEFORM = 10 ** (JUST_NOTICED_dB / 20) - 1  # a felt error above it is more than what is just noticed in amplitude
 PULLS = -0.005  # a change of speed below it, as printed below 0, is that of a surface that pulls
 NAMED = re.compile(r" (?=[-+<>=±\d])")  # behind the name of a limit that binds
 
@@ -253,7 +255,8 @@ def verdict(
     """How near an entry comes to the tap, what holds it back, and what a hand notices of it.
 
     Hands know a surface by the intensity of the tap more than by its waveform, so that this comes first: within what
-    is just noticed, or too weak, and in which band most. A motor cannot hold the hand for ever: the waveform ends
+    is just noticed, or too weak, and in which band most. Where the intensity is right and the waveform is not, both are
+    said. A motor cannot hold the hand for ever: the waveform ends
     while the hand still pushes, and so even the optimum without limits has an error, the floor.
 
     Parameters
@@ -267,6 +270,8 @@ def verdict(
     off_dB = levels.felt_dB if np.isnan(figures.felt_dB) else figures.felt_dB
     if np.isnan(off_dB) or abs(off_dB) <= JUST_NOTICED_dB:
         said = [f"felt within {JUST_NOTICED_dB:g} dB"]
+        if figures.felt_error > OTHER_WAVEFORM:
+            said[0] += f", its waveform {percent(figures.felt_error)} % off"
     else:
         said = [f"too {'weak' if off_dB < 0 else 'strong'} by {abs(off_dB):.1f} dB, most {levels.where}"]
     if figures.tap_error <= repeatability:

@@ -401,9 +401,10 @@ def test_verdicts() -> None:
         speed: float = 0.5,
         binding: str = "none",
         named: bool = False,
+        felt_error: float = 0.04,
         **more: Any,
     ) -> str:
-        found = Figures(tap_error, 0.04, dB, speed, 0.1, 0.1, 0.1)
+        found = Figures(tap_error, felt_error, dB, speed, 0.1, 0.1, 0.1)
         return verdict(found, 0.17, 0.03, of_intensity(dB, tap), binding, named=named, **more)
 
     held = "command +6 A at -0.13, 0.97 ms; current +4 A at 0.07 ms"
@@ -414,6 +415,8 @@ def test_verdicts() -> None:
     assert said(0.3, -3.0, binding=held) == "too weak by 3.0 dB, most at 250 Hz; held back by command and current"
     assert said(0.3, 2.0) == "too strong by 2.0 dB, most at 250 Hz"
     assert said(0.3, speed=-0.1) == "felt within 1.6 dB; the surface pulls"
+    assert said(0.17, 0.5, felt_error=0.46).startswith("felt within 1.6 dB, its waveform 46.0 % off; at its floor")
+    assert said(0.3, -3.0, felt_error=0.46).startswith("too weak by 3.0 dB, most at 250 Hz")
     assert said(0.3, speed=-0.004) == "felt within 1.6 dB"
     assert said(0.3, speed=-0.1, least_input=(0.2, "A")) == "felt within 1.6 dB; the surface pulls"
     assert said(0.3, speed=-0.1, least_input=(-1.234, "A")).endswith("; the surface pulls, by up to 1.23 A")
