@@ -19,7 +19,7 @@ from transopt.problem.problem import TransientProblem
 OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
 AT_FLOOR = 1e-3  # a tap error within 0.1 % of the floor is at the floor
 ENDS = 0.02  # a floor above it is that of a waveform which ends while a hand pushes
-OTHER_WAVEFORM = 10 ** (JUST_NOTICED_dB / 20) - 1  # a felt error above it is more than what is just noticed in amplitude
+OTHER_WAVEFORM = 10 ** (JUST_NOTICED_dB / 20) - 1  # felt error of an amplitude that is off by what is just noticed
 PULLS = -0.005  # a change of speed below it, as printed below 0, is that of a surface that pulls
 NAMED = re.compile(r" (?=[-+<>=±\d])")  # behind the name of a limit that binds
 
@@ -255,9 +255,9 @@ def verdict(
     """How near an entry comes to the tap, what holds it back, and what a hand notices of it.
 
     Hands know a surface by the intensity of the tap more than by its waveform, so that this comes first: within what
-    is just noticed, or too weak, and in which band most. Where the intensity is right and the waveform is not, both are
-    said. A motor cannot hold the hand for ever: the waveform ends
-    while the hand still pushes, and so even the optimum without limits has an error, the floor.
+    is just noticed, or too weak, and in which band most. A waveform that is far off at the right intensity is told as
+    well. A motor cannot hold the hand for ever: the waveform ends while the hand still pushes, so even the optimum
+    without limits has an error, the floor.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from transopt.base.axes import Axes
-from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, Drawing, colours, leave_room, plain, style
+from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, Drawing, colours, leave_room, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
 from transopt.plant.discretise import TimeGrid
@@ -39,8 +39,11 @@ MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows le
 LEGEND_IN, LEGEND_ROW_IN = 0.1, 0.17  # height of a legend in SMALL_PT: its edges, and each row
 TITLE_IN = 0.27
 
-QUIET = 0.1  # of the reference's peak: the time axis is compressed once all references stay below it
-PROMINENT = 0.7  # share of the time axis before that
+QUIET = 0.1  # of the reference's peak: a panel of its own begins once all references stay below it
+PROMINENT = 0.7  # share of a column's width before that
+MUCH_LONGER = 1.5  # times that what follows is longer on paper at one scale, from which on it has a panel of its own
+MARGIN = 0.02  # of a column's width beyond its data, so that jumps at their ends are seen
+MARKED = 7  # samples of a line with a marker
 TICK_STEPS = (1, 2, 5, 10)
 
 
@@ -65,54 +68,30 @@ def _ticks(intervals: int, start: float, end: float) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _TimeAxis:
-    """Time in ms, compressed `factor` times after `knee_ms` so that the whole horizon is in the figure."""
+class _Span:
+    """A part of the time axis [ms], linear in itself, and its share of a column's width."""
 
     start_ms: float
-    knee_ms: float
     end_ms: float
-    factor: float
+    share: float
 
-    def forward(self, t_ms: FloatArray) -> FloatArray:
-        late = np.asarray(t_ms) - self.knee_ms
-        return self.knee_ms + np.where(late > 0, late / self.factor, late)
-
-    def inverse(self, x: FloatArray) -> FloatArray:
-        late = np.asarray(x) - self.knee_ms
-        return self.knee_ms + np.where(late > 0, late * self.factor, late)
-
-    @property
-    def limits_ms(self) -> tuple[float, float]:
-        """Ends of the axis: a little outside the data, so that jumps at its ends are seen."""
-        margin_ms = 0.03 * self.knee_ms
-        return self.start_ms - margin_ms, self.end_ms + margin_ms * self.factor
-
-    @property
-    def ticks_ms(self) -> FloatArray:
-        left, right = self.limits_ms
-        early, late = _ticks(5, 0.0, self.knee_ms), _ticks(2, self.knee_ms, right)
-        after_knee = self.knee_ms + 0.12 * self.knee_ms * self.factor  # leaves room for the label at the knee
-        early, late = early[(early >= left) & (early <= self.knee_ms)], late[(late > after_knee) & (late <= right)]
-        return np.concatenate([early, late])
-
-    def spread(self, times_ms: FloatArray, count: int, phase: float) -> list[int]:
-        """Indices of `count` samples evenly spaced on paper, the first at `phase` (0 to 1) of their distance."""
-        x = self.forward(times_ms)
-        wanted = x[0] + (np.arange(count) + phase) / count * (x[-1] - x[0])
-        return [int(k) for k in np.unique(np.searchsorted(x, wanted))]
+    def spread(self, times_ms: FloatArray, phase: float) -> list[int]:
+        """Indices of samples that lie evenly in the panel, the first at `phase` (0 to 1) of their distance."""
+        count = max(round(MARKED * self.share), 1)
+        wanted = self.start_ms + (np.arange(count) + phase) / count * (self.end_ms - self.start_ms)
+        return [int(k) for k in np.unique(np.searchsorted(times_ms, wanted))]
 
 
-def _time_axis(times_ms: FloatArray, end_ms: float, reference: FloatArray) -> _TimeAxis:
-    """The axis for references (nv, N) at `times_ms` (N,)."""
+def _time_spans(times_ms: FloatArray, end_ms: float, reference: FloatArray) -> list[_Span]:
+    """The parts in which references (nv, N) at `times_ms` (N,) are seen: one, or the tap and what comes after it."""
     size = np.abs(reference)
     loud = np.flatnonzero(np.any(size > QUIET * size.max(axis=1, keepdims=True), axis=0))
     last_ms = float(times_ms[loud[-1]]) if loud.size else end_ms
     ticks = _ticks(5, 0.0, max(last_ms, 0.0))
-    knee_ms = float(ticks[ticks >= last_ms][0])
-    factor = (end_ms - knee_ms) / knee_ms * PROMINENT / (1 - PROMINENT) if knee_ms > 0 else 1.0
-    if factor <= 1.5:  # hardly shorter than it is
-        return _TimeAxis(float(times_ms[0]), end_ms, end_ms, 1.0)
-    return _TimeAxis(float(times_ms[0]), knee_ms, end_ms, factor)
+    quiet_ms, start_ms = float(ticks[ticks >= last_ms][0]), float(times_ms[0])
+    if quiet_ms <= 0 or (end_ms - quiet_ms) / quiet_ms < MUCH_LONGER * (1 - PROMINENT) / PROMINENT:
+        return [_Span(start_ms, end_ms, 1.0)]
+    return [_Span(start_ms, quiet_ms, PROMINENT), _Span(quiet_ms, end_ms, 1 - PROMINENT)]
 
 
 def _some(count: int, most: int) -> list[int]:
@@ -227,19 +206,32 @@ def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
     )
 
 
+def _panels(figure: Figure, columns: int, parts: Sequence[_Span]) -> NDArray[np.object_]:
+    """(2, columns, parts) axes that share the scale of their row and the time of their part."""
+    cells = figure.add_gridspec(2, columns, wspace=0.06, hspace=0.08)
+    panels = np.full((2, columns, len(parts)), None, dtype=object)
+    for at, row, column in np.ndindex(len(parts), 2, columns):
+        cell = cells[row, column].subgridspec(1, len(parts), width_ratios=[part.share for part in parts], wspace=0.06)
+        axes = figure.add_subplot(cell[at], sharex=panels[0, 0, at], sharey=panels[row, 0, 0])
+        leftmost = column == 0 and at == 0
+        axes.tick_params(left=at == 0, labelleft=leftmost, labelbottom=row == 1)
+        panels[row, column, at] = axes
+    return panels
+
+
 def transients_figure(drawn: Transients) -> Figure:
     """Every waveform in the layout of the seed's Fig. 10.
 
     One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
     input, a current or a voltage, with its limit. The whole horizon is shown, with what counts after the waveform,
-    whose end a dash-dotted line marks. Where the references have died away the time axis is compressed, and says so.
+    whose end a dash-dotted line marks. What comes after the references have died away has narrow panels of its own.
     Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
     """
     grid = drawn.grid
     times_ms = np.append(grid.switching_times_s, grid.after_times_s) * 1e3
     ends_ms = grid.end_s * 1e3
     end_ms = ends_ms + grid.after_stages * grid.dt_s * 1e3
-    axis = _time_axis(times_ms, end_ms, drawn.target_m_s2.reshape(-1, times_ms.size))
+    parts = _time_spans(times_ms, end_ms, drawn.target_m_s2.reshape(-1, times_ms.size))
     speeds, grips, named = drawn.axes.speeds_m_s, drawn.axes.grips_N, drawn.axes.targets
     shown_speeds, shown_grips = _some(len(speeds), MOST_SPEEDS), _some(len(grips), MOST_GRIPS)
     limit = drawn.limit
@@ -247,18 +239,15 @@ def transients_figure(drawn: Transients) -> Figure:
     shades = colours(len(shown_speeds))
 
     figure = Drawing(figsize=(max(1.0 + 2.1 * len(shown_grips), 4.4), 5.0))
-    spaced = {"wspace": 0.06, "hspace": 0.08}
-    rows = figure.subplots(2, len(shown_grips), sharex=True, sharey="row", squeeze=False, gridspec_kw=spaced)
+    panels = _panels(figure, len(shown_grips), parts)
     binds = False
-    for column, ig in enumerate(shown_grips):
-        above, below = rows[:, column]
+    for (column, ig), (at, part) in itertools.product(enumerate(shown_grips), enumerate(parts)):
+        above, below = panels[:, column, at]
         spans = drawn.binding_spans_ms(ig)
         binds = binds or bool(spans)
         for axes in (above, below):
             style(axes)
             axes.axhline(0.0, color="0.6", linewidth=0.6)
-            if axis.factor > 1:
-                axes.axvline(axis.knee_ms, color="0.6", linewidth=0.8)
             if grid.after_stages:
                 axes.axvline(ends_ms, **END)
             for span in spans:
@@ -269,7 +258,7 @@ def transients_figure(drawn: Transients) -> Figure:
                 "color": shades[line],
                 "marker": MARKERS[line % len(MARKERS)],
                 "markersize": 3.5,
-                "markevery": axis.spread(times_ms, 7, (line + 0.5) / len(shown_speeds)),
+                "markevery": part.spread(times_ms, (line + 0.5) / len(shown_speeds)),
             }
             above.plot(times_ms, drawn.acceleration_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2, linewidth=2.0, **line_style)
             below.plot(times_ms, drawn.plant_input[iv, ig], linewidth=1.3, **line_style)
@@ -277,25 +266,26 @@ def transients_figure(drawn: Transients) -> Figure:
             above.plot(times_ms, target / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
         for sign in (1, -1):
             below.axhline(sign * limit, color=DARK, linewidth=1.0, linestyle=":")
-        if not named:
-            above.set_title(grip_label(grips[ig]), fontsize=LABEL_PT)
-    rows[0, 0].set_xscale("function", functions=(axis.forward, axis.inverse))
-    rows[0, 0].set_xlim(*axis.limits_ms)
-    rows[0, 0].set_xticks(axis.ticks_ms, [plain(tick) for tick in axis.ticks_ms])
-    for axes in rows[:, 0]:
+        if not named and at == 0:
+            above.set_title(grip_label(grips[ig]), fontsize=LABEL_PT, x=0.5 / part.share)
+    for axes, part in zip(panels[0, 0], parts, strict=True):
+        beyond_ms = MARGIN / part.share * (part.end_ms - part.start_ms)
+        axes.set_xlim(part.start_ms - beyond_ms * (part is parts[0]), part.end_ms + beyond_ms * (part is parts[-1]))
+        axes.xaxis.set_major_locator(MaxNLocator(max(round(6 * part.share), 2), steps=TICK_STEPS))
+    for axes in panels[:, 0, 0]:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=TICK_STEPS))
-    rows[0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
-    rows[1, 0].set_ylabel(f"{drawn.driven_by.name} [{drawn.driven_by.unit}]", fontsize=LABEL_PT)
-    squeezed = f"compressed {axis.factor:.1f} times after {axis.knee_ms:g} ms, " if axis.factor > 1 else ""
+    panels[0, 0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
+    panels[1, 0, 0].set_ylabel(f"{drawn.driven_by.name} [{drawn.driven_by.unit}]", fontsize=LABEL_PT)
+    parted = f"narrow panels: from {parts[1].start_ms:g} ms on; " if len(parts) > 1 else ""
     whole = len(shown_speeds) == len(speeds) and len(shown_grips) == len(grips)
     rows_of = f"{len(shown_speeds)} of {len(speeds)} {'targets' if named else 'speeds'}"
     some = "" if whole else f"; {rows_of}, {len(shown_grips)} of {len(grips)} grips"
     some += "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
-    label = f"time {'' if named else 'after contact '}[ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
+    label = f"time {'' if named else 'after contact '}[ms]\n{parted}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
 
     handles = [
-        *rows[1, 0].get_legend_handles_labels()[0],
+        *panels[1, 0, 0].get_legend_handles_labels()[0],
         Line2D([], [], color=DARK, linewidth=0.8, linestyle="--", label="reference"),
         Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} {drawn.driven_by.unit}"),
         *([Patch(color=BINDING, label="limit binds")] if binds else []),
