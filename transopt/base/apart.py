@@ -4,9 +4,9 @@ A method in native code may search for minutes, may not return at all, and may e
 signal between two of its own instructions only, so a Ctrl-C has to wait until such a method returns. In a second
 process the method keeps nobody: whoever waits for the answer can be interrupted, and the process is killed then.
 
-`call` bounds one call in time. `Processes` is an executor of `concurrent.futures`, for tasks side by side. The
-executors of the standard library and of loky do not serve: there the death of one process ends the tasks of all
-others too, and no other task can be submitted afterwards.
+`call` bounds the processor time of one call, so that a busy machine changes no answer. `Processes` is an executor of
+`concurrent.futures`, for tasks side by side. The executors of the standard library and of loky do not serve: there the
+death of one process ends the tasks of all others too, and no other task can be submitted afterwards.
 
 Each process is a plain Python that speaks through its standard input and output. It needs no fork, which would copy
 the threads of this process half-alive. It loads the caller's main program only to find a function of that program.
@@ -15,35 +15,48 @@ It has a process group of its own, so that a Ctrl-C in the terminal goes to this
 
 import atexit
 import faulthandler
+import math
 import os
 import pickle
 import queue
+import signal
 import subprocess
 import sys
 import threading
 import warnings
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from time import monotonic
+from time import monotonic, process_time
 from typing import Any, ParamSpec, TypeVar
 
 from transopt.base.threads import one_thread
+
+try:
+    import resource
+except ImportError:  # Windows, where only the clock on the wall ends a call
+    resource = None  # type: ignore[assignment]
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 START_S = 120.0  # for the process to load what a call needs; a second on an idle machine
+SHARED = 10.0  # times that a call may take on the clock: others use the processor as well
 LOOK_S = 0.1  # between two looks at the clock: on Windows nothing else lets a Ctrl-C through
 ORPHANED_S = 5.0  # after the caller's own deadline: whoever had to end the process is gone
 LAST_WORDS_S = 1.0  # between a closed line and the exit code of the process at its other end
+OUT_OF_TIME = -getattr(signal, "SIGXCPU", 0)  # how a process ends whose processor time is used up
 Outcome = tuple[Any, Exception | None, list[tuple[type[Warning], str]]]  # value, what was raised, warnings
 
 
 class UnansweredError(BrokenExecutor):
     """A call whose process gave no answer in time, or ended without one; the message says which."""
+
+
+class LateError(UnansweredError):
+    """A call that has used up its processor time."""
 
 
 class _Process:
@@ -85,6 +98,8 @@ class _Process:
             with suppress(subprocess.TimeoutExpired):
                 self._popen.wait(LAST_WORDS_S)
             self.close()
+            if OUT_OF_TIME and self._popen.returncode == OUT_OF_TIME:
+                raise LateError
             raise UnansweredError(f"its process ended with code {self._popen.returncode}")
         outcome: Outcome = pickle.loads(said)
         return outcome
@@ -235,7 +250,8 @@ def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:
     ----------
     function : of a module, found there by its name; with its arguments, its answer and its exceptions it can be
         pickled.
-    within_s : most time for the answer, without the start of the process.
+    within_s : most processor time for the answer, without the start of the process; counted in whole seconds, rounded
+        up. On the clock it may take `SHARED` times as long, and on Windows only the clock counts.
 
     Raises
     ------
@@ -246,13 +262,16 @@ def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:
         try:
             _wait(_running().submit(_loaded, function), START_S)
             answer = _running().submit(bounded, within_s, function, *arguments)
-            _wait(answer, within_s)
+            _wait(answer, within_s if resource is None else SHARED * within_s)
         except BaseException:
             # Interrupted or late: whatever it is doing, nobody will hear of it.
             while _kept:
                 _kept.pop().shutdown(wait=False)
             raise
-    found: T = answer.result()
+    try:
+        found: T = answer.result()
+    except LateError:
+        raise UnansweredError(f"no answer within {within_s:.3g} s of a processor") from None
     return found
 
 
@@ -265,15 +284,33 @@ def _wait(answer: "Future[Any]", within_s: float) -> None:
 
 
 def bounded(within_s: float, function: Callable[..., T], *arguments: Any) -> T:
-    """What a function returns, in a process that ends by itself some time after the caller's deadline.
+    """What a function returns, in a process that ends by itself when its time is over.
 
-    A process whose caller is gone notices that by the line between them, unless native code keeps its other threads.
+    The system ends it when its processor time is used up. A process whose caller is gone notices that by the line
+    between them, unless native code keeps its other threads: then it ends some time after the caller's deadline.
     """
-    faulthandler.dump_traceback_later(within_s + ORPHANED_S, exit=True)
+    faulthandler.dump_traceback_later(SHARED * within_s + ORPHANED_S, exit=True)
     try:
-        return function(*arguments)
+        with _limited(within_s):
+            return function(*arguments)
     finally:
         faulthandler.cancel_dump_traceback_later()
+
+
+@contextmanager
+def _limited(more_s: float) -> Iterator[None]:
+    """Have the system end this process when it has used so much more processor time, where the system can."""
+    if resource is None:
+        yield
+        return
+    before = resource.getrlimit(resource.RLIMIT_CPU)
+    allowed = [end for end in before if end != resource.RLIM_INFINITY]
+    until = min([math.ceil(process_time() + more_s), *allowed])
+    resource.setrlimit(resource.RLIMIT_CPU, (until, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_CPU, before)
 
 
 def _loaded(function: Callable[..., Any]) -> None:
