@@ -5,8 +5,8 @@ signal between two of its own instructions only, so a Ctrl-C has to wait until s
 process the method keeps nobody: whoever waits for the answer can be interrupted, and the process is killed then.
 
 `call` bounds the processor time of one call, so that a busy machine changes no answer. `Processes` is an executor of
-`concurrent.futures`, for tasks side by side. The executors of the standard library and of loky do not serve: there the
-death of one process ends the tasks of all others too, and no other task can be submitted afterwards.
+`concurrent.futures`, for tasks side by side. The executors of the standard library and of loky do not serve: there
+the death of one process ends the tasks of all others too, and no other task can be submitted afterwards.
 
 Each process is a plain Python that speaks through its standard input and output. It needs no fork, which would copy
 the threads of this process half-alive. It loads the caller's main program only to find a function of that program.
