@@ -224,6 +224,11 @@ class TestSparseSystem:
         assert not answer.command.any()
         assert certify(problem, answer.command, answer.multipliers).accepted
 
+    def test_what_overflows_on_an_unstable_wall_is_no_warning(self) -> None:
+        problem = drawn(20261126, 773).problem()  # the defective plant and its wall grow within the tail
+        answer = unlimited.solve_sparse(problem)
+        assert not certify(problem, answer.command, answer.multipliers).accepted
+
     def test_that_is_singular_is_a_failure(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
         def singular(_: object) -> None:
             raise RuntimeError("Factor is exactly singular")
