@@ -38,7 +38,8 @@ SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "
 WHOLE = ("rapid_tapping",)  # one tap after the other fills its horizon: a shorter one has no solution
 STAGES = 160  # of the others: a run takes time in proportion, and no access to memory is another
 SOURCE = Path(__file__).with_suffix(".c")
-METHOD = sorted((Path(__file__).parents[1] / "transopt/solvers/native").glob("*.c"))
+NATIVE = Path(__file__).parents[1] / "transopt/solvers/native"
+METHOD = [NATIVE / "riccati.c", *sorted(NATIVE.glob("kernel_*.c"))]
 RECURSIONS = SOURCE.with_name("recursions_memory.c")
 FLAGS = ("-std=c99", "-g1", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra")
 SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
