@@ -1,12 +1,13 @@
 """A quick scene, solved, and the command line in an empty folder."""
 
+import shutil
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 import problems
-from tests.benches.commands import Run, Terminal
+from tests.benches.commands import Run, Terminal, captured
 
 EXAMPLES = problems.FOLDER / "recordings"
 # One speed, one grip, from the shipped files.
@@ -25,15 +26,22 @@ def run(terminal: Terminal) -> Run:
     return partial(terminal, "transopt")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def quick_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scene") / "quick.toml"
     path.write_text(QUICK.replace('motor = "motors/', f'motor = "{problems.FOLDER.as_posix()}/motors/'))
     return path
 
 
+@pytest.fixture(scope="session")
+def written(quick_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `transopt solve` writes of the quick scene, with its figures; not to be changed."""
+    folder = tmp_path_factory.mktemp("written") / "solved"
+    assert captured("transopt", "solve", quick_scene, "--out", folder).code == 0
+    return folder
+
+
 @pytest.fixture
-def solved(run: Run, quick_scene: Path) -> Path:
-    """Folder of a solved one-entry library."""
-    assert run("solve", quick_scene, "--out", "solved").code == 0
-    return Path("solved")
+def solved(run: Run, written: Path) -> Path:
+    """Folder of a solved one-entry library, with all that is written of it."""
+    return Path(shutil.copytree(written, "solved"))

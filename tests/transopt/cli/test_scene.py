@@ -29,7 +29,7 @@ class TestScene:
         Path("mine.toml").write_text(
             text.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]")
         )
-        assert run("solve", "mine.toml").code == 0
+        assert run("solve", "mine.toml", "--no-figures").code == 0
         assert Path("out/mine/library.npz").exists()
 
     def test_new_never_overwrites(self, run: Run) -> None:

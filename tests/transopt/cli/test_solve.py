@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -35,7 +36,7 @@ class TestSolve:
             assert word in markdown
 
     def test_certificates_and_time_are_printed_when_asked_for(self, run: Run, quick_scene: Path) -> None:
-        outcome = run("solve", quick_scene, "--out", "here", "--report")
+        outcome = run("solve", quick_scene, "--out", "here", "--report", "--no-figures")
         assert outcome.code == 0
         found = re.search(
             r"1 of 1 entries certified and replayed: tap error (\S+) to (\S+) % \(worst at 0\.2 m/s, 3 N\), "
@@ -55,13 +56,14 @@ class TestSolve:
         self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setenv("COLUMNS", "200")
-        assert "┡" not in run("solve", quick_scene, "--out", "here").out
-        outcome = run("solve", quick_scene, "--out", "here", "--table")
+        solve = partial(run, "solve", quick_scene, "--out", "here", "--no-figures")
+        assert "┡" not in solve().out
+        outcome = solve("--table")
         assert {"speed", "grip", "tap", "felt", "heat", "verdict"} <= set(outcome.out.split("┡")[0].split())
 
     def test_simulated_recordings_are_called_simulated(self, run: Run) -> None:
         Path("one.toml").write_text(WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]"))
-        assert run("solve", "one.toml").code == 0
+        assert run("solve", "one.toml", "--no-figures").code == 0
         assert (
             "**simulated**: the undriven device at each grip of the scene strikes"
             in Path("out/one/report.md").read_text()
@@ -75,35 +77,35 @@ class TestSolve:
         )
         if not IMPACTS.is_dir():
             pytest.skip(f"the measured impacts are not at {IMPACTS}")
-        assert run("solve", "measured_impacts", "--recordings", IMPACTS).code == 0
+        assert run("solve", "measured_impacts", "--recordings", IMPACTS, "--no-figures").code == 0
         assert "Similarity-scaled: time x 10" in Path("out/measured_impacts/report.md").read_text()
 
-    def test_refused_entries_exit_1_and_keep_the_earlier_library(self, run: Run, quick_scene: Path) -> None:
-        assert run("solve", quick_scene, "--out", "here").code == 0
-        before = Path("here/library.npz").read_bytes()
+    def test_refused_entries_exit_1_and_keep_the_earlier_library(
+        self, run: Run, quick_scene: Path, solved: Path
+    ) -> None:
+        before = (solved / "library.npz").read_bytes()
         stiff = Path("stiff.toml")
         weak = quick_scene.read_text().replace("steady_current_A = 1.25", "steady_current_A = 1.25\ncurrent_A = 0.3")
         assert "current_A = 0.3" in weak
         stiff.write_text(weak.replace("beta = 3.2", "") + "\n[feedback]\nstiffness_N_m = 2000.0\n")
-        outcome = run("solve", stiff, "--out", "here")
+        outcome = run("solve", stiff, "--out", solved)
         assert outcome.code == 1
         reason = re.search(
             r"refused: 0\.2 m/s, 3 N: .*(hand-over: K_p z / k_f = .* A at .* mm .*, limit 0.3 A)", outcome.out
         )
         assert reason is not None, outcome.out
         assert ": 1 of 1 tap refused, so no library is written and an earlier one is kept." in outcome.out
-        assert outcome.out.splitlines()[-1] == "here: refused.md and 1 other file."
-        assert Path("here/library.npz").read_bytes() == before
-        assert reason[1] in Path("here/refused.md").read_text()
-        assert run("solve", quick_scene, "--out", "here").code == 0
-        assert not Path("here/refused.md").exists()
+        assert outcome.out.splitlines()[-1] == "solved: refused.md and 1 other file."
+        assert (solved / "library.npz").read_bytes() == before
+        assert reason[1] in (solved / "refused.md").read_text()
+        assert run("solve", quick_scene, "--out", solved, "--no-figures").code == 0
+        assert not (solved / "refused.md").exists()
 
-    def test_without_figures_an_earlier_builds_figures_go(self, run, quick_scene: Path) -> None:
-        assert run("solve", quick_scene, "--out", "here").code == 0
-        drawn = {file.name for file in Path("here").glob("*.png")}
+    def test_without_figures_an_earlier_builds_figures_go(self, run: Run, quick_scene: Path, solved: Path) -> None:
+        drawn = {file.name for file in solved.glob("*.png")}
         assert drawn == {"transients.png", "methods.png", "bode.png"}
-        assert run("solve", quick_scene, "--out", "here", "--no-figures").code == 0
-        assert {file.name for file in Path("here").iterdir()} == {"library.npz", "report.md", "report.json"}
+        assert run("solve", quick_scene, "--out", solved, "--no-figures").code == 0
+        assert {file.name for file in solved.iterdir()} == {"library.npz", "report.md", "report.json"}
 
     def test_the_full_report_says_what_intensity_costs(self, run: Run) -> None:
         one = WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.4]").replace("[1.0, 3.0, 5.0]", "[5.0]")
@@ -121,7 +123,7 @@ class TestSolve:
         text = quick_scene.read_text()
         line = next(line for line in text.splitlines() if line.startswith("description"))
         Path("b.toml").write_text(text.replace(line, 'description = "tap in [g] and [/x]"'))
-        outcome = run("solve", "b.toml", "--out", "run [1]/[/b]", "--table")
+        outcome = run("solve", "b.toml", "--out", "run [1]/[/b]", "--table", "--no-figures")
         assert outcome.code == 0
         assert "tap in [g] and [/x]" in outcome.out
         assert run("show", "run [1]/[/b]/library.npz").code == 0
@@ -165,22 +167,20 @@ class TestSolve:
         ],
     )
     def test_a_bad_scene_leaves_earlier_output_untouched(
-        self, run: Run, quick_scene: Path, old: str, new: str, words: list[str]
+        self, run: Run, quick_scene: Path, solved: Path, old: str, new: str, words: list[str]
     ) -> None:
-        assert run("solve", quick_scene, "--out", "here").code == 0
-        before = {path.name: path.read_bytes() for path in Path("here").iterdir()}
+        before = {path.name: path.read_bytes() for path in solved.iterdir()}
         text = quick_scene.read_text()
         assert old in text
         Path("bad.toml").write_text(text.replace(old, new))
-        assert_refused(run("solve", "bad.toml", "--out", "here"), *words)
-        assert {path.name: path.read_bytes() for path in Path("here").iterdir()} == before
+        assert_refused(run("solve", "bad.toml", "--out", solved), *words)
+        assert {path.name: path.read_bytes() for path in solved.iterdir()} == before
 
     @pytest.mark.parametrize("instant", ["recordings", "entries", "writing"])
     def test_interrupted_solve_loses_nothing(
-        self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, instant: str
+        self, run: Run, quick_scene: Path, solved: Path, monkeypatch: pytest.MonkeyPatch, instant: str
     ) -> None:
-        assert run("solve", quick_scene, "--out", "here").code == 0
-        before = {path.name: path.read_bytes() for path in Path("here").iterdir()}
+        before = {path.name: path.read_bytes() for path in solved.iterdir()}
 
         def interrupt(*_: object, **__: object) -> None:
             raise KeyboardInterrupt
@@ -191,10 +191,10 @@ class TestSolve:
             "writing": "transopt.report.figures.bode_figure",
         }[instant]
         monkeypatch.setattr(target, interrupt)
-        outcome = run("solve", quick_scene, "--out", "here")
+        outcome = run("solve", quick_scene, "--out", solved)
         assert outcome.code == 130
         assert "Traceback" not in outcome.err
-        assert {path.name: path.read_bytes() for path in Path("here").iterdir()} == before
+        assert {path.name: path.read_bytes() for path in solved.iterdir()} == before
 
 
 class TestLostStart:
