@@ -54,8 +54,8 @@ def plant_of(kind: Inertial | VoiceCoil) -> NonlinearCoil:
 
 
 def command() -> np.ndarray:
-    t = np.arange(120) * DT_S
-    return 2.5 * np.sin(2 * np.pi * 150 * t) * (t < 8e-3)
+    t = np.arange(60) * DT_S
+    return 2.5 * np.sin(2 * np.pi * 150 * t) * (t < 4e-3)
 
 
 def by_newton(kind: Inertial | VoiceCoil, state: np.ndarray, u: float) -> tuple[list[float], float]:
@@ -139,7 +139,7 @@ class TestStage:
             return float(of_motion + outputs["position" + AFTER] @ m.outputs["position" + AFTER])
 
         found = stage.adjoint(stage.linearised(c, stage.states(c)), gradient)
-        for k in (0, 17, 60, 119):
+        for k in (0, 17, 59):
             step = 1e-4 * np.eye(1, c.size, k)[0]
             difference = (
                 value(c - 2 * step) - 8 * value(c - step) + 8 * value(c + step) - value(c + 2 * step)
