@@ -182,6 +182,7 @@ class TestAgainstAGeneralOptimiser:
         assert np.abs(near.command - far.command).max() <= 1e-6 * np.abs(near.command).max()
 
 
+@pytest.mark.parametrize("case", ["velocity", "pole"], indirect=True)
 def test_a_coarse_stage_first_comes_to_the_same_in_few_more_iterations(
     case: tuple[NonlinearProblem, Solution],
 ) -> None:
