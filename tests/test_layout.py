@@ -1,7 +1,7 @@
 """What may import what where no package holds it: scripts and tests know nothing of each other."""
 
 import ast
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,13 +18,16 @@ def top_names(folder: Path) -> set[str]:
     return modules | {path.parent.name for path in folder.glob("*/*.py")} | {folder.name}
 
 
-def imported(source: str) -> Iterator[tuple[int, str]]:
+@cache  # several rules read the same files
+def imported(source: str) -> list[tuple[int, str]]:
     """Line and whole name of all that is imported, wherever in the source it is."""
+    found = list[tuple[int, str]]()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
+            found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
+            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return found
 
 
 def crossings(source: str, forbidden: set[str]) -> list[str]:
