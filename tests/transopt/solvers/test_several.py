@@ -39,7 +39,7 @@ def within(one: float, other: float, tolerance: float) -> bool:
     return abs(one - other) <= tolerance * max(other, OBJECTIVE_SCALE)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(40))
 def test_the_optimum_is_that_of_an_independent_dense_program(seed: int) -> None:
     problem = drawn(seed)
     answer = several.solve(problem, OPTIONS)
