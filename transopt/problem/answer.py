@@ -1,4 +1,4 @@
-"""What an answer to the problem consists of: status, multipliers, solution, certificate, verdict."""
+"""The parts of an answer to the problem: status, multipliers, solution, certificate, verdict."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -16,16 +16,16 @@ from transopt.problem.objective.bands import JUST_NOTICED_dB, Levels
 from transopt.problem.objective.figures import Figures
 from transopt.problem.problem import TransientProblem
 
-OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
-AT_FLOOR = 1e-3  # a tap error within 0.1 % of the floor is at the floor
-ENDS = 0.02  # a floor above it is that of a waveform which ends while a hand pushes
-OTHER_WAVEFORM = 10 ** (JUST_NOTICED_dB / 20) - 1  # felt error of an amplitude that is off by what is just noticed
-PULLS = -0.005  # a change of speed below it, as printed below 0, is that of a surface that pulls
-NAMED = re.compile(r" (?=[-+<>=±\d])")  # behind the name of a limit that binds
+OBJECTIVE_SCALE = 1e-3  # gaps are relative to J or to this, whichever is larger
+AT_FLOOR = 1e-3  # largest excess of the tap error over the floor that still counts as being at the floor
+MIN_FLOOR_OF_PUSHING_HAND = 0.02  # a larger floor comes from the waveform's end while the hand still pushes
+OTHER_WAVEFORM = 10 ** (JUST_NOTICED_dB / 20) - 1  # felt error of an amplitude off by the just noticeable difference
+MAX_SPEED_OF_PULLING = -0.005  # `Figures.speed` below it prints as negative: the surface pulls the stylus
+END_OF_LIMIT_NAME = re.compile(r" (?=[-+<>=±\d])")  # the space between a binding limit's name and its value
 
 
 class Status(Enum):
-    """How an entry ended; the value is the message. What would do is found by trial (`transopt.design.remedy`)."""
+    """How an entry ended; the value is the message. `transopt.design.remedy` finds by trial what would help."""
 
     OPTIMAL = "optimal"
     ITERATION_LIMIT = "the solver stopped at its iteration limit"
@@ -39,7 +39,7 @@ class Status(Enum):
     PRECISION = "double precision has no digits left to prove the answer"
     UNSTABLE_WALL = "the wall's feedback grows by itself on this device"
     UNRESOLVED = (
-        "a limit is kept at every switching instant, as the problem states it, but left within a servo period"
+        "a limit holds at every switching instant, where the problem states it, but is exceeded between two of them"
     )
 
 
@@ -48,17 +48,17 @@ Pair = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Lagrange multipliers of J's problem, all >= 0 except those of the hand-over; units 1 / unit of the row.
+    """Lagrange multipliers of the problem, all >= 0 except those of the hand-over; unit 1 / unit of the row.
 
     Sign: grad J + sum (upper - lower) grad(value) = 0, `lower` for a row's lower bound, `upper` for its upper one.
 
     Attributes
     ----------
     stages : N.
-    pairs : name of a row -> its multipliers (lower (N,), upper (N,)); a row that is not there has none.
-    hand_over : (hand_over_samples,) of c_k = feedback command; (m, hand_over_samples) of several motors.
-    slope : (N,) slope of |mean i| over period k, -1 to 1, by which the ripple heats; no multiplier itself, but a
-        ratio of two: where the mean current is zero, the optimum decides which it is.
+    pairs : name of a row -> its multipliers (lower (N,), upper (N,)); those of a missing row are zero.
+    hand_over : (hand_over_samples,) of the equations c_k = feedback command; (m, hand_over_samples) with m motors.
+    slope : (N,) subgradient of |mean i| over period k, in [-1, 1]; the heat of the ripple depends on it. It is not a
+        multiplier but a ratio of two. Where the mean current is zero, the optimum determines it.
     """
 
     stages: int
@@ -70,24 +70,24 @@ class Multipliers:
 
     @classmethod
     def zero(cls, problem: TransientProblem) -> "Multipliers":
-        """No limit binds."""
+        """The multipliers where no limit binds: all zero."""
         tail = np.zeros((*problem.rest.shape[:-1], problem.hand_over_samples))
         return cls(problem.grid.stages, {}, tail, _nothing(problem.grid.stages))
 
     def lower(self, row: str) -> FloatArray:
-        """(N,) of a row's lower bound."""
+        """(N,) multipliers of a row's lower bound."""
         return self.pairs[row][0] if row in self.pairs else _nothing(self.stages)
 
     def upper(self, row: str) -> FloatArray:
-        """(N,) of a row's upper bound."""
+        """(N,) multipliers of a row's upper bound."""
         return self.pairs[row][1] if row in self.pairs else _nothing(self.stages)
 
     def with_pair(self, row: str, lower: FloatArray, upper: FloatArray) -> "Multipliers":
-        """Replace the multipliers of one row by these."""
+        """Return a copy in which this row has these multipliers."""
         return replace(self, pairs={**self.pairs, row: (lower, upper)})
 
     def arrays(self) -> Iterator[FloatArray]:
-        """Every array of them, the slope too."""
+        """Iterate over all arrays, the slope included."""
         for pair in self.pairs.values():
             yield from pair
         yield self.hand_over
@@ -99,7 +99,7 @@ class Multipliers:
         return max((float(side.max()) for pair in self.pairs.values() for side in pair), default=0.0)
 
     def clipped(self) -> "Multipliers":
-        """Set every negative multiplier of a limit to zero."""
+        """Return a copy with every negative multiplier of a limit set to zero and the slope clipped to [-1, 1]."""
         pairs = {row: (np.maximum(low, 0.0), np.maximum(high, 0.0)) for row, (low, high) in self.pairs.items()}
         return replace(self, pairs=pairs, slope=np.minimum(np.maximum(self.slope, -1.0), 1.0))
 
@@ -107,25 +107,24 @@ class Multipliers:
 @lru_cache(maxsize=8)
 def _nothing(stages: int) -> FloatArray:
     nothing = np.zeros(stages)
-    nothing.flags.writeable = False  # it stands for all of them
+    nothing.flags.writeable = False  # all callers share this array
     return nothing
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver returned, in its own words: nothing here is proof (see `certify`).
+    """What a solver returned. Nothing in it is proof; `transopt.proof.certify` checks it independently.
 
     Attributes
     ----------
-    status : typed from the solver's raw status string.
-    command : (N,) commands, exactly inside the command box and exactly zero over the hand-over; (m, N) of several
-        motors.
+    status : from the solver's raw status string.
+    command : (N,) commands, exactly inside the command box and exactly zero over the hand-over; (m, N) with m motors.
     multipliers : clipped to their sign.
-    solver : name, version-free.
+    solver : name without version.
     message : the solver's raw status.
-    iterations : -1 where the solver does not tell.
-    solve_time_s : wall time of this solve, stage data included, set-up excluded; a designed entry's includes
-        the unlimited solve before it.
+    iterations : -1 if the solver does not report them.
+    solve_time_s : wall time of this solve: stage data included, set-up excluded. That of a designed entry includes
+        the solve without limits that precedes it.
     """
 
     status: Status
@@ -146,13 +145,13 @@ class Certificate:
     Attributes
     ----------
     objective : J of the rolled-out command.
-    merit : L of it, which is what is minimised; J itself where intensity has no price.
-    violations : unit -> largest excess over a limit in that unit, and in A at the hand-over; 0 if none.
-    excess : the largest of the violations in units of its tolerance (`tolerated`); at most 1 is accepted.
+    merit : L of the rolled-out command, the quantity minimised; equal to J where intensity has no price.
+    violations : unit -> largest excess over a limit in that unit; in A that of the hand-over too; 0 if none.
+    excess : largest violation divided by its tolerance (`tolerated`); accepted up to 1.
     dual_residual : largest |reduced gradient of the Lagrangian| over the free commands [1/A].
     duality_gap : bound on L - optimum; rigorous unless the temperature binds, then that of the linearised problem.
-    lower_bound : rigorous bound on the optimum of L from below.
-    finite : every number that went in was finite.
+    lower_bound : rigorous lower bound on the optimum of L.
+    finite : whether all numbers that the certificate was computed from are finite.
     """
 
     objective: float
@@ -168,55 +167,59 @@ class Certificate:
 
     VIOLATION_TOLERANCE = VIOLATION_TOLERANCE
     GAP_TOLERANCE = 1e-6
-    BOUND_TOLERANCE = 1e-2  # copper that warms makes the problem nonconvex; built-in scenes have 0.007 to 0.06 %
+    # Copper that warms makes the problem nonconvex, so L may lie above the convex bound: 0.007 to 0.06 % in the
+    # built-in scenes.
+    BOUND_TOLERANCE = 1e-2
 
     @classmethod
     def nothing(cls) -> "Certificate":
-        """The certificate of numbers that are not finite."""
+        """The certificate where a number is NaN or infinite: never accepted."""
         inf = float("inf")
         nan = float("nan")
         return cls(nan, nan, {"A": inf}, inf, inf, inf, -inf, finite=False)
 
     @property
     def stated_violations(self) -> dict[str, float]:
-        """Violations by unit, those of every device first."""
+        """Unit -> violation, the units A, V and K always among them and first."""
         return {unit: self.violation(unit) for unit in dict.fromkeys(("A", "V", "K", *self.violations))}
 
     def violation(self, unit: str) -> float:
-        """Largest excess over a limit in this unit; infinite where the numbers are not finite."""
+        """Largest excess over a limit in this unit; infinite if the certificate is not `finite`."""
         return self.violations.get(unit, 0.0 if self.finite else float("inf"))
 
     @property
     def relative_gap(self) -> float:
+        """Duality gap over J."""
         return self.duality_gap / max(self.objective, OBJECTIVE_SCALE)
 
     @property
     def relative_bound(self) -> float:
-        """How far L lies above the rigorous lower bound, relative."""
+        """Distance of L from its rigorous lower bound, over J."""
         return (self.merit - self.lower_bound) / max(self.objective, OBJECTIVE_SCALE)
 
     @property
     def primal_violation(self) -> float:
-        """The largest of the violations, each in its unit."""
+        """The largest number among the violations, whatever their units."""
         return max(self.violations.values(), default=0.0)
 
     @property
     def is_stationary(self) -> bool:
-        """Feasible, and no better nearby: all but the rigorous bound where the temperature binds."""
+        """Whether it is feasible with a closed duality gap: a local optimum where the temperature binds."""
         return self.finite and self._inside and self.relative_gap <= self.GAP_TOLERANCE
 
     @property
     def _inside(self) -> bool:
-        # Written so that a NaN anywhere rejects.
+        # A comparison with NaN is false, so a NaN anywhere rejects.
         return self.excess <= 1 and all(by <= self.VIOLATION_TOLERANCE for by in self.violations.values())
 
     @property
     def accepted(self) -> bool:
+        """Whether it proves the command optimal."""
         return self.is_stationary and -self.GAP_TOLERANCE <= self.relative_bound <= self.BOUND_TOLERANCE
 
     @property
     def shortfall(self) -> str:
-        """What it lacks of an optimum's, in a phrase; empty where it is accepted."""
+        """Why it is not accepted, in a phrase; empty where it is."""
         if self.accepted:
             return ""
         if not self.finite:
@@ -225,19 +228,19 @@ class Certificate:
             over = ", ".join(f"{by:.3g} {unit}" for unit, by in self.stated_violations.items() if not by <= 0)
             return f"not certified: a limit is exceeded by {over}"
         if not self.is_stationary:
-            said, most = f"{self.relative_gap:.1e} above the optimum", f"{self.GAP_TOLERANCE:.0e}"
-            return f"not certified: no stationary point, may lie {said}, limit {most}"
+            gap, limit = f"relative duality gap {self.relative_gap:.1e}", f"{self.GAP_TOLERANCE:.0e}"
+            return f"not certified: no stationary point, {gap}, limit {limit}"
         if self.relative_bound > self.BOUND_TOLERANCE:
             return f"J lies {self.relative_bound:.1%} above the convex lower bound, limit {self.BOUND_TOLERANCE:.0%}"
         return f"not certified: its lower bound {self.lower_bound:.8g} lies above it, at {self.merit:.8g}"
 
 
 def held_back(tap_error: float, floor: float, binding: str) -> list[str]:
-    """The limits that hold an entry back, as `binding` words them; none for one at its floor.
+    """The limits that hold an entry back, in the words of `binding`; empty for an entry at its floor.
 
     Parameters
     ----------
-    floor : tap error of the optimum without limits; NaN where it is not known, and whatever binds holds back.
+    floor : tap error of the optimum without limits; if it is NaN, every binding limit counts as holding back.
     """
     return [] if tap_error <= floor + AT_FLOOR or binding in ("", "none") else binding.split("; ")
 
@@ -252,20 +255,20 @@ def verdict(
     named: bool,
     least_input: tuple[float, str] | None = None,
 ) -> str:
-    """How near an entry comes to the tap, what holds it back, and what a hand notices of it.
+    """How near an entry comes to the recorded tap, what holds it back, and what the hand notices of it.
 
-    Hands know a surface by the intensity of the tap more than by its waveform, so that this comes first: within what
-    is just noticed, or too weak, and in which band most. A waveform that is far off at the right intensity is told as
-    well. A motor cannot hold the hand for ever: the waveform ends while the hand still pushes, so even the optimum
+    A hand recognises a surface by the intensity of the tap more than by its waveform, so the intensity comes first:
+    within the just noticeable difference, or too weak or strong, and in which band most. A waveform that is far off
+    at the right intensity is stated as well. The waveform ends while the hand still pushes, so even the optimum
     without limits has an error, the floor.
 
     Parameters
     ----------
     floor : tap error of the optimum without limits.
     repeatability : trial-to-mean error of the recordings, NaN if unknown.
-    binding : the limits that bind, as `proof.certify.binding_limits` says.
-    named : whether it is for a named target, behind which there is no hand.
-    least_input : the least of what drives the plant, and its unit; None where it is not known.
+    binding : the binding limits, as `proof.certify.binding_limits` states them.
+    named : whether the entry is for a named target, which involves no hand.
+    least_input : smallest value of the plant's input, and its unit; None if it is not known.
     """
     off_dB = levels.felt_dB if np.isnan(figures.felt_dB) else figures.felt_dB
     if np.isnan(off_dB) or abs(off_dB) <= JUST_NOTICED_dB:
@@ -277,12 +280,12 @@ def verdict(
     if figures.tap_error <= repeatability:
         said.append("nearer than the recordings to each other")
     elif figures.tap_error <= floor + AT_FLOOR:
-        ends = not named and floor > ENDS
+        ends = not named and floor > MIN_FLOOR_OF_PUSHING_HAND
         said.append("at its floor" + (": the waveform ends while the hand pushes" if ends else ""))
     elif held := held_back(figures.tap_error, floor, binding):
-        limits = dict.fromkeys(NAMED.split(part)[0].strip() for part in held)
+        limits = dict.fromkeys(END_OF_LIMIT_NAME.split(part)[0].strip() for part in held)
         said.append(f"held back by {' and '.join(limits)}")
-    if figures.speed < PULLS:
+    if figures.speed < MAX_SPEED_OF_PULLING:
         said.append("the surface pulls")
         if least_input is not None and least_input[0] < 0:
             said[-1] += f", by up to {-least_input[0]:.2f} {least_input[1]}"

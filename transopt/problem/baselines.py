@@ -1,4 +1,4 @@
-"""The two methods that the optimum is compared with in every table."""
+"""The two baselines with which every table compares the optimum: the seed's inversion and the clipped optimum."""
 
 from typing import Any
 
@@ -9,8 +9,8 @@ from transopt.base.signals import FloatArray, fast_length, splined
 from transopt.plant.amplifier import prefilter
 from transopt.plant.discretise import StageModel, TimeGrid
 
-PADDING = 2  # the record is zero-padded to this many times its length
-REST_S = 2e-3  # before the first tick, where the wanted current is zero
+PADDING = 2  # the record is zero-padded to this multiple of its length
+REST_S = 2e-3  # span before contact over which the mean of the wanted current is set to zero
 
 
 def seed_inversion(
@@ -22,18 +22,18 @@ def seed_inversion(
 ) -> FloatArray:
     """The seed's method (Sec. 6): invert the model, taper, clip the wanted current, prefilter.
 
-    Frequency-domain inverse I = R / G over the whole zero-padded record, sampled at the ticks t_k; neither the
-    hold nor the amplifier's delay is compensated, as in the seed. G vanishes at 0 Hz, which leaves the mean
-    current open: it is chosen so that no current flows before contact, which favours this method.
+    The inverse I = R / G is taken in the frequency domain over the zero-padded record and sampled at the ticks t_k.
+    As in the seed, neither the hold nor the amplifier's delay is compensated. G vanishes at 0 Hz, so the mean current
+    is undetermined: it is set so that no current flows before contact, the choice in favour of this baseline.
 
     Parameters
     ----------
-    reference_m_s2 : (..., N), or (p, N) of a plant with several directions, whose response is inverted as a matrix.
-    current_limit_A : one, or several that broadcast against the references.
+    reference_m_s2 : (..., N), or (p, N) for a plant with p directions, whose response matrix is inverted.
+    current_limit_A : a number, or an array that broadcasts against the references.
 
     Returns
     -------
-    (..., N) commands [A], of their common shape, faded out over the last `taper_samples`.
+    (..., N) commands [A] in the broadcast shape, tapered to zero over the last `taper_samples`.
     """
     N = grid.stages
     at_ticks = splined(grid.switching_times_s, reference_m_s2, grid.issue_times_s)
@@ -51,7 +51,10 @@ def seed_inversion(
 
 
 def _inverted(spectrum: NDArray[Any], response: NDArray[Any]) -> NDArray[Any]:
-    """Currents (..., F), or (m, F), that make accelerations (..., F), or (p, F), of a response (F,) or (F, p, m)."""
+    """Currents (..., F) or (m, F) for accelerations (..., F) or (p, F), by the inverse of the response.
+
+    The response is (F,), or (F, p, m), whose matrices are pseudo-inverted.
+    """
     if response.ndim == 1:
         return np.asarray(spectrum / response)
     return np.asarray(np.einsum("fmp,pf->mf", np.linalg.pinv(response), spectrum))
@@ -60,28 +63,29 @@ def _inverted(spectrum: NDArray[Any], response: NDArray[Any]) -> NDArray[Any]:
 def clipped_optimum(
     stage: StageModel, grid: TimeGrid, unlimited_command: FloatArray, current_limit_A: float | FloatArray
 ) -> FloatArray:
-    """The unlimited optimum (..., N) with its current cut at the limit, hold and delay compensated exactly.
+    """The optimum without limits, (..., N), with its current clipped; hold and delay are compensated exactly.
 
-    Of several motors, (m, N), each current is cut by itself.
+    Each of several motors, (m, N), is clipped separately.
 
     Parameters
     ----------
-    current_limit_A : one, or several that broadcast against the commands.
+    current_limit_A : a number, or an array that broadcasts against the commands.
 
     Returns
     -------
-    (..., N) commands [A], of their common shape.
+    (..., N) commands [A] in the broadcast shape.
     """
     _, current = stage.rollout(unlimited_command)
     wanted = np.clip(current, -current_limit_A, current_limit_A)
     if stage.amplifier is None:
         return wanted
-    # c_k carries the current from tau_k to tau_(k+1); the last command is zero, as in every waveform.
+    # c_k drives the current from tau_k to tau_(k+1); the last command is zero, as in every waveform.
     after = _play(stage, grid, wanted[..., 1:])
     return np.concatenate([after, np.zeros((*after.shape[:-1], 1))], axis=-1)
 
 
 def _play(stage: StageModel, grid: TimeGrid, wanted: FloatArray) -> FloatArray:
+    """(..., N) commands whose current through the amplifier is the wanted one, clipped to the command's range."""
     if stage.amplifier is None:
         return wanted
     bound = stage.amplifier.command_limit

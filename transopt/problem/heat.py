@@ -1,4 +1,4 @@
-"""The winding's temperature over one transient, as the optimal-control problem states it."""
+"""The recursion of the winding's temperature that the optimal-control problem uses."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,22 +15,24 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.plant.discretise import TimeGrid
 
-STEADY_MARGIN = 2e-4  # of the rise: for ever adds up what a change of sign within a period heats
+# Margin below the limit, as a share of the largest rise, where taps repeat for ever. The recursion neglects the heat
+# of a current that changes its sign within a servo period, and the steady state sums that up over all taps.
+STEADY_MARGIN = 2e-4
 
 
 def mean_current(share: Any, decay: Any, current: Any, command: Any) -> Any:
-    """Mean of i over a period in which it goes from `current` towards `command`; of arrays or expressions."""
+    """Mean of i over a period in which it goes from `current` towards `command`; for arrays or CasADi expressions."""
     return share * current + (1 - share) * (decay * current + (1 - decay) * command)
 
 
 def mean_square(square: Any, decay: Any, ripple: Any, current: Any, command: Any, size: Any) -> Any:
-    """Mean of (|i| + ripple)^2 over that period (seed Eq. 7), `size` its mean of |i|; of arrays or expressions."""
+    """Mean of (|i| + ripple)^2 over that period (seed Eq. 7), `size` the mean of |i|; for arrays or expressions."""
     a, b = current, decay * current + (1 - decay) * command
     return square[0] * a * a + square[1] * a * b + square[2] * b * b + 2 * ripple * size + ripple**2
 
 
 def next_rise(M: Any, b: Any, gain: Any, copper: Any, rise: Any, winding: Any, heating: Any) -> Any:
-    """th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k; of arrays or expressions, nodes in rows."""
+    """th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k; for arrays or expressions, thermal nodes in rows."""
     return M @ rise + b @ ((gain + copper * winding) * heating)
 
 
@@ -38,14 +40,15 @@ def next_rise(M: Any, b: Any, gain: Any, copper: Any, rise: Any, winding: Any, h
 class Heating:
     """Mean of i_eff^2 over one servo period as a function of the current i_k and the command c_k.
 
-    The current goes exponentially, hence monotonically, to i_(k+1) = decay i_k + (1 - decay) c_k, so its mean square
-    is a convex quadratic in the two, and the mean of |i| is |mean of i| unless the sign changes on the way:
-    mean i_eff^2 = quadratic + 2 ripple |mean i| + ripple^2, convex throughout.
+    The current approaches i_(k+1) = decay i_k + (1 - decay) c_k exponentially. Its mean square is a convex quadratic
+    in i_k and c_k. The mean of |i| is |mean of i| unless the sign changes within the period, and is taken as that:
+    mean i_eff^2 = quadratic + 2 ripple |mean i| + ripple^2, which is convex.
 
     Attributes
     ----------
-    decay : exp(-w dt), 0 for an ideal amplifier (i = c_k throughout).
-    square : (3,) weights of i_k^2, i_k i_(k+1), i_(k+1)^2. share : weight of i_k in the mean current.
+    decay : exp(-w dt) of the amplifier's pole w; 0 for an ideal amplifier, i = c_k throughout.
+    square : (3,) weights of i_k^2, i_k i_(k+1), i_(k+1)^2 in the mean square.
+    share : weight of i_k in the mean current.
     ripple_A : constant of seed Eq. 7.
     """
 
@@ -59,7 +62,7 @@ class Heating:
         return np.asarray(self.decay * current_A + (1 - self.decay) * command)
 
     def mean_current(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
-        """(...) mean of i over the period [A]."""
+        """(...) mean current over the period [A]."""
         return np.asarray(mean_current(self.share, self.decay, current_A, command))
 
     def mean_square(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
@@ -72,7 +75,7 @@ class Heating:
 
         Parameters
         ----------
-        sign : (...) slope of |mean i|: its sign, and any number from -1 to 1 where it is zero.
+        sign : (...) subgradient of |mean i|: the sign of the mean, and any number in [-1, 1] where it is zero.
         """
         a, b = current_A, self.after(current_A, command)
         by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * self.ripple_A * self.share * sign
@@ -82,12 +85,12 @@ class Heating:
 
 @lru_cache(maxsize=16)
 def heating(amplifier: Amplifier | None, dt_s: float, ripple_A: float = PWM_RIPPLE_A) -> Heating:
-    """Heating of one servo period through this amplifier."""
+    """`Heating` of one servo period with this amplifier; None is an ideal one."""
     if amplifier is None:
         return Heating(0.0, np.array([0.0, 0.0, 1.0]), 0.0, ripple_A)
     x = amplifier.rate_rad_s * dt_s
     e = float(np.exp(-x))
-    # i(t) = (1 - s) i_k + s i_(k+1) with s = (1 - exp(-w t)) / (1 - e); means of s and s^2 over the period.
+    # i(t) = (1 - s) i_k + s i_(k+1) with s = (1 - exp(-w t)) / (1 - e); s1, s2: means of s and s^2 over the period.
     s1 = (1 + np.expm1(-x) / x) / (1 - e)
     s2 = (1 + 2 * np.expm1(-x) / x - np.expm1(-2 * x) / (2 * x)) / (1 - e) ** 2
     return Heating(e, np.array([1 - 2 * s1 + s2, 2 * (s1 - s2), s2]), float(1 - s1), ripple_A)
@@ -95,17 +98,22 @@ def heating(amplifier: Amplifier | None, dt_s: float, ripple_A: float = PWM_RIPP
 
 @dataclass(frozen=True)
 class HeatModel:
-    """Rise above the unpowered course: th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k, h_k the mean i_eff^2.
+    """Rise th of the thermal nodes above their temperatures without current, with h_k the mean i_eff^2 of period k:
 
-    `th_w,(k+1) <= headroom_k` is the temperature limit at tau_(k+1). Without closure th_0 = 0; with it the course
-    repeats itself: th_0 = F th_N + f, the tap followed by the pause.
+        th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k,    th_w the winding's.
+
+    The temperature limit at tau_(k+1) is `th_w,(k+1) <= headroom_k`. For a single tap th_0 = 0. Taps that repeat for
+    ever are periodic, th_0 = F th_N + f, where F and f describe the pause between two taps.
 
     Attributes
     ----------
-    M : (m, m) winding first, then housing. b : (m,) [K/W].
-    gain : (N,) resistance at the unpowered temperature [ohm]. copper : its increase per kelvin of rise [ohm/K].
-    headroom_K : (N,), infinite where nothing is asked.
-    closure : (F (m, m), f (m,)) or None.
+    heating : h_k as a function of current and command.
+    M : (m, m), winding first, then housing.
+    b : (m,) [K/W].
+    gain : (N,) resistance at the temperature without current [ohm].
+    copper : increase of the resistance per kelvin of rise [ohm/K].
+    headroom_K : (N,), infinite where there is no limit.
+    closure : (F (m, m), f (m,)) of repeating taps; None for a single one.
     unpowered_C : (N,) winding temperature at tau_(k+1) without current.
     """
 
@@ -122,10 +130,11 @@ class HeatModel:
 
     @property
     def nodes(self) -> int:
+        """m, 1 for the winding alone or 2 with the housing."""
         return int(self.b.size)
 
     def _course(self, h: FloatArray, gain: FloatArray, start: FloatArray) -> FloatArray:
-        """(N + 1, m) rises at tau_0 to tau_N from `start` on."""
+        """(N + 1, m) rises at tau_0 to tau_N from the rise `start` (m,) at tau_0."""
         return bilinear(self.M, self.b, gain, self.copper, h, start)
 
     def _start(self, h: FloatArray) -> FloatArray:
@@ -135,10 +144,10 @@ class HeatModel:
         F, f = self.closure
         units = [self._course(h, np.zeros(h.size), unit)[-1] for unit in np.eye(self.nodes)]
         offset = self._course(h, self.gain, np.zeros(self.nodes))[-1]
-        with np.errstate(over="ignore", invalid="ignore"):  # a runaway, which the next test sees
+        with np.errstate(over="ignore", invalid="ignore"):  # thermal runaway, tested below
             period = F @ np.stack(units, axis=1)
         if not (np.all(np.isfinite(period)) and np.abs(np.linalg.eigvals(period)).max() < 1):
-            # Thermal runaway: every tap leaves it hotter. The fixed point lies below absolute zero and is never seen.
+            # Thermal runaway: the rise grows from tap to tap, and the equation's fixed point is unstable.
             return np.full(self.nodes, np.inf)
         return np.asarray(np.linalg.solve(np.eye(self.nodes) - period, F @ offset + f))
 
@@ -150,7 +159,12 @@ class HeatModel:
         return self._course(h, self.gain, start)
 
     def adjoint(self, h: FloatArray, by_winding: FloatArray, rise: FloatArray | None = None) -> FloatArray:
-        """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,); `rise` of h if known."""
+        """(N,) gradient by h for a gradient `by_winding` (N,) by th_w,(k+1).
+
+        Parameters
+        ----------
+        rise : (N + 1, m) that of h, if it is known already.
+        """
         course = self.rise(h) if rise is None else rise
         P = np.repeat(self.M[None], h.size, axis=0)
         P[:, :, 0] += self.b * (self.copper * h)[:, None]
@@ -166,7 +180,7 @@ class HeatModel:
         end = np.zeros(m)
         if self.closure is not None:
             F, _ = self.closure
-            # What th_0 weighs comes back to th_N through the pause: nu_N = F' nu_0, a fixed point.
+            # The pause couples the adjoint at both ends of the tap, nu_N = F' nu_0: a linear fixed point.
             free = P[0].T @ by_rises(end, by_winding)[0]
             silent = np.zeros(h.size)
             transition = np.stack([P[0].T @ by_rises(unit, silent)[0] for unit in np.eye(m)], axis=1)
@@ -175,9 +189,9 @@ class HeatModel:
         return np.asarray((nu @ self.b) * (self.gain + self.copper * course[:-1, 0]))
 
     def prices(self, by_h: FloatArray) -> FloatArray:
-        """(N,) gradients by th_w,(k+1) whose `adjoint` is `by_h` (N,): its inverse, for copper 0 and one tap alone.
+        """(N,) gradient by th_w,(k+1) whose `adjoint` is `by_h` (N,): the inverse, for copper = 0 and a single tap.
 
-        by_h / gain is those gradients through the winding's answer to one heating, a filter against time.
+        by_h / gain is that gradient, filtered backwards in time by the winding's impulse response to one heating.
         """
         assert self.copper == 0
         assert self.closure is None
@@ -192,14 +206,14 @@ class HeatModel:
 
 @dataclass(frozen=True)
 class Budget:
-    """What the winding may do beside keeping below its limit over the horizon.
+    """Requirements on the winding's temperature beyond its limit over the horizon.
 
     Attributes
     ----------
-    headroom_K : rise above the start temperature allowed to one tap; None for no such budget.
-    tap_rate_Hz : taps per second for ever, each the same; None for a single tap.
-    idle_A : current in the pause between taps, without ripple; None: none, or with a wall what its feedback asks for
-        at the end of the window (`limits.temperature.leaning`).
+    headroom_K : largest rise of one tap above the start temperature; None for no such requirement.
+    tap_rate_Hz : rate at which the same tap repeats for ever; None for a single tap.
+    idle_A : current in the pause between taps, without ripple. None: zero or, with a wall, the wall's feedback at the
+        end of the window (`limits.temperature.with_pause_current`).
     """
 
     headroom_K: float | None = None
@@ -208,7 +222,7 @@ class Budget:
 
     @property
     def pause_A(self) -> float:
-        """Current in the pause, once it is known."""
+        """Current in the pause, zero where none is stated [A]."""
         return 0.0 if self.idle_A is None else self.idle_A
 
 
@@ -218,29 +232,33 @@ def winding_limit_C(coil: CoilModel, budget: Budget) -> float:
 
 
 def steady_margin_K(coil: CoilModel, budget: Budget) -> float:
-    """What is kept of the limit where taps repeat for ever."""
+    """Margin below the limit where taps repeat for ever [K]; see `STEADY_MARGIN`."""
     return STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
 
 
 def _under_power(coil: CoilModel, held: FloatArray, effective_A: float) -> FloatArray:
-    """(m + 1, m + 1) flow of the nodes above rest, and 1, while a constant effective current heats the copper."""
+    """(m + 1, m + 1) generator F of d(th, 1)/dt = F (th, 1) under a constant effective current.
+
+    th is the rise above rest; the constant 1 as a further state makes the affine equation linear.
+    """
     m = held.shape[0] - 1
     power, inflow = coil.R_ohm * effective_A**2, held[:m, m]
-    found = held.copy()
-    found[:m, 0] += inflow * power * COPPER_PER_K
-    found[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
-    return found
+    generator = held.copy()
+    generator[:m, 0] += inflow * power * COPPER_PER_K
+    generator[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
+    return generator
 
 
 @dataclass(frozen=True)
 class _Nodes:
-    """What a coil does whatever its start temperatures, on one grid.
+    """The part of a coil's `HeatModel` on one grid that does not depend on the start temperatures.
 
     Attributes
     ----------
-    M, b : of `HeatModel`. held : (m + 1, m + 1) rate of the rises above rest, and of 1, per watt in the winding.
-    winding : (N + 1, m) unpowered rise of the winding above rest at tau_0 to tau_N for each node's rise at tau_0.
-    waiting : (m + 1, m + 1) flow of the nodes above rest, and 1, from the first command to tau_0: the ripple heats.
+    M, b : as in `HeatModel`.
+    held : (m + 1, m + 1) generator of the rises above rest and of the constant 1, which stands for one watt.
+    winding : (N + 1, m) rise of the winding without current at tau_0 to tau_N, for a unit rise of each node at tau_0.
+    waiting : (m + 1, m + 1) transition from the first command to tau_0, while the ripple alone heats.
     """
 
     M: FloatArray
@@ -267,17 +285,22 @@ def _nodes(coil: CoilModel, grid: TimeGrid) -> _Nodes:
     return _Nodes(M, b, held, np.stack(courses, axis=1), waiting)
 
 
-@lru_cache(maxsize=64)  # all entries of a scene without a wall have the same
+@lru_cache(maxsize=64)  # the entries of a scene without a wall share one model
 def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> HeatModel:
-    """The winding over one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
-    # The start is no part of what `_nodes` knows, so that each start of a coil finds the same.
+    """The winding's model over one horizon: from the coil's start temperatures or, with a tap rate, periodic.
+
+    Raises
+    ------
+    InputError : a tap takes longer than the time between taps.
+    """
+    # `_nodes` does not read the start temperatures: with fixed ones its cache serves every start of the coil.
     nodes = _nodes(replace(coil, start_winding_C=coil.limit_C, start_housing_C=coil.rest_C), grid)
     m, dt, N = nodes.b.size, grid.dt_s, grid.stages
     unpowered = np.full(N + 1, coil.rest_C)
     closure, margin_K = None, 0.0
     if budget.tap_rate_Hz is None:
-        # The coil starts when the first command is issued, an amplifier's delay before the first is felt; the ripple
-        # heats in the meantime.
+        # The start temperatures hold when the first command is issued. The command acts at tau_0, an amplifier's
+        # delay later; until then the ripple alone heats.
         start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
         unpowered += nodes.winding @ (nodes.waiting[:m, :m] @ start + nodes.waiting[:m, m])
     else:
@@ -285,10 +308,10 @@ def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, bud
         pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s
         if not 1 / budget.tap_rate_Hz > takes_s:
             raise InputError(
-                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
-                "amplifier's delay: lower it"
+                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g} Hz: a tap takes {takes_s * 1e3:g} ms, the "
+                "amplifier's delay included: lower it"
             )
-        with np.errstate(over="ignore", invalid="ignore"):  # a current in the pause under which the coil runs away
+        with np.errstate(over="ignore", invalid="ignore"):  # thermal runaway under the pause's current
             paused = expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
         margin_K = steady_margin_K(coil, budget)

@@ -1,4 +1,4 @@
-"""What a problem does not need: limits that no admissible command can reach."""
+"""Removal of the limits of a problem that no admissible command can reach."""
 
 from dataclasses import dataclass, replace
 
@@ -8,14 +8,19 @@ from transopt.problem.problem import TransientProblem
 
 @dataclass(frozen=True)
 class Reduced:
-    """A smaller problem with the same answer, and part -> why it may be missing."""
+    """A smaller problem with the same optimum.
+
+    Attributes
+    ----------
+    left_out : removed part -> the bound that proves it redundant, in words.
+    """
 
     problem: TransientProblem
     left_out: dict[str, str]
 
 
 def leave_out(problem: TransientProblem) -> Reduced:
-    """The problem without the limits, and without the rows of limits, that cannot matter, each with its proof."""
+    """Remove every limit, and every row of a limit, that is proven redundant."""
     reasons = dict[str, str]()
     for limit in problem.limits:
         reason = limit.cannot_bind(problem)
@@ -34,6 +39,6 @@ def leave_out(problem: TransientProblem) -> Reduced:
 
 
 def without_position(stage: StageModel) -> StageModel:
-    """Leave out the encoder's position, and the states of the device that only it depends on."""
+    """The stage model without the encoder's position and without the states that only this output needs."""
     bare = discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=tuple(stage.outputs))
     return bare.within(stage.instants)

@@ -1,4 +1,4 @@
-"""The optimal-control problem of one entry on a nonlinear plant: the linear one's words, another device."""
+"""The optimal-control problem of one entry on a nonlinear plant: objective and limits as on a linear one."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,19 +16,19 @@ from transopt.problem.problem import TransientProblem
 
 @dataclass(frozen=True)
 class NonlinearProblem:
-    """Minimise J of `TransientProblem` within its limits, the motion being the nonlinear stage's.
+    """Minimise J of `TransientProblem` within its limits, with the motion of the nonlinear stage.
 
-    Every term of J and every limit is what the linear problem has: tracking, movement, what comes after the window,
-    the rows of the limits with what they keep back for the time between the switching instants.
+    Every term of J and every limit is that of the linear problem: tracking, movement, the tail after the window, and
+    the rows of the limits with their margins for the time between the switching instants.
 
     Attributes
     ----------
-    linear : the problem of the plant as it is at rest.
-    stage : the nonlinear device over a period, its outputs those of the linear stage.
+    linear : the problem for the plant linearised at rest.
+    stage : the nonlinear device over a servo period, with the outputs of the linear stage.
 
     Raises
     ------
-    InputError : a part of the linear problem that no nonlinear plant can have yet.
+    InputError : the linear problem has a part that is not implemented for nonlinear plants.
     """
 
     linear: TransientProblem
@@ -49,39 +49,39 @@ class NonlinearProblem:
                 raise InputError(f"{said}: not with model.nonlinear; leave one of the two out")
 
     def effect(self, command: FloatArray) -> "NonlinearEffect":
-        """What a command (N,) does."""
+        """The motion and objective under a command (N,)."""
         return NonlinearEffect(self, command)
 
     def figures(self, command: FloatArray) -> Figures:
-        """Figures of a command (N,) on the nonlinear plant, by its stage; NaN where its motion has no value."""
+        """Figures of a command (N,) on the nonlinear plant; NaN where its motion diverges."""
         with np.errstate(all="ignore"):
             return self.linear.figures(self.effect(command).lasting.acceleration_m_s2)
 
 
 class NonlinearEffect:
-    """What a command (N,) does in a problem, each part computed when it is first asked for and then kept."""
+    """Motion, derivatives and objective of a problem under a command (N,), each computed on first use."""
 
     def __init__(self, problem: NonlinearProblem, command: FloatArray) -> None:
         self.problem, self.command = problem, command
 
     @cached_property
     def continued(self) -> FloatArray:
-        """(N + M,) the command, and zero after it."""
+        """(N + M,) the command, zero after the window."""
         return self.problem.linear.continued(self.command)
 
     @cached_property
     def states(self) -> FloatArray:
-        """(N + M + 1, n)."""
+        """(N + M + 1, n) states at the switching instants."""
         return self.problem.stage.states(self.continued)
 
     @cached_property
     def lasting(self) -> Motion:
-        """(N + M,) through the window and after it."""
+        """(N + M,) motion through the window and after it."""
         return self.problem.stage.motion(self.continued, self.states)
 
     @cached_property
     def motion(self) -> Motion:
-        """(N,) within the window."""
+        """(N,) motion within the window."""
         return self.lasting.first(self.command.size)
 
     @cached_property
@@ -91,7 +91,7 @@ class NonlinearEffect:
 
     @property
     def finite(self) -> bool:
-        """Whether the motion has a value everywhere."""
+        """Whether no state is NaN or infinite."""
         return bool(np.isfinite(self.states).all())
 
     @property

@@ -1,4 +1,4 @@
-"""The optimal-control problem of a tap with the limits, weights and time axis of a scene or a library."""
+"""Poses the optimal-control problem of a tap from the limits, weights and time axis of a scene or a library."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -31,17 +31,17 @@ from transopt.problem.problem import TransientProblem
 
 @dataclass(frozen=True)
 class Wanted:
-    """What one incoming speed asks for.
+    """The tap, or named target, wanted at one incoming speed.
 
     Attributes
     ----------
-    speed_m_s : at contact.
-    target : r.
-    nominal_velocity_m_s, nominal_position_m : (N,) the hand's own motion z_nom and its derivative at the switching
+    speed_m_s : speed at contact.
+    target : target acceleration.
+    nominal_velocity_m_s, nominal_position_m : (N,) the hand's own motion, dz_nom/dt and z_nom, at the switching
         instants.
     nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks, where the encoder is read, for the wall.
-    ends_s : when it is over; infinite for a tap, which goes on as it was recorded.
-    slow_part_known : whether the recording can be trusted in its slow part, so that the plain term means something.
+    ends_s : end of a named target; infinite for a tap.
+    slow_part_known : whether the recording is reliable at low frequencies, which the plain term needs.
     """
 
     speed_m_s: float
@@ -57,22 +57,28 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Posing:
-    """What the problems of all taps of one scene or library share.
+    """The data that the problems of all taps of one scene or library share.
 
     Attributes
     ----------
-    asked : key of the scene's `limits` -> number, or None where it is not asked for.
-    circuit, coil, wall, rapid : None where the scene has none; `rapid` is the filter of the term of that name.
-    plain : weight of the error as it is over the intention.
-    heat_price : of the squared input [1/A^2 or 1/V^2].
-    intention_s : for so long after contact the hand means to move on as it came.
-    objective : "waveform", J is minimised, or "intensity", the tap has to have the energy asked for as well.
-    intensity_dB : that energy, over the recorded tap's [dB].
-    driven_by : what the input of the plants is.
-    calm : factor on the weights of the error behind the end of a named target, in window and tail, >= 1.
-    worst : of a spread of devices the worst counts and not the mean.
-    tangential : weight of the errors across the normal, of a plant with several directions.
-    law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
+    grid : time axis.
+    amplifier : None for an ideal one.
+    plain : weight of the unfiltered error during the intention.
+    rapid : filter of the rapid term; None without that term.
+    rho : weight of the command's movement.
+    asked : key of the scene's table `limits` -> number, or None where the scene states none.
+    hand_over_samples : number of last commands that equal the wall's feedback.
+    circuit, coil, wall : None where the scene has none.
+    budget : requirements on the winding's temperature beyond its limit.
+    objective : "waveform" minimises J; "intensity" also requires the energy `intensity_dB`.
+    intensity_dB : required energy over that of the recorded tap [dB].
+    law_of : makes the function of a user's own nonlinear limit from its text; None where none is needed.
+    driven_by : the plants' input, current or voltage.
+    calm : factor >= 1 on the weights of the error after the end of a named target, in window and tail.
+    worst : whether the worst device of a spread counts, not the mean.
+    heat_price : price of the squared input [1/A^2 or 1/V^2].
+    intention_s : duration after contact during which the hand moves on as it came.
+    tangential : weight of the error across the normal, for a plant with several directions.
     """
 
     grid: TimeGrid
@@ -99,7 +105,7 @@ class Posing:
     __repr__ = brief
 
     def stage(self, plant: StateSpace) -> StageModel:
-        """A device as the problems need it: with the encoder's position for a wall, and what the limits look at.
+        """The stage model of a plant with the outputs that wall and limits need.
 
         Raises
         ------
@@ -115,15 +121,15 @@ class Posing:
 
     @property
     def watched(self) -> tuple[str, ...]:
-        """Outputs that the limits look at."""
+        """Names of the outputs that the limits need."""
         return needed_outputs(self.asked, self.driven_by, self.circuit)
 
     def terms(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
-        """The terms of the error: of a tap the plain and the rapid one, of a named target the plain one alone.
+        """The error terms: plain and rapid for a tap, plain alone for a named target.
 
         Raises
         ------
-        InputError : neither of the two is left.
+        InputError : no term has a weight.
         """
         key = wanted.ends_s, wanted.slow_part_known
         if key not in self._terms:
@@ -132,7 +138,7 @@ class Posing:
 
     @cached_property
     def _terms(self) -> dict[tuple[float, bool], tuple[ErrorTerm, ...]]:
-        """Terms made so far; taps that share them are known to share what depends on them."""
+        """Cache of the terms; taps that share the same tuple share everything derived from it."""
         return {}
 
     def _terms_of(self, wanted: Wanted) -> tuple[ErrorTerm, ...]:
@@ -147,8 +153,8 @@ class Posing:
             found.append(rapid(self.rapid, self.grid))
         if not found:
             raise InputError(
-                "weights: no term of the error is left: give weights.plain above 0 and recordings whose slow part is "
-                'known, or weights.rapid = "highpass"'
+                "weights: no error term is left: give weights.plain above 0 and recordings whose slow part is known, "
+                'or weights.rapid = "highpass"'
             )
         return tuple(found)
 
@@ -159,16 +165,17 @@ class Posing:
         spread: tuple[StageModel, ...] = (),
         coil: CoilModel | None = None,
     ) -> TransientProblem:
-        """The problem of a tap; a wall pushes where the nominal motion is under the surface.
+        """The problem of a tap; at first the wall pushes where the nominal motion is below the surface.
 
         Parameters
         ----------
-        stage : device of the tap's grip. spread : further devices that the command shall serve.
-        coil : with other temperatures at the start than those that the library states.
+        stage : device under the tap's grip.
+        spread : further devices that the same command drives.
+        coil : replaces the scene's coil, to start from other temperatures.
 
         Raises
         ------
-        InputError : numbers that make no problem.
+        InputError : data of which no problem can be made.
         """
         hand_over = None
         if self.wall is not None:

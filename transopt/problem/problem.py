@@ -27,39 +27,42 @@ from transopt.problem.objective.tracking import Tracking
 
 @dataclass(frozen=True)
 class TransientProblem:
-    """Make the device accelerate like the target, within the limits, from rest.
+    """Track the target acceleration within the limits, starting from rest.
 
-    minimise  sum over terms sum_k weight_k (F e)_k^2 / E + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2
-              + heat_price sum_(k<N) i_k^2,  e = y'' - (r - a_free),
-    over the commands c_0..c_(N-1), dc_k = c_k - c_(k-1), c_(-1) = 0, I = `limits.current_A`, i what drives the plant,
-    subject to the stage model, the limits, and the hand-over: over the last `hand_over_samples` the command is
-    what the wall's feedback asks for, zero without a wall; so it stays after the window. Every part of the objective
-    is a room of `objective`: `error_term` with `plain` and `rapid`, `tracking`, `movement`, `heat_price`; so is each
-    limit, in `limits`.
+    minimise  J = sum over terms sum_k weight_k (F e)_k^2 / E + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2
+                  + heat_price sum_(k<N) i_k^2,    e = y'' - (r - a_free),
 
-    A plant with m motors has commands (m, N) and limits for each motor, all squares being summed over the motors.
-    Of a plant with p directions each has a target and a weight of its own (`shares`), the normal of the surface
-    first. Such a plant can have no wall, no spread, no price on intensity, and no limit that is not `of_each_motor`.
+    over the commands c_0..c_(N-1), with dc_k = c_k - c_(k-1), c_(-1) = 0, I = `limits.current_A` and i the plant's
+    input, subject to the stage model, the limits, and the hand-over: the last `hand_over_samples` commands equal the
+    wall's feedback command, zero without a wall, as do the commands after the window. Each part of the objective has
+    its own file in `objective` (`error_term` with `plain` and `rapid`, `tracking`, `movement`, `heat_price`), and
+    each limit one in `limits`.
+
+    A plant with m motors has commands (m, N) and limits for each motor; squares are summed over the motors. A plant
+    with p directions has a target and a weight (`shares`) for each, the normal of the surface first. Such a plant can
+    have no wall, no spread, no price on intensity, and only limits that are `of_each_motor`.
 
     Attributes
     ----------
     stage : exact stage model of this grip's device.
     grid : time axis; `grid.stages` = N, `grid.after_stages` = M.
-    target : r - a_free, with what is lost before tau_0 and what comes after tau_N.
-    terms : of the error e; the last one is that whose energy intensity is about.
+    target : r - a_free in the window, with the lost samples before tau_0 and the tail after tau_N.
+    terms : terms of the error e; the price on intensity refers to the energy of the last one.
     rho : weight of the command's movement, >= 0.
-    limits : what bounds the command and all that follows from it.
-    wall : the virtual wall over the hand-over; None without one.
-    spread : further devices that the one command shall serve; the error is then the mean over all.
-    shares : (S,) of all devices in that mean, of sum one; None for equal ones. Of a plant with several directions
-        their weights (p,), >= 0, the first above 0.
-    worst : the error is that of the worst device; `shares` are its multipliers then (`objective.tracking`).
-    heat_price : of the squared input, >= 0 [1/A^2 or 1/V^2].
-    intention_s : for so long after contact a played tap is told against the recorded one; all of a named target.
-    named : whether the target is named, and no tap.
-    intensity : lam, price of the energy that y'' lacks; what is minimised is then L = J - lam [sum (F y'')^2
-        - 10^(intensity_dB / 10) sum (F (r - a_free))^2] / E, both sums over the window. 0 minimises J.
-    intensity_dB : energy of the tap that is asked for, over the target's [dB].
+    limits : inequality constraints on the command and all that depends on it.
+    hand_over_samples : number of commands in the hand-over.
+    wall : the virtual wall; None without one.
+    spread : further devices that the same command drives; the error is then the mean over all.
+    shares : (S,) weights of all devices in that mean, of sum one; None for equal ones. For a plant with several
+        directions their weights (p,), >= 0, the first above 0.
+    worst : whether the error is that of the worst device; `shares` are then its multipliers (`objective.tracking`).
+    heat_price : price of the squared input, >= 0 [1/A^2 or 1/V^2].
+    intention_s : duration after contact over which a played tap is compared with the recorded one; for a named target
+        the whole window.
+    named : whether the target is a named one, such as a click, and not a tap.
+    intensity : lam, price of the energy that y'' lacks. The solver then minimises L = J - lam [sum (F y'')^2
+        - 10^(intensity_dB / 10) sum (F (r - a_free))^2] / E, both sums over the window; for lam = 0, J.
+    intensity_dB : required energy of the tap over the target's [dB].
     """
 
     stage: StageModel
@@ -95,7 +98,7 @@ class TransientProblem:
         if self.target.flaw:
             raise InputError(self.target.flaw)
         if not self.terms:
-            raise InputError("weights: no term of the error: give weights.plain or weights.rapid")
+            raise InputError("weights: no error term: give weights.plain or weights.rapid")
         for term in self.terms:
             if not term.is_sound:
                 raise InputError(f"weights of the {term.name} term: must be >= 0 and finite")
@@ -127,10 +130,11 @@ class TransientProblem:
             raise InputError("a wall needs the encoder position: discretise the device with its position")
 
     def _check_several(self) -> None:
-        """
+        """Check a plant with several motors or directions.
+
         Raises
         ------
-        InputError : what a plant with several motors or directions cannot have.
+        InputError : the problem has a part that such a plant cannot have.
         """
         if not self.directions and self.stage.motors == 1:
             return
@@ -155,17 +159,17 @@ class TransientProblem:
 
     @property
     def directions(self) -> tuple[int, ...]:
-        """(p,) of a plant with several directions; empty for one."""
+        """(p,) for a plant with p > 1 directions, the leading shape of its arrays; empty for one direction."""
         return () if self.stage.tracked == 1 else (self.stage.tracked,)
 
     @cached_property
     def rest(self) -> FloatArray:
-        """(N,) or (m, N) no command at all."""
+        """(N,) or (m, N) zero command."""
         motors = () if self.stage.motors == 1 else (self.stage.motors,)
         return np.zeros((*motors, self.grid.stages))
 
     def rows(self) -> tuple[tuple[Limit, Row], ...]:
-        """Every row of every limit."""
+        """All rows of all limits, each with its limit."""
         return self._rows
 
     @cached_property
@@ -173,21 +177,21 @@ class TransientProblem:
         return tuple((limit, row) for limit in self.limits for row in limit.rows(self))
 
     def without(self, *names: str) -> "TransientProblem":
-        """Leave out the limits of these names."""
+        """The problem without the limits of these names."""
         if not any(name in self.limits for name in names):
             return self
         return self._under(self.limits.without(*names))
 
     def alone(self) -> "TransientProblem":
-        """Pose the problem for its own device alone, with no price on intensity."""
+        """The problem for its own device alone, without the spread and without a price on intensity."""
         return replace(self.without_intensity(), spread=(), shares=None, worst=False)
 
     def replaced(self, limit: Limit) -> "TransientProblem":
-        """Put this limit in the place of the one of its name."""
+        """The problem with the limit of the same name replaced by this one."""
         return self._under(self.limits.replaced(limit))
 
     def _under(self, limits: Limits) -> "TransientProblem":
-        """Pose the problem under other limits; what they have no say in is not computed again."""
+        """The problem under other limits; cached properties that do not depend on limits are kept."""
         found = replace(self, limits=limits)
         for name in ("tracking", "shared", "feedback", "reference_is_zero"):
             if name in vars(self):
@@ -195,9 +199,11 @@ class TransientProblem:
         return found
 
     def within(self, parts: Mapping[str, int]) -> "TransientProblem":
-        """State limits on outputs at the ends of so many parts of every servo period, by their names.
+        """The problem with limits on outputs stated at the ends of parts of every servo period.
 
-        Those that are not named stay as they are.
+        Parameters
+        ----------
+        parts : name of a limit -> number of parts; limits that are not named stay unchanged.
         """
         limits, instants = self.limits, dict(self.stage.instants)
         for limit in limits:
@@ -209,33 +215,33 @@ class TransientProblem:
 
     @property
     def parts(self) -> dict[str, int]:
-        """Name of a limit on an output -> parts of a servo period at whose ends it is stated."""
+        """Name of a limit on an output -> number of parts of a servo period at whose ends it is stated."""
         return {limit.name: limit.parts for limit in self.limits if isinstance(limit, OutputLimit)}
 
     def without_intensity(self) -> "TransientProblem":
-        """Take the price on intensity away: J is minimised."""
+        """The problem without the price on intensity, which minimises J."""
         return self if self.intensity == 0 else replace(self, intensity=0.0)
 
     @property
     def nonlinear(self) -> tuple[str, ...]:
-        """Names of the limits that a quadratic program cannot have."""
+        """Names of the limits that are not linear, which a quadratic program cannot contain."""
         return tuple(limit.name for limit in self.limits if not limit.linear)
 
     @cached_property
     def thermal(self) -> TemperatureLimit | None:
-        """The limit that has states of its own; None in a quadratic problem."""
+        """The temperature limit, which has its own states; None if the problem has none."""
         found = self.limits.get(TemperatureLimit.name)
         assert found is None or isinstance(found, TemperatureLimit)
         return found
 
     @cached_property
     def command_bound(self) -> float:
-        """The bound on |c| that every admissible command obeys."""
+        """Bound on |c_k| of every admissible command."""
         return self.limits.command_bound(ideal=self.stage.amplifier is None)
 
     @cached_property
     def yardstick(self) -> Yardstick:
-        """Rule by which a movement is told beside the recorded tap."""
+        """Rule by which a movement is compared with the recorded tap."""
         return Yardstick(self.grid, self.intention_s, self.named)
 
     @property
@@ -244,12 +250,12 @@ class TransientProblem:
         return self.target.window_m_s2
 
     def towards(self, reference_m_s2: FloatArray) -> "TransientProblem":
-        """Pose the problem with another target (N,) within the window."""
+        """The problem with another target (N,) within the window."""
         return replace(self, target=replace(self.target, window_m_s2=reference_m_s2))
 
     @cached_property
     def reference_is_zero(self) -> bool:
-        """Whether the window asks for nothing, or no weight counts it: the answer is the zero waveform."""
+        """Whether the target is zero in the window or under all weights, so that the optimum is the zero waveform."""
         return self.target.asks_for_nothing or self.tracking.counts_nothing
 
     @property
@@ -259,12 +265,12 @@ class TransientProblem:
 
     @cached_property
     def input_scale(self) -> float:
-        """Largest current that the limits leave: the unit in which it is of order one."""
+        """Largest plant input that the limits permit: the unit in which commands are scaled to order one."""
         return min(self.command_bound, *(limit.reach(self.grid) for limit in self.limits))
 
     @cached_property
     def tracking(self) -> Tracking:
-        """What the error costs."""
+        """The tracking term of J."""
         level = float(10 ** (self.intensity_dB / 10))
         return Tracking(
             target=self.target,
@@ -277,61 +283,58 @@ class TransientProblem:
 
     @cached_property
     def movement(self) -> Movement:
-        """What the command's movement costs."""
+        """The movement term of J."""
         return Movement(self.rho, self.grid.stages, self.grid.dt_s, self.limits.input_limit)
 
     @property
     def heat(self) -> HeatPrice:
-        """What the input's heat costs."""
+        """The heat term of J."""
         return HeatPrice(self.heat_price)
 
     @property
     def driven_by(self) -> Input:
-        """What commands and the plant's input are."""
+        """The plant's input, a current or a voltage; commands have the same unit."""
         return self.stage.plant.driven_by
 
     @property
     def devices(self) -> tuple[StageModel, ...]:
-        """The device and those of the spread."""
+        """The entry's device, then those of the spread."""
         return (self.stage, *self.spread)
 
     @cached_property
     def shared(self) -> FloatArray:
-        """(S,) share of every device, or (p,) weight of every direction, in what the error costs."""
+        """(S,) share of every device, or (p,) weight of every direction, in the tracking term."""
         count = len(self.devices)
         return np.full(count, 1 / count) if self.shares is None else self.shares
 
     def accelerations(self, command: FloatArray) -> FloatArray:
-        """(S, N + M) y'' of every device, the entry's own first, through the window and after it.
-
-        Of a plant with several directions it is (p, N + M).
-        """
+        """(S, N + M) y'' of every device, the entry's own first, in window and tail; (p, N + M) of directions."""
         lasting = self.continued(command)
         if self.directions:
             return self.stage.rollout(lasting)[0]
         return np.stack([device.rollout(lasting)[0] for device in self.devices])
 
     def figures(self, accelerations_m_s2: FloatArray) -> Figures:
-        """Figures of y'' (N + M,), or of (p, N + M) in the first direction, beside the problem's target."""
+        """Figures of y'' (N + M,), or of the first direction of (p, N + M), relative to the problem's target."""
         if self.directions:
             accelerations_m_s2 = accelerations_m_s2[0]
-        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
             return self.yardstick.figures(self.target.normal, accelerations_m_s2)
 
     def tap_error(self, accelerations_m_s2: FloatArray) -> float:
-        """`Figures.tap_error` alone, of y'' (K,) or (p, K) from tau_0 on, K at least the samples of the window."""
+        """`Figures.tap_error` alone, for y'' (K,) or (p, K) from tau_0 on, K at least the samples of the window."""
         normal = accelerations_m_s2[0] if self.directions else accelerations_m_s2
         return self.yardstick.tap_error(self.target.normal, normal)
 
     def objective(
         self, command: FloatArray, accelerations_m_s2: FloatArray, plant_input: FloatArray | None = None
     ) -> float:
-        """J of a command (N,) and what it was rolled out to; dimensionless.
+        """J of a command (N,) and its rollout; dimensionless.
 
         Parameters
         ----------
-        accelerations_m_s2 : (S, N + M) of every device.
-        plant_input : (N,) what drives the plant; rolled out where it is not given and heat has a price.
+        accelerations_m_s2 : (S, N + M) y'' of every device.
+        plant_input : (N,) the plant's input; computed if it is not given and heat has a price.
         """
         found = self.tracking.value(accelerations_m_s2) + self.movement.value(command)
         if self.heat_price == 0:
@@ -340,24 +343,24 @@ class TransientProblem:
 
     @cached_property
     def feedback(self) -> Feedback:
-        """What the wall makes of a command; nothing without one."""
+        """The wall's feedback as a function of the command; zero without a wall."""
         return Feedback(self.stage, self.wall, self.grid)
 
     def continued(self, command: FloatArray) -> FloatArray:
-        """(N + M,) a command (N,) and what follows it after the window: zero, or the wall's feedback."""
+        """(N + M,) a command (N,) continued after the window: by zero, or by the wall's feedback."""
         return self.feedback.continued(command)
 
     def hand_over_command(self, motion: Motion) -> FloatArray:
-        """(N,) command that the predicted feedback asks for; zero without a wall."""
+        """(N,) command of the wall's predicted feedback; zero without a wall."""
         return self.feedback.command(motion)
 
     def transient_command(self, command: FloatArray) -> FloatArray:
-        """(N,) what remains of a total command when the wall's predicted feedback is taken off (seed Eq. 9)."""
+        """(N,) total command minus the wall's predicted feedback: the transient that is played (seed Eq. 9)."""
         if self.wall is None:
             return command.copy()
         dt = self.grid.dt_s
         course = self.feedback.course(self.stage.motion(command))
         transient = command - feedback_command(self.wall.feedback(course, dt), self.stage.amplifier, dt)
-        # Zero to rounding by the hand-over's constraint; what is handed over is nothing at all.
+        # The hand-over makes it zero up to rounding; it is set to exactly zero.
         transient[self.free_stages :] = 0.0
         return transient

@@ -1,9 +1,9 @@
-"""The linear part of the problem's stage: every device, the current, error filters, the wall's memory, the command.
+"""The linear stage of the optimal-control problem: devices, current, error filters, the wall's states, command.
 
-x = [plant of each device, current (unless ideal), error filters of each device, encoder position, its filtered
-velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k: the held command is a state, its movement dc
-the input. A plant with m motors has m currents and, at the end, m commands; one with p directions has error filters
-for each of them.
+x = [plant of each device, current (unless the amplifier is ideal), error filters of each device, encoder position,
+its filtered velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k. The held command is a state and
+its movement dc the input. A plant with m motors has m currents and, at the end, m commands; one with p directions has
+error filters for each of them.
 """
 
 import operator
@@ -21,20 +21,22 @@ from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Row
 from transopt.problem.objective.weighting import ErrorFilter
 from transopt.problem.problem import TransientProblem
 
-WALL_POSITION, WALL_VELOCITY = 0, 1  # among the wall's states
+WALL_POSITION, WALL_VELOCITY = 0, 1  # indices among the wall's states
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions of the states within x; this alone fixes the sparsity.
+    """Positions of the states within x; they determine the sparsity.
 
     Attributes
     ----------
-    plants : states of each device, without the currents. amplifier : False for an ideal one.
-    motors, directions : m and p; with several of either there is one device.
-    filters : whether each term of the error has a filter, of two states. priced : whether heat has a price, the input
-        then being an output that is led to zero. feedback_delay : stages from the state that holds an encoder reading
-        to the command that answers it; None without a wall.
+    plants : number of states of each device, without the currents.
+    amplifier : False for an ideal one.
+    filters : for each error term, whether it has a filter, of two states.
+    priced : whether heat has a price; the inputs are then outputs with reference zero.
+    feedback_delay : stages from the state that holds an encoder reading to the command that responds to it; None
+        without a wall.
+    motors, directions : m and p; if either is above 1 there is one device.
     """
 
     plants: tuple[int, ...]
@@ -60,7 +62,7 @@ class Layout:
 
     @cached_property
     def currents(self) -> list[int]:
-        """Indices of what drives the plant, motor by motor: with ideal amplifiers the commands."""
+        """Indices of the plant's inputs, one per motor: the currents, or the commands with ideal amplifiers."""
         first = self.current if self.amplifier else self.states - self.motors
         return [*range(first, first + self.motors)]
 
@@ -71,23 +73,23 @@ class Layout:
 
     @property
     def courses(self) -> int:
-        """Number of accelerations that are tracked: one a device, or one a direction."""
+        """Number of tracked accelerations: one per device, or one per direction."""
         return self.devices * self.directions
 
     def filter(self, course: int, term: int) -> slice:
-        """States of the filter of a term that has one, for a device or for a direction."""
+        """States of a term's filter for a device or direction; only for a term that has a filter."""
         before = course * sum(self.filters) + sum(self.filters[:term])
         start = self._filtered + 2 * before
         return slice(start, start + 2)
 
     @property
     def errors(self) -> int:
-        """Number of outputs that are tracked: one a course and term, the terms of one course side by side."""
+        """Number of tracked outputs: one per acceleration and term, the terms of one acceleration side by side."""
         return self.courses * len(self.filters)
 
     @property
     def outputs(self) -> int:
-        """Number of outputs that cost something: the tracked ones, then the inputs where heat has a price."""
+        """Number of outputs with a cost: the tracked ones, then the inputs if heat has a price."""
         return self.errors + self.motors * int(self.priced)
 
     @cached_property
@@ -131,7 +133,7 @@ class Layout:
         return mask
 
     def output_mask(self) -> NDArray[np.bool_]:
-        """(outputs, n) entries of the outputs that cost something."""
+        """(outputs, n) entries of the output matrix that can differ from zero."""
         mask = np.zeros((self.outputs, self.states), dtype=bool)
         # Without an amplifier the command issued now acts at once.
         mask[: self.errors, self.currents] = True
@@ -144,6 +146,7 @@ class Layout:
 
 
 def layout(problem: TransientProblem) -> Layout:
+    """The layout of a problem's states."""
     amplifier = problem.stage.amplifier is not None
     wall, motors = problem.wall, problem.stage.motors
     return Layout(
@@ -163,15 +166,17 @@ class LinearStage:
 
     Attributes
     ----------
-    A : (n, n). units : (n,) physical size of one scaled unit of each state. motors : m, its last states are commands.
-    input_scale : of the problem, the unit of the plant's input and of the command.
-    errors : number of outputs that are tracked.
-    C : (outputs, n), E : (outputs, m) what costs something, from x_k and dc_k: y'' through the filter of every term,
-        of every course, over sqrt(E), and the inputs in their own unit where heat has a price.
-    unit_m_s2 : sqrt(E), what outputs are in units of; 1 for a tap of zero.
-    feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
-    outputs : (S) of every device, or (m) of every motor: named output -> (n,), scalar: its value in SI by x_k and by
-        the movement of the command, of several motors that of its own, for an input scale of 1; all grow with it.
+    A : (n, n).
+    units : (n,) physical size of one scaled unit of each state.
+    motors : m; the last m states are the commands.
+    input_scale : unit of the plant's input and of the command.
+    errors : number of tracked outputs.
+    C, E : (outputs, n) and (outputs, m), outputs with a cost by x_k and by dc_k: every tracked acceleration through
+        the filter of every term, over sqrt(E), then the inputs in their own unit if heat has a price.
+    unit_m_s2 : sqrt(E), the unit of the tracked outputs; 1 for a tap of zero.
+    feedback : (2, n) deviation of the wall's feedback current at this tick and at the one before [A].
+    outputs : for each of S devices, or of m motors: named output -> (n,) and scalar, its value in SI by x_k and by
+        the movement of the command (with several motors its own), for an input scale of 1; both grow with the scale.
     """
 
     A: FloatArray
@@ -187,7 +192,7 @@ class LinearStage:
 
     @property
     def B(self) -> FloatArray:
-        """(n, m) of the movements dc_k."""
+        """(n, m) input matrix of the movements dc_k."""
         return self.A[:, -self.motors :]
 
     def row(self, row: Row) -> tuple[FloatArray, float]:
@@ -204,9 +209,9 @@ class LinearStage:
         return self.input_scale * by_state, self.input_scale * by_movement
 
     def scaled(self, input_scale: float, unit_m_s2: float) -> "LinearStage":
-        """Convert the stage whose scales are both 1 to an input scale and a unit of the tracked outputs.
+        """Convert a stage whose scales are both 1 to an input scale and a unit of the tracked outputs.
 
-        All states grow with the input, so their matrix A is the same in units of it.
+        All states scale with the input, so A does not change.
         """
         by = np.full(self.E.shape[0], input_scale / unit_m_s2)
         by[self.errors :] = 1.0
@@ -226,7 +231,7 @@ class LinearStage:
 
 @dataclass(frozen=True)
 class _Shared:
-    """The linear stage of all problems whose devices, filters, wall and horizon are the same ones, both scales 1."""
+    """A cached linear stage, both scales 1, and its cache key: devices, filters, wall and horizon."""
 
     devices: tuple[StageModel, ...]
     filters: tuple[ErrorFilter | None, ...]
@@ -236,6 +241,7 @@ class _Shared:
     linear: LinearStage
 
     def serves(self, problem: TransientProblem) -> bool:
+        """Whether the cached stage is that of this problem."""
         devices = problem.devices
         return (
             len(devices) == len(self.devices)
@@ -299,14 +305,14 @@ def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
 
 
 def _demand(problem: TransientProblem) -> FloatArray:
-    """(2,) feedback current per metre and per m/s of the encoder's deviation [A/...]."""
+    """(2,) feedback current per metre and per m/s of the encoder's deviation [A/m, A s/m]."""
     assert problem.wall is not None
     wall = problem.wall.wall
     return -np.array([wall.stiffness_N_m, wall.damping_N_s_m]) / wall.force_per_current_N_A
 
 
 def _accelerations(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
-    """(courses, n) accelerations in SI without filter; (courses, m) their direct dependence on the movements."""
+    """(courses, n) unfiltered accelerations by the state and (courses, m) by the movements, in SI."""
     C, m = np.zeros((where.courses, where.states)), where.motors
     for device, stage in enumerate(problem.devices):
         size, rows = where.plants[device], slice(device * where.directions, (device + 1) * where.directions)
@@ -318,7 +324,7 @@ def _accelerations(problem: TransientProblem, where: Layout) -> tuple[FloatArray
 
 
 def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
-    """(outputs, n) and (outputs, m) what costs something by the state and by the movements, in SI."""
+    """(outputs, n) and (outputs, m) outputs with a cost by the state and by the movements, in SI."""
     made, directly = _accelerations(problem, where)
     C, E = np.zeros((where.outputs, where.states)), np.zeros((where.outputs, where.motors))
     for row, (course, term) in enumerate(np.ndindex(where.courses, len(where.filters))):
@@ -335,9 +341,9 @@ def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, Floa
 
 
 def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> LinearStage:
-    """Stage matrices of a problem, with every state of order one or, without `physical_scale`, in SI.
+    """Stage matrices of a problem, with every state scaled to order one or, without `physical_scale`, in SI.
 
-    What depends on nothing but device, filter, wall and horizon is kept with the device for the next problem.
+    The part that depends only on devices, filters, wall and horizon is cached in the stage model.
     """
     if not physical_scale:
         return _linear(problem, problem.input_scale, physical_scale=False)
@@ -345,7 +351,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
     shared = derived.get(_Shared)
     if not (isinstance(shared, _Shared) and shared.serves(problem)):
         found = _linear(problem, 1.0, physical_scale=True)
-        found.A.flags.writeable = False  # it stands for all of them
+        found.A.flags.writeable = False  # all problems share this array
         priced = problem.heat_price > 0
         shared = _Shared(problem.devices, _filters(problem), priced, _law(problem), problem.grid.stages, found)
         derived[_Shared] = shared
@@ -353,7 +359,11 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
 
 
 def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) -> LinearStage:
-    """For an input scale, the tracked outputs in SI; or all states in SI, the tracked outputs in units of sqrt(E)."""
+    """Stage matrices for an input unit `current`.
+
+    With `physical_scale` the states are scaled and the tracked outputs in SI; without it the states are in SI and the
+    tracked outputs in units of sqrt(E).
+    """
     where = layout(problem)
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
@@ -361,7 +371,7 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
     if physical_scale:
         N, m, unit = problem.grid.stages, where.motors, 1.0
         if problem.stage.A.shape[0] == where.states - m:
-            # Without filter, wall and further devices the states are the device's.
+            # Without filters, wall and further devices the states are those of the device, whose scale is cached.
             units[:-m] = problem.stage.state_scale(current, N)
         else:
             units[:-m] = state_scale(A[:-m, :-m], A[:-m, -m:], current, N)
@@ -397,16 +407,16 @@ def _linear(problem: TransientProblem, current: float, *, physical_scale: bool) 
 
 
 def _unit_m_s2(problem: TransientProblem) -> float:
-    """sqrt(E), in which the tracked outputs are; 1 for a tap of zero."""
+    """sqrt(E), the unit of the tracked outputs; 1 for a tap of zero."""
     return float(np.sqrt(problem.tracking.energy_m2_s4)) or 1.0
 
 
 def _named(
     stage: StageModel, device: int, motor: int, where: Layout, units: FloatArray
 ) -> dict[str, tuple[FloatArray, float]]:
-    """The named outputs of a device and motor by the states in these units and by its movement.
+    """Named outputs of a device and motor, by the states in these units and by the command's movement.
 
-    The command's unit is 1. The further outputs are those of a plant with one motor.
+    The command's unit is 1. Only a plant with one motor has outputs beyond input, command and velocity.
     """
     size, own = where.plants[device], where.plant(device)
     command = np.zeros(where.states)

@@ -1,4 +1,4 @@
-"""Ticks at which the wall of a problem pushes, which depend on the command that plays."""
+"""The servo ticks at which a problem's virtual wall pushes; they depend on the command."""
 
 from dataclasses import replace
 
@@ -8,11 +8,11 @@ from transopt.base.signals import FloatArray
 from transopt.plant.wall import FeedbackLoop
 from transopt.problem.problem import TransientProblem
 
-MOST_TRIES = 12  # until the wall after the window pushes where it was assumed to
+MAX_ITERATIONS = 12  # of the fixed point of the ticks at which the wall pushes
 
 
 def silence(problem: TransientProblem) -> tuple[TransientProblem, FloatArray]:
-    """The problem with its wall pressing where it does without a transient, and the command (N,) of that."""
+    """The problem with the wall's ticks of a tap without transient, and the wall's command (N,) during that tap."""
     nothing = problem.rest
     if problem.wall is None:
         return problem, nothing
@@ -21,12 +21,12 @@ def silence(problem: TransientProblem) -> tuple[TransientProblem, FloatArray]:
 
 
 def rendered(problem: TransientProblem, transient: FloatArray) -> FloatArray:
-    """(N + M,) command of a device that plays a transient (N,) on top of its wall, and goes on after the window."""
+    """(N + M,) command of a device that renders its wall and adds a transient (N,), through and after the window."""
     return _rendered(problem, transient)[0]
 
 
 def _rendered(problem: TransientProblem, transient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The command and the encoder's course (N + M,): the wall's law closed over the stage model, tick by tick."""
+    """Command and encoder reading, (N + M,) each, of the wall's closed loop simulated tick by tick."""
     stage, wall, M = problem.stage, problem.wall, problem.grid.after_stages
     command = np.append(transient, np.zeros(M))
     course = np.zeros(command.size)
@@ -38,7 +38,7 @@ def _rendered(problem: TransientProblem, transient: FloatArray) -> tuple[FloatAr
         wall.wall, stage.amplifier, problem.grid.dt_s, wall.nominal_m[:1], np.array([wall.approach_m_s])
     )
     late, x = stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
         for k in range(command.size):
             command[k] += loop.step(wall.nominal_m[k : k + 1] + course[k])[0]
             if k + late < command.size:
@@ -48,12 +48,12 @@ def _rendered(problem: TransientProblem, transient: FloatArray) -> tuple[FloatAr
 
 
 def encoder_course(problem: TransientProblem, command: FloatArray) -> FloatArray:
-    """(N + M,) deviation of the encoder at the ticks under a command (N,) and what follows it."""
+    """(N + M,) deviation of the encoder's reading from the nominal motion at the ticks, under a command (N,)."""
     return problem.feedback.course(problem.stage.motion(problem.continued(command)))
 
 
 def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientProblem:
-    """Let the problem's wall push where an encoder course (N + M,) of deviations makes it push."""
+    """The problem with the wall's ticks that follow from the encoder's deviations (N + M,)."""
     wall = problem.wall
     assert wall is not None
     pushes = wall.feedback(deviation_m, problem.grid.dt_s) > 0
@@ -61,11 +61,11 @@ def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientPro
 
 
 def pressing_under(problem: TransientProblem, command: FloatArray) -> TransientProblem:
-    """Let the problem's wall push where a command (N,) and the wall after it make it push.
+    """The problem with the wall's ticks that follow from a command (N,) and its continuation after the window.
 
-    What the wall does after the window depends on where it pushes there, so the ticks are taken anew until they stay.
+    The continuation depends on the ticks itself, so they are iterated until they no longer change.
     """
-    for _ in range(MOST_TRIES):
+    for _ in range(MAX_ITERATIONS):
         again = pressing(problem, encoder_course(problem, command))
         assert again.wall is not None
         assert problem.wall is not None

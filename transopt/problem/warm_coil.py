@@ -1,7 +1,7 @@
-"""How much of a tap a warm coil allows: norms of currents, the rise that they bound, and the blend that is played.
+"""How much of a transient a warm coil allows: norms of currents, a bound on the rise, and the blend to play.
 
-The servo decides by this at every contact, and the page shows what it would decide. All is arithmetic in a stated
-order, so that firmware which does the same gets the same bits.
+The servo decides with it at every contact, and the page shows the decision. The order of all operations is fixed, so
+that the firmware, which repeats them, gets the same bits.
 """
 
 import math
@@ -15,14 +15,13 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.problem.heat import heating
 
-WITHHOLD_K = (
-    5.0  # below the coil's limit no transient starts: a tap heats by 0.2 K at most, a minute on a wall by more
-)
-LEAST_SCALE = 0.25  # less of a transient is withheld: a fourth of a tap is no longer the same material
+# Transients keep this far below the coil's limit. A tap heats by 0.2 K at most, but a minute against a wall by more.
+WITHHOLD_K = 5.0
+LEAST_SCALE = 0.25  # no transient plays at a smaller scale: a quarter of a tap feels like another material
 
 
 def currents(command_A: FloatArray, amplifier: Amplifier | None, dt_s: float) -> FloatArray:
-    """(..., N + 1) current at the switching instants from rest, and after the last servo period."""
+    """(..., N + 1) current from rest under commands (..., N), at tau_0 to tau_N."""
     if amplifier is None:
         return np.concatenate([command_A, np.zeros((*command_A.shape[:-1], 1))], axis=-1)
     decay = float(np.exp(-amplifier.rate_rad_s * dt_s))
@@ -41,14 +40,14 @@ def norms(current_A: FloatArray, amplifier: Amplifier | None, dt_s: float) -> Fl
 
 @dataclass(frozen=True)
 class WarmCoil:
-    """What a winding below its limit may take.
+    """The heat that a winding below its limit can still take.
 
     Attributes
     ----------
-    rise_K : what an A^2 tick can add to the winding: resistance at the limit, no heat leaves.
-    from_housing : part of its difference to a warmer housing that the winding rises by in a tick.
-    play_limit_C : what a transient may bring the winding to.
-    least_scale : a transient that the heat allows less of is withheld.
+    rise_K : bound on the winding's rise per A^2 and tick: resistance at the limit temperature, no heat leaves.
+    from_housing : rise per tick and per kelvin by which the housing is warmer than the winding.
+    play_limit_C : temperature that the winding may reach during a transient.
+    least_scale : a transient that would have to play at a smaller scale is withheld.
     """
 
     rise_K: float
@@ -76,9 +75,10 @@ class WarmCoil:
 
         Parameters
         ----------
-        winding_C, housing_C : temperatures when it begins.
-        transient_A, feedback_A : norms sqrt(sum i^2) over the servo periods of the transient's current and of the
-            feedback's beside it, or bounds on them [A]. ticks : servo periods it takes.
+        winding_C, housing_C : temperatures at the transient's first tick.
+        transient_A, feedback_A : norms sqrt(sum i^2) over the servo periods, or bounds on them, of the transient's
+            current and of the wall's feedback that is added to it [A].
+        ticks : servo periods of the transient.
         """
         norm = scale * transient_A + feedback_A + PWM_RIPPLE_A * math.sqrt(ticks)
         warmer = housing_C - winding_C
@@ -87,12 +87,13 @@ class WarmCoil:
     def allowed(
         self, winding_C: float, housing_C: float, transient_A: float, cool_A: float, feedback_A: float, ticks: int
     ) -> tuple[float, float]:
-        """Scale, and part of the cool command in what is scaled, that keep the winding within `play_limit_C`.
+        """Scale of the played command, and the share of the cool command in it, within `play_limit_C`.
 
-        A coil that cannot take the first transient gets a blend of both whose norms add up to what it can take: the
-        blend's own norm is no larger, and a convex combination of admissible commands is admissible. What cannot
-        take even the cool one gets it scaled; a scale below the least one is 0. Without a cool command of less
-        heat the first is scaled. This is the adaptive limit that the seed leaves as future work.
+        If the coil can take the transient, it plays as it is. Otherwise it is blended with the cool command, a second
+        optimum of less heat, such that the weighted sum of both norms is what the coil can take: the norm of the
+        blend is no larger, and a convex combination of admissible commands is admissible. If the coil cannot take
+        even the cool command, that is scaled down; without a cool command the transient itself is. A scale below
+        `least_scale` becomes 0. This is the adaptive limit that the seed leaves as future work.
 
         Parameters
         ----------

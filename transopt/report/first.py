@@ -21,7 +21,7 @@ from transopt.design.build import Build
 from transopt.design.price import Price, library_prices
 from transopt.library.columns import NAN, Row
 from transopt.library.library import Library
-from transopt.problem.answer import ENDS, NAMED, held_back
+from transopt.problem.answer import END_OF_LIMIT_NAME, MIN_FLOOR_OF_PUSHING_HAND, held_back
 from transopt.scene.scene import Scene
 
 POOR = 0.5  # tap error: half of the tap is missing
@@ -128,7 +128,7 @@ def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
 
 def stated_limit(binding: str) -> str:
     """A limit and its bound: "4 A current" of "current +4 A at 1.2 to 3.1 ms"."""
-    name, *rest = NAMED.split(binding, maxsplit=1)
+    name, *rest = END_OF_LIMIT_NAME.split(binding, maxsplit=1)
     bound = rest[0].split(" at ")[0].split(" with ")[0].lstrip("+-") if rest else ""
     return f"{bound} {name}".strip()
 
@@ -246,7 +246,7 @@ def worst_line(look: Look, prices: Sequence[Price]) -> str:
     if look.held(*worst) and (not prices or costliest != worst):
         said += f", held back by {named_limits(look.held(*worst))}"
     elif not look.held(*worst):
-        ends = look.floored and not look.axes.targets and row.value("floor") > ENDS
+        ends = look.floored and not look.axes.targets and row.value("floor") > MIN_FLOOR_OF_PUSHING_HAND
         said += ", held back by no limit" + (": the waveform ends while the hand still pushes" if ends else "")
     if not prices or costliest is None:
         return f"{said}."

@@ -1,7 +1,7 @@
-"""The limits of the optimal-control problem, one file each, all of the interface in `limit`.
+"""The limits of the optimal-control problem. Each has its own file and implements the interface in `limit`.
 
-`KINDS` is the one list of them: scene keys, multipliers, the arrays of a library, columns of reports and studies
-follow from it.
+`KINDS` is the only list of them: scene keys, multipliers, a library's arrays, and the columns of reports and studies
+are derived from it.
 """
 
 from collections.abc import Mapping
@@ -37,31 +37,33 @@ KINDS: tuple[type[Limit], ...] = (
     TemperatureLimit,
 )
 
-OF_OUTPUTS = tuple(kind for kind in KINDS if issubclass(kind, OutputLimit))  # which may be stated within a period
+OF_OUTPUTS = tuple(
+    kind for kind in KINDS if issubclass(kind, OutputLimit)
+)  # limits that can be stated within a period
 
 
 def kinds_of(driven_by: Input) -> list[type[Limit]]:
-    """The kinds that a plant with this input may have."""
+    """The kinds of limit that apply to plants with this input."""
     return [kind for kind in KINDS if kind.concerns(driven_by)]
 
 
 def kinds_for(driven_by: Input, circuit: Circuit | None) -> list[type[Limit]]:
-    """The kinds that a plant with this input and these terminals may have."""
+    """The kinds of limit that apply to a plant with this input and this circuit at its terminals."""
     return [kind for kind in kinds_of(driven_by) if kind.suits(circuit)]
 
 
 def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = None) -> Limits:
-    """The limits of one tap: what a scene asks for, each made by its own kind.
+    """The limits of one tap's problem that a scene states.
 
     Parameters
     ----------
-    asked : key below the scene's `limits` -> number, or None where it is not asked for; below `own` the tables of the
-        user's own limits.
-    law_of : what makes a law of the text of an expression that is not linear.
+    asked : key in the scene's table `limits` -> number, or None where the scene states none; key `own` -> the tables
+        of the user's own limits.
+    law_of : makes a `Law` of the text of a nonlinear expression.
 
     Raises
     ------
-    InputError : a number that is no limit.
+    InputError : a number that is not a valid limit.
     """
     kinds = kinds_for(setting.stage.plant.driven_by, setting.circuit)
     made = (kind.posed(asked, setting) for kind in kinds if kind.implied or asked.get(kind.key) is not None)
@@ -71,7 +73,7 @@ def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = Non
 
 
 def limits_of(*limits: Limit | None) -> Limits:
-    """These limits, in the order of `KINDS`; None stands for none."""
+    """These limits in the order of `KINDS`, None skipped."""
     order: dict[str, int] = {}
     for j, kind in enumerate(KINDS):
         order.setdefault(kind.name, j)
@@ -82,7 +84,7 @@ def limits_of(*limits: Limit | None) -> Limits:
 def needed_outputs(
     asked: Mapping[str, Any], driven_by: Input = CURRENT_INPUT, circuit: Circuit | None = None
 ) -> tuple[str, ...]:
-    """Outputs that a stage has to name for the limits that a scene asks for."""
+    """Names of the outputs that a stage model must provide for the limits that a scene states."""
     kinds = kinds_for(driven_by, circuit)
     needed = [name for kind in kinds if asked.get(kind.key) is not None for name in kind.needs]
     tables = asked.get(OwnLimit.key)

@@ -1,4 +1,4 @@
-"""|c_k| <= range of the amplifier's command, a current or a voltage."""
+"""|c_k| <= C: the command stays within the amplifier's range, a current or a voltage."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from transopt.problem.limits.limit import COMMAND, Limit, Posed, Row, Setting, o
 
 @dataclass(frozen=True, repr=False)
 class CommandLimit(Limit):
-    """The amplifier's range [A], > 0; an ideal amplifier, which follows at once, has none."""
+    """The range of a current amplifier's command [A], > 0; an ideal amplifier has no such limit."""
 
     name: ClassVar[str] = "command"
     label: ClassVar[str] = "command"
@@ -62,7 +62,7 @@ class CommandLimit(Limit):
 
 @dataclass(frozen=True, repr=False)
 class VoltageCommandLimit(CommandLimit):
-    """Limit on the command of a voltage amplifier [V], a class-D stage's rail."""
+    """The range of a voltage amplifier's command [V], such as the rail of a class-D stage."""
 
     unit: ClassVar[str] = "V"
     step_unit: ClassVar[str] = "V"

@@ -1,7 +1,7 @@
-"""|i(t)| <= I for all t: of a motor that a current drives its transient limit (seed Eq. 8), else that of a coil.
+"""|i(t)| <= I for all t: the current of a current-driven motor (seed Eq. 8) or of a voltage-driven coil.
 
-The current of a coil with an inductance is a state of the plant. Without one it is no state but follows the voltage u
-at once, i = (u - BL v) / R, with v the velocity of the moving part: a sum of command and motion like any other.
+The current of a coil with an inductance is a state of the plant. Without an inductance it follows the voltage u
+algebraically, i = (u - BL v) / R, with v the velocity of the moving part: a linear combination of outputs.
 """
 
 from collections.abc import Mapping
@@ -17,12 +17,12 @@ from transopt.problem.limits.input import InputLimit
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Limit, Posed, Row, Setting, positive
 from transopt.problem.limits.output import MOST_KEPT, OutputLimit, largest_of
 
-BEFORE = "current_before"  # row of a current that jumps with the voltage, and what a library states that has it
+BEFORE = "current_before"  # row of the current just before a switching instant; a library lists it among its limits
 
 
 @dataclass(frozen=True, repr=False)
 class CurrentLimit(InputLimit):
-    """The limit on the total current [A], > 0, where a current is the input."""
+    """The limit on the total current [A], > 0, of a current-driven plant."""
 
     name: ClassVar[str] = "current"
     label: ClassVar[str] = "current"
@@ -35,7 +35,7 @@ class CurrentLimit(InputLimit):
 
 @dataclass(frozen=True, repr=False)
 class CoilCurrentLimit(OutputLimit):
-    """The limit on the current of a coil that a voltage drives [A], > 0: an output of the plant like any other."""
+    """The limit on the current of a voltage-driven coil with an inductance [A], > 0, a plant output."""
 
     name: ClassVar[str] = "current"
     label: ClassVar[str] = "coil current"
@@ -60,19 +60,21 @@ class CoilCurrentLimit(OutputLimit):
 
 @dataclass(frozen=True, repr=False)
 class FollowingCurrentLimit(Limit):
-    """The limit on the current of a coil without inductance that a voltage drives [A], > 0.
+    """The limit on the current of a voltage-driven coil without inductance [A], > 0.
 
-    An ideal amplifier's voltage jumps at a switching instant: it is stated just before and just after each. With a
-    share s of a period gone, and a share p of the way from one voltage to the next, the current is
+    The voltage of an ideal amplifier jumps at the switching instants, so the limit is stated just before and just
+    after each. After a share s of a period, when the voltage has gone a share p of the way to its next value, the
+    current is
 
-        (1 - p) i_k + p i_(k+1) + BL / R [(p - s) (v_(k+1) - v_k) + chord of v at s - v],
+        (1 - p) i_k + p i_(k+1) + BL / R [(p - s) (v_(k+1) - v_k) + chord of v at s - v].
 
-    so that the last part is kept back, as far as it is not more than a twentieth of the limit.
+    The bracket is bounded and taken off the limit as a margin, at most a twentieth of the limit.
 
     Attributes
     ----------
-    circuit : of the coil. nominal_m_s : (N,) velocity of the nominal motion at tau_k.
-    bends : of every device, the size of that part for any command within its limits, by the first and second
+    circuit : resistance and back-EMF constant of the coil.
+    nominal_m_s : (N,) velocity of the nominal motion at tau_k.
+    bends : for every device, the bound on the bracket's term under any admissible command, from the first and second
         differences of the velocity's response [A].
     """
 
@@ -149,6 +151,6 @@ class FollowingCurrentLimit(Limit):
         if max(self.bends) <= self.kept_back:
             return ""
         return (
-            f"{self.label} {peak - self.limit:.3g} A over its {self.limit:g} A between the instants at which it is "
-            f"kept: time.dt_s = {problem.grid.dt_s:g} s"
+            f"{self.label} {peak - self.limit:.3g} A over its limit {self.limit:g} A between two switching instants: "
+            f"lower time.dt_s = {problem.grid.dt_s:g} s"
         )

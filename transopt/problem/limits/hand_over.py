@@ -1,8 +1,8 @@
-"""Hand-over: over the last `hand_over_samples` the command is what the wall's feedback asks for, zero without a wall.
+"""Hand-over: the last `hand_over_samples` commands equal the wall's feedback command, zero without a wall.
 
-It is the one constraint that is no box: an equation for each of the last commands, c_k = feedback of the encoder's
-course. So it is no `Limit`; its multipliers, of either sign, stand beside those of the limits. The wall's end follows
-from it: nothing is left of the transient when the waveform is over, and the loop of the wall alone has to be calm.
+It is the problem's only equality constraint, c_k = feedback of the encoder's reading, and therefore not a `Limit`.
+Its multipliers have either sign and are stored beside those of the limits. It ends the transient within the waveform,
+so that the wall's loop alone acts afterwards; that loop has to be stable.
 """
 
 from dataclasses import replace
@@ -18,12 +18,12 @@ from transopt.problem.stage import LinearStage, linear_stage
 
 
 def residual(problem: TransientProblem, command: FloatArray, motion: Motion) -> FloatArray:
-    """(h,) by how much a command (N,) with this motion differs from what is asked for over the hand-over [A]."""
+    """(h,) residual of the hand-over, command (N,) minus feedback command under this motion [A]."""
     return np.asarray((command - problem.hand_over_command(motion))[..., problem.free_stages :])
 
 
 def transposed(problem: TransientProblem, by_residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gradients by the commands (N,) and by the encoder's course (N,) for a gradient (h,) by the residual."""
+    """Gradients by the commands (N,) and by the encoder's readings (N,) for a gradient (h,) by the residual."""
     before = np.zeros((*by_residual.shape[:-1], problem.free_stages))
     tail = np.concatenate([before, by_residual], axis=-1)
     return tail, problem.feedback.transposed(-tail)
@@ -35,7 +35,7 @@ def rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, Flo
 
 
 def rows_after(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """State the hand-over of the commands after the window, where it goes on, as `rows` does: (M, n) and (M,)."""
+    """Equations of the hand-over for the M commands after the window, as in `rows`: (M, n) and (M,)."""
     N, M = problem.grid.stages, problem.grid.after_stages
     return _rows(problem, stage, np.arange(N, N + M))
 
@@ -53,12 +53,12 @@ def _rows(problem: TransientProblem, stage: LinearStage, at: NDArray[np.intp]) -
 
 
 def growth(problem: TransientProblem) -> float:
-    """Largest factor per tick by which a motion under the pressing wall alone grows; below 1 it dies out."""
+    """Spectral radius per tick of the loop closed by the pressing wall alone; the loop is stable below 1."""
     assert problem.wall is not None
     stage = linear_stage(problem, physical_scale=True)
     everywhere = replace(problem, wall=replace(problem.wall, pressing=np.ones_like(problem.wall.pressing)))
     by_state, _ = rows(everywhere, stage)
-    # c_k = rows x_k, so the movement is that less the command held before.
+    # c_k = rows x_k, and the input of the stage is the movement c_k - c_(k-1).
     held = by_state[-1].copy()
     held[-1] -= 1.0
     loop = stage.A + np.outer(stage.B[:, 0], held)

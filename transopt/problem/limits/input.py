@@ -1,6 +1,6 @@
-"""|u(t)| <= U for all t: the transient limit on what drives the plant, a current or a voltage.
+"""|u(t)| <= U for all t: the transient limit on the plant's input, a current or a voltage.
 
-The input goes monotonically from one switching instant to the next, so a box on u(tau_k) bounds it for all t.
+Between two switching instants the input is monotonic, so a box on u(tau_k) bounds it for all t.
 """
 
 from collections.abc import Mapping
@@ -11,17 +11,17 @@ from transopt.base.errors import InputError
 from transopt.plant.discretise import TimeGrid
 from transopt.problem.limits.limit import COMMAND, INPUT, Limit, Posed, Row, Setting, of_motors, positive
 
-SHARES: Final = "motor_shares"  # what each of several motors has of the limit, beside its key
+SHARES: Final = "motor_shares"  # scene key of each motor's share of the limit
 
 
 @dataclass(frozen=True, repr=False)
 class InputLimit(Limit):
-    """The limit on the input of the plant, > 0; which of the two inputs it is on, its kind says.
+    """The limit on the plant's input, > 0; the subclass says whether that is a current or a voltage.
 
     Attributes
     ----------
-    limit : of the strongest motor.
-    shares : (m,) what part of it each of several motors has, in (0, 1]; empty for all of it.
+    limit : that of the strongest motor.
+    shares : (m,) limit of each motor over `limit`, in (0, 1]; empty if all motors have the same.
     """
 
     scales_movement: ClassVar[bool] = True
@@ -54,7 +54,7 @@ class InputLimit(Limit):
         return replace(self, limit=factor * self.limit)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        # An ideal amplifier has no state of its own: the plant's input is the command.
+        # An ideal amplifier has no state: the plant's input is the command.
         felt = COMMAND if problem.stage.amplifier is None else INPUT
         return of_motors(Row(self.row_names[0], {felt: 1.0}, -self.limit, self.limit), problem, self.shares)
 

@@ -1,9 +1,8 @@
-"""What a limit is: one interface, behind which each limit stands in a file of its own.
+"""The interface of a limit, and the rows by which it is stated.
 
-A limit says what it bounds as rows, `lower_k <= sum of outputs + offset <= upper_k` at the switching instants tau_k.
-The outputs are named outputs of the stage, so that a row knows nothing of states, scaling or solvers. The solvers'
-stage data, the CasADi program, the program that asks for feasibility, the certificate and the replay all read the
-same rows.
+A limit states rows `lower_k <= sum of coefficient * output + offset <= upper_k` at the switching instants tau_k. The
+outputs are named outputs of the stage model, so a row does not depend on states, scaling or solver. The solvers'
+stage data, the CasADi program, the feasibility program, the certificate and the replay all read the same rows.
 """
 
 from abc import ABC, abstractmethod
@@ -25,35 +24,35 @@ from transopt.plant.state_space import Input
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
 
-# Outputs that every stage has, all at the switching instant tau_k; a stage may name more (`StageModel.outputs`).
+# Outputs that every stage model has, all at the switching instant tau_k; it may name more (`StageModel.outputs`).
 INPUT = "plant input"  # u(tau_k), a current [A] or a voltage [V]
-COMMAND = "command"  # c_k, felt from tau_k on, in the unit of the input
-HELD = "held command"  # c_(k-1), felt until tau_k
+COMMAND = "command"  # c_k, which acts from tau_k on, in the unit of the input
+HELD = "held command"  # c_(k-1), which acts until tau_k
 VELOCITY = "velocity"  # dy/dt of the motor mass [m/s]
 
-SIDES = ("lower", "upper")  # of a row
-VIOLATION_TOLERANCE = 1e-6  # of a limit where that is below one of its units, and of one unit above
+SIDES = ("lower", "upper")  # the two bounds of a row
+VIOLATION_TOLERANCE = 1e-6  # in the limit's unit; relative to a limit below one unit
 
 
 def tolerated(limit: float) -> float:
-    """Violation that a limit tolerates: a microampere is nothing at 1 A and everything at 1e-6 A."""
+    """Largest accepted violation of a limit, in its unit: absolute, but relative to a limit below one unit."""
     return VIOLATION_TOLERANCE * min(limit, 1.0)
 
 
 @dataclass(frozen=True)
 class Row:
-    """One value along the horizon with a bound on either side.
+    """One value along the horizon with a lower and an upper bound.
 
     Attributes
     ----------
-    name : of its multipliers, which a library stores as mu_<name>_lower and mu_<name>_upper.
+    name : names its multipliers too, which a library stores as mu_<name>_lower and mu_<name>_upper.
     outputs : output -> its coefficient in the value.
-    lower, upper : (N,) or one number for all instants; infinite where nothing is asked.
-    offset : (N,) or one number: the part of the value that no command changes.
-    condition : under which the value is this one, as it is said where the row binds; empty for none.
-    device : which of the problem's devices has the value; 0 is the entry's own.
-    motor : whose input, command and velocity are meant, from 0; None for a plant with one motor.
-    share : what part of the limit this motor has; the bounds are that much of what the limit states.
+    lower, upper : (N,) or one number for all instants; infinite where there is no bound.
+    offset : (N,) or one number: the part of the value that does not depend on the command.
+    condition : the case that the row covers, in words for reports, such as the copper's temperature; empty for none.
+    device : index of the device, 0 for the entry's own.
+    motor : index of the motor whose input, command and velocity are bounded; None for a plant with one motor.
+    share : this motor's share of the limit; lower and upper include it.
     """
 
     name: str
@@ -67,21 +66,21 @@ class Row:
     share: float = 1.0
 
     def of_motor(self, motor: int, share: float = 1.0) -> "Row":
-        """Return the row of one of several motors, with its own multipliers and its share of the bounds."""
+        """The row for one of several motors, with its own multipliers and its share of the bounds."""
         of_it = "" if share == 1 else f", which has {share:g} of it"
         said = f"{self.condition} of motor {motor + 1}{of_it}".lstrip()
         name, lower, upper = motor_row(self.name, motor), share * self.lower, share * self.upper
         return replace(self, name=name, lower=lower, upper=upper, condition=said, motor=motor, share=share)
 
     def of_device(self, device: int) -> "Row":
-        """Return the row for a device of the spread, with its own multipliers; device 0 is the entry's, unchanged."""
+        """The row for a device of the spread, with its own multipliers; for device 0, the entry's, the row itself."""
         if device == 0:
             return self
         said = f"{self.condition} of device {device} of the spread".lstrip()
         return replace(self, name=device_row(self.name, device), condition=said, device=device)
 
     def value(self, motion: Motion, command: FloatArray) -> FloatArray:
-        """(..., N) what a command (..., N), or (..., m, N) of m motors, with this motion makes of it."""
+        """(..., N) value under a command (..., N), or (..., m, N) with m motors, and its motion."""
         if self.motor is not None:
             motion, command = motion.of_motor(self.motor), command[..., self.motor, :]
         parts: list[Any] = [by * output_values(output, motion, command) for output, by in self.outputs.items()]
@@ -90,48 +89,48 @@ class Row:
         return np.asarray(reduce(add, parts))
 
     def bounds(self, stages: int) -> tuple[FloatArray, FloatArray]:
-        """(stages,) lower and upper."""
+        """(stages,) lower and (stages,) upper bound."""
         return _along(self.lower, stages), _along(self.upper, stages)
 
     def by_outputs(self, motion: Motion, command: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
-        """Output -> gradient (N,) by it, for a gradient (N,) by the value."""
+        """Output -> gradient (N,) by that output, for a gradient (N,) by the value."""
         return {output: coefficient * gradient for output, coefficient in self.outputs.items()}
 
     @property
     def linear(self) -> bool:
-        """Whether the value is a sum of outputs."""
+        """Whether the value is a linear combination of outputs."""
         return True
 
     @property
     def waits(self) -> bool:
-        """Whether the command c_k has no say in the value of stage k: in that of the first nobody has."""
+        """Whether the value of stage k does not depend on c_k; that of stage 0 then depends on no command."""
         return not any(name == COMMAND or name.endswith(PERIOD) for name in self.outputs)
 
 
 def device_row(name: str, device: int) -> str:
-    """What the row of a further device of a spread is called, beside the row of the entry's own device."""
+    """Name of a row for a device of the spread; that of device 0 stays as it is."""
     return f"{name}_device_{device}" if device else name
 
 
 def motor_row(name: str, motor: int) -> str:
-    """What the row of one of several motors is called."""
+    """Name of a row for one of several motors, counted from 1 in the name."""
     return f"{name}_motor_{motor + 1}"
 
 
 def _along(value: FloatArray | float, stages: int) -> FloatArray:
-    """(stages,) of a number or of as many."""
-    return value if isinstance(value, np.ndarray) else _everywhere(value, stages)
+    """(stages,) array of a number, or the array itself."""
+    return value if isinstance(value, np.ndarray) else _constant(value, stages)
 
 
 @lru_cache(maxsize=16)
-def _everywhere(value: float, stages: int) -> FloatArray:
-    found = np.full(stages, value)
-    found.flags.writeable = False  # it stands for all of them
-    return found
+def _constant(value: float, stages: int) -> FloatArray:
+    constant = np.full(stages, value)
+    constant.flags.writeable = False  # all callers share this array
+    return constant
 
 
 def output_values(name: str, motion: Motion, command: FloatArray) -> FloatArray:
-    """(..., N) one output along a command (..., N)."""
+    """(..., N) values of a named output under a command (..., N) and its motion."""
     if name == INPUT:
         return motion.plant_input
     if name == COMMAND:
@@ -150,8 +149,8 @@ def transposed(
 
     Parameters
     ----------
-    motion, command : where the gradients are taken; only a row that is not linear looks at them. Of several motors
-        the commands are (m, N), and so is what is returned.
+    motion, command : point at which the gradients are taken; only nonlinear rows depend on it. With m motors the
+        commands, and the gradient by them, are (m, N).
     """
     if command.ndim > 1:
         return _transposed_by_motor(list(by_value), motion, command)
@@ -181,7 +180,7 @@ def _transposed_by_motor(
 
 
 class Posed(Protocol):
-    """What of a problem its limits may look at."""
+    """The part of a problem that its limits may read."""
 
     @property
     def stage(self) -> StageModel: ...
@@ -198,20 +197,20 @@ class Posed(Protocol):
 
 @dataclass(frozen=True)
 class Setting:
-    """What beside its own number a limit may be made of: the device, and the nominal motion of the tap.
+    """The data of a tap from which limits are built, besides the numbers that the scene states.
 
     Attributes
     ----------
-    stage : device of the entry's grip.
+    stage : device under the entry's grip.
     grid : time axis.
-    circuit : terminals of the motor or of the coil; None where the drive is stated at the tip.
-    coil : with its temperatures at the start; None without motor data.
-    budget : what the winding may do beside keeping below its limit.
-    wall : the virtual wall over this tap; None without one.
+    circuit : terminals of the motor or coil; None where the scene states the drive at the tip.
+    coil : thermal model with the temperatures at the start; None without motor data.
+    budget : further requirements on the winding's temperature.
+    wall : the virtual wall during this tap; None without one.
     reference_m_s2 : (N,) r at the switching instants.
-    nominal_m, nominal_m_s : (N,) z_nom and its derivative at the switching instants, as far as they are part of the
-        device's position: zero where that is of a mass in a case.
-    spread : further devices that the one command shall serve.
+    nominal_m, nominal_m_s : (N,) nominal motion z_nom and its derivative at the switching instants; zero for a mass
+        that moves in a case, whose position does not include the hand's motion.
+    spread : further devices that the same command drives.
     """
 
     stage: StageModel
@@ -227,11 +226,11 @@ class Setting:
 
     @property
     def devices(self) -> tuple[StageModel, ...]:
-        """The device and those of the spread."""
+        """The entry's device, then those of the spread."""
         return (self.stage, *self.spread)
 
     def input_limit(self, asked: Mapping[str, Any]) -> float:
-        """The number among those asked for that bounds the plant's input."""
+        """The limit on the plant's input among the numbers of the scene's table `limits`."""
         driven_by = self.stage.plant.driven_by
         return float(asked[f"{driven_by.name}_{driven_by.unit}"])
 
@@ -242,24 +241,23 @@ class Limit(ABC):
 
     Attributes
     ----------
-    name : of the limit in code and in `left_out` of a library.
-    label : how it is called where it binds.
-    unit : of what it bounds. step_unit : of differences.
-    key : its number in a scene, below `limits`; empty where the number stands elsewhere.
-    driven_by : the input of the plants that may have it; None for any.
-    implied : whether a problem may have it although the scene states no number for it below `limits`.
-    row_names : of all rows that it can have of one device. sides : on which they are bounded.
-    needs : outputs of the stage that its rows use beyond those that every stage has.
-    in_every_file : whether a library has its multipliers even where the limit is not in force.
-    after_the_waveform : whether it is watched in the replay after the waveform too, where a wall goes on pushing.
+    name : identifies the limit in code and in `left_out` of a library.
+    label : its name in reports of what binds.
+    unit : unit of the bounded quantity. step_unit : unit of differences of it.
+    key : scene key below `limits` that states its number; empty where the number is stated elsewhere.
+    driven_by : input of the plants it applies to; None for any.
+    implied : whether a problem may have it without a number below `limits`.
+    row_names : names of all rows that it can have for one device. sides : the bounds that its rows have.
+    needs : outputs that its rows use beyond those of every stage model.
+    in_every_file : whether a library stores its multipliers even if the problem does not have the limit.
+    after_the_waveform : whether the replay checks it after the waveform too, where a wall may still push.
     scales_movement : whether it is the unit I of the movement's weight in J.
-    indispensable : whether it bounds the command of every problem that has it, so that none can be without it.
-    price_step : by how much it is raised where its price is asked for; infinite for a share of it.
-    of_each_device : whether it depends on the motion, which each device of a spread has for itself: it then holds for
-        all of them, with rows for each (`device_row`).
-    of_each_motor : whether a plant with several motors can have it, with rows for each (`motor_row`).
-    asks_for : what a scene has to state beside its number; empty for nothing.
-    said_without : why a problem does not have it.
+    indispensable : whether the problem needs it to bound the command, so that it can never be left out.
+    price_step : step by which its price is computed, in `unit`; infinite for a share of the limit.
+    of_each_device : whether it depends on the motion, so that a spread has rows for each device (`device_row`).
+    of_each_motor : whether plants with several motors can have it, with rows for each motor (`motor_row`).
+    asks_for : what a scene has to state besides its number, in words; empty for nothing.
+    said_without : why a problem does not have it, in words.
     """
 
     name: ClassVar[str]
@@ -287,93 +285,97 @@ class Limit(ABC):
     @property
     @abstractmethod
     def stated(self) -> float:
-        """The limit in the user's words."""
+        """The limit's number in the unit that the user states it in."""
 
     @classmethod
     @abstractmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        """The limit that a scene's numbers `asked` (key of `limits` -> number or None) put on a tap, if any.
+        """Build the limit for a tap from the scene's numbers; None if it does not apply.
 
-        Asked only where the scene states its number, or where it is `implied`.
+        Called only where the scene states its number, or where it is `implied`.
+
+        Parameters
+        ----------
+        asked : key of the scene's table `limits` -> number or None.
         """
 
     @abstractmethod
     def wider(self, factor: float) -> Self:
-        """Widen the limit `factor` times."""
+        """The limit multiplied by `factor`."""
 
     def raised(self, by: float) -> Self:
-        """Widen the limit on every side by so much of its own unit."""
+        """The limit increased by so much, in its own unit, on both sides."""
         return self.wider(1 + by / self.stated)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        """What it bounds; nothing for a limit that has a state of its own."""
+        """The rows of the limit; none for a limit that has its own states, the temperature."""
         return ()
 
     @property
     def linear(self) -> bool:
-        """Whether all that it bounds are sums of outputs, so that a quadratic program can have it."""
+        """Whether all its rows are linear, so that a quadratic program can contain it."""
         return True
 
     def said(self, side: str, *, two_sided: bool) -> str:
-        """The bound of a side where it binds."""
+        """The bound of one side as reports state it where it binds."""
         sign = {"lower": "-", "upper": "+" if two_sided else ""}[side]
         return f"{sign}{self.stated:.8g}"
 
     @classmethod
     def concerns(cls, driven_by: Input) -> bool:
-        """Whether a plant with this input may have it."""
+        """Whether it applies to plants with this input."""
         return cls.driven_by in (None, driven_by)
 
     @classmethod
     def suits(cls, circuit: Circuit | None) -> bool:
-        """Whether a device with these terminals has it in this form; of two with one key one does."""
+        """Whether this kind applies to a device with this circuit; of several kinds with one key exactly one does."""
         return True
 
     @classmethod
     def stored_with(cls, row: str) -> str:
-        """What a library states among its limits where it has the multipliers of a row; empty: it always has them."""
+        """Key among a library's limits that implies the multipliers of a row; empty if it always has them."""
         return "" if cls.in_every_file else cls.key
 
     @classmethod
     def base_unit(cls) -> str:
-        """Unit of its violations and of its multipliers' inverse, which a step per tick has without the tick."""
+        """Unit of its violations and of the inverse of its multipliers: `step_unit` without "/tick"."""
         return cls.step_unit.removesuffix("/tick")
 
     @classmethod
     def relieved_by(cls) -> Mapping[str, bool]:
-        """Dotted keys of a scene whose change gives more room -> whether upwards."""
+        """Dotted scene key that relaxes the limit -> True if by raising it, False if by lowering it."""
         return {f"limits.{cls.key}": True}
 
     @classmethod
     def dispensed_by(cls) -> str:
-        """Dotted key of a scene without which there is no such limit; empty where there is one in any case."""
+        """Dotted scene key whose removal removes the limit; empty if none does."""
         return "" if cls.implied or cls.scales_movement else f"limits.{cls.key}"
 
     @property
     def room(self) -> float:
-        """How much of it there is to use, of which steps are shares."""
+        """The usable part of the limit, the reference for relative steps of it."""
         return self.stated
 
     def watched(self, problem: Posed) -> tuple[Row, ...]:
-        """Rows that the replay follows at all times; an offset of (N + 1,) goes on to tau_N.
+        """Rows that the replay checks at all times; an offset of shape (N + 1,) reaches to tau_N.
 
-        The command that is felt stands there for c_k. The command held before has no meaning between the ticks.
+        For c_k the replay takes the command that acts. Rows with c_(k-1) have no meaning between two instants.
         """
         return tuple(row for row in self.rows(problem) if HELD not in row.outputs)
 
     @property
     def kept_back(self) -> float:
-        """How much of it the problem keeps for itself, for what it does not state."""
+        """Margin by which the problem tightens the limit for what happens between the switching instants."""
         return 0.0
 
     @property
     def tolerance(self) -> float:
-        """How far an answer may leave the limit and still be accepted."""
+        """Largest accepted violation at the instants at which it is stated."""
         return tolerated(self.stated)
 
     @property
     def replay_tolerance(self) -> float:
-        """How far the replay may leave the limit at any time, also between the instants at which it is stated."""
+        """Largest accepted violation in the replay, at any time."""
         return self.tolerance
 
     def command_bound(self, *, ideal: bool) -> float:
@@ -381,39 +383,39 @@ class Limit(ABC):
         return np.inf
 
     def reach(self, grid: TimeGrid) -> float:
-        """Largest current that it leaves, for the scale of the problem."""
+        """Largest plant input that it permits, from which the problem's scale is derived."""
         return np.inf
 
     def cannot_bind(self, problem: Posed) -> str:
-        """Why no admissible command can reach it, with the bound; empty where one might."""
+        """Proof in words that no admissible command reaches the limit; empty if one might."""
         return ""
 
     def needed(self, problem: Posed) -> tuple[Self, Mapping[str, str]]:
-        """Drop the rows that no admissible command can reach; the mapping says of each part why it is left out.
+        """The limit without the rows that no admissible command reaches; removed part -> proof in words.
 
-        Asked only of a limit that might bind.
+        Called only for a limit that might bind.
         """
         return self, {}
 
     def unavoidable(self, problem: Posed) -> str:
-        """Why it is missed whatever is commanded; empty where it need not be."""
+        """Why every command violates the limit, in words; empty if that is not known."""
         return ""
 
     def replayed(self, peak: float) -> str:
-        """What is said of a replay that leaves it."""
+        """Message for a replay whose peak violates the limit."""
         return f"replayed {self.label} {peak:.6f} {self.unit}, limit {self.stated:g} {self.unit}"
 
     def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
-        """Why the replay left it although it is kept at every instant at which it is stated; empty if unknown."""
+        """Why the replay violates the limit although its rows hold at the switching instants; empty if unknown."""
         return ""
 
 
 def of_motors(row: Row, problem: Posed, shares: tuple[float, ...] = ()) -> tuple[Row, ...]:
-    """Return a row for each motor of the problem's plant, and the row as it is where there is one motor.
+    """The row once for each motor of the problem's plant; unchanged if there is only one.
 
     Parameters
     ----------
-    shares : (m,) of the bounds that each motor has; empty for all of them.
+    shares : (m,) share of the bounds for each motor; empty for 1 each.
     """
     motors = problem.stage.motors
     if motors == 1:
@@ -423,10 +425,7 @@ def of_motors(row: Row, problem: Posed, shares: tuple[float, ...] = ()) -> tuple
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of one problem, in the order of `transopt.problem.limits.KINDS`.
-
-    `limits["supply"]` is the one of that name; a limit that is not there binds nothing.
-    """
+    """The limits of one problem, in the order of `transopt.problem.limits.KINDS`, by name: `limits["supply"]`."""
 
     members: tuple[Limit, ...] = field(default=())
 
@@ -449,7 +448,7 @@ class Limits:
         return Limits(tuple(limit for limit in self.members if limit.name not in names))
 
     def replaced(self, limit: Limit) -> "Limits":
-        """Put this limit in the place of the one of its name."""
+        """Replace the limit of the same name by this one."""
         return Limits(tuple(limit if each.name == limit.name else each for each in self.members))
 
     @property
@@ -459,20 +458,21 @@ class Limits:
 
     @property
     def input_limit(self) -> float:
-        """U, the unit of the movement's weight: the limit on |u(t)|."""
+        """U, the limit on |u(t)|, which is the unit of the movement's weight."""
         return self.input.stated
 
     def command_bound(self, *, ideal: bool) -> float:
-        """The bound on |c| that every admissible command obeys; that on the current where nothing else states one."""
+        """Bound on |c_k| of every admissible command; the input's limit where no other limit bounds the command."""
         bound = min(limit.command_bound(ideal=ideal) for limit in self.members)
         return bound if np.isfinite(bound) else self.input_limit
 
 
 def positive(key: str, value: float) -> None:
-    """
+    """Check that a limit is > 0 and finite.
+
     Raises
     ------
-    InputError : a limit that is not > 0 and finite.
+    InputError : it is not.
     """
     if not 0 < value < np.inf:
         raise InputError(f"limits.{key} = {value:g}: must be > 0 and finite")

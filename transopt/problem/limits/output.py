@@ -1,19 +1,19 @@
-"""What limits on the motion of the device have in common: a named output of the plant, between two bounds, for all t.
+"""Limits on a named output of the plant, |q(t)| <= limit for all t: stroke, velocity, coil current.
 
-Such a limit is on the physical motion z = y + z_nom, the nominal motion included. It is stated at the switching
-instants; what the output may do beyond them within a servo period is taken off as a margin: with the command held,
+The limit applies to the physical motion z = y + z_nom, the nominal motion included. It is stated at the switching
+instants, tightened by a margin for the excursion of q from its chord within a servo period. With the command held,
 
     q(tau_k + s) - [(1 - s / dt) q(tau_k) + (s / dt) q(tau_(k+1))]
 
-is a linear function of the commands so far, whose response to one command is found from the plant itself, and the
-sum of its sizes times the largest command bounds it (the L1 norm of an impulse response). The nominal motion's own
-part is bounded by its curvature. Where a limit leaves but a small part of the largest command that bound says little,
-and could be more than the limit: no more than a twentieth of the limit is taken off, and the replay, which follows
-the output at all times, says whether that was enough.
+is a linear function of the commands so far. The L1 norm of its impulse response times the largest command bounds it;
+the curvature of the nominal motion bounds that part. The bound is loose where the limit admits only a small part of
+the largest command, and may exceed the limit itself. So the margin is at most a twentieth of the limit, and the
+replay, which follows the output at all times, checks whether it was sufficient.
 
-Where that margin costs much of J (`transopt.design.within`), the limit is stated at the ends of m parts of every
-period, and the margin, by the chord of a part, falls with 1 / m^2. The parts are equal for a position. A velocity and
-a coil's current bend most just after a new command, in the coil's time constant: their ends lie at (j / m)^2.
+Where the margin costs much of J (`transopt.design.within`), the limit is stated at the ends of m parts of every
+period; the margin, taken from the chord of a part, then falls with 1 / m^2. For a position the parts are equal. A
+velocity and a coil's current bend most just after a new command, within the coil's time constant: their parts end at
+(j / m)^2.
 """
 
 from abc import abstractmethod
@@ -28,10 +28,10 @@ from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, StageModel, exponential, within
 from transopt.problem.limits.limit import Limit, Posed, Row, Setting, positive
 
-MOST_KEPT = 0.05  # of the limit, for the time between the switching instants
-LAGS = (2, 3, 6)  # numbers of switching instants whose values explain what happens between two
-SUBSTEPS, FINER = 8, 16  # at which the excursion from the chord is looked at: of a whole period, and of a part of it
-PARTS = (1, 2, 4, 8, 16, 32)  # into which a servo period may be parted, the instants of a few among those of more
+MOST_KEPT = 0.05  # largest margin as a share of the limit
+LAGS = (2, 3, 6)  # numbers of preceding samples in the least-squares fits of the excursion (`_bends_of`)
+SUBSTEPS, SUBSTEPS_OF_PART = 8, 16  # samples of the excursion in a whole servo period, and in a part of one
+PARTS = (1, 2, 4, 8, 16, 32)  # numbers of parts of a servo period; the ends of each are among those of the next
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,12 +42,11 @@ class OutputLimit(Limit):
     ----------
     limit : > 0.
     nominal : (N + 1,) the nominal motion's part of the output at tau_0 to tau_N.
-    largest : size of any command.
-    bends : of every device (fits, S, 2), bounds on what it may do between two instants beyond its values there, by
-        the largest size of the output without the nominal motion and by that of the commands; the least of all fits
-        is one.
-    parts : of a servo period, at whose ends it is stated; one of `PARTS`.
-    output : what is limited. grading : p of the ends (j / parts)^p.
+    largest : bound on |c_k|.
+    bends : (fits, S, 2) for every device: coefficients of bounds on the excursion from the chord, by the largest
+        output without the nominal motion and by the largest command. Each fit is a valid bound; the smallest counts.
+    parts : number of parts of a servo period at whose ends the limit is stated; one of `PARTS`.
+    output : name of the limited output. grading : exponent p of the ends (j / parts)^p.
     """
 
     output: ClassVar[str]
@@ -63,11 +62,11 @@ class OutputLimit(Limit):
         positive(self.key, self.limit)
 
     def margin(self, device: int = 0) -> float:
-        """What is taken off the limit for the time between its instants."""
+        """Margin taken off the limit for the time between the instants at which it is stated."""
         return min(self.excursion(device), MOST_KEPT * self.limit)
 
     def excursion(self, device: int = 0) -> float:
-        """Bound on what the output may do between two instants beyond its values there."""
+        """Bound on the excursion of the output from its chord between two such instants."""
         curved = float(np.abs(np.diff(self.nominal, 2)).max(initial=0.0)) / 8
         most = self.limit + float(np.abs(self.nominal).max())
         return float((self.bends[device] @ (most, self.largest)).min(axis=0).max()) + curved
@@ -75,12 +74,12 @@ class OutputLimit(Limit):
     @staticmethod
     @abstractmethod
     def nominal_part(setting: Setting) -> FloatArray:
-        """(N,) what the nominal motion alone makes of the output at tau_k."""
+        """(N,) the nominal motion's part of the output at tau_k."""
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         stage, own = setting.stage, cls.nominal_part(setting)
-        # To tau_N the nominal motion goes on straight.
+        # The nominal motion is extrapolated linearly to tau_N.
         nominal = np.append(own, 2 * own[-1] - own[-2] if own.size > 1 else own[-1])
         largest = setting.input_limit(asked) if stage.amplifier is None else stage.amplifier.command_limit
         whole, stages = (Fraction(1),), setting.grid.stages
@@ -88,7 +87,7 @@ class OutputLimit(Limit):
         return cls(asked[cls.key], nominal, largest, bends)
 
     def within(self, problem: Posed, parts: int) -> Self:
-        """State the limit at the ends of so many parts of a servo period."""
+        """The limit stated at the ends of so many parts of every servo period."""
         if parts == self.parts:
             return self
         ends = (*self.shares(parts), Fraction(1))
@@ -97,7 +96,7 @@ class OutputLimit(Limit):
 
     @classmethod
     def shares(cls, parts: int) -> tuple[Fraction, ...]:
-        """Shares of a servo period after which so many parts end, but for the last one."""
+        """Ends of the parts as shares of a servo period, without the last one, which is 1."""
         return tuple(Fraction(j, parts) ** cls.grading for j in range(1, parts))
 
     @property
@@ -108,7 +107,7 @@ class OutputLimit(Limit):
         return replace(self, limit=factor * self.limit)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        # At tau_0 it is what it is; the commands have their say from then on to tau_N.
+        # No command changes the output at tau_0, so the rows begin after it and go on to tau_N.
         def of(device: int, share: Fraction) -> Row:
             bound, later = self.limit - self.margin(device), float(share)
             nominal = self.nominal[1:] if share == 1 else (1 - later) * self.nominal[:-1] + later * self.nominal[1:]
@@ -135,7 +134,7 @@ class OutputLimit(Limit):
         )
 
     def unavoidable(self, problem: Posed) -> str:
-        # What the first command can do about the first period is nothing beside the motion that is there.
+        # At tau_0 no command acts yet, and until tau_1 the first one can move the output by `reach` only.
         reach = self._reach(problem)
         start = max(
             abs(float(self.nominal[0])), abs(float(self.nominal[1])) + float(max(self._kept(problem) - reach))
@@ -143,16 +142,16 @@ class OutputLimit(Limit):
         if start <= self.limit + self.tolerance:
             return ""
         return (
-            f"{self.label} {start - self.limit:.3g} {self.unit} over its {self.limit:g} {self.unit} at "
-            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms: the motion of the incoming stylus alone"
+            f"{self.label} {start - self.limit:.3g} {self.unit} over its limit {self.limit:g} {self.unit} at "
+            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms by the motion of the incoming stylus alone"
         )
 
     def _kept(self, problem: Posed) -> FloatArray:
-        """(S,) margin of every device."""
+        """(S,) margin for every device."""
         return np.array([self.margin(device) for device in range(len(problem.devices))])
 
     def _reach(self, problem: Posed) -> FloatArray:
-        """(S,) by how much the first command can move the output of every device within its period."""
+        """(S,) largest change of every device's output by the first command within its period."""
         largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         return np.array([largest * abs(device.output(self.output + AFTER)[1]) for device in problem.devices])
 
@@ -160,8 +159,8 @@ class OutputLimit(Limit):
         if all(self.excursion(device) <= self.margin(device) for device in range(len(self.bends))):
             return ""
         return (
-            f"{self.label} {peak - self.limit:.3g} {self.unit} over its {self.limit:g} {self.unit} between the "
-            f"instants at which it is kept, {MOST_KEPT:.0%} being kept back: time.dt_s = {problem.grid.dt_s:g} s"
+            f"{self.label} {peak - self.limit:.3g} {self.unit} over its limit {self.limit:g} {self.unit} between two "
+            f"switching instants, despite a margin of {MOST_KEPT:.0%}: lower time.dt_s = {problem.grid.dt_s:g} s"
         )
 
     def replayed(self, peak: float) -> str:
@@ -169,7 +168,7 @@ class OutputLimit(Limit):
 
 
 def largest_of(rows: Iterable[Row], problem: Posed) -> float:
-    """What no admissible command can make rows exceed: the sums of their responses, every command at its largest."""
+    """Bound on the values of rows under any admissible command: L1 norm of the response times the largest command."""
     largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
     impulse = np.eye(1, problem.grid.stages)[0]
     motions, most = [device.motion(impulse) for device in problem.devices], 0.0
@@ -180,31 +179,34 @@ def largest_of(rows: Iterable[Row], problem: Posed) -> float:
 
 
 def row_within(name: str, share: Fraction) -> str:
-    """What the row of a limit is called after this share of a servo period."""
+    """Name of a limit's row at this share of a servo period."""
     return name if share == 1 else f"{name}_{share.numerator}_of_{share.denominator}"
 
 
 def _bends(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...]) -> FloatArray:
-    """`OutputLimit.bends` of a device, kept with it for the next entry."""
+    """`OutputLimit.bends` of one device, cached in the stage model for the other entries of its grip."""
     key = ("bends", output, stages, ends)
     if key not in stage.derived:
         stage.derived[key] = _bends_of(stage, output, stages, ends)
-    found: FloatArray = stage.derived[key]
-    return found
+    bends: FloatArray = stage.derived[key]
+    return bends
 
 
 def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction, ...]) -> FloatArray:
-    """(1 + fits, S, 2) bounds on |y - its chord| at S instants, by the largest |y| at the switching instants and |c|.
+    """(1 + fits, S, 2) bounds on the excursion e = y - chord at S instants, by max |y(tau_k)| and max |c|.
 
-    The difference e from the chord is a sum of the commands so far. So is y at the switching instants, where the
-    limit bounds it: |e| <= sum |a_l| max |y| + sum |e - sum_l a_l y(tau_(k+1-l))| max |c| for any numbers a_l, the
-    last sum over the response to one command. Least-squares fits of the response give numbers that take most of a
-    resonance's memory out of it. The first bound has none, and is alone without instants within the period.
+    Both e and y(tau_k) are linear in the commands so far, and the limit bounds y(tau_k). So for any numbers a_l
+
+        |e| <= sum |a_l| max |y| + sum |e - sum_l a_l y(tau_(k+1-l))| max |c|,
+
+    the second sum over the response to one command. Least-squares fits of that response choose the a_l such that most
+    of a resonance's long memory cancels. The first bound has a_l = 0; it is the only one where the limit is not
+    stated within the period.
     """
     row, impulse = stage.outputs[output], np.eye(1, stages + 1)[0]
     states, alone, until = stage.states(impulse), len(ends) == 1, np.eye(row.size + 1)
     at, size = states @ row, np.abs(states).sum(axis=0)
-    bent, start, substeps = list[FloatArray](), at[:-1], SUBSTEPS if alone else FINER
+    bent, start, substeps = list[FloatArray](), at[:-1], SUBSTEPS if alone else SUBSTEPS_OF_PART
     lengths_s = stage.dt_s * np.diff(np.array([0, *ends], dtype=float)) / substeps
     for length_s, ended in zip(lengths_s, ends, strict=True):
         course, step = [start], exponential(stage.flow * length_s)
@@ -238,10 +240,10 @@ def _bends_of(stage: StageModel, output: str, stages: int, ends: tuple[Fraction,
 
 
 def _unseen(stage: StageModel, row: FloatArray, size: FloatArray, g_s: float) -> float:
-    """Bound on |q - its chord| within a substep of g seconds, per unit of command.
+    """Bound on the excursion of q from its chord within a substep of g seconds, per unit of command.
 
-    It is g^2 / 8 of the largest curvature; within the substep the states are at most exp(|F| g) times what they are
-    at its beginning.
+    It is g^2 / 8 times the largest curvature of q; within the substep the states grow at most by the factor
+    exp(|F| g), with F the generator of the motion.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""A limit of a user's own, between two bounds: what is known of it once `solvers.own` has read its expression.
+"""A limit that the user states as an expression with a lower and an upper bound.
 
-An expression that is linear in its outputs, with coefficients that do not change along the horizon, is a row like any
-other. What else it may be is a law: a function of the outputs whose values and derivatives somebody else computes,
-since nothing in this room loads CasADi. A problem with a law is no quadratic program.
+`solvers.own` reads the expression. If it is linear in its outputs, with coefficients that are constant along the
+horizon, it becomes an ordinary row. Otherwise it is a `Law`, a function of the outputs whose values and derivatives
+are computed outside this package, which does not load CasADi; the problem is then not a quadratic program.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,18 +21,18 @@ OF_EVERY_STAGE = (COMMAND, HELD)
 
 
 class Law(Protocol):
-    """A function of outputs (m, N), stage by stage.
+    """A function of m outputs (m, N), evaluated stage by stage.
 
     Attributes
     ----------
-    text : the function as CasADi writes it, by which two laws are the same.
+    text : the function as CasADi serialises it; two laws with the same text are equal.
     """
 
     @property
     def text(self) -> str: ...
 
     def value(self, outputs: FloatArray) -> FloatArray:
-        """(N,)."""
+        """(N,) values."""
 
     def slopes(self, outputs: FloatArray) -> FloatArray:
         """(m, N) derivatives by the outputs."""
@@ -43,13 +43,14 @@ LawOf = Callable[[str], Law]
 
 @dataclass(frozen=True)
 class LawRow(Row):
-    """A row whose value is a law of its outputs.
+    """A row whose value is a nonlinear function of its outputs.
 
     Attributes
     ----------
-    nominal : output -> (N,) or 0: what the nominal motion adds to it.
-    law : of the outputs in their order, the nominal motion included.
-    convex : whether the law is convex for its upper and concave for its lower bound, proven.
+    nominal : output -> (N,) or 0, the nominal motion's part of it.
+    law : function of the outputs in their order, the nominal motion included.
+    convex : whether the feasible set is proven convex: the law is convex if it has an upper bound, and concave if it
+        has a lower one.
     """
 
     nominal: Mapping[str, FloatArray | float] = None  # type: ignore[assignment]
@@ -61,7 +62,7 @@ class LawRow(Row):
         return False
 
     def arguments(self, motion: Motion, command: FloatArray) -> FloatArray:
-        """(m, N) the outputs, the nominal motion included."""
+        """(m, N) outputs, the nominal motion included."""
         return np.stack([output_values(name, motion, command) + self.nominal[name] for name in self.outputs])
 
     def value(self, motion: Motion, command: FloatArray) -> FloatArray:
@@ -79,7 +80,7 @@ class OwnLimit(Limit):
     Attributes
     ----------
     lower, upper : infinite where there is no bound.
-    row : what it bounds.
+    row : the bounded value.
     """
 
     key: ClassVar[str] = "own"
@@ -105,7 +106,7 @@ class OwnLimit(Limit):
         raise NotImplementedError("made by own_limits")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # The class is made for its name, so another process makes it anew.
+        # The class is generated for this name, so pickle cannot import it: another process generates it again.
         return _made, (self.name, self.unit, self.lower, self.upper, self.row)
 
     @property
@@ -118,7 +119,7 @@ class OwnLimit(Limit):
         return tuple(own.of_device(device) for device in range(count))
 
     def watched(self, problem: Posed) -> tuple[Row, ...]:
-        # Stated at the switching instants, and known to nobody between them.
+        # It is defined at the switching instants only.
         return ()
 
     def wider(self, factor: float) -> Self:
@@ -130,25 +131,25 @@ class OwnLimit(Limit):
 
 
 def follows_motion(outputs: Iterable[str], driven_by: Input) -> bool:
-    """Whether outputs depend on the motion, which every device of a spread has for itself.
+    """Whether outputs depend on the motion, which differs between the devices of a spread.
 
-    The current of a coil that a voltage drives does, by the voltage that the motion induces.
+    The current of a voltage-driven coil does, through the back-EMF.
     """
     return not {*outputs} <= {*OF_EVERY_STAGE, INPUT, driven_by.name}
 
 
 def outputs_needed(tables: Sequence[Mapping[str, Any]], driven_by: Input) -> list[str]:
-    """Outputs that a stage has to name for these limits; it has the input and the commands anyway."""
+    """Names of the outputs that a stage model must provide for these limits, beyond its input and commands."""
     named = [name.removesuffix(AFTER) for table in tables for name in table["outputs"]]
     return [name for name in dict.fromkeys(named) if name not in (*OF_EVERY_STAGE, driven_by.name)]
 
 
 def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: LawOf | None) -> tuple[OwnLimit, ...]:
-    """The limits that these tables state, as `solvers.own` writes them.
+    """The limits of these tables, which `solvers.own` writes.
 
     Raises
     ------
-    InputError : offsets for another number of stages, or an expression that is not linear where nothing computes it.
+    InputError : offsets for another number of stages, or a nonlinear expression without a `law_of` to evaluate it.
     """
     found = []
     driven_by = setting.stage.plant.driven_by.name
@@ -170,7 +171,9 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
             row = Row(table["name"], outputs, lower, upper, np.broadcast_to(moved, setting.grid.stages))
         else:
             if law_of is None:
-                raise InputError(f"limits.own: {table['name']} is not linear, and nothing here evaluates it")
+                raise InputError(
+                    f"limits.own: {table['name']} is not linear: give `law_of`, which evaluates its expression"
+                )
             outputs = dict.fromkeys(names, 1.0)
             row = LawRow(
                 table["name"],
@@ -190,7 +193,7 @@ def _made(name: str, unit: str, lower: float, upper: float, row: Row) -> OwnLimi
 
 
 def _nominal(name: str, setting: Setting) -> FloatArray | float:
-    """(N,) or 0: what the nominal motion adds to an output. Of a later state it is none: states are deviations."""
+    """(N,) or 0: the nominal motion's part of an output; 0 for an output after the period, a deviation."""
     if name in (INPUT, *OF_EVERY_STAGE) or name.endswith(AFTER):
         return 0.0
     follows = setting.stage.plant.output(name).follows
@@ -200,6 +203,6 @@ def _nominal(name: str, setting: Setting) -> FloatArray | float:
 
 
 def _kind(name: str, unit: str) -> type[OwnLimit]:
-    """The kind of limit that bears this name."""
+    """The subclass of `OwnLimit` for a limit of this name and unit."""
     words = {"name": name, "label": name, "unit": unit, "step_unit": unit, "row_names": (name,)}
     return type(f"OwnLimit_{name}", (OwnLimit,), words)

@@ -1,4 +1,4 @@
-"""|c_k - c_(k-1)| <= slew rate times servo period: how fast the command may move."""
+"""|c_k - c_(k-1)| <= slew rate times servo period: the limit on the command's rate of change."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from transopt.problem.limits.limit import COMMAND, HELD, Limit, Posed, Row, Sett
 
 @dataclass(frozen=True, repr=False)
 class SlewLimit(Limit):
-    """The rate at which the command may move [A/s], > 0, and the step per tick that follows from it."""
+    """The slew limit of a current amplifier's command [A/s], > 0, applied to its step per tick."""
 
     name: ClassVar[str] = "slew"
     label: ClassVar[str] = "slew"
@@ -54,14 +54,14 @@ class SlewLimit(Limit):
             return ""
         unit = self.base_unit()
         return (
-            f"no command inside +-{bound:g} {unit} moves by more than {2 * bound:g} {unit} per tick, limit "
+            f"no command inside +-{bound:g} {unit} steps by more than {2 * bound:g} {unit} per tick, limit "
             f"{self.stated:g} {unit}"
         )
 
 
 @dataclass(frozen=True, repr=False)
 class VoltageSlewLimit(SlewLimit):
-    """Limit on the slew of a voltage amplifier's command [V/s]."""
+    """The slew limit of a voltage amplifier's command [V/s], > 0."""
 
     name: ClassVar[str] = "voltage_slew"
     unit: ClassVar[str] = "V/tick"

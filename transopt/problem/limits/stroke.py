@@ -1,4 +1,4 @@
-"""|z| <= stroke: how far the motor mass may be from the surface, in either direction, before it meets a stop."""
+"""|z| <= stroke: the displacement of the motor mass from contact, which a mechanical stop bounds on either side."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,7 +10,7 @@ from transopt.problem.limits.output import OutputLimit
 
 @dataclass(frozen=True, repr=False)
 class StrokeLimit(OutputLimit):
-    """The displacement z of the motor mass, the one that the encoder sees, from contact [m]."""
+    """The limit on the displacement z of the motor mass from contact, as the encoder reads it [m]."""
 
     name: ClassVar[str] = "stroke"
     label: ClassVar[str] = "stroke"

@@ -1,12 +1,12 @@
-"""|R i + L di/dt + k_e w| <= V: the voltage that the motor takes may not pass the supply rail.
+"""|R i + L di/dt + k_e w| <= V: the motor's terminal voltage stays within the supply rail.
 
-It is stated just before and just after each switching instant: between two of them R i + L di/dt goes monotonically
-from the value after the one to the value before the next, through an amplifier of one pole, di/dt = w (c - i).
+The amplifier has one pole, di/dt = w (c - i), so R i + L di/dt is monotonic between two switching instants. The limit
+is therefore stated just before and just after each instant.
 
-R grows with the copper's temperature by 0.39 % a kelvin, so the voltage is stated twice: for the coldest copper that
-an entry may have and for the hottest. It is affine in R, and so the two hold for every temperature between. One end
-is not enough. Hot copper takes more while a current stands. On a steep fall R i and L di/dt have opposite signs, and
-there cold copper takes more, because less is subtracted.
+R grows with the copper's temperature by 0.39 % per kelvin. The voltage is affine in R, so the limit holds at every
+temperature if it holds for the coldest and for the hottest copper that an entry may have. Both are needed: under a
+steady current hot copper needs the higher voltage. While the current falls steeply, R i and L di/dt have opposite
+signs, and cold copper needs the higher one.
 """
 
 from collections.abc import Mapping
@@ -22,19 +22,20 @@ from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.heat import Budget, winding_limit_C
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Limit, Posed, Row, Setting, positive
 
-BETWEEN_INSTANTS = 1e-3  # of the rail: within a period only the back-EMF is left to its own devices
-COLD, HOT = "supply", "supply_hot"  # what the names of an end's rows begin with
+# Tolerance of the replay as a share of the rail: between the instants the rows do not bound the back-EMF's change.
+BETWEEN_INSTANTS = 1e-3
+COLD, HOT = "supply", "supply_hot"  # prefixes of the names of the rows for the coldest and the hottest copper
 
 
 @dataclass(frozen=True)
 class CopperEnd:
-    """The motor's terminals at one end of what the copper's temperature may be.
+    """The motor's circuit at one end of the range of the copper's temperature.
 
     Attributes
     ----------
-    rows : what the names of its rows begin with.
-    circuit : with the resistance at that temperature.
-    winding_C : the temperature; None where nothing is known of it and R is the stated one.
+    rows : prefix of the names of its rows, `COLD` or `HOT`.
+    circuit : circuit with the resistance at that temperature.
+    winding_C : the temperature; None where it is unknown and R is taken as stated.
     """
 
     rows: str
@@ -43,15 +44,14 @@ class CopperEnd:
 
     @property
     def said(self) -> str:
-        """At which end, in words; empty where there is only one."""
+        """The temperature in words; empty where it is unknown."""
         return "" if self.winding_C is None else f"with the copper at {self.winding_C:.6g} C"
 
 
 def coldest_and_hottest_C(coil: CoilModel, budget: Budget) -> tuple[float, float]:
-    """The coldest and the hottest that a winding may be during a tap [C].
+    """Lowest and highest temperature of the winding during a tap [C].
 
-    Nothing cools it below the coldest of winding, housing and ambient at the start; its limit is what the entry
-    allows it at the most.
+    It cannot cool below the coldest of winding, housing and ambient at the start, and may not exceed its limit.
     """
     coldest = min(coil.start_winding_C, coil.start_housing_C, coil.ambient_C)
     return coldest, winding_limit_C(coil, budget)
@@ -59,13 +59,13 @@ def coldest_and_hottest_C(coil: CoilModel, budget: Budget) -> tuple[float, float
 
 @dataclass(frozen=True, repr=False)
 class SupplyLimit(Limit):
-    """The rail of one tap.
+    """The limit of the supply rail during one tap.
 
     Attributes
     ----------
     limit_V : > 0.
-    ends : terminals of the motor with the copper at its coldest and at its hottest; a single one where R is taken as
-        stated, or where the other end cannot bind.
+    ends : the motor's circuit with the coldest and with the hottest copper; only one where R is taken as stated, or
+        where the other cannot bind.
     pole_rad_s : w of di/dt = w (c - i).
     nominal_m_s : (N,) velocity of the nominal motion at tau_k; the back-EMF follows dz/dt, not dy/dt.
     """
@@ -114,7 +114,7 @@ class SupplyLimit(Limit):
 
     @property
     def copper_C(self) -> list[float] | None:
-        """The temperatures of the copper at which it is kept, as a library states them; None for R as stated."""
+        """Temperatures of the copper for which the limit is stated; None where R is taken as stated."""
         found = [end.winding_C for end in self.ends if end.winding_C is not None]
         return found or None
 
@@ -128,7 +128,7 @@ class SupplyLimit(Limit):
 
     @property
     def emf_V_s_m(self) -> float:
-        """Back-EMF per m/s of the stylus, whatever the copper's temperature."""
+        """Back-EMF per m/s of the stylus; independent of the copper's temperature."""
         return self.ends[0].circuit.emf_V_s_m
 
     @property
@@ -146,7 +146,7 @@ class SupplyLimit(Limit):
         return tuple(row.of_device(device) for device in range(len(problem.devices)) for row in found)
 
     def bounds_V(self, problem: Posed) -> list[float]:
-        """Largest terminal voltage, at each end, of any command inside the current and command limits."""
+        """Bound on the terminal voltage, at each end, under any command inside the current and command limits."""
         current = problem.limits.input_limit
         command = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         impulse = np.zeros(problem.grid.stages)
@@ -176,13 +176,13 @@ class SupplyLimit(Limit):
         return (replace(self, ends=tuple(found)) if reasons else self), reasons
 
     def unavoidable(self, problem: Posed) -> str:
-        # Before the first command is felt the motor already moves.
+        # The motor already moves before the first command acts.
         start = abs(float(self.nominal_V[0]))
         if start <= self.limit_V + self.tolerance:
             return ""
         return (
-            f"supply {start - self.limit_V:.3g} V over its {self.limit_V:g} V at "
-            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms: the back-EMF of the incoming stylus alone"
+            f"supply {start - self.limit_V:.3g} V over its limit {self.limit_V:g} V at "
+            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms by the back-EMF of the incoming stylus alone"
         )
 
     @property
@@ -198,6 +198,6 @@ class SupplyLimit(Limit):
         if stated > self.limit_V + self.replay_tolerance:
             return ""
         return (
-            f"supply {peak - self.limit_V:.3g} V over its {self.limit_V:g} V within a servo period, in which the "
-            f"back-EMF swings: time.dt_s = {problem.grid.dt_s:g} s"
+            f"supply {peak - self.limit_V:.3g} V over its limit {self.limit_V:g} V within a servo period, by the "
+            f"back-EMF's swing: lower time.dt_s = {problem.grid.dt_s:g} s"
         )

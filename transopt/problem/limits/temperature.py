@@ -1,8 +1,8 @@
-"""The winding may not pass its temperature: the limit that has states of its own.
+"""The limit on the winding's temperature, the only limit with states of its own.
 
-One or two nodes warm by R (1 + alpha T) i_eff^2 (seed Eqs. 6 and 7), so the temperature is no sum of outputs, and a
-problem with it is no quadratic program. The recursion stands in `transopt.problem.heat`, written for numpy arrays and
-CasADi expressions alike.
+One or two thermal nodes are heated by R (1 + alpha T) i_eff^2 (seed Eqs. 6 and 7). The temperature is therefore not
+linear in the outputs, and a problem with this limit is not a quadratic program. Its recursion is in
+`transopt.problem.heat`, written for numpy arrays and CasADi expressions alike.
 """
 
 from collections.abc import Mapping
@@ -27,8 +27,8 @@ from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget, HeatModel, heat_model, steady_margin_K, winding_limit_C
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting
 
-ROUNDING = 1e-6  # relative, of the steady state of a period that is short beside the time constants
-BETWEEN_INSTANTS_K = 1e-3  # the problem states the temperature at the switching instants
+ROUNDING = 1e-6  # relative rounding of the steady state where the tap period is far below the time constants
+BETWEEN_INSTANTS_K = 1e-3  # tolerance of the replay: the problem states the limit at the switching instants only
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,9 +37,9 @@ class TemperatureLimit(Limit):
 
     Attributes
     ----------
-    coil : with its temperatures at the start.
-    budget : what is asked of it beside its own limit.
-    model : the recursion of both, with the headroom at every instant.
+    coil : thermal model with the temperatures at the start.
+    budget : requirements beyond the coil's own limit.
+    model : recursion of the temperature, with the headroom at every instant.
     dt_s : servo period.
     """
 
@@ -79,7 +79,7 @@ class TemperatureLimit(Limit):
         if setting.coil is None:
             return None
         amplifier = setting.stage.amplifier
-        budget = leaning(setting.budget, setting.wall, setting.stage, setting.grid)
+        budget = with_pause_current(setting.budget, setting.wall, setting.stage, setting.grid)
         return temperature_limit(setting.coil, amplifier, setting.grid, budget)
 
     @classmethod
@@ -88,7 +88,7 @@ class TemperatureLimit(Limit):
         return {"thermal.headroom_K": True, **{f"thermal.{key}": False for key in cooler}}
 
     def wider(self, factor: float) -> Self:
-        """Raise the limit in proportion to the largest headroom that is left, taken as at least 1 K."""
+        """Raise the limit by (factor - 1) times the largest headroom, which counts as at least 1 K."""
         return self.raised((factor - 1) * max(float(self.model.headroom_K.max()), 1.0))
 
     def raised(self, by: float) -> Self:
@@ -106,7 +106,7 @@ class TemperatureLimit(Limit):
 
     @property
     def kept_back(self) -> float:
-        """Taps for ever need a margin: their steady state sums the heat of currents that reverse within a period."""
+        """Margin for repeating taps: the steady state sums the neglected heat of currents that reverse."""
         return 0.0 if self.period_s is None else steady_margin_K(self.coil, self.budget)
 
     @property
@@ -123,36 +123,37 @@ class TemperatureLimit(Limit):
         return np.asarray(self.model.rise(h)[1:, 0] + self.model.unpowered_C)
 
     def relaxed(self) -> "TemperatureLimit":
-        """A convex limit that every admissible command meets, so that the least J under it bounds J from below.
+        """A convex relaxation: every admissible command meets it, so the least J under it is a lower bound.
 
-        The copper's resistance R (1 + alpha (T - 25)) is replaced by one that it never falls below. The temperatures
-        are then sums of the heatings with weights >= 0, none of them above its true value, and the heatings are
-        convex in the commands.
+        The copper's resistance R (1 + alpha (T - 25)) is replaced by a lower bound of it. The temperatures are then
+        sums of the heatings h_k with weights >= 0, none of them above its true value, and h_k is convex in the
+        commands.
 
-        One tap: the copper is never colder than without current, over each step at the colder of its ends.
+        A single tap: the copper is never colder than without current; for each step the colder of its ends counts.
 
-        Taps that repeat: call rest the ambient with two nodes and, with one, the housing, which that node holds
-        fixed. At the hottest of the instants at which the limit is stated the winding is x above rest. Nothing but
-        the copper heats it, so it cools no faster than
+        Repeating taps: let rest be the ambient temperature with two nodes and, with one node, the housing's, which is
+        then fixed. Let the winding be x above rest at the hottest instant at which the limit is stated. Only the
+        current heats it, so it cools no faster than
 
             dT_w/dt = -(T_w - T_h) / tau_w,    T_w >= T_h >= rest.
 
-        Within a period it therefore keeps at least exp(-period / tau_w) of x. The energy balance of the housing over
-        a period, mean(T_w - T_h) = R_wh / R mean(T_w - rest) with R = R_wh + R_ha for two nodes and R_wh for one,
-        says that it keeps at least 1 - (period / tau_w) R_wh / R of x too. With `kept` the larger of the two, the
-        resistance is never below R_low(x), that at rest + kept x. At instant k the winding then is at least
-        R_low(x) L_k + c_k above rest, L_k >= 0 linear in the heatings and c_k >= 0 from the pause, and at most x:
+        Within a tap period it therefore keeps at least the share exp(-period / tau_w) of x. The energy balance of the
+        housing over a period, mean(T_w - T_h) = R_wh / R mean(T_w - rest) with R = R_wh + R_ha for two nodes and R_wh
+        for one, shows that it keeps at least the share 1 - (period / tau_w) R_wh / R as well. With `kept` the larger
+        of the two, the resistance is never below R_low(x), its value at rest + kept x. At instant k the winding is
+        then at least R_low(x) L_k + c_k above rest, with L_k >= 0 linear in the heatings and c_k >= 0 from the pause,
+        and at most x:
 
-            L_k <= (x - c_k) / R_low(x),
+            L_k <= (x - c_k) / R_low(x).
 
-        which grows with x. So it holds with x the whole headroom, and this is the convex limit.
+        The right side grows with x, so the inequality holds with x the whole headroom: that is the convex limit.
         """
         model, coil = self.model, self.coil
         if self.period_s is None:
             after = coil.R_ohm * (1 + COPPER_PER_K * (model.unpowered_C - RESISTANCE_REFERENCE_C))
             return replace(self, model=replace(model, gain=np.minimum(model.gain, after), copper=0.0))
-        # The margin makes up for what the recursion leaves out, so that commands keep the relaxed limit as well whose
-        # true temperature just keeps the stated one.
+        # The margin, which covers what the recursion neglects, is added back: a command whose true temperature just
+        # meets the stated limit must meet the relaxed one too.
         headroom = (model.headroom_K + self.kept_back) * (1 + ROUNDING)
         lapse = self.period_s / coil.tau_w_s
         total = coil.R_wh_K_W + (coil.R_ha_K_W if coil.nodes == 2 else 0.0)
@@ -161,9 +162,9 @@ class TemperatureLimit(Limit):
         return replace(self, model=replace(model, gain=coldest, copper=0.0, headroom_K=headroom))
 
     def bound_C(self, problem: Posed) -> float:
-        """What the winding cannot exceed, whatever is commanded: the limit current held throughout."""
+        """Bound on the winding's temperature under any command: that of the limit current, held throughout [C]."""
         limit, grid = problem.limits.input_limit, problem.grid
-        # The delay belongs to it: the ripple of Eq. 7 heats before the first command arrives.
+        # The amplifier's delay counts too: the ripple of Eq. 7 heats before the first command acts.
         duration = (grid.stages + 1) * grid.dt_s + grid.delay_s
         if self.period_s is None:
             return self.coil.adiabatic_bound_C(limit, duration)
@@ -183,7 +184,7 @@ class TemperatureLimit(Limit):
         return f"{throughout} throughout every tap, {rate:g} taps/s for ever, limit {self.limit_C:g} C"
 
     def unavoidable(self, problem: Posed) -> str:
-        # No current heats less than the ripple alone.
+        # Without a transient the ripple alone heats, the least heat of any command.
         nothing, tau_ms = np.zeros(problem.grid.stages), problem.grid.switching_times_s * 1e3
         excess = self.model.rise(self.model.heating.mean_square(nothing, nothing))[1:, 0] - self.model.headroom_K
         k = int(np.argmax(excess))
@@ -191,7 +192,8 @@ class TemperatureLimit(Limit):
             return "coil: no steady state even without a transient, thermal runaway"
         if excess[k] <= self.tolerance:
             return ""
-        return f"coil {excess[k]:.2g} K over its {self.limit_C:.8g} C at {tau_ms[k]:.1f} ms even without a transient"
+        over = f"coil {excess[k]:.2g} K over its limit {self.limit_C:.8g} C"
+        return f"{over} at {tau_ms[k]:.1f} ms even without a transient"
 
     def replayed(self, peak: float) -> str:
         return f"winding {peak:.3f} C, limit {self.limit_C:.8g} C"
@@ -201,33 +203,34 @@ class TemperatureLimit(Limit):
         hottest = float(self.temperatures_C(motion.plant_input, command).max())
         if hottest > self.limit_C + self.replay_tolerance:
             return ""
-        over = f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C"
-        # No winding warms faster than by the limit current with no heat leaving.
+        over = f"coil {peak - self.limit_C:.3g} K over its limit {self.limit_C:g} C"
+        # The winding warms fastest under the limit current while no heat leaves it.
         resistance = self.coil.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
         power_W = resistance * float(effective_square(np.asarray(problem.limits.input_limit), self.coil.ripple_A))
         warming_K = power_W * self.coil.R_wh_K_W / self.coil.tau_w_s * dt_s
         if peak - hottest <= warming_K:
-            return f"{over} within a servo period, in which it may warm by {warming_K:.3g} K: time.dt_s = {dt_s:g} s"
+            may = f"in which it may warm by {warming_K:.3g} K"
+            return f"{over} within a servo period, {may}: lower time.dt_s = {dt_s:g} s"
         if problem.stage.amplifier is None:
             return ""
-        # The recursion takes |mean of i| for the mean of |i|, which is less where the current changes its sign.
+        # The recursion uses |mean of i| for the mean of |i|: too little where the current changes its sign.
         decays = np.full(command.size, problem.stage.amplifier.rate_rad_s * dt_s)
         heating = following_square_mean(motion.plant_input, command, decays, self.coil.ripple_A)
         truly = float((model.rise(heating)[1:, 0] + model.unpowered_C).max())
         if not peak - truly <= warming_K:
             return ""
         return (
-            f"{over}: where the current changes its sign within a servo period it heats more than the problem "
-            f"states, here by {truly - hottest:.3g} K: time.dt_s = {dt_s:g} s"
+            f"{over}: a current that changes its sign within a servo period heats more than the problem states, here "
+            f"by {truly - hottest:.3g} K: lower time.dt_s = {dt_s:g} s"
         )
 
 
-def leaning(budget: Budget, wall: HandOver | None, stage: StageModel, grid: TimeGrid) -> Budget:
-    """The budget with what flows between taps: what it states, or else what the wall asks for at the window's end.
+def with_pause_current(budget: Budget, wall: HandOver | None, stage: StageModel, grid: TimeGrid) -> Budget:
+    """The budget with the current between taps: the stated one or, if none, the wall's at the end of the window.
 
-    By then the transient has let go of the stylus. The hand leans on the wall until it comes in again, which heats
-    more than lifting off: where the hand means to be z_nom deep, the wall of stiffness K pushes with
-    i = -K (z_nom + g i) / k_f, g the displacement that an ampere holds.
+    The transient is over by then. The hand is assumed to lean on the wall until the next tap, which heats more than
+    lifting off. The hand intends a depth z_nom, and the wall of stiffness K pushes with the current
+    i = -K (z_nom + g i) / k_f, where g is the static displacement per ampere.
     """
     if budget.idle_A is not None or wall is None:
         return budget
@@ -236,16 +239,16 @@ def leaning(budget: Budget, wall: HandOver | None, stage: StageModel, grid: Time
     try:
         held_m_A = -float((plant.Ce @ np.linalg.solve(plant.A, plant.B))[0, 0])
     except np.linalg.LinAlgError:
-        held_m_A = 0.0  # nothing holds a free device
+        held_m_A = 0.0  # a free device has no static displacement
     yielded = law.stiffness_N_m * max(held_m_A, 0.0) / law.force_per_current_N_A
     return replace(budget, idle_A=deep / (1 + yielded))
 
 
-@lru_cache(maxsize=64)  # all entries of a scene without a wall have the same
+@lru_cache(maxsize=64)  # the entries of a scene without a wall share one limit
 def temperature_limit(
     coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget
 ) -> TemperatureLimit:
-    """The limit of one horizon, from the coil's start temperatures or, with a tap rate, for ever.
+    """The limit over one horizon: from the coil's start temperatures or, with a tap rate, of the periodic course.
 
     Raises
     ------

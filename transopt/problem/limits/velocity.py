@@ -1,4 +1,4 @@
-"""|dz/dt| <= velocity: how fast the motor mass may move, for an encoder or a bearing that goes no faster."""
+"""|dz/dt| <= velocity: the limit on the speed of the motor mass that an encoder or a bearing sets."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,7 +10,7 @@ from transopt.problem.limits.output import OutputLimit
 
 @dataclass(frozen=True, repr=False)
 class VelocityLimit(OutputLimit):
-    """The velocity dz/dt of the motor mass [m/s]; the incoming speed is the first of it."""
+    """The limit on the velocity dz/dt of the motor mass [m/s]; it begins at the incoming speed."""
 
     name: ClassVar[str] = "velocity"
     label: ClassVar[str] = "velocity"

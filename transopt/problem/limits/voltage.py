@@ -1,9 +1,9 @@
-"""|u(t)| <= U for all t: the largest voltage at the terminals of an actuator that a voltage drives.
+"""|u(t)| <= U for all t: the limit on the terminal voltage of a voltage-driven actuator.
 
-A battery sags under load and the capacitor of a boost converter empties: the supply may fall along the waveform. The
-bound is then U s(t), with s a share of the voltage that is stated at instants from the first command on and linear
-between them. Between two switching instants the input lies between its values there while the bound may fall: the
-least supply of the two periods around an instant bounds it there, and so for all t.
+The supply may fall along the waveform: a battery sags under load, a boost converter's capacitor discharges. The limit
+is then U s(t), with the share s stated at instants counted from the first command and linear between them. Between
+two switching instants the input lies between its values there, while the limit may fall. So the input at an instant
+is bounded by the lowest supply of the two periods around it, which bounds it for all t.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ SAG = "sag"  # below `limits`: [[time in s from the first command on, share of t
 
 @dataclass(frozen=True, repr=False)
 class VoltageLimit(InputLimit):
-    """The limit on the terminal voltage [V], > 0, where a voltage is the input."""
+    """The limit on the terminal voltage [V], > 0, of a voltage-driven plant."""
 
     name: ClassVar[str] = "voltage"
     label: ClassVar[str] = "voltage"
@@ -40,11 +40,11 @@ class VoltageLimit(InputLimit):
 
 @dataclass(frozen=True, repr=False)
 class SaggingVoltageLimit(VoltageLimit):
-    """Limit on the voltage of a supply that falls along the waveform.
+    """The limit on the terminal voltage where the supply falls along the waveform.
 
     Attributes
     ----------
-    share : (N + 1,) of the limit that the supply has at tau_0 to tau_N, in (0, 1].
+    share : (N + 1,) supply at tau_0 to tau_N over the limit, in (0, 1].
     """
 
     label: ClassVar[str] = "sagging voltage"
@@ -68,7 +68,7 @@ class SaggingVoltageLimit(VoltageLimit):
         return (replace(row, lower=-bound, upper=bound),)
 
     def watched(self, problem: Posed) -> tuple[Row, ...]:
-        # u <= U s is u + U (1 - s) <= U, and the other side likewise; an offset may move along the horizon.
+        # The replay compares with constant bounds: u <= U s is u + U (1 - s) <= U, and the lower side likewise.
         (row,) = super().rows(problem)
         lacks = self.limit * (1 - self.share)
         return (replace(row, offset=lacks), replace(row, offset=-lacks))
@@ -79,7 +79,7 @@ def _shares(course: list[list[float]], dt_s: float, stages: int) -> FloatArray:
 
     Raises
     ------
-    InputError : times that do not rise, shares outside (0, 1].
+    InputError : times that do not increase, or a share outside (0, 1].
     """
     times, shares = np.array(course, dtype=float).reshape(-1, 2).T
     if times.size == 0 or np.any(np.diff(times) <= 0) or times[0] < 0 or not np.all((shares > 0) & (shares <= 1)):

@@ -1,8 +1,8 @@
-"""How near a movement comes to the recorded tap: the figures that every table, report and verdict tell.
+"""Figures that compare a movement with the recorded tap, for all tables, reports and verdicts.
 
-What is compared is a = y'' + a_free, the whole acceleration of the stylus, with r as it was recorded, whatever the
-objective weighs. Samples run from contact, or from tau_0 where that comes first, to the end of the tail; the L that
-no command can reach are among them.
+They compare a = y'' + a_free, the whole acceleration of the stylus, with the recorded r, independently of the
+objective's weights. Samples run from contact or tau_0, whichever is earlier, to the end of the tail; the L lost
+samples, which no command reaches, are included.
 """
 
 from dataclasses import dataclass
@@ -17,27 +17,27 @@ from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import ErrorFilter, bandpass
 
 NAN = float("nan")
-FELT_Hz = (120.0, 620.0)  # band of first order in which vibration is felt, whatever filter an objective has
-BUMP_Hz = (10.0, 60.0)  # band of second order in which a surface that lets go is noticed
-ROUNDING_s = 1e-9
-STILL = 1e-3  # of the integral of |r|: a change of speed that is none
+FELT_Hz = (120.0, 620.0)  # first-order band in which vibration is felt; the same for every objective
+BUMP_Hz = (10.0, 60.0)  # second-order band in which the hand notices that the surface lets go
+ROUNDING_s = 1e-9  # rounding of a time that is a multiple of the servo period
+MIN_SPEED_CHANGE = 1e-3  # as a share of the integral of |r|: a tap with less changes no speed
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What is told of one movement beside the recorded tap.
+    """The figures of one movement. The intention is the time in which the hand moves on as it came.
 
     Attributes
     ----------
-    tap_error : |a - r| / |r| over the intention, nothing filtered.
-    felt_error : |B (a - r)| / |B r| over all samples, B the band-pass of 120 to 620 Hz; NaN at a servo rate that
-        cannot carry it.
+    tap_error : |a - r| / |r| over the intention, unfiltered.
+    felt_error : |B (a - r)| / |B r| over all samples, B the band-pass of 120 to 620 Hz; NaN where the servo rate is
+        too low for it.
     felt_dB : energy of B a over that of B r [dB].
-    speed : change of speed over the intention, of a over that of r: 1 is a surface as hard as the real one, and below
-        0 the surface pulls. NaN for a named target, and for a tap that changes no speed.
+    speed : change of speed over the intention, that of a over that of r: 1 is a surface as hard as the real one;
+        below 0 the surface pulls. NaN for a named target, and for a tap that changes no speed.
     bump_m_s2 : peak of the error in 10 to 60 Hz after the intention, when the surface lets go; NaN for a named
-        target, and where nothing is looked at there.
-    error_after : |a - r| over the tail, over |r| of the intention.
+        target, without samples after the intention, or where the servo rate is too low for the band.
+    error_after : |a - r| over the tail divided by |r| over the intention.
     peak_after_m_s2 : largest |a - r| over the tail.
     """
 
@@ -52,13 +52,13 @@ class Figures:
 
 @dataclass(frozen=True)
 class Yardstick:
-    """Rule by which a movement is told.
+    """The rule by which the figures of a movement are computed.
 
     Attributes
     ----------
-    grid : where accelerations are sampled.
-    intention_s : for so long after contact a tap is compared as it is; a named target for its whole window.
-    named : whether it is for a named target, behind which there is no hand whose speed could change.
+    grid : time axis of the accelerations.
+    intention_s : duration of the intention after contact; for a named target its whole window.
+    named : whether the target is a named one, such as a click, without a hand whose speed could change.
     """
 
     grid: TimeGrid
@@ -74,7 +74,7 @@ class Yardstick:
         return bandpass(*BUMP_Hz, self.grid.dt_s, 2) if 2 * BUMP_Hz[1] * self.grid.dt_s < 1 else ()
 
     def _intention(self, lost: int, count: int) -> slice:
-        """Which of the samples tau, the first of them `lost` before tau_0, are of the intention."""
+        """The samples within the intention, among `count` of which the first lies `lost` samples before tau_0."""
         dt_s = self.grid.dt_s
         first_s = float(self.grid.switching_times_s[0]) - lost * dt_s
         begins, ends = (
@@ -83,7 +83,7 @@ class Yardstick:
         return slice(begins, ends)
 
     def tap_error(self, target: Target, acceleration_m_s2: FloatArray) -> float:
-        """`Figures.tap_error` alone, of y'' (K,) from tau_0 on, K at least the samples of the window."""
+        """`Figures.tap_error` alone, for y'' (K,) from tau_0 on with K at least the samples of the window."""
         recorded, lost = target.recorded_m_s2, target.before_m_s2.size
         first = self._intention(lost, recorded.size)
         made = np.append(np.zeros(lost), acceleration_m_s2)
@@ -91,9 +91,9 @@ class Yardstick:
         return _over(float(np.linalg.norm((made - recorded)[first])), float(np.linalg.norm(recorded[first])))
 
     def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
-        """Figures of y'' (K,) from tau_0 on, K the samples of the target's window and tail or more.
+        """Figures of y'' (K,) from tau_0 on, with K at least the samples of the target's window and tail.
 
-        Of a tap that is zero the errors are 0 where nothing moves, else infinite.
+        For a tap of zero the errors are 0 without motion, else infinite.
         """
         lost = target.before_m_s2.size
         free, recorded = target.free_m_s2, target.recorded_m_s2
@@ -103,13 +103,17 @@ class Yardstick:
         first = self._intention(lost, off.size)
         tail = off[lost + target.window_m_s2.size :]
         size = float(np.linalg.norm(recorded[first]))
-        heard_off, heard_made, heard = _through(self._felt, np.stack([off, made, recorded]))
+        felt_off, felt_made, felt_recorded = _through(self._felt, np.stack([off, made, recorded]))
         change, swept = float(np.sum(recorded[first])), float(np.sum(np.abs(recorded[first])))
         return Figures(
             tap_error=_over(float(np.linalg.norm(off[first])), size),
-            felt_error=_over(float(np.linalg.norm(heard_off)), float(np.linalg.norm(heard))) if self._felt else NAN,
-            felt_dB=_dB(float(heard_made @ heard_made), float(heard @ heard)) if self._felt else NAN,
-            speed=NAN if self.named or abs(change) <= STILL * swept else float(np.sum(made[first])) / change,
+            felt_error=_over(float(np.linalg.norm(felt_off)), float(np.linalg.norm(felt_recorded)))
+            if self._felt
+            else NAN,
+            felt_dB=_dB(float(felt_made @ felt_made), float(felt_recorded @ felt_recorded)) if self._felt else NAN,
+            speed=NAN
+            if self.named or abs(change) <= MIN_SPEED_CHANGE * swept
+            else float(np.sum(made[first])) / change,
             bump_m_s2=NAN
             if self.named or first.stop == off.size or not self._bump
             else float(np.abs(_through(self._bump, off)[first.stop :]).max()),
@@ -123,7 +127,7 @@ def _felt(dt_s: float) -> tuple[ErrorFilter, ...]:
 
 
 def felt(course: FloatArray, dt_s: float) -> FloatArray:
-    """(K,) what is felt of an acceleration from rest, `Figures.felt_error`; NaN at a rate that cannot carry it."""
+    """(K,) acceleration from rest through the band of `Figures.felt_error`; NaN where the servo rate is too low."""
     filters = _felt(dt_s)
     return _through(filters, course) if filters else np.full_like(course, np.nan)
 

@@ -1,4 +1,4 @@
-"""The price on heat: what holds the slow current back where nothing else does."""
+"""The price on heat, which limits slow currents that no other term of the objective penalises."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,10 @@ from transopt.base.signals import FloatArray
 
 @dataclass(frozen=True)
 class HeatPrice:
-    """price sum_(k<N) i_k^2, i_k what drives the plant at the switching instants of the window.
+    """price sum_(k<N) i_k^2, with i_k the plant's input at the switching instants of the window.
 
-    At any price J is convex, and its minimiser is the best tap with no more heat than it makes itself.
+    The term is convex. For every price the minimiser of J is also the optimum under the constraint that the heat is
+    at most the minimiser's own.
 
     Attributes
     ----------

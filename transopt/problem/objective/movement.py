@@ -1,4 +1,4 @@
-"""The second term of the objective: how much the command moves, which keeps the problem strictly convex."""
+"""The penalty on changes of the command, which keeps the problem strictly convex."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 
-SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
+SMOOTHNESS_STEP_S = 1e-4  # reference servo period of rho, which makes it independent of the scene's period
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Movement:
     rho : >= 0.
     stages : N.
     dt_s : servo period.
-    input_limit : I, the limit on the current, as the unit of the command.
+    input_limit : I, the limit on the plant's input, here the unit of the command.
     """
 
     rho: float
@@ -28,7 +28,7 @@ class Movement:
 
     @property
     def weight(self) -> float:
-        """rho (1e-4 s / dt)^2 / (N I^2), of dc_k^2 [1/A^2]."""
+        """Weight of dc_k^2: rho (1e-4 s / dt)^2 / (N I^2) [1/A^2]."""
         step = SMOOTHNESS_STEP_S / self.dt_s
         return self.rho * step**2 / (self.stages * self.input_limit**2)
 
@@ -38,19 +38,19 @@ class Movement:
         return self.weight * float(np.vdot(movement, movement))
 
     def gradient(self, command: FloatArray) -> FloatArray:
-        """(..., N) of the term by the commands [1/A]."""
+        """(..., N) gradient of the term by the commands [1/A]."""
         by_movement = 2 * self.weight * _moves(command)
         by_command = by_movement.copy()
         by_command[..., :-1] -= by_movement[..., 1:]
         return by_command
 
     def relief(self, command: FloatArray) -> float:
-        """Fall of the term for each ampere that I is raised, the command as it is [1/A]."""
+        """Decrease of the term per ampere by which I is raised while the command stays [1/A]."""
         return 2 * self.value(command) / self.input_limit
 
 
 def _moves(command: FloatArray) -> FloatArray:
-    """(..., N) of a command (..., N), the first from zero."""
+    """(..., N) changes dc_k of a command (..., N), the first one from zero."""
     moves = command.copy()
     moves[..., 1:] -= command[..., :-1]
     return moves

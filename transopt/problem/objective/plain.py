@@ -1,4 +1,4 @@
-"""The plain term: the error as it is, for as long as the motion of the hand is known."""
+"""The plain term: the unfiltered error, for as long as the motion of the hand is known."""
 
 import numpy as np
 
@@ -9,17 +9,18 @@ NAME = "plain"
 
 
 def plain(weight: float, grid: TimeGrid, intention_s: float) -> ErrorTerm:
-    """The error with one weight until the intention ends, and with none after it.
+    """The unfiltered error with a constant weight until the intention ends, and with zero weight after it.
 
-    Over the intention the hand means to move on as it came, so the whole recorded deceleration comes from the
-    surface. What the hand does afterwards no recording tells apart from the surface, so nothing slow is asked for.
+    During the intention the hand moves on as it came, so the surface causes the whole recorded deceleration.
+    Afterwards a recording does not separate the hand's own motion from the surface's effect, so slow motion is not
+    tracked.
 
     Parameters
     ----------
     weight : >= 0.
-    intention_s : how long after contact the hand's intention is known; a named target has the whole window.
+    intention_s : duration after contact for which the hand's intention is known; infinite for a named target.
     """
     within = grid.switching_times_s < intention_s
-    # A target that fills the window has no hand behind it, and what rings after it is all its own.
+    # A target that fills the window is a named one, without a hand: ringing after it is error too.
     after = weight if within.all() else 0.0
     return ErrorTerm(NAME, np.where(within, weight, 0.0), weight, after)

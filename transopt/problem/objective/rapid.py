@@ -1,4 +1,4 @@
-"""The rapid term: the error above some 20 Hz, or as vibration is felt, with weight 1 through window and tail."""
+"""The rapid term: the error above some 20 Hz, or in the band of the sense of vibration, with weight 1 throughout."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def rapid_filter(kind: str, from_Hz: float, dt_s: float) -> ErrorFilter | None:
 
     Raises
     ------
-    InputError : unknown kind, or a servo rate that cannot carry the filter.
+    InputError : an unknown kind, or a servo rate too low for the filter.
     """
     if kind not in RAPID:
         raise InputError(f"weights.rapid = {kind!r}: unknown; choose {', '.join(RAPID[:-1])} or {RAPID[-1]}")
@@ -30,5 +30,5 @@ def rapid_filter(kind: str, from_Hz: float, dt_s: float) -> ErrorFilter | None:
 
 
 def rapid(by: ErrorFilter, grid: TimeGrid) -> ErrorTerm:
-    """The filtered error, each sample counting as it is."""
+    """The filtered error with weight 1 for every sample, lost samples and tail included."""
     return ErrorTerm(NAME, np.ones(grid.stages), 1.0, 1.0, by)

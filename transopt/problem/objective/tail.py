@@ -1,9 +1,9 @@
-"""What an optimum does when the waveform is over, as a function of the state in which the window ends.
+"""The cost of the tail after the waveform, as a function of the state x_N at the end of the window.
 
-From tau_N on the commands follow from the state (`limits.hand_over`), so that y'' at the M instants after the window
-is O x_N and an offset, one row an instant and device. The sum of squares |O x_N - r_after|^2 over hundreds of rows
-depends on x_N by a triangle of its size: with O = Q R it is |R x_N - Q' r_after|^2 and a rest that no command moves.
-Evaluated as a square it loses no digits, as x' P x - 2 p' x would.
+From tau_N on the commands follow from the state (`limits.hand_over`), so y'' at the M instants after the window is
+affine in it, O x_N + offset, with one row per instant and device. With O = Q R the sum of squares |O x_N - r_after|^2
+over hundreds of rows becomes |R x_N - Q' r_after|^2 plus a constant, with R of the state's size. Evaluated as a
+square it keeps all digits; x' P x - 2 p' x would cancel.
 """
 
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ from transopt.problem.stage import LinearStage
 
 @dataclass(frozen=True)
 class Tail:
-    """Sum of the terms over the tail / E, the mean over the devices by their shares, as |gain x_N - target|^2 + rest.
+    """Cost of the tail, |gain x_N - target|^2 + rest: all error terms over E, averaged by the devices' shares.
 
     Attributes
     ----------
-    gain : (m, n) on the states of `LinearStage`, m <= n; m = 0 where nothing after the window counts.
+    gain : (m, n) on the states of `LinearStage`, m <= n; m = 0 where the tail has no weight.
     target : (m,).
-    rest : >= 0.
+    rest : >= 0, independent of x_N.
     """
 
     gain: FloatArray
@@ -37,14 +37,14 @@ class Tail:
 
 @dataclass(frozen=True)
 class _Free:
-    """How the outputs that count in the tail follow from x_N, for all problems of one linear stage; scales both 1.
+    """Factors of the tail's free motion, shared by all problems of one linear stage; both scales are 1.
 
     Attributes
     ----------
-    A, terms, shared : of the linear stage and of the problem, by which it is known again.
-    counting : rows of the outputs that count, among those of all devices and terms.
-    roots : (M counting,) roots of their weights.
-    Q, R : with Q R x_N the weighted outputs, one row an instant and output.
+    A, terms, shared : those of the linear stage and the problem; they are the cache key.
+    counting : indices of the outputs with a weight in the tail, among those of all devices and terms.
+    roots : (M counting,) square roots of the weights.
+    Q, R : factors of the weighted outputs Q R x_N, one row per instant and output.
     """
 
     A: FloatArray
@@ -56,19 +56,20 @@ class _Free:
     R: FloatArray
 
     def serves(self, problem: TransientProblem, stage: LinearStage) -> bool:
+        """Whether these factors are valid for this problem."""
         alike = self.A is stage.A and self.terms is problem.terms and np.array_equal(self.shared, problem.shared)
         return alike and self.roots.size == self.counting.size * problem.grid.after_stages
 
 
 def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
-    """The tail of a problem, for the states of its linear stage."""
+    """The tail's cost of a problem, for the states of its linear stage."""
     M, n = problem.grid.after_stages, stage.units.size
     if M == 0 or not any(term.after > 0 for term in problem.terms):
         return Tail(np.zeros((0, n)), np.zeros(0), 0.0)
     free = _free(problem, stage)
     wanted = problem.tracking.unit_wanted[:, problem.grid.stages :]
     asked = wanted[free.counting % wanted.shape[0]].T.ravel()
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
         if problem.wall is None:
             Q, gain = free.Q, free.R * (stage.input_scale / stage.unit_m_s2)
         else:
@@ -82,12 +83,12 @@ def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
 
 
 def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
-    """The factors of the free motion: all taps of one grip share them, so they are kept with the device."""
+    """The factors of the free motion, cached in the stage model because all taps of one grip share them."""
     derived, M = problem.stage.derived, problem.grid.after_stages
     found = derived.get(_Free)
     if isinstance(found, _Free) and found.serves(problem, stage):
         return found
-    # The roots of the weights: output (device, term) at each of the M instants.
+    # Roots of the weights of every output (device, term), repeated for the M instants.
     after = np.sqrt([term.after for term in problem.terms])
     counting = np.flatnonzero(np.tile(after, problem.shared.size) > 0)
     roots = np.tile(np.outer(np.sqrt(problem.shared), after).ravel()[counting], M)
@@ -101,10 +102,10 @@ def _free(problem: TransientProblem, stage: LinearStage) -> _Free:
 
 
 def _fixed(stage: LinearStage, M: int, counting: NDArray[np.intp]) -> FloatArray:
-    """(M outputs, n) of the outputs that count by x_N, instant by instant; all commands zero."""
+    """(M outputs, n) weighted outputs by x_N, instant by instant, with all commands zero."""
     n, m = stage.units.size, stage.motors
     loop, outputs = stage.A.copy(), stage.C[counting]
-    # The first movement takes the commands that are held to zero, where they stay.
+    # The first movement takes the held commands to zero, where they stay.
     loop[:, -m:] -= stage.B
     outputs[:, -m:] -= stage.E[counting]
     by_state = outputs @ powers(loop, M - 1).reshape(M, n, n)
@@ -114,13 +115,13 @@ def _fixed(stage: LinearStage, M: int, counting: NDArray[np.intp]) -> FloatArray
 def _walled(
     problem: TransientProblem, stage: LinearStage, counting: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """(M outputs, n) by x_N and (M outputs,) beside it, where the commands are what the wall asks for."""
+    """(M outputs, n) outputs by x_N, and (M outputs,) their constant parts, under the wall's feedback command."""
     M, n = problem.grid.after_stages, stage.units.size
     gains, offsets = hand_over.rows_after(problem, stage)
-    gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
+    gains[:, -1] -= 1.0  # dc_k = rows x_k + constant - c_(k-1), and c_(k-1) is the last state
     by_movement = stage.B[:, 0]
     loops = stage.A + by_movement[:, None] * gains[:, None, :]
-    states = np.empty((M, n, n + 1))  # by x_N and beside it
+    states = np.empty((M, n, n + 1))  # derivatives by x_N, then the constant part
     states[0] = np.eye(n, n + 1)
     for j in range(M - 1):
         np.matmul(loops[j], states[j], out=states[j + 1])

@@ -1,4 +1,4 @@
-"""What the stylus shall do: within the window, before any command can act, and after the last one."""
+"""The target acceleration of the stylus: in the window, before any command acts, and after the last one."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -8,8 +8,8 @@ import numpy as np
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
-ZERO_M_S2 = 1e-3  # a tap with a smaller rms is zero
-LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
+ZERO_M_S2 = 1e-3  # a tap with a smaller rms counts as zero
+LARGEST_M_S2 = 1e100  # sums of squares of larger samples may overflow in double precision
 
 
 def _none() -> FloatArray:
@@ -18,20 +18,20 @@ def _none() -> FloatArray:
 
 @dataclass(frozen=True)
 class Target:
-    """What is asked of y'', the acceleration that the current adds: the recorded tap r less a_free.
+    """The target of y'', the acceleration that the current adds: the recorded tap r minus a_free.
 
-    Nothing of a tap is dropped. What happens before tau_0 no command can reach: the device does not move, and all of
-    it is error. What happens after tau_N follows from the state there.
+    The whole tap counts. The L samples before tau_0 are lost: no command acts yet, the device does not move, and the
+    whole target there is error. The motion after tau_N follows from the state at tau_N.
 
-    Of a plant with several directions every array is (p, N) in place of (N,), the normal of the surface first.
+    For a plant with p directions every array is (p, N) in place of (N,), the normal of the surface first.
 
     Attributes
     ----------
     window_m_s2 : (N,) r - a_free at the switching instants tau_0 to tau_(N-1).
-    after_m_s2 : (M,) at tau_N to tau_(N+M-1).
-    before_m_s2 : (L,) at the instants from contact on that come before tau_0.
-    free_window_m_s2, free_after_m_s2, free_before_m_s2 : a_free at the same instants, how the stylus accelerates
-        without current; of no element where it does not.
+    after_m_s2 : (M,) r - a_free in the tail, at tau_N to tau_(N+M-1).
+    before_m_s2 : (L,) r - a_free at the instants from contact to tau_0.
+    free_window_m_s2, free_after_m_s2, free_before_m_s2 : a_free, the stylus' acceleration without current, at the
+        same instants; empty where it is zero.
     """
 
     window_m_s2: FloatArray
@@ -45,12 +45,12 @@ class Target:
 
     @cached_property
     def whole_m_s2(self) -> FloatArray:
-        """(L + N + M,) r - a_free from contact, or from tau_0 where that comes first, to the end of the tail."""
+        """(L + N + M,) r - a_free from contact or tau_0, whichever is earlier, to the end of the tail."""
         return np.concatenate([self.before_m_s2, self.window_m_s2, self.after_m_s2], axis=-1)
 
     @cached_property
     def free_m_s2(self) -> FloatArray:
-        """(L + N + M,) a_free there."""
+        """(L + N + M,) a_free at the instants of `whole_m_s2`."""
         parts = (
             (self.free_before_m_s2, self.before_m_s2),
             (self.free_window_m_s2, self.window_m_s2),
@@ -60,7 +60,7 @@ class Target:
 
     @cached_property
     def normal(self) -> "Target":
-        """The first direction alone, by which figures are told."""
+        """The target along the normal alone, for which figures are computed."""
         if self.window_m_s2.ndim == 1:
             return self
         free = self.lost, self.lost + self.window_m_s2.shape[-1]
@@ -70,7 +70,7 @@ class Target:
         )
 
     def along_normal(self, directions: int) -> "Target":
-        """One course as the target along the normal, the first of p directions; along the others it is zero."""
+        """The target for p directions: this one along the normal, the first direction, zero along the others."""
 
         def first(course: FloatArray) -> FloatArray:
             others = np.zeros((directions - 1, course.size))
@@ -82,17 +82,17 @@ class Target:
 
     @property
     def lost(self) -> int:
-        """L, samples of the tap that no command can reach."""
+        """L, the number of samples of the tap before any command acts."""
         return int(self.before_m_s2.shape[-1])
 
     @cached_property
     def flaw(self) -> str:
-        """What makes it no target, in words: a number that is not finite, or one whose square overflows; or empty."""
+        """Why the target is invalid, in words: a NaN, an infinite or a too large number; empty if it is valid."""
         named = {"window": self.window_m_s2, "after": self.after_m_s2, "before": self.before_m_s2}
         for name, array in named.items():
             said = "reference_m_s2" if name == "window" else f"reference_{name}_m_s2"
             if not np.isfinite(array).all():
-                return f"{said} holds a number that is not finite"
+                return f"{said} contains NaN or an infinite number"
             largest = float(np.abs(array).max(initial=0.0))
             if largest > LARGEST_M_S2:
                 return (
@@ -103,41 +103,41 @@ class Target:
 
     @property
     def lost_share(self) -> float:
-        """Share of the energy of the target up to the window's end that no command can reach; 0 of a tap of zero."""
+        """Energy of the lost samples over that of the target up to the window's end; 0 for a tap of zero."""
         lost = float(np.vdot(self.before_m_s2, self.before_m_s2))
         return 0.0 if self.is_zero else lost / (lost + float(np.vdot(self.window_m_s2, self.window_m_s2)))
 
     @cached_property
     def is_zero(self) -> bool:
-        """Whether there is no tap at all."""
+        """Whether the tap up to the window's end counts as zero."""
         asked = np.append(self.before_m_s2, self.window_m_s2)
         return float(asked @ asked) < ZERO_M_S2**2 * asked.size
 
     @cached_property
     def asks_for_nothing(self) -> bool:
-        """Whether there is nothing left of the tap in the window: the answer is the zero waveform."""
+        """Whether the target is zero in the window, so that the optimum is the zero waveform."""
         r = self.window_m_s2
         return self.is_zero or float(np.vdot(r, r)) < ZERO_M_S2**2 * r.size
 
     @cached_property
     def recorded_m_s2(self) -> FloatArray:
-        """(L + N + M,) r there, the whole acceleration that the stylus shall have."""
+        """(L + N + M,) r at the instants of `whole_m_s2`, the whole target acceleration of the stylus."""
         return np.asarray(self.whole_m_s2 + self.free_m_s2)
 
     def of_window(self, whole: FloatArray) -> FloatArray:
-        """(N,) the samples of the window among (L + N + M,)."""
+        """(N,) samples of the window among (L + N + M,)."""
         return whole[..., self.lost : self.lost + self.window_m_s2.shape[-1]]
 
     def lasting(self, whole: FloatArray) -> FloatArray:
-        """(N + M,) the samples from tau_0 on among (L + N + M,)."""
+        """(N + M,) samples from tau_0 on among (L + N + M,)."""
         return whole[..., self.lost :]
 
     def moved(self, by_m_s2: FloatArray) -> "Target":
-        """Add (N,) to the window: what a device has to be asked for so that it makes r."""
+        """The target with (N,) added in the window, to correct for a device that deviates from its model."""
         return replace(self, window_m_s2=self.window_m_s2 + by_m_s2)
 
     def extended(self) -> "Target":
-        """Target in extended precision, where the machine has one."""
+        """The target in `np.longdouble`, which is extended precision where the machine has it."""
 
         def wide(values: FloatArray) -> FloatArray:
             return values.astype(np.longdouble)
@@ -151,5 +151,5 @@ class Target:
 
     @cached_property
     def continued_m_s2(self) -> FloatArray:
-        """(N + M,) r - a_free in the window and after it."""
+        """(N + M,) r - a_free in the window and in the tail."""
         return np.concatenate([self.window_m_s2, self.after_m_s2], axis=-1)

@@ -1,4 +1,4 @@
-"""Weighting of the tracking error by what the hand feels."""
+"""Filters that weight the tracking error by what the hand feels."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -11,15 +11,20 @@ from transopt.base.recursions import LinearSystem
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
-PACINIAN_Hz = 275.0  # where vibration is felt best
+PACINIAN_Hz = 275.0  # frequency of the highest sensitivity to vibration
 PACINIAN_Q = 0.5
-RAPID = ("highpass", "pacinian", "none")  # what a scene's `weights.rapid` may be
-FLOOR = 0.1  # -20 dB: what is hardly felt still counts, so that the problem stays strictly convex
+RAPID = ("highpass", "pacinian", "none")  # values of a scene's `weights.rapid`
+FLOOR = 0.1  # least gain of the Pacinian filter, -20 dB, at which every frequency still counts
 
 
 @dataclass(frozen=True)
 class ErrorFilter:
-    """Second-order filter of the sampled error, from rest. b, a : (3,) as in scipy.signal, a[0] = 1."""
+    """Second-order filter of the sampled error, starting at rest.
+
+    Attributes
+    ----------
+    b, a : (3,) coefficients as in scipy.signal, a[0] = 1.
+    """
 
     b: FloatArray
     a: FloatArray
@@ -27,7 +32,7 @@ class ErrorFilter:
     __repr__ = brief
 
     def apply(self, error: FloatArray) -> FloatArray:
-        """(..., N) filtered along the last axis."""
+        """(..., N) error filtered along the last axis."""
         return self._system.outputs(error[..., None, :])[..., 0, :]
 
     def transpose(self, by_filtered: FloatArray) -> FloatArray:
@@ -51,7 +56,7 @@ def highpass(from_Hz: float, dt_s: float) -> ErrorFilter:
 
     Parameters
     ----------
-    from_Hz : where it has lost 3 dB.
+    from_Hz : corner, at -3 dB.
 
     Raises
     ------
@@ -62,7 +67,7 @@ def highpass(from_Hz: float, dt_s: float) -> ErrorFilter:
             f"weights.rapid_from_Hz = {from_Hz:g} Hz: must be above 0 and below half the servo rate, "
             f"{0.5 / dt_s:g} Hz; lower it or time.dt_s"
         )
-    # 1 / (1 + sqrt(2) s + s^2) mirrored, with s = (1/w)(1 - z)/(1 + z) and w the prewarped corner.
+    # The low-pass 1 / (1 + sqrt(2) s + s^2) with s replaced by 1 / s; bilinear transform with w the prewarped corner.
     w = np.tan(np.pi * from_Hz * dt_s)
     scale = 1 + np.sqrt(2) * w + w * w
     a = np.array([1.0, 2 * (w * w - 1) / scale, (1 - np.sqrt(2) * w + w * w) / scale])
@@ -71,21 +76,21 @@ def highpass(from_Hz: float, dt_s: float) -> ErrorFilter:
 
 @lru_cache(maxsize=8)
 def bandpass(low_Hz: float, high_Hz: float, dt_s: float, order: Literal[1, 2]) -> tuple[ErrorFilter, ...]:
-    """Butterworth band-pass by the bilinear transform, as second-order sections one behind the other.
+    """Butterworth band-pass by the bilinear transform, as a cascade of second-order sections.
 
-    The prototype's poles go to those of the band by s -> (s^2 + w0^2) / (bw s), with the edges prewarped.
+    The low-pass prototype is mapped to the band by s -> (s^2 + w0^2) / (bw s), with the edges prewarped.
 
     Parameters
     ----------
-    low_Hz, high_Hz : edges, where it has lost 3 dB; below half the servo rate.
-    order : of the prototype and number of sections, 1 or 2.
+    low_Hz, high_Hz : edges, at -3 dB; below half the servo rate.
+    order : order of the prototype, which is the number of sections, 1 or 2.
     """
     low, high = (np.tan(np.pi * edge * dt_s) for edge in (low_Hz, high_Hz))
     width, middle = high - low, low * high
     if order == 1:
         pairs = [np.roots([1.0, width, middle])]
     else:
-        # Each root of one of the prototype's two conjugate poles stands for a pair.
+        # Each root belongs to one of the prototype's two conjugate poles; its conjugate belongs to the other.
         pairs = [np.array([root, root.conj()]) for root in np.roots([1.0, -width * np.exp(0.75j * np.pi), middle])]
     sections = []
     centre = np.exp(2j * np.arctan(np.sqrt(middle)))
@@ -98,22 +103,22 @@ def bandpass(low_Hz: float, high_Hz: float, dt_s: float, order: Literal[1, 2]) -
     return tuple(sections)
 
 
-@lru_cache(maxsize=8)  # every entry's verdict asks for it
+@lru_cache(maxsize=8)  # the verdict of every entry needs it
 def pacinian(dt_s: float) -> ErrorFilter:
-    """Band-pass at 275 Hz, Q 0.5, unit peak, over a floor of -20 dB.
+    """Band-pass at 275 Hz with Q = 0.5, unit peak and a floor of -20 dB.
 
-    With H the band-pass, whose response lies on the circle over [0, 1], the filter 0.1 + 0.9 H has gains from 0.1
-    to 1 and is nowhere smaller than its floor.
+    The response of the band-pass H lies on the circle whose diameter is [0, 1], so 0.1 + 0.9 H has gains from 0.1 to
+    1.
 
     Raises
     ------
-    InputError : a servo rate that cannot carry it.
+    InputError : a servo rate too low for it.
     """
     if not 2 * PACINIAN_Hz * dt_s < 1:
         raise InputError(
             f"weights.rapid: pacinian lies at {PACINIAN_Hz:g} Hz, above half the servo rate {0.5 / dt_s:g} Hz"
         )
-    # The bilinear transform of (s / Q) / (s^2 + s / Q + 1) with the band edges where Q puts them.
+    # Bilinear transform of (s / Q) / (s^2 + s / Q + 1), with the bandwidth of Q kept by prewarping.
     w0 = 2 * np.pi * PACINIAN_Hz * dt_s
     share = 1 / (1 + np.tan(0.5 * w0 / PACINIAN_Q))
     a = np.array([1.0, -2 * share * np.cos(w0), 2 * share - 1])
