@@ -4,7 +4,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.arm import MOST_CONDITION, Arm, LinkagePart, Place
+from transopt.plant.arm import MAX_CONDITION, Arm, LinkagePart, Place
 from transopt.plant.discretise import TimeGrid, discretise
 from transopt.plant.hand import HandSection
 from transopt.plant.state_space import StateSpace
@@ -53,7 +53,7 @@ def drawn_place(arm: Arm, lot: np.random.Generator) -> Place:
     """A posture of any condition that an arm may have, near-singular ones among them, and any normal."""
     while True:
         posture = lot.uniform([-1.5, -1.4, -1.4], [1.5, 1.4, 1.4])
-        if np.linalg.cond(arm.linkage.jacobian(posture)) <= MOST_CONDITION:
+        if np.linalg.cond(arm.linkage.jacobian(posture)) <= MAX_CONDITION:
             normal = lot.standard_normal(3)
             return Place(posture, normal / np.linalg.norm(normal))
 

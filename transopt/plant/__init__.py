@@ -1,6 +1,6 @@
-"""The physics of a one-degree-of-freedom haptic device: what a motor current does to the stylus.
+"""Models of haptic devices: the acceleration of the stylus as a function of the motor's current or voltage.
 
-A scene states the device; this room turns it into models, and the models into the matrices of the optimal-control
+A scene states the device; this package builds its continuous-time model and the matrices of the optimal-control
 problem. "The seed" in these files is Fiene, Kuchenbecker, Niemeyer 2006, "Event-Based Haptic Tapping with Grip Force
 Compensation".
 

@@ -16,8 +16,8 @@ class Amplifier:
     Attributes
     ----------
     pole_Hz : > 0.
-    delay_s : >= 0; it comes on top of the hold of the command over a servo period.
-    command_limit : the command may lie between minus and plus this [A or V], > 0.
+    delay_s : >= 0, in addition to the hold of the command over a servo period.
+    command_limit : largest |c| [A or V], > 0.
 
     Raises
     ------
@@ -38,11 +38,11 @@ class Amplifier:
 
     @classmethod
     def of(cls, table: Mapping[str, float], unit: str = "A") -> "Amplifier":
-        """Read an amplifier from a library's `meta`, the command's limit under a name that ends in its unit."""
+        """Read an amplifier from a library's `meta`; the key of the command's limit ends in its unit."""
         return cls(table["pole_Hz"], table["delay_s"], table[f"command_limit_{unit}"])
 
     def table(self, unit: str) -> dict[str, float]:
-        """State the amplifier as a library's `meta` has it."""
+        """The amplifier as a table for a library's `meta`."""
         return {"pole_Hz": self.pole_Hz, "delay_s": self.delay_s, f"command_limit_{unit}": self.command_limit}
 
     @property

@@ -2,15 +2,16 @@
 
 The arm turns by q_1 about the vertical; upper arm and forearm stand in that plane at the angles q_2 above the
 horizontal and q_3 beyond the downward vertical. As in the Phantom a parallel linkage drives the forearm, so that q_3
-is measured against the base and all motors stand there. The tip is at (Cavusoglu, Feygin and Tendick, Presence 11(6),
-2002, whose frame is turned)
+is measured against the base and all motors are mounted there. The tip is at (Cavusoglu, Feygin and Tendick, Presence
+11(6), 2002, with a rotated frame)
 
     x = r cos q_1,  y = r sin q_1,  z = l_1 sin q_2 - l_2 cos q_3,  r = l_1 cos q_2 + l_2 sin q_3.
 
-Links are uniform rods, their weight is balanced. A few millimetres around a posture the arm feels at its tip like the
-mass M = J^-T I J^-1 (3 x 3), with I the inertia of links and rotors by the angles and J the Jacobian of the tip. A
-spring and a damper join tip and stylus, skin and arm of the hand follow, each a 3 x 3 matrix. That chain of three
-points is the linear plant; its accelerations are the stylus's along the normal of the surface and two tangents.
+Links are uniform rods with balanced weight. Within a few millimetres around a posture the arm has the effective mass
+M = J^-T I J^-1 (3 x 3) at its tip, with I the inertia of links and rotors in the angles and J the Jacobian of the
+tip. A spring and a damper join tip and stylus; skin and arm of the hand follow, each as 3 x 3 matrices. This chain of
+three points is the linear plant. Its outputs are the accelerations of the stylus along the surface normal and two
+tangents.
 """
 
 from dataclasses import dataclass
@@ -29,9 +30,9 @@ from transopt.plant.motor import Tip
 from transopt.plant.state_space import StateSpace
 
 MOTORS = 3
-MOST_CONDITION = 100.0  # of the Jacobian [m/rad]: beyond, the arm can hardly move in some direction
-COMPLEX_STEP = 1e-30  # of an angle: derivatives of formulas without cancellation
-MOST_PLACES = 32  # postures, and normals
+MAX_CONDITION = 100.0  # of the Jacobian [m/rad]: nearer to singular, the arm hardly moves in some direction
+COMPLEX_STEP = 1e-30  # of an angle [rad], for complex-step derivatives, which have no cancellation
+MAX_PLACES = 32  # largest number of postures, and of normals
 Triple = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Three = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 
@@ -55,13 +56,13 @@ class LinkagePart(Section):
     base_kg_m2: NonNegative = 0.0
 
     def tip_m(self, q: FloatArray) -> FloatArray:
-        """(3,) place of the tip at the angles q (3,) [rad]."""
+        """(3,) position of the tip at the angles q (3,) [rad]."""
         reach = self.upper_arm_m * np.cos(q[1]) + self.forearm_m * np.sin(q[2])
         height = self.upper_arm_m * np.sin(q[1]) - self.forearm_m * np.cos(q[2])
         return np.array([reach * np.cos(q[0]), reach * np.sin(q[0]), height])
 
     def jacobian(self, q: FloatArray) -> FloatArray:
-        """(3, 3) of the tip's place by the angles [m/rad]."""
+        """(3, 3) derivative of the tip's position by the angles [m/rad]."""
         (s1, s2, s3), (c1, c2, c3) = np.sin(q), np.cos(q)
         upper, fore = self.upper_arm_m, self.forearm_m
         reach = upper * c2 + fore * s3
@@ -74,7 +75,7 @@ class LinkagePart(Section):
         )
 
     def inertia(self, q: FloatArray) -> FloatArray:
-        """(3, 3) of the links by the angles [kg m^2], from the kinetic energy of the two rods."""
+        """(3, 3) inertia of the links in the angles [kg m^2], from the kinetic energy of the two rods."""
         upper, fore, m1, m2 = self.upper_arm_m, self.forearm_m, self.upper_arm_kg, self.forearm_kg
         c2, s3 = np.cos(q[1]), np.sin(q[2])
         turning = self.base_kg_m2 + m1 * upper**2 * c2**2 / 3
@@ -85,7 +86,7 @@ class LinkagePart(Section):
         return np.array([[turning, nothing, nothing], [nothing, lifted, joined], [nothing, joined, bent]])
 
     def centrifugal(self, q: FloatArray, rate: FloatArray) -> FloatArray:
-        """(3,) torques of the motion itself: (dI/dt) q' - grad (q' I q') / 2 [N m]."""
+        """(3,) centrifugal and Coriolis torques (dI/dt) q' - grad (q' I q') / 2 [N m]."""
         by_angle = [self.inertia(q + 1j * COMPLEX_STEP * turn).imag / COMPLEX_STEP for turn in np.eye(3)]
         changing = sum(each * speed for each, speed in zip(by_angle, rate, strict=True))
         return np.asarray(changing @ rate - np.array([rate @ each @ rate for each in by_angle]) / 2)
@@ -93,12 +94,12 @@ class LinkagePart(Section):
 
 @dataclass(frozen=True)
 class Place:
-    """Posture of the arm and normal of the surface that a tap meets.
+    """Posture of the arm and normal of the surface at which a tap takes place.
 
     Attributes
     ----------
     posture_rad : (3,) angles of the arm.
-    normal : (3,) of length 1 in the frame of the base, out of the object.
+    normal : (3,) unit vector in the frame of the base, out of the object.
     """
 
     posture_rad: FloatArray
@@ -106,9 +107,9 @@ class Place:
 
     @cached_property
     def frame(self) -> FloatArray:
-        """(3, 3) the normal and two tangents, row by row; the first tangent is as level as can be."""
+        """(3, 3) the normal and two tangents, row by row; the first tangent is horizontal."""
         level = np.cross([0.0, 0.0, 1.0], self.normal)
-        if np.linalg.norm(level) < 1e-6:  # of a floor or a ceiling every tangent is level
+        if np.linalg.norm(level) < 1e-6:  # floor or ceiling: every tangent is horizontal
             level = np.array([1.0, 0.0, 0.0]) - self.normal[0] * self.normal
         first = level / np.linalg.norm(level)
         return np.array([self.normal, first, np.cross(self.normal, first)])
@@ -119,19 +120,19 @@ class Arm(PlantKind):
 
     Attributes
     ----------
-    linkage : the arm.
-    torque_Nm_A : of each motor, per ampere.
-    rotor_kg_m2 : of each motor.
-    ratios : turn of each motor's shaft for a turn of its joint.
-    stiffness_N_m : of cables and links between the arm's tip and the stylus, alike in all directions.
-    damping_N_s_m : the damper beside it.
+    linkage : lengths and masses of the arm.
+    torque_Nm_A : torque of each motor per ampere.
+    rotor_kg_m2 : rotor inertia of each motor.
+    ratios : turns of each motor's shaft per turn of its joint.
+    stiffness_N_m : spring of cables and links between the arm's tip and the stylus, the same in all directions.
+    damping_N_s_m : damper between the arm's tip and the stylus.
     stylus_mass_kg : mass of the stylus.
     hand : skin and arm of the hand along the stylus.
-    across : share of their stiffness and damping that hand and skin have across the stylus.
+    across : stiffness and damping of hand and skin across the stylus over those along it.
     stylus : direction of the stylus in the frame of the base.
     postures_deg : angles of the arm, posture by posture.
-    normals : of surfaces, in the frame of the base, out of the object.
-    motor_shares : what part of the transient limit each motor has, where they are not equally strong.
+    normals : normals of the surfaces, in the frame of the base, out of the object.
+    motor_shares : share of the transient limit that each motor has, where they are not equally strong.
     """
 
     driven_at_tip: ClassVar[bool] = False
@@ -147,8 +148,8 @@ class Arm(PlantKind):
     hand: HandSection
     across: Positive = 1.0
     stylus: Triple
-    postures_deg: Annotated[list[Triple], Field(min_length=1, max_length=MOST_PLACES)]
-    normals: Annotated[list[Triple], Field(min_length=1, max_length=MOST_PLACES)]
+    postures_deg: Annotated[list[Triple], Field(min_length=1, max_length=MAX_PLACES)]
+    normals: Annotated[list[Triple], Field(min_length=1, max_length=MAX_PLACES)]
     motor_shares: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=3, max_length=3)] = Field(
         default_factory=lambda: [1.0, 1.0, 1.0]
     )
@@ -157,24 +158,26 @@ class Arm(PlantKind):
     @classmethod
     def _directed(cls, normals: list[list[float]]) -> list[list[float]]:
         if any(not np.linalg.norm(normal) > 0 for normal in normals):
-            raise ValueError("a normal of no length: give a direction, as [0.0, 0.0, 1.0] for a table")
+            raise ValueError("a normal of length zero: give a direction, as [0.0, 0.0, 1.0] for a table")
         return normals
 
     @model_validator(mode="after")
     def _can_move(self) -> Self:
         if not np.linalg.norm(self.stylus) > 0:
-            raise ValueError("stylus: a direction of no length: give one, as [0.0, 0.0, -1.0] for an upright stylus")
+            raise ValueError(
+                "stylus: a direction of length zero: give one, as [0.0, 0.0, -1.0] for an upright stylus"
+            )
         for j, posture in enumerate(self.postures_deg):
             condition = float(np.linalg.cond(self.linkage.jacobian(np.radians(posture))))
-            if not condition <= MOST_CONDITION:
+            if not condition <= MAX_CONDITION:
                 raise ValueError(
                     f"postures_deg {j + 1}: singular: the Jacobian's condition is {condition:.3g}, at most "
-                    f"{MOST_CONDITION:g}: bend the elbow, or move the tip away from the axis of the base"
+                    f"{MAX_CONDITION:g}: bend the elbow, or move the tip away from the axis of the base"
                 )
         return self
 
     def place(self, posture: int = 0, normal: int = 0) -> Place:
-        """One of the postures and one of the normals, by number from 0."""
+        """The place of a posture and a normal, each by its index."""
         direction = np.array(self.normals[normal])
         return Place(np.radians(self.postures_deg[posture]), direction / np.linalg.norm(direction))
 
@@ -183,7 +186,7 @@ class Arm(PlantKind):
         return np.asarray(np.array(self.torque_Nm_A) * self.ratios)
 
     def joint_inertia(self, q: FloatArray) -> FloatArray:
-        """(3, 3) of links and rotors by the angles [kg m^2]."""
+        """(3, 3) inertia of links and rotors in the angles [kg m^2]."""
         return np.asarray(self.linkage.inertia(q) + np.diag(np.array(self.rotor_kg_m2) * np.array(self.ratios) ** 2))
 
     def links(self, grip_N: float) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -212,17 +215,17 @@ class Arm(PlantKind):
 
         Raises
         ------
-        InputError : no mass that a hand can have.
+        InputError : a mass that is not > 0 at this grip.
         """
-        found = self.hand.hand().mass_kg.at(grip_N)
-        if not 0 < found < np.inf:
-            raise InputError(f"model.hand.mass_kg = {found:g} kg at {grip_N:g} N: must be > 0 and finite")
-        return found
+        mass = self.hand.hand().mass_kg.at(grip_N)
+        if not 0 < mass < np.inf:
+            raise InputError(f"model.hand.mass_kg = {mass:g} kg at {grip_N:g} N: must be > 0 and finite")
+        return mass
 
     def at_tip(self, place: Place) -> tuple[FloatArray, FloatArray]:
-        """Mass of the arm as its tip feels it [kg] and force per current [N/A], (3, 3) in the surface's frame."""
+        """Effective mass of the arm at its tip [kg] and force per current [N/A], (3, 3) in the surface's frame."""
         q = place.posture_rad
-        inverse = np.linalg.inv(place.frame @ self.linkage.jacobian(q))  # joint rates by the tip's velocity
+        inverse = np.linalg.inv(place.frame @ self.linkage.jacobian(q))  # joint rates per velocity of the tip
         return inverse.T @ self.joint_inertia(q) @ inverse, inverse.T * self.torques_Nm_A()
 
     def plant(self, grip_N: float, tip: Tip | None = None, *, struck: bool = False) -> StateSpace:
@@ -230,13 +233,13 @@ class Arm(PlantKind):
         return self.plant_at(grip_N, self.place())
 
     def plant_at(self, grip_N: float, place: Place) -> StateSpace:
-        """Three currents to the stylus's acceleration along the normal and two tangents, around a place.
+        """The linear plant around a place: three currents to the stylus' acceleration along normal and tangents.
 
-        States: tip less stylus, stylus less hand, hand (3 each), then the velocities of the three points.
+        States: tip minus stylus, stylus minus hand, hand (3 each), then the velocities of the three points.
 
         Raises
         ------
-        InputError : a hand that is not passive, or nobody who holds the stylus.
+        InputError : a hand that is not passive, or a grip of zero.
         """
         if not grip_N > 0:
             raise InputError("grid.grips_N: model.kind = arm is held by a hand: give grips above 0")

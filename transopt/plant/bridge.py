@@ -1,16 +1,16 @@
-"""Amplifier as what it is made of: an H-bridge with unipolar PWM under a PI current loop (seed Secs. 4.1, 4.2).
+"""An amplifier modelled by its parts: an H-bridge with unipolar PWM under a PI current loop (seed Secs. 4.1, 4.2).
 
 Pole, delay and ripple of the current follow from the motor's resistance and inductance, the rail, the switching
-frequency and the loop's gain. Both legs compare one triangular carrier, the one with the voltage, the other with its
-negative, so the motor sees a pulse of the rail twice a carrier period: pulses every T = 1 / (2 f_s).
+frequency and the loop's gain. One leg compares the voltage with a triangular carrier, the other its negative. So the
+motor sees two pulses of the rail per carrier period, one every T = 1 / (2 f_s).
 
-- Loop: a PI that cancels the winding's pole, sampled between the pulses, its output one sample late. With the hold
-  that is a delay of 0.75 / f_s (Holmes, Lipo, McGrath, Kong 2009, Optimized design of stationary frame three phase AC
-  current regulators, IEEE Trans. Power Electronics 24(11)). Its crossover is gain / (2 pi L).
-- Ripple: the periodic current of R and L under pulses of duty d; for R T << L its peak to peak value is
+- Loop: a PI controller that cancels the winding's pole. It samples between the pulses, and its output acts one sample
+  late. With the hold the delay is 0.75 / f_s (Holmes, Lipo, McGrath, Kong 2009, Optimized design of stationary frame
+  three phase AC current regulators, IEEE Trans. Power Electronics 24(11)). Its crossover is gain / (2 pi L).
+- Ripple: the periodic current of R and L under pulses of duty d; for R T << L its peak-to-peak value is
   V d (1 - d) / (2 L f_s) (Mohan, Undeland, Robbins 2003, Power Electronics, Sec. 7-7).
-- Eddy currents act as a resistance across the inductance: the current jumps by step / (R + R_eddy) with a voltage
-  step. The jump's heat grows with |i|, as in seed Eq. 7, that of the rest of the ripple with i^2.
+- Eddy currents act as a resistance across the inductance: with a voltage step the current jumps by
+  step / (R + R_eddy). The heat of the jumps grows with |i|, as in seed Eq. 7; that of the remaining ripple with i^2.
 """
 
 from dataclasses import dataclass
@@ -24,13 +24,14 @@ from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_down
 from transopt.plant.circuit import Circuit
 
-SLOWEST_SWITCHING_HZ, FASTEST_SWITCHING_HZ = 10e3, 100e3  # what the model was tried on, as all bounds here
+# The bounds are the range over which the model was compared with a simulated bridge.
+SLOWEST_SWITCHING_HZ, FASTEST_SWITCHING_HZ = 10e3, 100e3
 LEAST_L_H, MOST_L_H = 0.05e-3, 2e-3
-FASTEST_CROSSOVER = 0.1  # of the switching frequency; faster loops ring with their delay
+FASTEST_CROSSOVER = 0.1  # as a share of the switching frequency; the delay makes faster loops ring
 MOST_RIPPLE_A = 1.0  # peak to peak, at the worst duty
-MOST_LAPSE = 0.75  # T R / L; a loop that samples between longer pulses reads over 2.4 % less than the mean current
-SHORT_LAPSE = 1e-3  # below it the ripple is a triangle, to 1e-7
-LEAST_EDDY = 4.0  # of the winding's resistance, below which the jump is no small part of a current
+MOST_LAPSE = 0.75  # largest T R / L: above it the loop's samples lie more than 2.4 % below the mean current
+SHORT_LAPSE = 1e-3  # below this T R / L the ripple is a triangle to a relative error of 1e-7
+LEAST_EDDY = 4.0  # least R_eddy over the winding's R: below it the current's jump is no small part of the current
 
 
 @dataclass(frozen=True)
@@ -39,16 +40,16 @@ class Bridge:
 
     Attributes
     ----------
-    circuit : the motor's terminals, R at 25 C.
+    circuit : the motor's circuit, R at 25 C.
     rail_V : supply that the bridge switches.
     switching_Hz : frequency of the carrier, at which each transistor switches.
     gain_V_A : proportional gain of the loop; None tunes it to the fastest crossover, a tenth of the switching
-        frequency. The integral part follows from the winding: its zero lies on R / L.
-    R_eddy_ohm : across the inductance; None without eddy currents.
+        frequency. The integral part follows from the winding: the controller's zero lies at R / L.
+    R_eddy_ohm : resistance of eddy currents across the inductance; None without them.
 
     Raises
     ------
-    InputError : a motor, rail, frequency or gain for which the model was not tried.
+    InputError : a motor, rail, frequency or gain outside the model's range.
     """
 
     circuit: Circuit
@@ -68,7 +69,7 @@ class Bridge:
         if self.R_eddy_ohm is not None and not self.R_eddy_ohm >= LEAST_EDDY * self.circuit.R_ohm:
             raise InputError(
                 f"motor.R_eddy_ohm = {self.R_eddy_ohm:g} ohm: the model of the bridge holds from "
-                f"{LEAST_EDDY * self.circuit.R_ohm:g} ohm on, {LEAST_EDDY:g} R_ohm: measure it anew, or take it out"
+                f"{LEAST_EDDY * self.circuit.R_ohm:g} ohm on, {LEAST_EDDY:g} R_ohm: measure it again, or take it out"
             )
         if self.crossover_Hz > fastest_Hz * (1 + 1e-9):
             most_V_A = rounded_down(2 * np.pi * fastest_Hz * self.inductance_H)
@@ -85,7 +86,7 @@ class Bridge:
             )
         ripple_A = float(self.peak_to_peak_A(0.5))
         if ripple_A > MOST_RIPPLE_A:
-            # The inductance's ripple is at most V / (8 L f_s), whatever the resistance.
+            # The ripple through the inductance is at most V / (8 L f_s), for any resistance.
             left_A = MOST_RIPPLE_A - self.rail_V * self.jump_A_V
             enough_Hz = self.rail_V / (8 * self.inductance_H * left_A) if left_A > 0 else np.inf
             lowered = f"lower limits.supply_V to {rounded_down(self.rail_V * MOST_RIPPLE_A / ripple_A):g} V"
@@ -96,17 +97,17 @@ class Bridge:
 
     @property
     def period_s(self) -> float:
-        """T, from pulse to pulse and from sample to sample of the loop."""
+        """T, the time between two pulses, which is also the loop's sampling period."""
         return 1 / (2 * self.switching_Hz)
 
     @property
     def jump_A_V(self) -> float:
-        """1 / (R + R_eddy): how far the current jumps at a voltage step [A/V]."""
+        """1 / (R + R_eddy), the jump of the current per volt of a voltage step [A/V]."""
         return 0.0 if self.R_eddy_ohm is None else 1 / (self.circuit.R_ohm + self.R_eddy_ohm)
 
     @property
     def inductance_H(self) -> float:
-        """L as the winding's time constant shows it: L (R + R_eddy) / R_eddy."""
+        """Effective inductance L (R + R_eddy) / R_eddy, which gives the winding's time constant."""
         return self.circuit.L_H / (1 - self.circuit.R_ohm * self.jump_A_V)
 
     @property
@@ -128,14 +129,14 @@ class Bridge:
     def controller(self) -> tuple[float, float]:
         """The PI as v_k = v_(k-1) + p (e_k - a e_(k-1)): p [V/A] and a, the winding's decay over a sample.
 
-        p = 2 pi f_c T R / (1 - a). The open loop of the sampled winding is then 2 pi f_c T / (z (z - 1)), with the
-        sample that the output comes late.
+        p = 2 pi f_c T R / (1 - a). The open loop of the sampled winding is then 2 pi f_c T / (z (z - 1)), one sample
+        of delay included.
         """
         a = float(np.exp(-self.lapse))
         return 2 * np.pi * self.crossover_Hz * self.period_s * self.circuit.R_ohm / (1 - a), a
 
     def response(self, frequency_Hz: FloatArray | float) -> FloatArray:
-        """Complex gain from a commanded to the mean current, (...) each: sampled loop, hold of the pulse, winding."""
+        """(...) complex gain from commanded to mean current: sampled loop, hold of the pulse, winding."""
         R, jump = self.circuit.R_ohm, self.jump_A_V
         s, K = 2j * np.pi * np.asarray(frequency_Hz), 2 * np.pi * self.crossover_Hz * self.period_s
         z, (p, a) = np.exp(s * self.period_s), self.controller()
@@ -144,38 +145,39 @@ class Bridge:
 
     @property
     def pole_Hz(self) -> float:
-        """Frequency at which the loop has lost 3 dB: 1.05 of the crossover at f_s / 100, 2.14 at f_s / 10."""
+        """Frequency of -3 dB: 1.05 times the crossover if that is f_s / 100, 2.14 times if it is f_s / 10."""
         return _pole_Hz(self)
 
     @property
     def delay_s(self) -> float:
-        """What a pole of `pole_Hz` lacks of the loop's lag at low frequencies, 1 / (2 pi f_c)."""
+        """The loop's lag at low frequencies, 1 / (2 pi f_c), minus that of a pole at `pole_Hz`."""
         return (1 / self.crossover_Hz - 1 / self.pole_Hz) / (2 * np.pi)
 
     def peak_to_peak_A(self, duty: FloatArray | float) -> FloatArray:
-        """(...) ripple of the current at a duty between 0 and 1.
+        """(...) peak-to-peak ripple of the current at a duty between 0 and 1.
 
-        V / R (1 - e^(-d x)) (1 - e^(-(1 - d) x)) / (1 - e^(-x)) of the current through the inductance, x = T R / L;
-        R_eddy / (R + R_eddy) of it, and the jump V / (R + R_eddy).
+        With x = T R / L the current through the inductance has the ripple
+        V / R (1 - e^(-d x)) (1 - e^(-(1 - d) x)) / (1 - e^(-x)). The winding's is R_eddy / (R + R_eddy) of it plus
+        the jump V / (R + R_eddy).
         """
         d, x, R = np.asarray(duty), self.lapse, self.circuit.R_ohm
         slow = np.expm1(-d * x) * np.expm1((d - 1) * x) / -np.expm1(-x) / R
         return np.asarray(self.rail_V * ((1 - R * self.jump_A_V) * slow + self.jump_A_V))
 
     def ripple_square_A2(self, voltage_V: FloatArray | float) -> FloatArray:
-        """(...) mean square of the current about its mean, while the motor takes a mean voltage.
+        """(...) variance of the current within a pulse period, at a mean motor voltage v.
 
-        Over a period the inductance gives back what it took, so the pulses bring what R and back-EMF take. With
-        d = |v| / V the current through the inductance has the variance
+        Over a period the mean voltage of the inductance is zero, so the duty is d = |v| / V with v the voltage of R
+        and back-EMF. The current through the inductance then has the variance
 
             (V / R)^2 [ d (1 - d) - (1 - e^(-d x)) (1 - e^(-(1 - d) x)) / (x (1 - e^(-x))) ],
 
-        p^2 / 12 of a triangle of peak to peak value p for small x. The winding's has 1 - R^2 / (R + R_eddy)^2 of it,
-        and V^2 d (1 - d) / (R + R_eddy)^2 of the jumps.
+        which for small x is p^2 / 12, that of a triangle of peak-to-peak value p. The winding's is
+        1 - R^2 / (R + R_eddy)^2 of it plus V^2 d (1 - d) / (R + R_eddy)^2 from the jumps.
         """
         d, x, R = np.minimum(np.abs(voltage_V) / self.rail_V, 1.0), self.lapse, self.circuit.R_ohm
         pulses = d * (1 - d)
-        # The difference of two nearly equal numbers has no digits left for a small x.
+        # For small x the exact formula is a difference of two nearly equal numbers, which cancels.
         triangle = (pulses * x) ** 2 / 12
         exact = pulses + np.expm1(-d * x) * np.expm1((d - 1) * x) / (x * np.expm1(-x))
         slow = (self.rail_V / R) ** 2 * (triangle if x < SHORT_LAPSE else exact)
@@ -183,31 +185,31 @@ class Bridge:
 
     @property
     def heat_factor(self) -> float:
-        """Heat of a current with its ripple over that without, at a small duty, where it is most.
+        """Heat of a current with its ripple over that without, in the limit of small duty, where it is largest.
 
-        The variance over the square of the mean current, (x / 2) coth(x / 2) - 1 of the inductance's, x = T R / L,
-        which is x^2 / 12 for small x; at a duty d some (1 - d)^2 of it.
+        For the current through the inductance the variance over the square of the mean is (x / 2) coth(x / 2) - 1
+        with x = T R / L, x^2 / 12 for small x; at a duty d it is about (1 - d)^2 of that.
         """
         half = self.lapse / 2
         return float(1 + (1 - (self.circuit.R_ohm * self.jump_A_V) ** 2) * (half / np.tanh(half) - 1))
 
     @property
     def ripple_A(self) -> float:
-        """Constant r of seed Eq. 7, for which `heat_factor` (|i| + r)^2 is the mean square of the current or more.
+        """Constant r of seed Eq. 7, such that `heat_factor` (|i| + r)^2 bounds the mean square of the current.
 
-        It is what the jumps add at standstill, V R |i| / (R + R_eddy)^2 and less at a large duty.
+        It covers what the jumps add at standstill, V R |i| / (R + R_eddy)^2; at a large duty they add less.
         """
         return self.rail_V * self.circuit.R_ohm * self.jump_A_V**2 / (2 * self.heat_factor)
 
 
 def _raised(least_Hz: float) -> str:
-    """Advice to switch at least so fast, empty where that is beyond the model."""
+    """Advice to switch at this frequency or faster; empty where that is beyond the model's range."""
     rounded_up = 100 * np.ceil(least_Hz / 100)
     return f"raise it to {rounded_up:g} Hz" if rounded_up <= FASTEST_SWITCHING_HZ else ""
 
 
 def _advice(*steps: str) -> str:
-    """Each step that there is, or what always is one: the amplifier as it was measured."""
+    """The steps that are not empty, and the one that is always possible: a measured amplifier."""
     known = ", ".join(filter(None, steps))
     measured = "state pole_Hz and delay_s as measured in place of switching_Hz and gain_V_A"
     return f"{known}, or {measured}" if known else measured
@@ -218,5 +220,5 @@ def _pole_Hz(bridge: Bridge) -> float:
     def above(frequency_Hz: float) -> float:
         return float(np.abs(bridge.response(frequency_Hz)) ** 2) - 0.5
 
-    # At twice the switching frequency nothing is left of a pulse.
+    # The hold's response is zero at twice the switching frequency, so -3 dB lies below.
     return float(scipy.optimize.brentq(above, 0.5 * bridge.crossover_Hz, 1.99 * bridge.switching_Hz))

@@ -30,12 +30,12 @@ def chain(
     stylus: int,
     names: Sequence[str] = (),
 ) -> StateSpace:
-    """Assemble a chain of masses; link j joins mass j and mass j + 1, the last one mass and ground.
+    """Assemble a chain of masses; link j joins mass j and mass j + 1, link n joins mass n and the ground.
 
-    The ground is the motion that the hand intends, so every displacement is relative to it.
-    States: the n elongations e_j = z_j - z_(j+1) (e_n = z_n), then the n velocities. Elongations instead
-    of positions keep a stiff transmission well conditioned; the encoder position is a sum of elongations.
-    With n - 1 links the chain is free; the last elongation then only integrates the position.
+    The ground is the motion that the hand intends; all displacements are relative to it. States: the n elongations
+    e_j = z_j - z_(j+1) (e_n = z_n), then the n velocities. Elongations instead of positions keep a stiff transmission
+    well conditioned; the encoder position is a sum of elongations. With n - 1 links the chain is free, and the last
+    elongation is the position of the last mass, on which nothing depends.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ def chain(
     force_per_current_N_A : force on the driven mass per ampere.
     driven : index of the mass that the motor's force acts on.
     stylus : index of the mass whose acceleration is the output.
-    names : of the masses: the model has the outputs "NAME position" and "NAME velocity" of each that has one, beside
-        the "position" and "velocity" of the first, which the encoder sees.
+    names : names of the masses. The model has the outputs "NAME position" and "NAME velocity" for each named mass,
+        and "position" and "velocity" of the first mass, which the encoder reads.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The motor's terminal voltage, and the supply rail that it may not pass."""
+"""The electric circuit at the terminals of a motor or coil."""
 
 from dataclasses import dataclass, replace
 
@@ -14,9 +14,10 @@ class Circuit:
 
     Attributes
     ----------
-    R_ohm : resistance of the winding; of one from a datasheet at 25 C.
-    L_H : its inductance.
-    emf_V_s_m : k_e times the transmission's ratio: volt per m/s of the stylus tip; in SI also the force per ampere.
+    R_ohm : resistance of the winding; that of a datasheet holds at 25 C.
+    L_H : inductance of the winding.
+    emf_V_s_m : back-EMF per m/s of the stylus tip, k_e times the transmission's ratio; in SI equal to the force per
+        ampere.
     """
 
     R_ohm: float
@@ -28,6 +29,6 @@ class Circuit:
         return np.asarray(self.R_ohm * current_A + self.L_H * rate_A_s + self.emf_V_s_m * velocity_m_s)
 
     def at(self, winding_C: float) -> "Circuit":
-        """Terminals with the copper at another temperature, from a datasheet that states R at 25 C."""
+        """The circuit with the copper at another temperature, where this one states R at 25 C."""
         warmer = 1 + COPPER_PER_K * (winding_C - RESISTANCE_REFERENCE_C)
         return replace(self, R_ohm=self.R_ohm * warmer)

@@ -1,7 +1,7 @@
 """Coil temperature: winding over housing over ambient (seed Eqs. 6-7).
 
 Seed Eq. 6 has one node and is printed with (1 + exp(-dt / tau)) where (1 - exp(-dt / tau)) is meant: as printed, one
-tick of 1 A would heat the coil by 75 K. Here there are two nodes, because over a tap only the winding warms.
+tick of 1 A would heat the coil by 75 K. This model has two nodes, because during a tap only the winding warms.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from transopt.base.recursions import forwards
 from transopt.base.signals import FloatArray
 
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
-RESISTANCE_REFERENCE_C = 25.0  # datasheets state R here
+RESISTANCE_REFERENCE_C = 25.0  # temperature at which datasheets state R
 PWM_RIPPLE_A = 0.02  # seed Eq. 7: i_eff = i + 0.02 sign(i)
 PAUSE_STEPS = 100  # into which the pause between two taps is divided
 
@@ -28,8 +28,8 @@ def following_square_mean(
 ) -> FloatArray:
     """Mean of i_eff^2 over steps in which the current follows a held command through one pole [A^2].
 
-    The current is i(t) = c + (i_0 - c) exp(-w t), and i_eff = |i| + `ripple_A` (seed Eq. 7). The mean is exact,
-    however fast the pole is beside the step, and also where the current changes its sign within it.
+    The current is i(t) = c + (i_0 - c) exp(-w t), and i_eff = |i| + `ripple_A` (seed Eq. 7). The mean is exact for
+    any pole, also where the current changes its sign within the step.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def following_square_mean(
 
     Returns
     -------
-    (..., K).
+    (..., K) means.
     """
     x = np.maximum(decays, np.finfo(float).tiny)
     away = before_A - command_A
@@ -47,7 +47,7 @@ def following_square_mean(
     square = command_A**2 - 2 * command_A * away * np.expm1(-x) / x - away**2 * np.expm1(-2 * x) / (2 * x)
     turns = before_A * (command_A + away * np.exp(-x)) < 0
     size = np.abs(mean)
-    # Zero is crossed where exp(-w t) = -c / (i_0 - c); what lies before it has the other sign.
+    # The current crosses zero where exp(-w t) = -c / (i_0 - c); before that it has the other sign.
     command, gap = np.broadcast_to(command_A, turns.shape)[turns], away[turns]
     share = -command / gap
     first = (-command * np.log(share) + gap * (1 - share)) / np.broadcast_to(x, turns.shape)[turns]
@@ -61,19 +61,20 @@ class CoilModel:
 
     C_w dT_w/dt = R (1 + alpha (T_w - 25)) i_eff^2 - (T_w - T_h) / R_wh
     C_h dT_h/dt = (T_w - T_h) / R_wh - (T_h - T_ambient) / R_ha
-    with C_w = tau_w / R_wh and C_h = tau_h / R_ha. With one node the housing keeps its start temperature, which is
-    what it does over a tap; the lumped sum of both resistances would overstate short heating several times.
+    with C_w = tau_w / R_wh and C_h = tau_h / R_ha. With one node the housing keeps its start temperature, a good
+    approximation over a tap; a single node with the sum of both resistances would overstate the heating of a tap
+    several times.
 
     Attributes
     ----------
-    R_ohm : resistance at 25 C by which a current heats; on a `Bridge` more than the winding's, by its ripple.
+    R_ohm : resistance at 25 C that turns current into heat; on a `Bridge` larger than the winding's, for its ripple.
     R_wh_K_W, R_ha_K_W : thermal resistances winding to housing and housing to ambient.
     tau_w_s, tau_h_s : time constants of winding and housing.
-    limit_C : highest temperature that the winding may have.
+    limit_C : highest permitted temperature of the winding.
     ambient_C : temperature around the housing.
     start_winding_C, start_housing_C : temperatures at the start, the winding's at most `limit_C`.
     nodes : 1 (winding) or 2 (winding and housing).
-    ripple_A : constant of seed Eq. 7, by which the amplifier's PWM heats; the seed's, or that of a `Bridge`.
+    ripple_A : constant of seed Eq. 7 for the heat of the PWM; the seed's value, or that of a `Bridge`.
 
     Raises
     ------
@@ -106,7 +107,7 @@ class CoilModel:
             )
 
     def flow(self) -> tuple[FloatArray, FloatArray]:
-        """Rate matrix (m, m) of the rises above `rest_C` [1/s] and what a watt in the winding adds (m,) [K/s/W]."""
+        """Rate matrix (m, m) of the rises above `rest_C` [1/s]; their rate per watt in the winding (m,) [K/s/W]."""
         C_w, C_h = self.tau_w_s / self.R_wh_K_W, self.tau_h_s / self.R_ha_K_W
         g_w, g_h = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W
         if self.nodes == 1:
@@ -119,16 +120,16 @@ class CoilModel:
         return self.ambient_C if self.nodes == 2 else self.start_housing_C
 
     def continuous_current_A(self) -> float:
-        """Current that holds the winding at its limit for ever: the datasheet's continuous current."""
+        """Constant current whose steady state is the winding's limit: the datasheet's continuous current."""
         rise = self.limit_C - self.ambient_C
         resistance = self.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
         return float(np.sqrt(rise / ((self.R_wh_K_W + self.R_ha_K_W) * resistance)))
 
     def on_a_device(self) -> "CoilModel":
-        """The coil as a device may estimate it, which counts the ripple of the seed, whatever it is.
+        """The coil for the temperature estimate on a device, which assumes the seed's ripple.
 
-        A larger ripple makes the estimate too low: most of all, at a given estimate, while a steady current holds it.
-        So the limit becomes what such a device says at the current that truly holds the winding at its limit.
+        With a larger ripple the estimate is too low, and for a given estimate most under a steady current. So the
+        limit is lowered to the estimate under the current whose true steady state is the winding's limit.
         """
         if self.ripple_A <= PWM_RIPPLE_A:
             return self
@@ -140,16 +141,16 @@ class CoilModel:
     def adiabatic_bound_C(self, current_A: float, duration_s: float) -> float:
         """Rigorous bound on the winding temperature while |i| <= `current_A` for `duration_s`.
 
-        No heat leaves and the limit current flows throughout: dT/dt = R (1 + alpha (T - 25)) i_eff^2 / C_w
-        from the hottest node. The true winding cannot overtake this: where it is the hottest node heat only
-        leaves it, and where it is not it lies below a node that only cools.
+        The bound assumes that no heat leaves and that the limit current flows throughout, starting from the hottest
+        node: dT/dt = R (1 + alpha (T - 25)) i_eff^2 / C_w. The true winding stays below it: while it is the hottest
+        node, heat only leaves it; while it is not, it lies below a node that only cools.
         """
         hottest = max(self.start_winding_C, self.start_housing_C, self.ambient_C)
         heating = (
             self.R_ohm * float(effective_square(np.asarray(current_A), self.ripple_A)) * self.R_wh_K_W / self.tau_w_s
         )
         above = hottest - RESISTANCE_REFERENCE_C
-        with np.errstate(over="ignore"):  # a bound of infinity is one
+        with np.errstate(over="ignore"):  # an infinite bound is valid
             growth = np.expm1(COPPER_PER_K * heating * duration_s)
         return float(hottest + (above + 1 / COPPER_PER_K) * growth)
 
@@ -158,25 +159,25 @@ class CoilModel:
     ) -> tuple[FloatArray, FloatArray]:
         """Winding and housing temperature, exact for heating that is constant over each step.
 
-        The matrix exponential of two nodes is taken in closed form, so the time constants may be as short beside the
-        steps as they like.
+        The matrix exponential of the two nodes is computed in closed form, so the time constants may be arbitrarily
+        short relative to the steps.
 
         Parameters
         ----------
         effective_square_A2 : (M, K) mean of i_eff^2 over each of K steps for M waveforms [A^2].
         steps_s : (K,) step lengths [s].
-        start_C : (M, 2) winding and housing at the start; without it the model's own start temperatures.
+        start_C : (M, 2) winding and housing at the start; default: the model's start temperatures.
 
         Returns
         -------
-        winding_C, housing_C : (M, K + 1) each, the start temperatures first; infinite from where they overflow.
+        winding_C, housing_C : (M, K + 1) each, the start temperatures first; infinite after an overflow.
         """
         M, K = effective_square_A2.shape
         start = np.array([self.start_winding_C, self.start_housing_C])
         start = np.broadcast_to(start if start_C is None else start_C, (M, 2))
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall lets the current grow without bound
             (p11, p12, p21, p22), (s1, s2) = self._steps(effective_square_A2, steps_s)
-            # The rise d above the start, d+ = (1 + p) d + (p T_0 + s), keeps what is small from drowning.
+            # Recursion of the rise d above the start, d+ = (1 + p) d + (p T_0 + s), so that small rises keep digits.
             growth, forcing, (winding, housing) = np.empty((M, K, 4)), np.zeros((M, K + 1, 2)), start.T[..., None]
             growth[..., 0], growth[..., 1], growth[..., 2], growth[..., 3] = 1 + p11, p12, p21, 1 + p22
             forcing[:, 1:, 0] = p11 * winding + p12 * housing + s1
@@ -184,17 +185,17 @@ class CoilModel:
             rises = np.empty_like(forcing)
             for rise, P, f in zip(rises, growth.reshape(M, K, 2, 2), forcing, strict=True):
                 rise[:] = forwards(P, f)
-        # In a banded system an infinity spoils all that comes after it.
+        # After an infinite value the banded solver returns NaN.
         rises[~np.isfinite(rises)] = np.inf
         return rises[..., 0] + winding, rises[..., 1] + housing
 
     def _steps(
         self, effective_square_A2: FloatArray, steps_s: FloatArray
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-        """What each step adds to the temperatures T of both nodes: T+ - T = p T + s.
+        """Increment of both nodes' temperatures over each step, T+ - T = p T + s.
 
-        dT/dt = m T + c has the increment h phi(h m) (m T + c) with phi(x) = (e^x - 1) / x. A function of a
-        2 x 2 matrix m with eigenvalues a +- d is its mean over both plus its slope between them times (m - a).
+        dT/dt = m T + c has the increment h phi(h m) (m T + c) with phi(x) = (e^x - 1) / x. A function f of a 2 x 2
+        matrix m with eigenvalues a +- d is f(m) = (f(a + d) + f(a - d)) / 2 + (f(a + d) - f(a - d)) / (2 d) (m - a).
 
         Returns
         -------
@@ -208,7 +209,7 @@ class CoilModel:
         m21, m22 = g_w / C_h, -(g_w + g_h) / C_h
         c1, c2 = power * (1 - COPPER_PER_K * RESISTANCE_REFERENCE_C) / C_w, g_h * self.ambient_C / C_h
         mean, half = (m11 + m22) / 2, (m11 - m22) / 2
-        # Real: the network is symmetric but for the capacities.
+        # The eigenvalues are real, as the thermal network is symmetric up to its capacities.
         distance = np.maximum(np.sqrt(half**2 + m12 * m21), np.finfo(float).tiny)
 
         def increment(rate: FloatArray) -> FloatArray:
@@ -227,16 +228,16 @@ class CoilModel:
     def steady_course(
         self, effective_square_A2: FloatArray, steps_s: FloatArray, pause_s: float, idle_A: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Winding and housing over a tap that has repeated itself for ever.
+        """Winding and housing over a tap in the steady state of periodic repetition.
 
-        The temperatures after one period are affine in those before it; their fixed point is the start. They are
-        infinite where every tap leaves the coil hotter than it found it (thermal runaway).
+        The temperatures after one period are affine in those before it; the start is their fixed point. They are
+        infinite under thermal runaway, where every tap leaves the coil hotter.
 
         Parameters
         ----------
         effective_square_A2 : (M, K) mean of i_eff^2 over each step of the tap, for M waveforms [A^2].
         steps_s : (K,) step lengths [s].
-        pause_s : from the tap's end to the start of the next.
+        pause_s : time from the tap's end to the start of the next.
         idle_A : (M,) currents in the pause, without ripple.
 
         Returns
@@ -254,10 +255,10 @@ class CoilModel:
             return np.stack([course[:, -1] for course in self.simulate(heat, steps, start)], axis=1)
 
         origin, m = after_period(0.0, 0.0), self.nodes
-        with np.errstate(invalid="ignore"):  # inf - inf where a coil runs away within one period
+        with np.errstate(invalid="ignore"):  # inf - inf under a runaway within one period
             transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
             own, from_housing = transition[:, :m, :m], transition[:, :m, m:]
-            # If there is one node the housing stays where it is, and the winding settles above it.
+            # For one node the housing keeps its temperature, to which the winding settles.
             settled = origin[:, :m] + self.start_housing_C * from_housing.sum(axis=2)
         finite = np.all(np.isfinite(transition), axis=(1, 2))
         stable = finite.copy()

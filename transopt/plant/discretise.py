@@ -1,9 +1,9 @@
 """Exact discretisation of plant and amplifier on the switching instants.
 
-The servo issues command c_k at its tick t_k = -lead + k dt and holds it; after the amplifier's delay the motor feels
-it from the switching instant tau_k = t_k + delay on. Predictions and the reference are sampled at the switching
-instants. So a delay only shifts the time axis and costs no state. And since the current is monotone between two
-switching instants, a bound on i(tau_k) bounds |i(t)| for all t; a bound at the ticks would not.
+The servo issues command c_k at its tick t_k = -lead + k dt and holds it. After the amplifier's delay the command acts
+on the motor, from the switching instant tau_k = t_k + delay on. Predictions and the reference are sampled at the
+switching instants, so a delay only shifts the time axis and needs no state. Between two switching instants the
+current is monotonic: a bound on i(tau_k) bounds |i(t)| for all t, which a bound at the ticks would not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,19 +23,19 @@ from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
-WHOLE = 1e-6  # of a servo period: what rounding makes of a delay that is a whole number of them
-PEAK_PERIOD = 20  # stages of half a period of the square wave by which states are scaled
-PERIOD = " the period"  # what the names of outputs end in that the command c_k has a say in at stage k
-AFTER = f" after{PERIOD}"  # behind the name of an output: its value at the next switching instant
+DELAY_ROUNDING = 1e-6  # tolerance in servo periods within which a delay counts as a whole number of them
+PEAK_PERIOD = 20  # stages in half a period of the square wave that scales the states
+PERIOD = " the period"  # suffix of the names of outputs that depend on the command c_k at stage k
+AFTER = f" after{PERIOD}"  # suffix of an output's value at the next switching instant
 
 
 def within(name: str, share: Fraction) -> str:
-    """What an output is called at an instant within the period, this share of it after the switching instant."""
+    """Name of an output at an instant within the period, this share of it after the switching instant."""
     return name + AFTER if share == 1 else f"{name} at {share} of{PERIOD}"
 
 
 def samples_after(after_s: float, dt_s: float) -> int:
-    """M, the whole number of servo periods nearest to how long the motion after the window counts."""
+    """M, the duration of the tail after the window in servo periods, rounded."""
     return round(after_s / dt_s)
 
 
@@ -43,16 +43,15 @@ def samples_after(after_s: float, dt_s: float) -> int:
 class TimeGrid:
     """Servo ticks t_k = -lead + k dt and switching instants tau_k = t_k + delay, k = 0..N-1, contact at t = 0.
 
-    From tau_N on the command is zero, or what a wall asks for, and the device moves freely; what it does at M further
-    instants counts as well.
+    From tau_N on the command is zero, or a wall's feedback. The motion at M further instants, the tail, counts too.
 
     Attributes
     ----------
     dt_s : servo period, > 0.
     stages : N, number of commands, >= 1.
-    lead_s : how long before contact the first command is issued, >= 0.
-    delay_s : of the amplifier, >= 0.
-    after_stages : M, instants after the window, >= 0.
+    lead_s : time by which the first command precedes contact, >= 0.
+    delay_s : delay of the amplifier, >= 0.
+    after_stages : M, number of instants in the tail, >= 0.
 
     Raises
     ------
@@ -78,62 +77,61 @@ class TimeGrid:
 
     @cached_property
     def issue_times_s(self) -> FloatArray:
-        """(N,) t_k: command c_k is issued here and held."""
+        """(N,) ticks t_k at which command c_k is issued."""
         return _constant(-self.lead_s + self.dt_s * np.arange(self.stages))
 
     @cached_property
     def switching_times_s(self) -> FloatArray:
-        """(N,) tau_k: the motor feels c_k from here; predictions and reference are sampled here."""
+        """(N,) switching instants tau_k, from which c_k acts; predictions and reference are sampled there."""
         return _constant(self.issue_times_s + self.delay_s)
 
     @property
     def end_s(self) -> float:
-        """tau_N, where the last command ends [s]."""
+        """tau_N, the end of the last command [s]."""
         return -self.lead_s + self.dt_s * self.stages + self.delay_s
 
     @cached_property
     def before_times_s(self) -> FloatArray:
-        """(L,) instants tau_0 - j dt >= 0, rising: the tap has begun, and no command can reach them.
+        """(L,) instants tau_0 - j dt >= 0 of the lost samples, increasing: after contact, before any command acts.
 
-        L = floor((delay - lead) / dt), zero where the lead covers the delay; contact itself counts.
+        L = floor((delay - lead) / dt), zero if the lead covers the delay; contact itself is included.
         """
-        lost = max(int(np.floor((self.delay_s - self.lead_s) / self.dt_s + WHOLE)), 0)
+        lost = max(int(np.floor((self.delay_s - self.lead_s) / self.dt_s + DELAY_ROUNDING)), 0)
         return _constant(self.delay_s - self.lead_s - self.dt_s * np.arange(lost, 0, -1))
 
     @cached_property
     def after_times_s(self) -> FloatArray:
-        """(M,) tau_N to tau_(N+M-1)."""
+        """(M,) instants tau_N to tau_(N+M-1) of the tail."""
         return _constant(self.end_s + self.dt_s * np.arange(self.after_stages))
 
     @cached_property
     def all_issue_times_s(self) -> FloatArray:
-        """(N + M,) t_0 to t_(N+M-1): a wall goes on reading the encoder when the waveform is over."""
+        """(N + M,) ticks t_0 to t_(N+M-1): a wall reads the encoder after the waveform too."""
         ticks = np.arange(self.stages + self.after_stages)
         return _constant(-self.lead_s + self.dt_s * ticks)
 
 
 def _constant(times_s: NDArray[np.floating]) -> FloatArray:
-    """Times that are kept, and that nobody may change in place therefore."""
-    found = np.asarray(times_s, dtype=float)
-    found.flags.writeable = False
-    return found
+    """Read-only times, as they are cached and shared."""
+    times = np.asarray(times_s, dtype=float)
+    times.flags.writeable = False
+    return times
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What a command does at the switching instants, or gradients by these quantities; all (..., N).
+    """The motion under a command at the switching instants, or a gradient by it; all (..., N).
 
-    Of a plant with several directions the accelerations are (..., p, N), and of one with several motors the inputs
-    and the velocities are (..., m, N).
+    With p directions the accelerations are (..., p, N); with m motors inputs and velocities are (..., m, N).
 
     Attributes
     ----------
     acceleration_m_s2 : y'' of the stylus.
-    plant_input : i in the motor.
-    velocity_m_s : dy/dt of the motor mass, which the back-EMF follows.
-    encoder_m : y of the motor mass where the encoder is read while c_k is felt, at tick t_(k + 1 + whole delay);
-        zero where the model has no position.
-    outputs : further outputs of the stage at the switching instants, by name.
+    plant_input : current in the motor, or voltage at the coil.
+    velocity_m_s : dy/dt of the motor mass, to which the back-EMF is proportional.
+    encoder_m : y of the motor mass at tick t_(k + 1 + whole delay), at which the encoder is read while c_k acts; zero
+        if the stage model has no position.
+    outputs : further outputs of the stage model at the switching instants, by name.
     """
 
     acceleration_m_s2: FloatArray
@@ -146,12 +144,12 @@ class Motion:
 
     @classmethod
     def zero(cls, stages: int) -> "Motion":
-        """No motion, (stages,) of each."""
+        """A motion of zeros, (stages,) each."""
         nothing = np.zeros(stages)
         return cls(nothing, nothing, nothing, nothing)
 
     def padded(self, stages: int) -> "Motion":
-        """Append so many zeros to the motion."""
+        """The motion with so many zeros appended."""
         if stages == 0:
             return self
 
@@ -172,7 +170,7 @@ class Motion:
         return replace(self, plant_input=inputs, velocity_m_s=velocities)
 
     def first(self, stages: int) -> "Motion":
-        """The first so many instants of it."""
+        """The first so many instants of the motion."""
         return Motion(
             self.acceleration_m_s2[..., :stages],
             self.plant_input[..., :stages],
@@ -197,13 +195,13 @@ class StageModel:
     dt_s : servo period.
     A : (n, n).
     B : (n, m).
-    C, D : (p, n), (p, m) of y''.
-    Ci, Di : (m, n), (m, m) of the currents.
-    Cv : (m, n) of the motor masses' velocities.
-    Cp, Dp : (1, n), (1, 1) of the encoder position at the tick within the period; None where it is left out.
-    outputs : name -> (n,) row of a further output at the switching instants, one that the command moves only later;
-        with `AFTER` behind its name the same output one period later, which the command has moved by then.
-    instants : name of a further output -> shares of the period after which it is told as well, under the names of
+    C, D : (p, n), (p, m), output y''.
+    Ci, Di : (m, n), (m, m), outputs of the plant's inputs, currents or voltages.
+    Cv : (m, n), velocities of the motor masses.
+    Cp, Dp : (1, n), (1, 1), encoder position at the tick within the period; None if it is left out.
+    outputs : name -> (n,) row of a further output at the switching instants. It has no direct dependence on the
+        command; the output of the same name with the suffix `AFTER`, one period later, has.
+    instants : name of a further output -> shares of the period at which it is provided too, under the names of
         `within`.
     """
 
@@ -245,7 +243,7 @@ class StageModel:
 
     @cached_property
     def _system(self) -> LinearSystem:
-        """From the command to everything that a motion is made of."""
+        """The system from the command to all quantities of `Motion`, one below the other."""
         nothing = np.zeros((self.Cv.shape[0], self.motors), dtype=self.A.dtype)
         rows, direct = [self.C, self.Ci, self.Cv], [self.D, self.Di, nothing]
         if self.Cp is not None and self.Dp is not None:
@@ -258,11 +256,11 @@ class StageModel:
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """Names of the further outputs, each at the switching instant and one period later, and of those inside."""
+        """Names of all further outputs: at the switching instant, one period later, and within the period."""
         return (*(name for own in self.outputs for name in (own, own + AFTER)), *self._inside)
 
     def output(self, name: str) -> tuple[FloatArray, float]:
-        """(n,) and scalar: a further output by the state and by the command felt."""
+        """(n,) and scalar: a further output by the state and by the command that acts."""
         if name in self._inside:
             return self._inside[name]
         own = name.removesuffix(AFTER)
@@ -270,19 +268,19 @@ class StageModel:
         return (row, 0.0) if own == name else (row @ self.A, float(row @ self.B[:, 0]))
 
     def within(self, instants: Mapping[str, tuple[Fraction, ...]]) -> "StageModel":
-        """Tell outputs at other `instants`; all problems of one grip share that device: it is kept."""
-        asked = {name: shares for name, shares in sorted(instants.items()) if shares}
-        if asked == self.instants:
+        """The stage model with outputs at these `instants`; cached, as all problems of one grip share it."""
+        wanted = {name: shares for name, shares in sorted(instants.items()) if shares}
+        if wanted == self.instants:
             return self
-        key = ("within", *asked.items())
+        key = ("within", *wanted.items())
         if key not in self.derived:
-            self.derived[key] = replace(self, instants=asked)
-        found: StageModel = self.derived[key]
-        return found
+            self.derived[key] = replace(self, instants=wanted)
+        model: StageModel = self.derived[key]
+        return model
 
     @cached_property
     def _inside(self) -> dict[str, tuple[FloatArray, float]]:
-        """Name -> row by the state and scalar by the command, of the outputs at the instants within the period."""
+        """Name of an output within the period -> row by the state and scalar by the command."""
         found: dict[str, tuple[FloatArray, float]] = {}
         for name, shares in self.instants.items():
             for share in shares:
@@ -292,18 +290,18 @@ class StageModel:
 
     @cached_property
     def idle_states(self) -> int:
-        """How many states of the plant nothing else of its motion depends on: its position, where it moves freely."""
+        """Number of plant states on which neither acceleration nor velocity depends: a free device's position."""
         return int(np.sum(~acting_states(self.plant)))
 
     @cached_property
     def flow(self) -> FloatArray:
-        """(n + 1, n + 1) of d/dt [x, held command] in continuous time."""
+        """(n + 1, n + 1) generator of d/dt [x, held command] in continuous time."""
         rows = [self.plant.output(name).row for name in self.outputs]
         acting = acting_states(self.plant, position=self.Cp is not None, outputs=rows)
         return _flow(self.plant.A[np.ix_(acting, acting)], self.plant.B[acting], self.amplifier)
 
     def part(self, share: Fraction) -> FloatArray:
-        """(n, n + 1) from state and command to the state after a share of the period."""
+        """(n, n + 1) transition from state and command to the state after a share of the period."""
         return exponential(self.flow * (self.dt_s * share.numerator / share.denominator))[: -self.motors]
 
     def states(self, command: FloatArray) -> FloatArray:
@@ -313,16 +311,16 @@ class StageModel:
         forcing[1:] = command[:-1, None] * self.B[:, 0]
         if dtype == np.float64:
             return self._forwards.run(forcing)
-        for k in range(1, command.size):  # no library has extended precision
+        for k in range(1, command.size):  # the recursion of `transopt.base` has double precision only
             forcing[k] += self.A @ forcing[k - 1]
         return forcing
 
     def motion(self, command: FloatArray) -> Motion:
-        """Everything a held command does.
+        """The motion under held commands.
 
         Parameters
         ----------
-        command : (..., N), of several motors (..., m, N).
+        command : (..., N), or (..., m, N) with m motors.
         """
         m, p = self.motors, self.tracked
         commands = command[..., None, :] if m == 1 else command
@@ -339,7 +337,7 @@ class StageModel:
         return motion.acceleration_m_s2, motion.plant_input
 
     def state_scale(self, input_limit: float, stages: int) -> FloatArray:
-        """(n,) size of each state, as `state_scale` says. All problems of one grip share the course: it is kept."""
+        """(n,) size of each state by `state_scale`; its simulation is cached for all problems of one grip."""
         if stages not in self._peaks:
             self._peaks[stages] = _peaks(self.A, self.B, stages)
         return _sizes(input_limit * self._peaks[stages])
@@ -350,7 +348,7 @@ class StageModel:
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """What others have computed of this model and want to find again, each under a key of its own."""
+        """Cache of results that other packages derive from this model, each under its own key."""
         return {}
 
     def extended(self) -> "StageModel":
@@ -377,7 +375,7 @@ class StageModel:
         )
 
     def adjoint(self, gradient: Motion) -> FloatArray:
-        """(N,) or (m, N) gradient by the commands of a function whose gradients by the motion are given.
+        """(N,) or (m, N) gradient by the commands for a gradient by the motion.
 
         The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
         """
@@ -386,17 +384,17 @@ class StageModel:
             by_output.append(gradient.encoder_m)
         nothing = np.zeros(gradient.plant_input.shape[-1:])
         by_output += [gradient.outputs.get(name, nothing) for name in self.output_names]
-        found = self._system.transposed(np.concatenate([np.atleast_2d(each) for each in by_output]))
-        return np.asarray(found[0] if self.motors == 1 else found)
+        by_command = self._system.transposed(np.concatenate([np.atleast_2d(each) for each in by_output]))
+        return np.asarray(by_command[0] if self.motors == 1 else by_command)
 
 
 def _lone(values: FloatArray) -> FloatArray:
-    """(..., N) of (1, ..., N), and (..., p, N) of (p, ..., N): the axis of what is alone is left out."""
+    """(..., N) from (1, ..., N), and (..., p, N) from (p, ..., N): a leading axis of length 1 is dropped."""
     return values[0] if values.shape[0] == 1 else np.moveaxis(values, 0, -2)
 
 
 def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
-    """A delay as whole servo periods and what is left of it [s], less than a period."""
+    """A delay as whole servo periods and the remainder [s], less than a period."""
     whole = int(np.floor(delay_s / dt_s + 1e-9))
     return whole, max(delay_s - whole * dt_s, 0.0)
 
@@ -404,9 +402,10 @@ def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
 def acting_states(
     plant: StateSpace, *, position: bool = False, outputs: Sequence[FloatArray] = ()
 ) -> NDArray[np.bool_]:
-    """(n,) states that the acceleration and the motor's velocity depend on, by the structure of the matrices.
+    """(n,) mask of the states on which acceleration and motor velocity depend, by the structure of the matrices.
 
-    A free device's position only integrates its velocity: nothing depends on it, unless `position` is asked for.
+    The position of a free device only integrates its velocity, so it is not among them unless `position` is set or an
+    output needs it.
     """
     rows = [plant.C, plant.Cv, *([plant.Ce] if position else []), *outputs]
     acting: NDArray[np.bool_] = (np.concatenate(rows) != 0).any(axis=0)
@@ -419,10 +418,10 @@ def acting_states(
 
 
 def exponential(matrix: FloatArray) -> FloatArray:
-    """expm of a matrix (n, n) whose states are balanced first, by powers of two: exact whatever units they are in.
+    """Matrix exponential (n, n) after balancing the states by powers of two, which makes it independent of units.
 
-    Elongations and velocities in SI differ by many orders of magnitude, and the rounding of the large entries would
-    drown the small ones.
+    Elongations and velocities in SI differ by many orders of magnitude; without balancing, the rounding errors of the
+    large entries would exceed the small entries.
     """
     even, scale = balanced(matrix)
     return np.asarray(expm(even) * scale[:, None] / scale)
@@ -438,16 +437,16 @@ def discretise(
 ) -> StageModel:
     """Exact zero-order hold of plant and amplifier by one matrix exponential.
 
-    The amplifier's delay does not appear: it only shifts the time axis, except that the encoder is read at ticks,
-    somewhere between two switching instants. States that nothing depends on are left out.
+    The amplifier's delay only shifts the time axis, with one exception: the encoder is read at ticks, which lie
+    between two switching instants. States on which no output depends are left out.
 
     Parameters
     ----------
-    plant : from motor current to stylus acceleration.
+    plant : continuous-time model.
     amplifier : None is ideal.
     dt_s : servo period.
-    position : also give the encoder position, for a wall.
-    outputs : further outputs of the plant, by the names that `StateSpace.output` knows.
+    position : whether to provide the encoder position, for a wall.
+    outputs : names of further outputs of the plant (`StateSpace.output`).
 
     Raises
     ------
@@ -464,7 +463,7 @@ def discretise(
     else:
         C, D = np.hstack([C, plant.D]), np.zeros_like(plant.D)
         Ci, Di = np.eye(m, n + m, n), np.zeros((m, m))
-        # The motor force moves no position and no velocity at once, so neither row sees the current.
+        # Positions and velocities do not depend directly on the motor's force, so their rows have zeros for currents.
         velocity, encoder = (np.hstack([row, np.zeros((row.shape[0], m))]) for row in (velocity, encoder))
     hold = exponential(flow * dt_s)
     rows = {name: np.append(row[0, acting], np.zeros(C.shape[1] - n)) for name, row in further.items()}
@@ -478,7 +477,7 @@ def discretise(
 
 
 def _flow(A: FloatArray, B: FloatArray, amplifier: Amplifier | None) -> FloatArray:
-    """(n + m, n + m) of d/dt [plant, currents unless the amplifiers are ideal, held commands]."""
+    """(n + m, n + m) generator of d/dt [plant, currents unless the amplifiers are ideal, held commands]."""
     n, m = B.shape
     if amplifier is None:
         return np.block([[A, B], [np.zeros((m, n + m))]])
@@ -489,28 +488,28 @@ def _flow(A: FloatArray, B: FloatArray, amplifier: Amplifier | None) -> FloatArr
 
 
 def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: int) -> FloatArray:
-    """(n,) size of each state of x+ = A x + B c under square waves of the limit current, 40 servo periods long.
+    """(n,) size of each state of x+ = A x + B c under a square wave of the limit current of 40 servo periods.
 
-    In these units every state of the optimal-control problem is of order one, whatever the masses and
-    stiffnesses; elongations and velocities in SI differ by four orders of magnitude.
+    In these units every state of the optimal-control problem is of order one for all masses and stiffnesses;
+    elongations and velocities in SI differ by four orders of magnitude.
 
     Parameters
     ----------
     A : (n, n).
-    B : (n, m), or (n,) of one motor. The sizes that the motors make, each alone, are added.
-    current_limit_A : size of the square waves.
+    B : (n, m), or (n,) with one motor. The sizes under the single motors are added.
+    current_limit_A : amplitude of the square wave.
     stages : N of the problem; at most 400 periods are simulated.
     """
     return _sizes(current_limit_A * _peaks(A, B, stages))
 
 
 def _sizes(peaks: FloatArray) -> FloatArray:
-    """A state that the input cannot move has no size of its own."""
+    """Peaks as sizes: 1 for a state that the input does not move."""
     return np.where(peaks > 0, peaks, 1.0)
 
 
 def _peaks(A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
-    """(n,) largest size of each state under a square wave of size 1 of each motor, added up."""
+    """(n,) peak of each state under a square wave of amplitude 1, summed over the motors."""
     of_A = powers(A, PEAK_PERIOD)
     return np.asarray(
         np.sum([_peaks_of_motor(of_A, column, stages) for column in B.reshape(B.shape[0], -1).T], axis=0)
@@ -521,8 +520,8 @@ def _peaks_of_motor(of_A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
     period, n = PEAK_PERIOD, B.size
     halves = -(-min(stages, 20 * period) // period)
     held = np.cumsum((of_A[:-n] @ B).reshape(period, n), axis=0)
-    # Half period after half period, each seen with the sign of its own current: x+ = held_20 - A^20 x. All states of
-    # one follow from where it starts.
+    # One half period per row, with the sign of its current taken out: x+ = held_20 - A^20 x. All states of a half
+    # period follow from its start.
     starts = np.zeros((halves, n))
     starts[1:] = np.cumsum((powers(-of_A[-n:], halves - 2) @ held[-1]).reshape(-1, n), axis=0)
     courses = held.ravel() - starts @ of_A[n:].T
@@ -530,9 +529,9 @@ def _peaks_of_motor(of_A: FloatArray, B: FloatArray, stages: int) -> FloatArray:
 
 
 def powers(A: FloatArray, last: int) -> FloatArray:
-    """((last + 1) n, n) A^0 to A^last one below the other, by doubling."""
+    """((last + 1) n, n) powers A^0 to A^last one below the other, by doubling."""
     n = A.shape[0]
-    found = np.concatenate([np.eye(n), A])
-    while (missing := (last + 1) * n - found.shape[0]) > 0:
-        found = np.concatenate([found, found[n : n + missing] @ found[-n:]])
-    return found[: (last + 1) * n]
+    stacked = np.concatenate([np.eye(n), A])
+    while (missing := (last + 1) * n - stacked.shape[0]) > 0:
+        stacked = np.concatenate([stacked, stacked[n : n + missing] @ stacked[-n:]])
+    return stacked[: (last + 1) * n]

@@ -1,7 +1,7 @@
-"""A motor that drives the stylus through a transmission, before a hand: the default device.
+"""The default device: a motor that drives a hand-held stylus through a transmission.
 
-Outputs: "position" and "velocity" of the motor mass, also called "motor position" and "motor velocity", the same of
-"stylus" and, where one holds it, "hand", and "transmission stretch", by which motor and stylus are apart.
+Outputs: "position" and "velocity" of the motor mass, also called "motor position" and "motor velocity"; the same for
+"stylus" and, at grips above 0, "hand"; and "transmission stretch", the displacement between motor and stylus.
 """
 
 from dataclasses import replace
@@ -27,9 +27,9 @@ def drive(
     force_per_current_N_A: float,
     driven: int = 0,
 ) -> StateSpace:
-    """Motor mass - transmission - stylus - skin - hand mass - arm; encoder on the motor mass.
+    """The chain motor mass - transmission - stylus - skin - hand mass - arm, with the encoder on the motor mass.
 
-    At grip 0 nobody holds the stylus, and the chain ends with it.
+    At grip 0 the chain ends with the stylus, which is free.
 
     Parameters
     ----------

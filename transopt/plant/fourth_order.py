@@ -1,7 +1,7 @@
-"""The stylus with the drive rigidly on it, before a hand: the seed's Fig. 4b.
+"""A hand-held stylus with the drive rigidly on it: the seed's Fig. 4b.
 
-Outputs: "position" and "velocity" of the stylus, also called "stylus position" and "stylus velocity", and where a
-hand holds it "hand position" and "hand velocity".
+Outputs: "position" and "velocity" of the stylus, also called "stylus position" and "stylus velocity", and at grips
+above 0 "hand position" and "hand velocity".
 """
 
 from typing import ClassVar, Literal
@@ -17,7 +17,7 @@ from transopt.plant.state_space import StateSpace
 def fourth_order(
     grip_N: float, *, hand: Hand, stylus_mass_kg: float, moving_mass_kg: float, force_per_current_N_A: float
 ) -> StateSpace:
-    """Stylus (with the drive rigidly on it) - skin - hand mass - arm (seed Fig. 4b); a free mass at grip 0.
+    """The chain stylus and drive - skin - hand mass - arm (seed Fig. 4b); a free mass at grip 0.
 
     Raises
     ------

@@ -20,7 +20,7 @@ class LinearInGrip:
 
 @dataclass(frozen=True)
 class Hand:
-    """Grip-dependent hand: skin between stylus and hand mass, arm between hand mass and intention."""
+    """Grip-dependent hand: skin between stylus and hand mass, arm between hand mass and intended motion."""
 
     mass_kg: LinearInGrip
     skin_stiffness_N_m: LinearInGrip
@@ -29,16 +29,16 @@ class Hand:
     arm_damping_N_s_m: LinearInGrip
 
     def skin(self, grip_N: float) -> Link:
-        """Between stylus and hand mass."""
+        """Spring and damper of the skin, between stylus and hand mass."""
         return Link(self.skin_stiffness_N_m.at(grip_N), self.skin_damping_N_s_m.at(grip_N))
 
     def arm(self, grip_N: float) -> Link:
-        """Between hand mass and the hand's intention."""
+        """Spring and damper of the arm, between hand mass and intended motion."""
         return Link(self.arm_stiffness_N_m.at(grip_N), self.arm_damping_N_s_m.at(grip_N))
 
 
 def held(masses_kg: list[float], links: list[Link], hand: Hand, grip_N: float) -> tuple[list[float], list[Link]]:
-    """A chain continued by the hand; at grip 0 nobody holds the stylus and the chain ends where it is, free."""
+    """The chain extended by the hand; unchanged, with a free end, at grip 0."""
     if grip_N == 0:
         return masses_kg, links
     return [*masses_kg, hand.mass_kg.at(grip_N)], [*links, hand.skin(grip_N), hand.arm(grip_N)]
@@ -50,14 +50,14 @@ class LinearParameter(Section):
     Attributes
     ----------
     constant : value at a grip of zero.
-    per_newton : growth with each newton of grip.
+    per_newton : increase per newton of grip.
     """
 
     constant: Finite
     per_newton: Finite = 0.0
 
     def linear(self) -> LinearInGrip:
-        """The parameter as a model takes it."""
+        """The parameter as the models use it."""
         return LinearInGrip(self.constant, self.per_newton)
 
 
@@ -89,5 +89,5 @@ class HandSection(Section):
     arm_damping_N_s_m: Parameter
 
     def hand(self) -> Hand:
-        """The hand as a model takes it."""
+        """The hand as the models use it."""
         return Hand(**{name: _linear(getattr(self, name)) for name in type(self).model_fields})

@@ -1,9 +1,9 @@
-"""An inertial actuator, as an LRA in a phone: a moving mass in a case, by what its datasheet states.
+"""An inertial actuator such as an LRA in a phone: a moving mass in a case, by its datasheet.
 
-The resonance f0 and its quality Q are those of the mounted actuator with its terminals open, so of the moving mass
-against the case: with the reduced mass mu = m M / (m + M), k = mu (2 pi f0)^2 and c = mu 2 pi f0 / Q. A datasheet
-states them on a jig of some 100 g, which is the case then. Outputs: "position" and "velocity" of the mass against the
-case, whose stroke ends at its stops, and "current" where a voltage drives a coil with an inductance.
+Resonance f0 and quality Q are those of the mounted actuator with open terminals, with the moving mass vibrating
+against the case: k = mu (2 pi f0)^2 and c = mu 2 pi f0 / Q with the reduced mass mu = m M / (m + M). Datasheets state
+them on a jig of some 100 g, which is then the case. Outputs: "position" and "velocity" of the mass against the case,
+and "current" if a voltage drives a coil with an inductance.
 """
 
 from typing import Literal, Self
@@ -15,14 +15,14 @@ from transopt.plant.moving_coil import Mechanics, MovingCoil
 
 
 class Inertial(MovingCoil):
-    """A mass on a spring in a case that it shakes: an LRA, by f0, Q, moving mass, force factor, R and L.
+    """A mass on a spring that shakes its case, such as an LRA, by f0, Q, moving mass, force factor, R and L.
 
     Attributes
     ----------
     resonance_Hz : f0 with open terminals, in the stated case.
     quality : mechanical Q with open terminals.
-    moving_mass_kg : mass inside.
-    case_mass_kg : mass that shall shake.
+    moving_mass_kg : mass that moves inside the case.
+    case_mass_kg : mass of the case and of what is mounted on it, which shall shake.
     """
 
     kind: Literal["inertial"]

@@ -1,7 +1,8 @@
-"""How the hand that holds a stylus means to move, and how the stylus moves with it while no current flows.
+"""The intended motion of the hand that holds the stylus, and the stylus' motion under it without current.
 
-Nobody answers a tap within some 30 ms: for so long the intention goes on at the incoming speed (seed Eq. 2). What
-comes after it is a law of yielding. All motions here are per m/s of incoming speed, beside the straight line -v t.
+Nobody reacts to a tap within some 30 ms: the intended motion continues at the incoming speed for that time (seed
+Eq. 2). A law of yielding describes what follows. All motions here are per m/s of incoming speed and relative to the
+straight line -v t.
 """
 
 import math
@@ -17,11 +18,13 @@ from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
 from transopt.plant.state_space import StateSpace
 
-INTENTION_S = 30e-3  # for so long after contact the intention stays what it was
-BRAKING_S = 60e-3  # in which a yielding hand comes to rest, evenly
-PULLING_S = 60e-3  # in which one that pulls back turns, evenly, to the incoming speed outwards
-DECAY_S = 30e-3  # time constant with which one that decays comes to rest
-FOLLOWS_S = 2.5e-3  # time constant with which a stylus follows a hand that is no chain (measured on chains of hands)
+INTENTION_S = 30e-3  # time after contact during which the hand's intended motion does not change
+BRAKING_S = 60e-3  # time in which a hand that brakes comes to rest, at constant deceleration
+PULLING_S = (
+    60e-3  # time in which a hand that pulls back reaches the incoming speed outwards, at constant acceleration
+)
+DECAY_S = 30e-3  # time constant of a hand whose speed decays
+FOLLOWS_S = 2.5e-3  # time constant of the stylus behind the hand for a device that is no chain; fitted to chains
 
 Yielding = Literal["brakes", "straight", "stops", "decays", "pulls"]
 YIELDINGS: tuple[str, ...] = get_args(Yielding)
@@ -29,13 +32,13 @@ YIELDINGS: tuple[str, ...] = get_args(Yielding)
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of the intention with u'' = rate - decay u', u its way beside the straight line for 1 m/s.
+    """A phase of the intended motion with u'' = rate - decay u', u the displacement from the straight line at 1 m/s.
 
     Attributes
     ----------
-    start_s : after contact.
-    jump : of u' at its beginning [1].
-    rate_1_s, decay_1_s : of the law.
+    start_s : beginning, after contact.
+    jump : jump of u' at the beginning [1].
+    rate_1_s, decay_1_s : coefficients of the law.
     """
 
     start_s: float
@@ -44,7 +47,7 @@ class Phase:
     decay_1_s: float = 0.0
 
     def after(self, u: float, rate: float, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """u, u' and u'' so long after its beginning, where u and u' are known, the jump in u' included."""
+        """u, u' and u'' at times t after the beginning, where u and u' = `rate` are given, the jump included."""
         if self.decay_1_s == 0:
             return u + rate * t + self.rate_1_s * t**2 / 2, rate + self.rate_1_s * t, np.full(t.shape, self.rate_1_s)
         d, end = self.decay_1_s, self.rate_1_s / self.decay_1_s
@@ -54,13 +57,13 @@ class Phase:
 
 @dataclass(frozen=True)
 class Intention:
-    """What the hand means to do from contact on.
+    """The intended motion of the hand from contact on.
 
     Attributes
     ----------
-    intention_s : for so long it goes on at the incoming speed.
-    yields : law by which it yields then. "brakes": it comes to rest evenly in 60 ms. "straight": it goes on.
-        "stops": it stops dead. "decays": its speed decays with 30 ms. "pulls": within 60 ms it turns back.
+    intention_s : time for which it continues at the incoming speed.
+    yields : law of yielding after that. "brakes": constant deceleration to rest in 60 ms. "straight": no change.
+        "stops": at rest at once. "decays": exponential to rest with 30 ms. "pulls": reversal within 60 ms.
     """
 
     intention_s: float = INTENTION_S
@@ -68,7 +71,7 @@ class Intention:
 
     @property
     def phases(self) -> Sequence[Phase]:
-        """Stretches of the law, the straight one first."""
+        """Phases of the motion, the straight one first."""
         T, straight = self.intention_s, Phase(0.0)
         match self.yields:
             case "straight":
@@ -82,7 +85,7 @@ class Intention:
         return (straight, Phase(T, rate_1_s=1 / BRAKING_S), Phase(T + BRAKING_S))
 
     def motion(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(K,) u, u' and u'' at times after contact, zero before it; the jumps of u' are not in u''."""
+        """(K,) u, u' and u'' each at times after contact, zero before it; u'' is without the jumps of u'."""
         found = np.zeros((3, times_s.size))
         phases, u, rate = self.phases, 0.0, 0.0
         ends = [*(phase.start_s for phase in phases[1:]), np.inf]
@@ -98,13 +101,13 @@ class Intention:
 
 @dataclass(frozen=True)
 class Path:
-    """Intended position of a hand on its way through one tap, contact at 0.
+    """Intended position of the hand during one tap, contact at t = 0.
 
     Attributes
     ----------
-    speed_m_s : incoming, at contact.
-    intention : what the hand means to do from contact on.
-    incoming_m_s2 : acceleration with which it comes, and goes on until the intention is over.
+    speed_m_s : incoming speed at contact.
+    intention : intended motion from contact on.
+    incoming_m_s2 : acceleration before contact, which continues until `intention.intention_s`.
     """
 
     speed_m_s: float
@@ -113,7 +116,7 @@ class Path:
 
     @cached_property
     def _phases(self) -> list[tuple[float, float, float, Phase]]:
-        """Start, u and u' of every phase, the jump included."""
+        """Start, u and u' of every phase, u' with its jump."""
         found, u, rate = list[tuple[float, float, float, Phase]](), 0.0, 0.0
         for phase in self.intention.phases:
             if found:
@@ -124,7 +127,7 @@ class Path:
         return found
 
     def at(self, time_s: float) -> float:
-        """Position of the intention along the surface normal [m], outwards positive."""
+        """Intended position along the surface normal [m], positive outwards."""
         v, a, T = self.speed_m_s, self.incoming_m_s2, self.intention.intention_s
         if time_s <= 0:
             return -v * time_s + a * time_s**2 / 2
@@ -143,17 +146,18 @@ class Path:
 
 
 class FreeMotion:
-    """How the stylus accelerates without current, in one hand, for 1 m/s of incoming speed.
+    """The acceleration a_free of the stylus in one hand without current, for 1 m/s of incoming speed.
 
-    Relative to the intention every mass of a chain feels its inertia, so that its states x, elongations and then
-    velocities, obey dx/dt = A x - [0, 1] u'', and the stylus accelerates with C x. A device that is no chain of known
-    masses is taken to follow the intention with a time constant of 2.5 ms.
+    In the frame of the intended motion inertial forces act on every mass of a chain, so its states x, elongations and
+    then velocities, obey dx/dt = A x - [0, 1] u'', and the stylus accelerates with C x. A device that is no chain of
+    known masses is assumed to follow the intended motion with a time constant of 2.5 ms.
 
     Parameters
     ----------
-    intention : what the hand means to do.
-    chain : the device in the hand, from any input, its states elongations and then velocities; None for none.
-    is_held : whether a hand holds it: a free stylus goes on as it came.
+    intention : intended motion of the hand.
+    chain : the device in the hand with states elongations, then velocities; its input is not used. None if the device
+        is no chain.
+    is_held : whether a hand holds the stylus; a free one continues at its speed.
     """
 
     def __init__(self, intention: Intention, chain: StateSpace | None, *, is_held: bool = True) -> None:
@@ -162,14 +166,14 @@ class FreeMotion:
 
     @cached_property
     def _plant(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """A, the input of u'' and the row of the stylus' acceleration."""
+        """A, the input column of u'', and the row of the stylus' acceleration."""
         if self._chain is None:
             return np.array([[-1 / FOLLOWS_S]]), np.array([-1.0]), np.array([-1 / FOLLOWS_S])
         n = self._chain.order
         return self._chain.A, np.append(np.zeros(n // 2), -np.ones(n - n // 2)), self._chain.C[0]
 
     def yielding_m_s2(self, times_s: FloatArray) -> FloatArray:
-        """(K,) acceleration by the law of yielding at even times, for 1 m/s."""
+        """(K,) acceleration due to the hand's yielding at evenly spaced times, for 1 m/s."""
         if not self._is_held or len(self.intention.phases) == 1:
             return np.zeros(times_s.size)
         if self._kept is None or not np.array_equal(self._kept[0], times_s):
@@ -182,17 +186,17 @@ class FreeMotion:
         flow = np.zeros((n + 1, n + 1))
         flow[:n, :n], flow[:n, n] = A, b
         exponential = expm(flow * step)
-        # Held at its mean over each step; a jump of u' moves the velocities at once, as an impulse over one step.
+        # u'' is held at its mean over each step; a jump of u' becomes an impulse spread over one step.
         _, rate, _ = self.intention.motion(np.append(times_s, times_s[-1] + step))
         mean = np.diff(rate) / step
         system = LinearSystem(exponential[:n, :n], exponential[:n, n:], row[None], np.zeros((1, 1)))
         return np.asarray(system.outputs(mean[None])[0])
 
     def _carried(self, times_s: FloatArray) -> FloatArray:
-        """(K,) acceleration for 1 m/s^2 of the hand until its intention is over.
+        """(K,) acceleration of the stylus if the hand accelerates with 1 m/s^2 until its intention ends.
 
-        Every mass lags behind the hand by its own inertia, x = A^-1 [0, 1], and from then on dx/dt = A x. A hand
-        without a spring, which has no such lag, is followed like one that is no chain.
+        Until then the masses lag behind the hand by their inertia, x = A^-1 [0, 1]; afterwards dx/dt = A x. Without a
+        spring in the hand there is no such static lag (A is singular); the stylus then follows as for no chain.
         """
         A, b, row = self._plant
         left = times_s - self.intention.intention_s
@@ -211,12 +215,12 @@ class FreeMotion:
         return found
 
     def acceleration_m_s2(self, speed_m_s: float, incoming_m_s2: float, times_s: FloatArray) -> FloatArray:
-        """(K,) a_free at even times, contact at 0.
+        """(K,) a_free at evenly spaced times, contact at t = 0.
 
         Parameters
         ----------
-        incoming_m_s2 : acceleration a0 with which hand and stylus come. The stylus has it before contact and as long
-            as the intention holds, and loses it then as the chain lets go.
+        incoming_m_s2 : acceleration a0 of hand and stylus before contact. It continues until the intention ends and
+            then decays with the chain's dynamics.
         """
         if not self._is_held:
             return np.zeros(times_s.size)

@@ -1,7 +1,7 @@
-"""What a kind of plant is: the table `[model]` of a scene, and the state space that it makes of it at a grip.
+"""The interface of a kind of plant: the table `[model]` of a scene, and the state space built from it at a grip.
 
-A new kind of plant is a file beside this one with a class of this interface, named in `transopt.plant.kinds`. Its
-keys are then keys of a scene, and its named outputs may be limited (`limits.own`); nothing else has to know it.
+To add a kind of plant, write a file here with a class of this interface and name it in `transopt.plant.kinds`. Its
+keys are then keys of a scene, and limits may be stated on its named outputs (`limits.own`); no other code changes.
 """
 
 from abc import abstractmethod
@@ -14,14 +14,14 @@ from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 
 
 class PlantKind(Section):
-    """A kind of plant; each has a field `kind`, by whose word a scene chooses it.
+    """A kind of plant; the scene selects it by the value of the field `kind`.
 
     Attributes
     ----------
-    through_transmission : whether it needs the stiffness and the damping of the transmission at the tip.
-    driven_at_tip : whether the scene states what drives it, by motor and transmission or by a tip; a kind that is a
-        whole actuator states its own drive.
-    held_by_hand : whether it depends on the grip; else grip 0 is its only one.
+    through_transmission : whether it needs stiffness and damping of the transmission at the tip.
+    driven_at_tip : whether the scene states its drive separately, by motor and transmission or by a tip; a kind that
+        is a complete actuator includes its drive.
+    held_by_hand : whether it depends on the grip; otherwise its only grip is 0.
     is_chain : whether its states are the elongations of a chain of masses, then their velocities.
     """
 
@@ -32,26 +32,26 @@ class PlantKind(Section):
 
     @property
     def driven_by(self) -> Input:
-        """What its input is."""
+        """The plant's input, a current or a voltage."""
         return CURRENT_INPUT
 
     def circuit(self) -> Circuit | None:
-        """Terminals of the actuator, where a whole actuator states them."""
+        """Circuit at the actuator's terminals; None if the kind does not state it."""
         return None
 
     @property
     def known_winding(self) -> Winding | None:
-        """How its winding heats, where a whole actuator states it."""
+        """Thermal data of the winding; None if the kind does not state them."""
         return None
 
     @abstractmethod
     def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
-        """The model at one grip from its input, or with `struck` from a force on the stylus [N].
+        """The model at one grip; with `struck` its input is a force on the stylus [N] in place of the drive's.
 
         Parameters
         ----------
-        grip_N : 0 where nobody holds the stylus.
-        tip : what the stylus feels of the motor; None for a kind that is not `driven_at_tip`.
+        grip_N : 0 for a free stylus.
+        tip : the drive as it acts at the tip; None for a kind that is not `driven_at_tip`.
 
         Raises
         ------

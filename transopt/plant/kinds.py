@@ -1,4 +1,4 @@
-"""The kinds of plant that a scene may name; `model.kind` says which."""
+"""The kinds of plant; a scene selects one by `model.kind`."""
 
 from transopt.plant.arm import Arm
 from transopt.plant.drive import Drive

@@ -1,4 +1,4 @@
-"""A plant by its matrices: any linear device that the other kinds do not describe, measured or modelled elsewhere."""
+"""A plant stated by its matrices: any linear device that no other kind describes, measured or modelled elsewhere."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
@@ -14,22 +14,24 @@ from transopt.plant.motor import Tip
 from transopt.plant.state_space import CURRENT_INPUT, POSITION, VELOCITY, VOLTAGE_INPUT, Input, Output, StateSpace
 
 Row = Annotated[list[Finite], Field(min_length=1, max_length=MOST_STATES)]
-# Outputs that the nominal motion of a stylus is added to.
+# Outputs to which the nominal motion of the stylus is added by default.
 FOLLOWED: Mapping[str, Literal["position", "velocity"]] = {"position": "position", "velocity": "velocity"}
-AT_ONCE = 1e-6  # of the sizes of row and B: beyond rounding, a position has no velocity that its states tell
+# Largest |row B| over |row| |B| of a position. Above this rounding the input acts directly on the velocity, which
+# is then no function of the states.
+MAX_FEEDTHROUGH = 1e-6
 
 
 class OutputTable(Section):
-    """One further output of the plant: its row over the states, its unit, and what nominal motion it follows.
+    """One further output of the plant: its row over the states, its unit, and the nominal motion that is added to it.
 
-    Without `follows`, "position" and "velocity" are those of a mass that moves with a stylus; `follows = ""` says
-    that they are against a case.
+    Without `follows`, the outputs "position" and "velocity" are those of a mass that moves with a stylus. With
+    `follows = ""` they are relative to a case.
 
     Attributes
     ----------
     row : the output as a row over the states.
     unit : unit of the output.
-    follows : nominal motion that is added; empty for a motion against a case.
+    follows : nominal motion that is added, "position" or "velocity"; empty for a motion against a case.
     """
 
     row: Row
@@ -40,19 +42,19 @@ class OutputTable(Section):
 class Matrices(PlantKind):
     """dx/dt = A x + B u, acceleration = C x + D u, u a current or a voltage, all SI.
 
-    A scene states the matrices or names the `file` that has them. `outputs` names what limits may be on; "position"
-    and "velocity" are those that `limits.stroke_m` and `limits.velocity_m_s` bound, "current" of a coil that a
-    voltage drives that of `limits.current_A`.
+    A scene states the matrices or names a `file` that has them. Limits may be stated on the outputs in `outputs`:
+    `limits.stroke_m` bounds "position", `limits.velocity_m_s` bounds "velocity", and for a voltage-driven coil
+    `limits.current_A` bounds "current".
 
     Attributes
     ----------
-    input : what drives the plant.
+    input : input of the plant, a current or a voltage.
     A : rows of A in dx/dt = A x + B u.
     B : column B.
     C : row C of the acceleration, C x + D u.
     D : direct part of the acceleration.
-    outputs : tables of further outputs that limits may be on.
-    file : file that holds the matrices in their place.
+    outputs : tables of further outputs, on which limits may be stated.
+    file : file that contains the matrices, in place of the keys.
     """
 
     driven_at_tip: ClassVar[bool] = False
@@ -77,7 +79,7 @@ class Matrices(PlantKind):
                 raise ValueError(f"{name}: a row of {odd} numbers, A has {n} states: every row needs {n}")
         if POSITION in self.outputs:
             row, B = np.array(self.outputs[POSITION].row), np.array(self.B)
-            if abs(row @ B) > AT_ONCE * np.linalg.norm(row) * np.linalg.norm(B):
+            if abs(row @ B) > MAX_FEEDTHROUGH * np.linalg.norm(row) * np.linalg.norm(B):
                 raise ValueError(
                     f"outputs.{POSITION}: the input changes its velocity at once, by {row @ B:.3g} per unit (its row "
                     "times B, must be 0): give it another name, or the row of a mass's position"
@@ -86,11 +88,11 @@ class Matrices(PlantKind):
 
     @classmethod
     def of(cls, plant: StateSpace) -> Self:
-        """The table that states a plant by its matrices.
+        """The table `[model]` of a plant.
 
         Raises
         ------
-        InputError : a plant with several inputs or outputs, which a scene states only as an arm.
+        InputError : a plant with several inputs or outputs, which a scene can state only as an arm.
         """
         if (plant.motors, plant.tracked) != (1, 1):
             raise InputError(
@@ -122,7 +124,7 @@ class Matrices(PlantKind):
             for name, table in self.outputs.items()
         }
         if POSITION in outputs and VELOCITY not in outputs:
-            # A position tells the velocity of the same mass.
+            # The velocity of the same mass is the position's derivative.
             position = outputs[POSITION]
             outputs[VELOCITY] = Output(position.row @ np.array(self.A), "m/s", VELOCITY if position.follows else "")
         return StateSpace(

@@ -1,30 +1,30 @@
-"""What drives the stylus: a motor and its transmission by datasheet, or both as the stylus feels them at the tip."""
+"""The drive of the stylus: a motor and its transmission by datasheet, or both combined at the tip."""
 
 from transopt.base.section import Finite, NonNegative, Positive, Section, Words
 
 
 class Motor(Section):
-    """One row of a datasheet; its values belong together.
+    """A motor by one row of its datasheet.
 
-    `R_eddy_ohm`, across the inductance, is in no datasheet: a step of the voltage makes the current jump by
+    No datasheet states `R_eddy_ohm`, which acts across the inductance: at a voltage step the current jumps by
     step / (R_ohm + R_eddy_ohm). Without it the current does not jump.
 
     Attributes
     ----------
-    name : maker and part.
-    datasheet : where the numbers are from.
+    name : maker and part number.
+    datasheet : source of the numbers.
     R_ohm : terminal resistance at 25 C.
     L_H : terminal inductance.
     kt_Nm_A : torque per ampere.
     rotor_kg_m2 : inertia of the rotor.
-    i_continuous_A : current that the motor stands for ever.
-    i_peak_A : largest current that may flow.
+    i_continuous_A : largest continuous current.
+    i_peak_A : largest permitted current.
     R_wh_K_W : thermal resistance from winding to housing.
     R_ha_K_W : thermal resistance from housing to air.
     tau_w_s : thermal time constant of the winding.
     tau_h_s : thermal time constant of the housing.
-    winding_max_C : most that the winding stands.
-    R_eddy_ohm : resistance of eddy currents across the inductance, seen on a scope.
+    winding_max_C : highest permitted temperature of the winding.
+    R_eddy_ohm : resistance of eddy currents across the inductance, measured on an oscilloscope.
     """
 
     name: Words
@@ -44,7 +44,7 @@ class Motor(Section):
 
 
 class Winding(Section):
-    """How a coil heats: winding over housing over ambient, and the most that the winding stands.
+    """Thermal data of a coil: winding, housing, and the winding's highest temperature.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Winding(Section):
     R_ha_K_W : thermal resistance from housing to air.
     tau_w_s : thermal time constant of the winding.
     tau_h_s : thermal time constant of the housing.
-    winding_max_C : most that the winding stands.
+    winding_max_C : highest permitted temperature of the winding.
     """
 
     R_wh_K_W: Positive
@@ -63,12 +63,12 @@ class Winding(Section):
 
 
 class Transmission(Section):
-    """From motor shaft to stylus tip: `ratio_1_m` is shaft radian per metre of tip travel.
+    """The transmission from motor shaft to stylus tip.
 
     Attributes
     ----------
-    ratio_1_m : turn of the shaft, in radian, for a metre of the tip.
-    link_mass_kg : mass of the link, felt at the tip.
+    ratio_1_m : rotation of the shaft, in radian, per metre of tip travel.
+    link_mass_kg : effective mass of the link at the tip.
     stiffness_N_m : spring between motor and stylus.
     damping_N_s_m : damper between motor and stylus.
     """
@@ -80,12 +80,12 @@ class Transmission(Section):
 
 
 class Tip(Section):
-    """The drive stated at the tip, for voice coils: no motor data, so no coil temperature.
+    """The drive stated at the tip, such as a voice coil; without motor data there is no coil temperature.
 
     Attributes
     ----------
-    force_per_current_N_A : force at the tip for each ampere.
-    moving_mass_kg : mass of the drive, felt at the tip.
+    force_per_current_N_A : force at the tip per ampere.
+    moving_mass_kg : effective mass of the drive at the tip.
     stiffness_N_m : spring between drive and stylus, where the model has a transmission.
     damping_N_s_m : damper between drive and stylus, where the model has a transmission.
     """
@@ -97,10 +97,7 @@ class Tip(Section):
 
 
 def at_the_tip(motor: Motor, transmission: Transmission) -> Tip:
-    """What the stylus feels of a motor: k_f = k_t ratio, and rotor and link as one mass m = J ratio^2 + m_link.
-
-    The ratio is in shaft radian per metre of tip travel.
-    """
+    """Motor and transmission as they act at the tip: k_f = k_t ratio, m = J ratio^2 + m_link."""
     ratio = transmission.ratio_1_m
     return Tip(
         force_per_current_N_A=motor.kt_Nm_A * ratio,

@@ -1,18 +1,18 @@
-"""What a coil in a magnet does: a moving mass on a spring and a damper, against the ground or against a case.
+"""Moving-coil actuators: a mass on a spring and a damper, relative to the ground or to a case.
 
-With x the displacement of the moving part, of mass m, against what holds it, the ground or a case of mass M, and
-F = BL i - k x - c dx/dt the force between them,
+Let x be the displacement of the moving part of mass m relative to its support, the ground or a case of mass M, and
+F = BL i - k x - c dx/dt the force between them. Then
 
-    x'' = F / mu,   mu = m M / (m + M), and m where nothing but the ground holds it,
-    L di/dt = u - R i - BL dx/dt   where a voltage u is the input.
+    x'' = F / mu,   mu = m M / (m + M) with a case, mu = m on the ground,
+    L di/dt = u - R i - BL dx/dt   if a voltage u is the input.
 
-The acceleration that matters is x'' of the moving part against the ground, or F / M of the case. Both are positive
-for a positive input: that of the case is counted in the direction in which F pushes it, against that of x. A voltage
-on a coil without inductance sees i = (u - BL dx/dt) / R, which damps the motion.
+The tracked acceleration is x'' of the moving part on the ground, or F / M of the case. Both are positive for a
+positive input: the case's is counted in the direction in which F pushes it, opposite to x. With a voltage input and
+no inductance i = (u - BL dx/dt) / R, which damps the motion.
 
-Struck by a force f from outside on the part whose acceleration that is, its terminals open, the actuator does
+If an external force f strikes the part whose acceleration is tracked, with open terminals,
 
-    x'' = F / mu + f / m,  and with a case  x'' = F / mu + f / M,  where (F + f) / M is the acceleration of the case.
+    x'' = F / mu + f / m on the ground;  x'' = F / mu + f / M with a case, whose acceleration is (F + f) / M.
 """
 
 from abc import abstractmethod
@@ -31,16 +31,18 @@ from transopt.plant.motor import Tip
 from transopt.plant.nonlinear import VARIABLES, Nonlinear, NonlinearCoil
 from transopt.plant.state_space import CURRENT_INPUT, POSITION, VELOCITY, VOLTAGE_INPUT, Input, Output, StateSpace
 
-CURRENT = "current"  # of the coil, an output where a voltage drives it through an inductance
+CURRENT = "current"  # output of the coil's current, where a voltage drives it through an inductance
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What moves, and what holds it.
+    """The mechanical part of a moving-coil actuator.
 
     Attributes
     ----------
-    case_mass_kg : None where the ground holds the coil or the magnet.
+    moving_mass_kg : m.
+    case_mass_kg : M; None where the support is the ground.
+    stiffness_N_m, damping_N_s_m : k and c of the suspension.
     """
 
     moving_mass_kg: float
@@ -50,25 +52,25 @@ class Mechanics:
 
     @property
     def reduced_kg(self) -> float:
-        """mu, what the force between the two accelerates them against each other by."""
+        """mu, the reduced mass for the relative motion."""
         m, M = self.moving_mass_kg, self.case_mass_kg
         return m if M is None else m * M / (m + M)
 
     @property
     def accelerated_kg(self) -> float:
-        """What the acceleration that matters is of."""
+        """Mass whose acceleration is tracked: the case's, or the moving one on the ground."""
         return self.moving_mass_kg if self.case_mass_kg is None else self.case_mass_kg
 
 
 class MovingCoil(PlantKind):
-    """What the actuators with a moving coil or magnet have in common: the coil, and what drives it.
+    """Common part of the actuators with a moving coil or magnet: coil and driver.
 
     Attributes
     ----------
-    input : what the driver sets.
+    input : quantity that the driver sets, a current or a voltage.
     force_factor_N_A : BL: force per ampere, and back-EMF per m/s.
-    R_ohm : resistance of the coil, which a voltage needs.
-    L_H : inductance of the coil; at 0 the current follows the voltage at once.
+    R_ohm : resistance of the coil, required for a voltage input.
+    L_H : inductance of the coil; with 0 the current follows the voltage without lag.
     nonlinear : table of formulas in place of constants.
     """
 
@@ -90,7 +92,7 @@ class MovingCoil(PlantKind):
     @property
     @abstractmethod
     def mechanics(self) -> Mechanics:
-        """What moves, and what holds it."""
+        """Masses and suspension."""
 
     def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
         return moving_coil(
@@ -142,15 +144,15 @@ class MovingCoil(PlantKind):
 
     @property
     def resistance_in_the_way_ohm(self) -> float | None:
-        """Between the input and the coil's current: none where that is the input."""
+        """Resistance between a voltage input and the coil's current; None for a current input."""
         return self.R_ohm if self.input == "voltage" else None
 
     @abstractmethod
     def produced(self, resonance: float, quality: float) -> Self:
-        """Another specimen: resonance and quality times these factors, as production spreads them."""
+        """Another specimen from production, with resonance and quality multiplied by these factors."""
 
     def circuit(self) -> Circuit | None:
-        # The back-EMF per m/s is the force per ampere.
+        # In SI the back-EMF per m/s equals the force per ampere.
         return None if self.R_ohm is None else Circuit(self.R_ohm, self.L_H, self.force_factor_N_A)
 
 
@@ -162,12 +164,12 @@ def moving_coil(
     L_H: float,
     struck: bool = False,
 ) -> StateSpace:
-    """The state space of such an actuator; outputs are "position" x, "velocity" dx/dt and "current" if it is a state.
+    """The state space of a moving-coil actuator; outputs "position" x, "velocity" dx/dt and, if a state, "current".
 
     Parameters
     ----------
-    R_ohm : of the coil; None where a current is the input.
-    struck : the input is a force on the part whose acceleration it is, the moving one or the case [N] instead.
+    R_ohm : resistance of the coil; None for a current input.
+    struck : whether the input is an external force on the part whose acceleration is tracked [N].
     """
     reduced_kg, accelerated_kg = held.reduced_kg, held.accelerated_kg
     k, c, BL = held.stiffness_N_m, held.damping_N_s_m, force_factor_N_A
@@ -184,10 +186,10 @@ def moving_coil(
             gain, c = BL / R_ohm, c + BL**2 / R_ohm
         force, direct = np.array([-k, -c]), gain
         A = np.array([[0.0, 1.0], force / reduced_kg])
-        # A force from outside has no counterpart in the coil: it accelerates one of the two masses only.
+        # An external force accelerates one of the two masses only; the coil's force acts between them.
         B = np.array([0.0, gain / (accelerated_kg if struck else reduced_kg)])
     n = B.size
-    # The nominal motion of a stylus takes a case and the mass in it along: x is what one moves against the other.
+    # The nominal motion carries a case and its mass along, so it adds nothing to their relative displacement x.
     grounded = held.case_mass_kg is None
     outputs = {
         POSITION: Output(np.eye(1, n, 0), "m", POSITION if grounded else ""),

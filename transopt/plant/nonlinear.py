@@ -1,16 +1,16 @@
-"""A moving coil whose force factor and stiffness change with the displacement, and that rubs.
+"""A moving coil with a displacement-dependent force factor and stiffness, and with friction.
 
 With x the displacement of the moving part, v = dx/dt and i the coil's current,
 
     x'' = F / mu,   F = BL(x) i - K(x) x - c v - f(v),
-    L di/dt = u - R i - BL(x) v   where a voltage u is the input,
+    L di/dt = u - R i - BL(x) v   if a voltage u is the input,
 
-in the words of `transopt.plant.moving_coil`, which is the same with BL(x) = BL, K(x) = K, f = 0. The large-signal
-model of a loudspeaker (Klippel, "Loudspeaker nonlinearities: causes, parameters, symptoms", J. Audio Eng. Soc. 54,
-2006) has BL(x) and K(x) so; f is what the damping c does not tell, such as dry friction, f0 tanh(v / v0).
+in the notation of `transopt.plant.moving_coil`, the special case BL(x) = BL, K(x) = K, f = 0. The large-signal model
+of a loudspeaker (Klippel, "Loudspeaker nonlinearities: causes, parameters, symptoms", J. Audio Eng. Soc. 54, 2006)
+has such BL(x) and K(x); f is friction beyond the damping c, such as dry friction f0 tanh(v / v0).
 
-Everything is written over states as a sequence of components and over the functions that are handed in
-(`transopt.base.arithmetic`): the same lines are a number, a vector over all instants, or a CasADi expression.
+The equations are written over the components of the state and over functions that the caller passes
+(`transopt.base.arithmetic`), so the same code evaluates numbers, vectors over all instants and CasADi expressions.
 """
 
 from collections.abc import Sequence
@@ -27,21 +27,21 @@ from transopt.plant.state_space import StateSpace
 
 VARIABLES = ("x", "v", "i")  # [m], [m/s], [A]
 CONSTANTS = ("BL", "K", "C")  # of the linear model: [N/A], [N/m], [N s/m]
-AGREEMENT = 1e-6  # relative, within which a formula at rest must be what the linear model has
-PROBED_M_S = (1e-3, 1e-2, 1e-1, 1.0)  # speeds at which friction must not push
+AGREEMENT = 1e-6  # relative tolerance between a formula at rest and the linear model's constant
+PROBED_M_S = (1e-3, 1e-2, 1e-1, 1.0)  # speeds at which friction is checked to oppose the motion
 
 
 class Nonlinear(Section):
-    """Formulas in place of constants: BL(x), K(x), and a friction beside the damping.
+    """Formulas in place of constants: BL(x), K(x), and a friction force in addition to the damping.
 
     Each is arithmetic over x [m], v [m/s], i [A], the linear model's BL [N/A], K [N/m] and C [N s/m], and the
-    functions abs, atan, cos, exp, log, sin, sqrt, tanh. At rest the first two must be what the linear model has.
+    functions abs, atan, cos, exp, log, sin, sqrt, tanh. At rest the first two must equal the linear model's values.
 
     Attributes
     ----------
-    force_factor : BL over x, in N/A.
-    stiffness : K over x, in N/m.
-    friction : force against the motion beside the damping, in N.
+    force_factor : BL as a function of x, in N/A.
+    stiffness : K as a function of x, in N/m.
+    friction : force that opposes the motion, in addition to the damping, in N.
     """
 
     force_factor: Words | None = None
@@ -67,20 +67,21 @@ class Nonlinear(Section):
 
 @dataclass(frozen=True)
 class NonlinearCoil:
-    """The plant dx/dt = f(x, u) beside the linear one that it is at rest.
+    """The nonlinear plant dx/dt = f(x, u), with its linearisation at rest.
 
     Attributes
     ----------
-    linear : states x, v and, where a voltage drives a coil with an inductance, i.
-    moved_kg : mu, what F accelerates against what holds it.
-    accelerated_kg : what the acceleration that matters is of.
-    force_factor_N_A, stiffness_N_m, damping_N_s_m : of the linear model.
-    R_ohm : None where a current is the input. L_H : 0 for a coil whose current follows at once.
-    force_factor, stiffness, friction : formulas; None where the linear model's constant holds, or nothing rubs.
+    linear : linear model; states x, v and, for a voltage input and an inductance, i.
+    moved_kg : mu, the reduced mass for the relative motion.
+    accelerated_kg : mass whose acceleration is tracked.
+    force_factor_N_A, stiffness_N_m, damping_N_s_m : constants of the linear model.
+    R_ohm : None for a current input.
+    L_H : 0 for a coil whose current follows without lag.
+    force_factor, stiffness, friction : formulas; None for the linear model's constant, or for no friction.
 
     Raises
     ------
-    InputError : a formula that is not what the linear model has at rest, or a friction that pushes.
+    InputError : a formula that contradicts the linear model at rest, or a friction in the direction of the motion.
     """
 
     linear: StateSpace
@@ -131,7 +132,7 @@ class NonlinearCoil:
         return self.R_ohm is not None and self.L_H == 0
 
     def _parts(self, states: Sequence[Any], u: Any, functions: Functions) -> tuple[Any, Any, Any]:
-        """BL(x), the current, and F."""
+        """BL(x), the coil's current, and the force F."""
         x, v = states[0], states[1]
         current: Any = 0.0
         if self.R_ohm is None:
@@ -157,14 +158,14 @@ class NonlinearCoil:
         return rates
 
     def remainder(self, states: Sequence[Any], u: Any, functions: Functions) -> list[Any]:
-        """dx/dt less what the linear model makes of it, A x + B u; zero for the position."""
+        """dx/dt minus the linear model's A x + B u; zero for the position."""
         A, B = self.linear.A, self.linear.B[:, 0]
         rates = self.rate(states, u, functions)
         linear = [_combined(A[j], states) + float(B[j]) * u for j in range(1, B.size)]
         return [0.0, *(rate - own for rate, own in zip(rates[1:], linear, strict=True))]
 
     def acceleration(self, states: Sequence[Any], u: Any, functions: Functions) -> Any:
-        """The acceleration that matters [m/s^2]."""
+        """The tracked acceleration [m/s^2]."""
         return self._parts(states, u, functions)[2] / self.accelerated_kg
 
 
@@ -175,9 +176,9 @@ def _combined(row: Sequence[float], states: Sequence[Any]) -> Any:
 def _at(key: str, formula: Formula, v: float) -> float:
     """A formula's value at x = 0, i = 0 and a velocity."""
     try:
-        found = float(np.real(formula({"x": 0.0, "v": v, "i": 0.0}, NUMBERS)))
+        value = float(np.real(formula({"x": 0.0, "v": v, "i": 0.0}, NUMBERS)))
     except (ArithmeticError, ValueError, TypeError):
-        found = np.nan
-    if not np.isfinite(found):
+        value = np.nan
+    if not np.isfinite(value):
         raise InputError(f"model.nonlinear.{key}: has no value at x = 0, v = {v:g} m/s: rewrite it")
-    return found
+    return value

@@ -1,11 +1,10 @@
-"""A nonlinear device over one servo period: the exact hold of its linear part, Runge and Kutta for what is left.
+"""A nonlinear device over one servo period: exponential Runge-Kutta integration.
 
-With z the plant's states and, unless the amplifier is ideal, its input, dz/dt = L z + G c + n(z): L and G are the
-linear model with the amplifier, n is what the nonlinear plant has beside it. The linear part may be stiff, as a
-coil's L / R or the amplifier's pole, and is integrated exactly by matrix exponentials; n by the exponential
-Runge-Kutta method of order four (Cox and Matthews, "Exponential time differencing for stiff systems", J. Comput.
-Phys. 176, 2002, their ETD4RK), in `substeps` equal steps. Where n is zero the stage is that of
-`transopt.plant.discretise` to rounding.
+Let z be the plant's states and, unless the amplifier is ideal, its input: dz/dt = L z + G c + n(z), with L and G the
+linear model with the amplifier and n the nonlinear remainder. The linear part may be stiff, by a coil's L / R or the
+amplifier's pole, and is integrated exactly by matrix exponentials; n by an exponential Runge-Kutta method of order
+four (Cox and Matthews, "Exponential time differencing for stiff systems", J. Comput. Phys. 176, 2002, ETD4RK) in
+`substeps` equal steps. For n = 0 the stage equals that of `transopt.plant.discretise` up to rounding.
 """
 
 from collections.abc import Sequence
@@ -23,12 +22,14 @@ from transopt.plant.discretise import AFTER, Motion, exponential
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.state_space import VELOCITY
 
-COMPLEX_STEP = 1e-40  # of each state in its own unit: its square is nothing beside 1, so that the derivative is exact
+COMPLEX_STEP = (
+    1e-40  # of each state in its own unit: its square is negligible, so the derivative is exact to rounding
+)
 MOST_SUBSTEPS = 32
-ORDER = 4
-STEP_ERROR = 4e-7  # of the largest acceleration: what may be left of it
+ORDER = 4  # of the integration method
+STEP_ERROR = 4e-7  # largest accepted integration error, relative to the largest acceleration
 
-Sparse = tuple[tuple[tuple[int, float], ...], ...]  # a matrix, row by row the entries that are not zero
+Sparse = tuple[tuple[tuple[int, float], ...], ...]  # a matrix as the nonzero entries (column, value) of each row
 
 
 def _sparse(matrix: FloatArray) -> Sparse:
@@ -45,7 +46,14 @@ def _sum(*vectors: Sequence[Any]) -> list[Any]:
 
 @dataclass(frozen=True)
 class _Tableau:
-    """Matrices of one substep h: exp(L h), its half, and the weights of n; `by_command` of the command's part."""
+    """Matrices of one substep h.
+
+    Attributes
+    ----------
+    half, whole : exp(L h / 2) and exp(L h).
+    half_by_command, whole_by_command : the held command's part after h / 2 and h.
+    inner, first, middle, last : weights of n in the inner stages and in the three terms of the result.
+    """
 
     half: Sparse
     half_by_command: Sparse
@@ -63,8 +71,8 @@ class Linearised:
 
     Attributes
     ----------
-    A : (K, n, n) of z_(k+1) by z_k. B : (K, n) by c_k.
-    C : (K, n) of y''_k by z_k. D : (K,) by c_k.
+    A, B : (K, n, n) and (K, n), derivatives of z_(k+1) by z_k and by c_k.
+    C, D : (K, n) and (K,), derivatives of y''_k by z_k and by c_k.
     """
 
     A: FloatArray
@@ -79,10 +87,12 @@ class NonlinearStage:
 
     Attributes
     ----------
+    plant : the nonlinear plant.
     amplifier : None is ideal, u = c.
     dt_s : servo period.
-    substeps : of one period.
-    outputs : names of further outputs that a motion has, at the instant and, with `AFTER` behind, one period later.
+    substeps : number of integration steps per period.
+    outputs : names of further outputs; a motion has them at the instant and, with the suffix `AFTER`, one period
+        later.
     """
 
     plant: NonlinearCoil
@@ -101,7 +111,7 @@ class NonlinearStage:
 
     @property
     def order(self) -> int:
-        """n, number of states with the amplifier's."""
+        """n, number of states, the amplifier's included."""
         return self.plant.linear.order + int(self.amplifier is not None)
 
     @cached_property
@@ -167,15 +177,12 @@ class NonlinearStage:
         return z
 
     def acceleration(self, states: Sequence[Any], command: Any, functions: Functions) -> Any:
-        """y'' [m/s^2] where the command is felt from now on."""
+        """y'' [m/s^2] at the instant from which the command acts."""
         own, u = self.split(states, command)
         return self.plant.acceleration(own, u, functions)
 
     def states(self, command: FloatArray) -> FloatArray:
-        """(K + 1, n) states from rest at tau_0 to tau_K for a held command (K,).
-
-        NaN from where they have no value.
-        """
+        """(K + 1, n) states from rest at tau_0 to tau_K for a held command (K,); NaN after a divergence."""
         found = np.full((command.size + 1, self.order), np.nan)
         found[0], z = 0.0, [0.0] * self.order
         for k, c in enumerate(command.tolist()):
@@ -187,11 +194,11 @@ class NonlinearStage:
         return found
 
     def motion(self, command: FloatArray, states: FloatArray | None = None) -> Motion:
-        """Everything a held command (K,) does, (K,) each.
+        """The motion (K,) under a held command (K,).
 
         Parameters
         ----------
-        states : (K + 1, n) of this command, where they are known already.
+        states : (K + 1, n) states under this command, if they are known already.
         """
         z = self.states(command) if states is None else states
         now, after = z[:-1], z[1:]
@@ -224,10 +231,9 @@ class NonlinearStage:
         return Linearised(A[:, :, :n], A[:, :, n], C[:, :n], C[:, n])
 
     def adjoint(self, along: Linearised, gradient: Motion) -> FloatArray:
-        """(K,) gradient by the commands of a function whose gradients by the motion are given, (K,) each.
+        """(K,) gradient by the commands for a gradient by the motion, (K,) each.
 
-        lambda_k = A_k' lambda_(k+1) + what the function has of z_k; gradients by outputs that are `AFTER` the period
-        count with z_(k+1).
+        lambda_k = A_k' lambda_(k+1) + gradient by z_k; gradients by outputs `AFTER` the period belong to z_(k+1).
         """
         K, n = along.D.size, self.order
         by_state = np.zeros((K + 1, n))
@@ -263,11 +269,11 @@ def _phi(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatA
 
 
 def resolved(stage: NonlinearStage, command: FloatArray, most: float = STEP_ERROR) -> tuple[NonlinearStage, float]:
-    """The stage with as many substeps as a command (K,) needs, and the error of y'' that is left.
+    """The stage with as many substeps as a command (K,) needs, and the remaining error of y''.
 
-    The error, relative to the peak, is told from the change that more substeps made and from the order: with m
-    substeps in place of l it is (m / l)^4 times smaller, so the change is (m / l)^4 - 1 times what is left. Their
-    number follows from it until at most `most` is left, or it is 32.
+    The error relative to the peak is estimated by Richardson's method. From l to m substeps it falls by the factor
+    (m / l)^4, so the change of y'' is (m / l)^4 - 1 times the remaining error. The number of substeps is raised until
+    the error is at most `most`, or to 32.
     """
     found, before = replace(stage, substeps=2), replace(stage, substeps=1)
     coarse = before.motion(command).acceleration_m_s2

@@ -1,8 +1,8 @@
-"""A device at one grip as a continuous-time state space, its outputs named.
+"""A device at one grip as a continuous-time state space with named outputs.
 
-The input is a current or a voltage (`Input`), the tracked output the acceleration that matters, the stylus's or a
-case's. What else a limit may be on, positions and velocities of its masses or the current of a coil that a voltage
-drives, each kind of plant names itself; the states can be asked for by number.
+The input is a current or a voltage (`Input`), the tracked output an acceleration, that of the stylus or of a case.
+Each kind of plant names its further outputs, on which limits may be stated: positions and velocities of its masses,
+or the current of a voltage-driven coil. States are available by number.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,13 +16,13 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
-POSITION: Final = "position"  # of the mass that the encoder sees, the motor's
-VELOCITY: Final = "velocity"  # of the same mass
+POSITION: Final = "position"  # output: position of the mass that the encoder reads, the motor's
+VELOCITY: Final = "velocity"  # output: velocity of the same mass
 
 
 @dataclass(frozen=True)
 class Input:
-    """What drives a plant, in the words and the unit of reports, figures and messages.
+    """The kind of a plant's input, with its name and unit for reports, figures and messages.
 
     Attributes
     ----------
@@ -41,14 +41,14 @@ INPUTS: Final = MappingProxyType({each.unit: each for each in (CURRENT_INPUT, VO
 
 @dataclass(frozen=True)
 class Output:
-    """One named output of a plant, which the input moves only through the states.
+    """One named output of a plant, without direct feedthrough of the input.
 
     Attributes
     ----------
     row : (1, n) [unit per unit of the state].
-    unit : of the output.
-    follows : "position" or "velocity" where z_nom or its derivative has to be added to it, as for a mass; empty for
-        what the nominal motion does not change, as the stretch between two masses.
+    unit : unit of the output.
+    follows : "position" or "velocity" where z_nom or its derivative has to be added, as for a mass; empty for an
+        output that the nominal motion does not change, such as the stretch between two masses.
     """
 
     row: FloatArray
@@ -56,14 +56,14 @@ class Output:
     follows: Literal["", "position", "velocity"] = ""
 
     def is_as_good_as(self, other: "Output") -> bool:
-        """Whether it is the other one, but for rounding of its row."""
+        """Whether it equals the other output up to rounding of its row."""
         close = np.allclose(self.row, other.row, rtol=1e-9, atol=1e-12 * float(np.abs(other.row).max(initial=0.0)))
         return bool(close) and (self.unit, self.follows) == (other.unit, other.follows)
 
 
 @dataclass(frozen=True)
 class StateSpace:
-    """Continuous-time model from the input u, a current or a voltage, to the acceleration that it adds.
+    """Continuous-time model from the input u, a current or a voltage, to the acceleration y'' that it adds.
 
     dx/dt = A x + B u,  y'' = C x + D u,  all SI, x = 0 on the nominal motion. A device with one motor that moves
     along one line has m = p = 1; an arm has a column of B for each motor and a row of C for each direction.
@@ -74,14 +74,14 @@ class StateSpace:
     B : (n, m) [unit of the state/s per A or V].
     C : (p, n) [m/s^2 per unit of the state].
     D : (p, m) [m/s^2 per A or V].
-    outputs : name -> further output. "position" and "velocity" are those of the mass that the encoder sees; a device
-        without them, such as a black box, can have no wall and no limit on its motion. Of the further motors the
-        velocities are "velocity 2" to "velocity m".
-    driven_by : what u is.
+    outputs : name -> further output. "position" and "velocity" are those of the mass that the encoder reads; a device
+        without them, such as a black box, can have no wall and no limit on its motion. The velocities of further
+        motors are "velocity 2" to "velocity m".
+    driven_by : whether u is a current or a voltage.
 
     Raises
     ------
-    InputError : a matrix of another shape, or with a number that is not finite.
+    InputError : a matrix of the wrong shape, or with NaN or an infinite number.
     """
 
     A: FloatArray
@@ -102,7 +102,7 @@ class StateSpace:
             if matrix.shape != shape:
                 raise InputError(f"plant matrix {name} has shape {matrix.shape}, expected {shape}")
             if not np.all(np.isfinite(matrix)):
-                raise InputError(f"plant matrix {name} holds a number that is not finite")
+                raise InputError(f"plant matrix {name} contains NaN or an infinite number")
 
     @property
     def order(self) -> int:
@@ -116,7 +116,7 @@ class StateSpace:
 
     @property
     def tracked(self) -> int:
-        """Number of accelerations p that are tracked."""
+        """Number of tracked accelerations p."""
         return int(self.C.shape[0])
 
     @classmethod
@@ -130,9 +130,9 @@ class StateSpace:
         outputs: Mapping[str, Output] = MappingProxyType({}),
         driven_by: Input = CURRENT_INPUT,
     ) -> "StateSpace":
-        """Read a device as a library stores it: the position that the encoder sees is Ce x, its velocity Ce A x.
+        """Read a device as a library stores it: the encoder's position is Ce x, its velocity Ce A x.
 
-        A row Ce of zeros stands for a device without a known position. `outputs` are its other named outputs.
+        A row Ce of zeros means a device without a known position. `outputs` are its other named outputs.
         """
         if not Ce.any():
             return cls(A, B, C, D, outputs, driven_by)
@@ -141,14 +141,14 @@ class StateSpace:
 
     @property
     def Ce(self) -> FloatArray:
-        """(1, n) row of the position that the encoder sees; zero where the device has none."""
+        """(1, n) row of the position that the encoder reads; zero if the device has none."""
         return self.outputs[POSITION].row if POSITION in self.outputs else np.zeros((1, self.order))
 
     @property
     def Cv(self) -> FloatArray:
-        """(m, n) rows of the velocities that the back-EMFs of the motors follow; zero where there is none.
+        """(m, n) rows of the velocities to which the motors' back-EMFs are proportional; zero if unknown.
 
-        That of the first motor is of the mass whose position the encoder sees.
+        The first motor's is the velocity of the mass whose position the encoder reads.
         """
         names = [VELOCITY, *(f"{VELOCITY} {j}" for j in range(2, self.motors + 1))]
         none = np.zeros((1, self.order))
@@ -156,11 +156,11 @@ class StateSpace:
 
     @property
     def moves_in_a_case(self) -> bool:
-        """Whether its position is against a case that the nominal motion takes along: z_nom has no part in it."""
+        """Whether its position is relative to a case that moves with the nominal motion: z_nom is not added then."""
         return POSITION in self.outputs and not self.outputs[POSITION].follows
 
     def output(self, name: str) -> Output:
-        """A named output; "state 1" to "state n" are the plant's own states.
+        """A named output; "state 1" to "state n" are the plant's states.
 
         Raises
         ------
@@ -174,29 +174,26 @@ class StateSpace:
         return Output(np.eye(1, self.order, states[name]), "of the state")
 
     def stored(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
-        """Named outputs that A and Ce do not tell, as the `meta` of a library has them.
+        """Named outputs for the `meta` of a library: those that do not follow from A and Ce.
 
-        Position and velocity are always among them where A and Ce would tell others: those of a mass in a case, or a
-        velocity that is another mass's.
+        Position and velocity are always among them if they differ from those of A and Ce, as for a mass in a case, or
+        for a velocity of another mass.
         """
-        told = StateSpace.from_matrices(self.A, self.B, self.C, self.D, self.Ce).outputs
-        known = [name for name, o in told.items() if name in self.outputs and self.outputs[name].is_as_good_as(o)]
+        implied = StateSpace.from_matrices(self.A, self.B, self.C, self.D, self.Ce).outputs
+        known = [name for name, o in implied.items() if name in self.outputs and self.outputs[name].is_as_good_as(o)]
         own = [n for n in dict.fromkeys([POSITION, VELOCITY, *names]) if n in self.outputs and n not in known]
         return {name: {**asdict(self.outputs[name]), "row": self.outputs[name].row[0].tolist()} for name in own}
 
     def response(self, frequencies_Hz: FloatArray) -> FloatArray:
-        """(f,) complex transfer function y''/u of one motor at f frequencies [m/s^2 per A or V].
-
-        Of a plant with several motors or directions it is (f, p, m).
-        """
+        """(f,) complex transfer function y''/u at f frequencies [m/s^2 per A or V]; (f, p, m) with several motors."""
         s = 2j * np.pi * np.asarray(frequencies_Hz)
         shifted = s[:, None, None] * np.eye(self.order) - self.A
-        found = np.asarray(self.C @ np.linalg.solve(shifted, self.B) + self.D)
-        return found[:, 0, 0] if found.shape[1:] == (1, 1) else found
+        gain = np.asarray(self.C @ np.linalg.solve(shifted, self.B) + self.D)
+        return gain[:, 0, 0] if gain.shape[1:] == (1, 1) else gain
 
 
 def blended(one: StateSpace, other: StateSpace, share: float) -> StateSpace:
-    """Both models side by side, their tracked outputs weighted 1 - `share` and `share`; the orders add."""
+    """Both models in parallel, their tracked outputs weighted by 1 - `share` and `share`; the orders add."""
     n, m = one.order, other.order
     A = np.zeros((n + m, n + m))
     A[:n, :n], A[n:, n:] = one.A, other.A

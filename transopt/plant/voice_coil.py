@@ -1,6 +1,6 @@
 """A voice coil: at the tip of a stylus or a shaker's table, or with a moving magnet in a case.
 
-Outputs: "position" and "velocity" of the moving part against what holds it, and "current" where a voltage drives a
+Outputs: "position" and "velocity" of the moving part relative to its support, and "current" if a voltage drives a
 coil with an inductance.
 """
 
@@ -14,15 +14,15 @@ from transopt.plant.moving_coil import Mechanics, MovingCoil
 class VoiceCoil(MovingCoil):
     """A coil in a magnet, by moving mass, suspension, force factor BL, R and L; in a case if one is stated.
 
-    Its coil's temperature is known where `winding` is stated and a current drives it.
+    The coil's temperature is modelled if `winding` is stated and the input is a current.
 
     Attributes
     ----------
-    moving_mass_kg : what moves against the ground or the case.
-    case_mass_kg : mass that shall shake; without it the ground holds the coil.
+    moving_mass_kg : mass that moves relative to the ground or the case.
+    case_mass_kg : mass of the case, which shall shake; without it the support is the ground.
     stiffness_N_m : spring of the suspension.
     damping_N_s_m : damper of the suspension.
-    winding : table of how the coil heats.
+    winding : table of the coil's thermal data.
     """
 
     kind: Literal["voice_coil"]

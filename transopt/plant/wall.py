@@ -1,9 +1,9 @@
 """The virtual wall: feedback from the encoder at the servo ticks (seed Eq. 9).
 
-Current from the wall and from the transient add up, and the motor knows only their sum. The optimal-control problem
-therefore works on the total command and does not see the wall but at the end of the horizon, where the transient has
-to be zero: there the total command is what the feedback asks for. In the signs of this package Eq. 9 reads
-i_tr = y'' / G + (K_p z + K_d dz/dt) / k_f while z < 0; the seed's minus is its other sign of the current.
+The currents of wall and transient add up. The variable of the optimal-control problem is the total command, so the
+wall enters it only at the end of the horizon, where the transient has to be zero and the total command equals the
+feedback. With the signs of this package Eq. 9 reads i_tr = y'' / G + (K_p z + K_d dz/dt) / k_f while z < 0; the seed
+counts the current with the opposite sign.
 """
 
 from dataclasses import dataclass
@@ -18,18 +18,18 @@ from transopt.base.signals import FloatArray, integral
 from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
 from transopt.plant.discretise import TimeGrid
 
-ENDLESS_A = 1e100  # a feedback current for which the square of a motion is still a number
+MAX_FEEDBACK_A = 1e100  # clips the current of an unstable wall, so that squares of its motion do not overflow
 
 
 def earlier_by(ticks: int, values: FloatArray) -> FloatArray:
-    """(N,) values moved `ticks` to the front, zeros behind: the transpose of a delay, which may exceed N."""
+    """(N,) values advanced by `ticks`, followed by zeros: the transpose of a delay, which may exceed N."""
     kept = values[ticks:]
     return np.append(kept, np.zeros(values.size - kept.size))
 
 
 @dataclass(frozen=True)
 class Wall:
-    """Spring and damper while the encoder is below the surface; pushes, never pulls.
+    """Spring and damper that act while the encoder is below the surface, and only push.
 
     i_fb = max(0, -(K_p z + K_d dz/dt) / k_f) while z < 0, z read `latency_ticks` ago, dz/dt by the filtered
     difference v_k = a v_(k-1) + (1 - a) (z_k - z_(k-1)) / dt, a = exp(-2 pi f dt).
@@ -39,7 +39,7 @@ class Wall:
     stiffness_N_m : K_p >= 0.
     damping_N_s_m : K_d >= 0.
     force_per_current_N_A : k_f > 0.
-    latency_ticks : whole ticks from the reading of the encoder to the command that answers it, >= 0.
+    latency_ticks : whole ticks from an encoder reading to the command that responds to it, >= 0.
     derivative_filter_Hz : f > 0.
 
     Raises
@@ -63,13 +63,13 @@ class Wall:
             )
 
     def smoothing(self, dt_s: float) -> float:
-        """a of the derivative filter."""
+        """Coefficient a of the derivative filter."""
         return float(np.exp(-2 * np.pi * self.derivative_filter_Hz * dt_s))
 
     def measured(self, encoder_m: FloatArray, dt_s: float, approach_m_s: float) -> tuple[FloatArray, FloatArray]:
-        """Position [m] and filtered velocity [m/s] that the law of each tick acts on, (..., N) each.
+        """Position [m] and filtered velocity [m/s] that enter the law at each tick, (..., N) each.
 
-        Before the first tick the stylus came in straight, at `approach_m_s`, and the filter had settled on it.
+        Before the first tick the stylus moved at the constant speed `approach_m_s`, on which the filter has settled.
 
         Parameters
         ----------
@@ -87,17 +87,17 @@ class Wall:
         return z[..., 1 : N + 1], velocity[..., :N]
 
     def wanted(self, position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
-        """The law without its one-sidedness: -(K_p z + K_d v) / k_f [A]."""
+        """The law without clipping: -(K_p z + K_d v) / k_f [A]."""
         force = self.stiffness_N_m * position_m + self.damping_N_s_m * velocity_m_s
         return np.asarray(-force / self.force_per_current_N_A)
 
     def current(self, position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
-        """i_fb for what was measured: pushes below the surface, zero above [A].
+        """i_fb [A] for a measured position and velocity: >= 0 below the surface, zero above it.
 
-        A wall that grows by itself multiplies its current at every tick. Beyond `ENDLESS_A` it is cut off, so that a
-        simulation of such a wall, which is refused by name, stays within the range of the numbers.
+        The current of an unstable wall grows at every tick. It is clipped at `MAX_FEEDBACK_A`, so that a simulation
+        of such a wall, which is then refused with its name, does not overflow.
         """
-        pushed = np.clip(self.wanted(position_m, velocity_m_s), 0.0, ENDLESS_A)
+        pushed = np.clip(self.wanted(position_m, velocity_m_s), 0.0, MAX_FEEDBACK_A)
         return np.asarray(np.where(position_m < 0, pushed, 0.0))
 
     def linear(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
@@ -116,15 +116,14 @@ class Wall:
 
 @dataclass(frozen=True)
 class HandOver:
-    """The wall as one entry sees it: the last commands are what the feedback asks for, no more, and so it goes on.
+    """The wall during one tap: from the hand-over on the total command equals its feedback.
 
     Attributes
     ----------
-    wall : its law.
-    nominal_m : (N + M,) z_nom at the ticks t_k, through the window and after it. What is asked of the first K ticks
-        takes the first K of them.
+    wall : the wall's law.
+    nominal_m : (N + M,) z_nom at the ticks t_k of window and tail; methods for K ticks use the first K.
     approach_m_s : incoming speed.
-    pressing : (N + M,) whether the law pushes at tick k; fixed for one solve, checked against the answer.
+    pressing : (N + M,) whether the wall pushes at tick k; fixed during a solve and checked against its solution.
     """
 
     wall: Wall
@@ -135,15 +134,15 @@ class HandOver:
     __repr__ = brief
 
     def encoder(self, deviation_m: FloatArray) -> FloatArray:
-        """(..., K) z at the ticks for the deviations y there."""
+        """(..., K) encoder position z at the ticks for deviations y."""
         return self.nominal_m[: deviation_m.shape[-1]] + deviation_m
 
     def feedback(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
-        """(..., K) i_fb as the law gives it for the deviations y at the ticks."""
+        """(..., K) i_fb by the law for deviations y at the ticks."""
         return self.wall.current(*self.wall.measured(self.encoder(deviation_m), dt_s, self.approach_m_s))
 
     def masked_feedback(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
-        """(..., K) i_fb with the ticks at which it pushes held fixed: affine in the deviations."""
+        """(..., K) i_fb with the pushing ticks fixed to `pressing`, which makes it affine in the deviations."""
         wanted = self.wall.wanted(*self.wall.measured(self.encoder(deviation_m), dt_s, self.approach_m_s))
         return np.asarray(np.where(self.pressing[: wanted.shape[-1]], wanted, 0.0))
 
@@ -166,21 +165,21 @@ def feedback_command_transpose(by_command: FloatArray, amplifier: Amplifier | No
 
 
 def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
-    """(K,) deviation of the stylus from its nominal motion at the first K <= N + M ticks, if it followed r (K,)."""
+    """(K,) deviation from the nominal motion at the first K <= N + M ticks, if the stylus follows r (K,) exactly."""
     course = integral(integral(reference_m_s2, grid.dt_s), grid.dt_s)
     ticks = grid.all_issue_times_s[: reference_m_s2.size]
     return np.asarray(np.interp(ticks, ticks + grid.delay_s, course))
 
 
 class FeedbackLoop:
-    """The wall's law tick by tick, as a device runs it, for M taps at once.
+    """The wall's law tick by tick, as the device computes it, for M taps at once.
 
-    Before the first tick the stylus came in straight and the derivative filter had settled on that.
+    Before the first tick the stylus moved at constant speed, on which the derivative filter has settled.
 
     Parameters
     ----------
     wall : the same for all taps.
-    amplifier : whose pole the prefilter inverts; None is ideal.
+    amplifier : the prefilter inverts its pole; None is ideal.
     dt_s : servo period.
     first_m : (M,) encoder position at the first tick.
     approach_m_s : (M,) incoming speeds.

@@ -87,8 +87,8 @@ def test_accelerations_turn_with_the_surface() -> None:
     [
         ({"postures_deg": [[0.0, 0.0, -90.0]]}, "postures_deg 1: singular"),
         ({"postures_deg": [[0.0, 25.0, 35.0], [0.0, 30.0, 120.0]]}, "postures_deg 2: singular"),
-        ({"normals": [[0.0, 0.0, 0.0]]}, "a normal of no length"),
-        ({"stylus": [0.0, 0.0, 0.0]}, "stylus: a direction of no length"),
+        ({"normals": [[0.0, 0.0, 0.0]]}, "a normal of length zero"),
+        ({"stylus": [0.0, 0.0, 0.0]}, "stylus: a direction of length zero"),
         ({"ratios": [11.0, 0.0, 11.0]}, "greater than 0"),
         ({"motor_shares": [1.0, 1.0, 1.2]}, "less than or equal to 1"),
         ({"normals": [[np.nan, 0.0, 1.0]]}, "finite number"),

@@ -16,7 +16,7 @@ from transopt.plant.discretise import Motion, TimeGrid, discretise, state_scale
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import accurate, fine
-from transopt.proof.replay import AT_ONCE, replay
+from transopt.proof.replay import COMMANDS_AT_ONCE, replay
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
 
@@ -114,7 +114,7 @@ def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
 
 def test_many_commands_are_replayed_as_each_alone(make_problem: ProblemMaker) -> None:
     problem = make_problem(stages=40)
-    M = AT_ONCE + 2
+    M = COMMANDS_AT_ONCE + 2
     commands, targets = np.random.default_rng(1).uniform(-4, 4, (M, 40)), [problem.target] * M
     limits = [problem.limits] * M
     together = replay(problem.stage, problem.grid, commands, targets, None, limits=limits)

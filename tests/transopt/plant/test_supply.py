@@ -190,7 +190,7 @@ class TestInfeasible:
         (entry,) = design([Context(low).posed_as(references[-1], 5.0)])
         assert entry.status is not Status.OPTIMAL
         (reason,) = entry.shortfalls
-        assert reason == "supply 0.2 V over its 0.3 V at -0.2 ms: the back-EMF of the incoming stylus alone"
+        assert reason == "supply 0.2 V over its limit 0.3 V at -0.2 ms by the back-EMF of the incoming stylus alone"
 
     def test_a_rail_that_no_command_keeps_is_refused_by_name(self, entry: Maker) -> None:
         designed = optimum(cut(entry(supply_V=0.02), 30), SolverOptions())
