@@ -14,7 +14,7 @@ from common.page import PageFile, write_part
 
 import problems
 from transopt.base.writing import table
-from transopt.scene.rated import SAID, TOLERANCE, UNKNOWN, Rating, completed, predicted
+from transopt.scene.rated import TOLERANCE, UNKNOWN, WORDS, Rating, completed, predicted
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def main(page: PageFile = None) -> int:
         said = {key: each.note or f"{each.stated:.4g} ({100 * each.off:+.1f} %)" for key, each in found.items()}
         rows.append([sheet["name"], *(said[key] for key in KEYS)])
         sources.append(f"{number}. {sheet['name']}: <{sheet['source']}>")
-    lines = [*table(("sheet", *(SAID[key] for key in KEYS)), rows), *sources]
+    lines = [*table(("sheet", *(WORDS[key] for key in KEYS)), rows), *sources]
     print("\n".join(lines))
     write_part(page, lines)
     return 0

@@ -43,4 +43,4 @@ def test_a_wrong_unit_in_a_sheet_is_named(wrong: str) -> None:
     told = {**sheet, wrong: 9.81 * sheet[wrong]}
     note = sheets.completed(told, sheets.Rating(L_H=0.0)).note
     assert note.startswith("the numbers contradict each other; one of these is wrong: ")
-    assert sheets.SAID[wrong] in note
+    assert sheets.WORDS[wrong] in note

@@ -137,7 +137,7 @@ def plant_new(
 def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, Any]:
     """What is stated with what follows from the further numbers of a sheet, which is printed with how sure it is."""
     from transopt.base.units import unit_of
-    from transopt.scene.rated import SAID, UNKNOWN, UNSURE, Rating, completed
+    from transopt.scene.rated import UNKNOWN, UNSURE, WORDS, Rating, completed
 
     if stated["kind"] == "inertial" and "case_mass_kg" not in stated:
         raise InputError(
@@ -154,7 +154,7 @@ def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, A
     for key in (key for key in UNKNOWN if key not in stated):
         sure = found.deviations[key]
         about = f"+-{100 * sure:.0f} %" if sure < UNSURE else f"a guess: measure it, and state {option_of(key)}"
-        typer.echo(f"{SAID[key]} {found.values[key]:.3g} {unit_of(key)}".rstrip() + f": {about}")
+        typer.echo(f"{WORDS[key]} {found.values[key]:.3g} {unit_of(key)}".rstrip() + f": {about}")
     volts = "rms_V" in further and stated["input"] == "voltage"
     peak = {"rated": 2**0.5 * further["rms_V"]} if volts else {}
     return {**peak, **{key: float(f"{found.values[key]:.4g}") for key in UNKNOWN}, **stated}

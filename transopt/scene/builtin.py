@@ -1,8 +1,8 @@
-"""The built-in scenes: where their files lie, their names, and loading one by its name.
+"""The built-in scenes: their folder, their names, and loading one by name.
 
-They are data of the package `problems`, which is installed beside this one, in a checkout as in site-packages. The
-folder is found by that place and not by `import problems`: a script with a file `problems.py` of its own beside it
-would import that file in its stead.
+They are data of the package `problems`, which lies beside this package in a checkout and in site-packages. The folder
+is located by that path and not by `import problems`, which would import a user's own `problems.py` if one lies beside
+the user's script.
 """
 
 from pathlib import Path
@@ -46,19 +46,19 @@ def scene_path(name: str) -> Path:
 
 
 def load_scene(scene: str | Path, *, model: Path | None = None, accept: bool = False) -> "Scene":
-    """A scene by its built-in name, or by the path of a .toml file, whose motor may be a built-in one.
+    """Load a scene by its built-in name, or by the path of a .toml file, which may name a built-in motor.
 
     Parameters
     ----------
-    model : a model file in the place of the scene's own device. Of a built-in scene the grips are an example too: if
-        the model does not know them all, the grid takes those that it was identified at.
-    accept : numbers that no device and no tap has, as `implausible = "accept"` in the scene does.
+    model : a model file that replaces the scene's own device. The grips of a built-in scene are replaced too, if the
+        model was not identified at all of them.
+    accept : whether to accept implausible numbers, as `implausible = "accept"` in the scene does.
 
     Raises
     ------
-    InputError : there is none, or it cannot be used; one line with file, key, value and limit.
+    InputError : no such scene, or an invalid one; one line with file, key, value and limit.
     """
-    from transopt.scene.file import read_scene  # pydantic, which the names alone do not need
+    from transopt.scene.file import read_scene  # loads pydantic, which listing the names does not need
 
     path = Path(scene) if str(scene).lower().endswith(".toml") else scene_path(str(scene))
     return read_scene(path, search=[FOLDER], model=model, model_grips=path.parent == SCENES, accept=accept)

@@ -1,4 +1,4 @@
-"""What the tables of a scene say about each other: keys that need or exclude keys of other tables."""
+"""Consistency between the tables of a scene: keys that need or exclude keys of other tables."""
 
 import math
 from typing import TYPE_CHECKING
@@ -20,13 +20,13 @@ from transopt.scene.sections import OF_A_CURRENT, AmplifierSection, Robust, Ther
 if TYPE_CHECKING:
     from transopt.scene.scene import Scene
 
-BELOW = 1 - 1e-6  # of a bound that has to be stayed below
-FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
-POPULATION_SEED = 2  # of the hands that a robust design serves
+BELOW = 1 - 1e-6  # factor for a value that has to stay strictly below a bound
+FORCE_TOLERANCE = 0.01  # relative difference between the motor's force per ampere and that of a model file
+POPULATION_SEED = 2  # seed of the hands that a robust design serves
 
 
 def check(scene: "Scene") -> None:
-    """What the tables of a scene say about each other.
+    """Check the tables of a scene against each other.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def check(scene: "Scene") -> None:
 
 
 def _above_peak(scene: "Scene", peak_A: float) -> str:
-    """Which key of the limits asks for more than the motor stands, and what it may be at most."""
+    """Message that names the key by which the limit exceeds the motor's peak current, and its largest value."""
     limits, asked = scene.limits, f"above the motor's i_peak_A = {peak_A:g} A: lower it to"
     if limits.current_A is not None:
         return f"limits.current_A = {limits.current_A:g}: {asked} {peak_A:g} or less"
@@ -93,7 +93,12 @@ def _above_peak(scene: "Scene", peak_A: float) -> str:
 
 
 def _check_arm(scene: "Scene", arm: Arm) -> None:
-    """What a scene with several motors cannot have yet, and what it needs."""
+    """Check a scene with several motors.
+
+    Raises
+    ------
+    ValueError : a key that such a scene cannot have, or one that it needs.
+    """
     asked, kinds = scene.limits.asked(), kinds_of(scene.driven_by)
     unfit = [f"limits.{kind.key}" for kind in kinds if not kind.of_each_motor and asked.get(kind.key) is not None]
     tables = (
@@ -123,7 +128,12 @@ def _check_arm(scene: "Scene", arm: Arm) -> None:
 
 
 def _check_what_is_wanted(scene: "Scene") -> None:
-    """Speeds with recordings of taps, or named targets: one of the two."""
+    """Check that the scene states either speeds with recordings of taps, or named targets.
+
+    Raises
+    ------
+    ValueError : both or neither, or keys of the other kind.
+    """
     names = [target.name for target in scene.targets]
     if not names:
         if scene.weights.calm != 1:
@@ -131,22 +141,27 @@ def _check_what_is_wanted(scene: "Scene") -> None:
         if not scene.grid.speeds_m_s:
             raise ValueError("grid.speeds_m_s: missing; add it to the scene, or [[targets]] without speeds")
         if not scene.recordings.files and scene.recordings.simulated is None:
-            raise ValueError("recordings: give either files or a simulated table, not both and not neither")
+            raise ValueError("recordings: give files or a simulated table; neither is stated")
         return
     if len(set(names)) < len(names):
-        raise ValueError("targets: two of one name: give each its own")
+        raise ValueError("targets: two have the same name: give each its own")
     if scene.grid.speeds_m_s:
         raise ValueError("grid.speeds_m_s: named targets have no speed: give either speeds or targets")
     if scene.grid.grips_N != [0.0]:
-        raise ValueError("grid.grips_N: named targets are for a device that nobody holds: leave it out")
+        raise ValueError("grid.grips_N: named targets are for a device that no hand holds: leave it out")
     if scene.recordings.files or scene.recordings.simulated is not None:
         raise ValueError("recordings: named targets take the place of files and simulated taps: leave these out")
     if scene.feedback is not None:
-        raise ValueError("feedback: a virtual wall needs a stylus that comes in: leave it out with named targets")
+        raise ValueError("feedback: a virtual wall needs a stylus that taps: leave it out with named targets")
 
 
 def _check_input(scene: "Scene") -> None:
-    """The limits, and all that knows currents alone, must be of the plant's input."""
+    """Check that limits and tables belong to the plant's input, a current or a voltage.
+
+    Raises
+    ------
+    ValueError : a limit of the other input, or a table that only a current-driven plant can have.
+    """
     limits, unit = scene.limits, scene.driven_by.unit
     if unit == "A":
         if limits.voltage_V is not None:
@@ -183,7 +198,12 @@ def _check_input(scene: "Scene") -> None:
 
 
 def _check_what_needs_what(scene: "Scene") -> None:
-    """Keys that need or exclude keys of other tables."""
+    """Check keys that need or exclude keys of other tables.
+
+    Raises
+    ------
+    ValueError : the first contradiction.
+    """
     if scene.limits.supply_V is not None and (scene.circuit() is None or scene.amplifier == "ideal"):
         raise ValueError(
             "limits.supply_V needs [motor] (resistance, inductance, back-EMF) and an amplifier with a pole: an "
@@ -208,11 +228,12 @@ def _check_what_needs_what(scene: "Scene") -> None:
         )
     if scene.robust is not None and scene.feedback is not None:
         raise ValueError(
-            "robust: feedback answers one device's motion, and a spread of them has many: leave one of them out"
+            "robust: feedback depends on the motion, which differs over a spread of devices: leave one of them out"
         )
     if scene.robust is not None and scene.robust.minimise == "worst" and scene.weights.objective == "intensity":
         raise ValueError(
-            'robust.minimise = "worst": is of the waveform: leave out weights.objective = "intensity", or take "mean"'
+            'robust.minimise = "worst": only for the waveform: leave out weights.objective = "intensity", or take '
+            '"mean"'
         )
     if scene.robust is not None and scene.robust.grip_spread is not None and scene.grid.grips_N[0] == 0:
         raise ValueError("robust.grip_spread: the free device has no grip to spread")
@@ -221,7 +242,7 @@ def _check_what_needs_what(scene: "Scene") -> None:
     produced = scene.robust is not None and (scene.robust.resonance_spread or scene.robust.quality_spread)
     if produced and not isinstance(scene.model, MovingCoil):
         raise ValueError(
-            "robust.resonance_spread and quality_spread: are of a mass on a spring, model.kind = inertial or "
+            "robust.resonance_spread and quality_spread: only for a mass on a spring, model.kind = inertial or "
             f"voice_coil, not of {scene.model.kind}: leave them out"
         )
     if scene.robust is not None and scene.robust.model_uncertainty and not isinstance(scene.model, IdentifiedModel):
@@ -229,7 +250,12 @@ def _check_what_needs_what(scene: "Scene") -> None:
 
 
 def _check_population(scene: "Scene", robust: Robust) -> None:
-    """Hands of a population take the place of a hand that is stated by itself and holds the device."""
+    """Check that the scene states a hand, which the hands of a population can replace, and draw them.
+
+    Raises
+    ------
+    ValueError : a model without such a hand, a free device, or a population that is not passive at the grips.
+    """
     if not isinstance(scene.model, Drive | FourthOrder) or scene.grid.grips_N[0] == 0:
         raise ValueError(
             "robust.population: spreads the hand that a scene states by [model.hand], at grips above 0: leave it "
@@ -243,18 +269,23 @@ def _check_population(scene: "Scene", robust: Robust) -> None:
 
 
 def _drive_in_file(scene: "Scene") -> bool:
-    """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
+    """Whether a model file contains the device, so that the scene need not state motor and transmission."""
     return isinstance(scene.model, IdentifiedModel) and scene.model.device is not None
 
 
 def _on_the_motion(scene: "Scene") -> list[str]:
-    """Keys of the limits asked for that look at the device's motion."""
+    """Keys of the scene's limits that depend on the device's motion."""
     asked, kinds = scene.limits.asked(), kinds_of(scene.driven_by)
     return [kind.key for kind in kinds if kind.of_each_device and asked.get(kind.key) is not None]
 
 
 def _check_identified(scene: "Scene", model: IdentifiedModel) -> None:
-    """What the scene states beside a model file must not contradict it."""
+    """Check that the scene does not contradict its model file.
+
+    Raises
+    ------
+    ValueError : the first contradiction.
+    """
     for grip in scene.grid.grips_N:
         for served in (grip, *scene.spread_grips_N(grip)):
             try:
@@ -263,7 +294,7 @@ def _check_identified(scene: "Scene", model: IdentifiedModel) -> None:
                 raise ValueError(f"grid.grips_N: {served:g} N: {error}") from None
     tip = model.tip()
     if _drive_in_file(scene) and scene.tip is not None:
-        raise ValueError(f"tip: the device in {model.file} has it all: take the tip table out")
+        raise ValueError(f"tip: the device in {model.file} includes the drive: take the tip table out")
     if tip is not None and scene.motor is not None and scene.transmission is not None:
         stated, known = scene.motor.kt_Nm_A * scene.transmission.ratio_1_m, tip.force_per_current_N_A
         if not abs(stated / known - 1) <= FORCE_TOLERANCE:
@@ -279,8 +310,8 @@ def _check_identified(scene: "Scene", model: IdentifiedModel) -> None:
         ):
             if stated_in_scene:
                 raise ValueError(
-                    f"{key}: needs the motor's motion, and the device in {model.file} is a state space, which "
-                    "knows none: identify a drive chain, or leave it out"
+                    f"{key}: needs the motor's motion, and the device in {model.file} is a state space without it: "
+                    "identify a drive chain, or leave it out"
                 )
         if scene.recordings.simulated is not None and scene.striker is None:
             raise ValueError(
@@ -295,7 +326,12 @@ def _check_identified(scene: "Scene", model: IdentifiedModel) -> None:
 
 
 def _check_amplifier(scene: "Scene") -> None:
-    """Pole and delay stand in the scene or in its model file, in one of them, or follow from bridge and motor."""
+    """Check that pole and delay are stated once: in the scene, in its model file, or implied by bridge and motor.
+
+    Raises
+    ------
+    ValueError : one is missing, or stated twice.
+    """
     identified = scene.model.amplifier if isinstance(scene.model, IdentifiedModel) else None
     stated = None if scene.amplifier == "ideal" else scene.amplifier
     if stated is not None and stated.switching_Hz is not None:
@@ -307,9 +343,9 @@ def _check_amplifier(scene: "Scene") -> None:
         scene.bridge()
     if stated is not None and stated.gain_V_A is not None:
         if stated.switching_Hz is None:
-            raise ValueError("amplifier.gain_V_A: is of a bridge's current loop: add amplifier.switching_Hz too")
+            raise ValueError("amplifier.gain_V_A: belongs to a bridge's current loop: add amplifier.switching_Hz too")
         if stated.pole_Hz is not None or identified is not None:
-            raise ValueError("amplifier.gain_V_A: the pole follows from it, and is stated too: take one of them out")
+            raise ValueError("amplifier.gain_V_A: determines the pole, which is stated too: take one of them out")
     if identified is None:
         follows = scene.bridge() is not None and not scene.pole_is_stated
         for name in ("pole_Hz", "delay_s"):
@@ -330,7 +366,12 @@ def _check_amplifier(scene: "Scene") -> None:
 
 
 def _check_time(scene: "Scene") -> None:
-    """A lead that is not stated must be possible, and the samples after the window must not be too many."""
+    """Check that a default lead is possible, and that the samples after the window are not too many.
+
+    Raises
+    ------
+    ValueError : one of them is not.
+    """
     lead_s, after = scene.lead_s, samples_after(scene.weights.after_s, scene.time.dt_s)
     if scene.time.lead_s is None and lead_s > LONGEST_LEAD_S:
         raise ValueError(

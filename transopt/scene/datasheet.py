@@ -1,8 +1,8 @@
-"""From the values of a datasheet to the text of a scene: what `transopt plant new` writes.
+"""Writes the text of a scene from the values of a datasheet, for `transopt plant new`.
 
-The scene is to be read and changed: every number of the datasheet stands in it with a comment that says what it is,
-and what follows from several of them with the formula. It solves as it stands: its target is a burst that the
-actuator can make.
+The scene is meant to be read and changed: it contains every number of the datasheet with a comment that explains it,
+and every derived number with its formula. It can be solved without changes: its target is a burst within the
+actuator's reach.
 """
 
 import math
@@ -21,41 +21,41 @@ from transopt.scene.file import explain
 from transopt.scene.scene import Scene
 
 KINDS = ("inertial", "voice_coil", "shaker")
-RATES_HZ = {"inertial": 48e3, "voice_coil": 10e3, "shaker": 10e3}  # of audio drivers, and of servo amplifiers
-FREQUENCY_HZ = 100.0  # of the first target where no sharp resonance suggests one
-# The first target is a burst of CYCLES periods; the waveform, which also brakes it, lasts WINDOW_CYCLES of them.
-# CYCLES is a whole number: a burst of 1.5 cycles has a mean, which nothing on a spring can make. The least error of
-# an LRA was 17 % with 1.5 cycles, and 3 % with 2.
+RATES_HZ = {"inertial": 48e3, "voice_coil": 10e3, "shaker": 10e3}  # rates of audio drivers and servo amplifiers
+FREQUENCY_HZ = 100.0  # frequency of the target where no sharp resonance suggests one
+# The target is a burst of CYCLES periods; the waveform, which also brakes it, lasts WINDOW_CYCLES of them. CYCLES is
+# a whole number, since the mean of a burst of 1.5 cycles is not zero, and a mass on a spring cannot make a mean
+# acceleration: the least error of an LRA was 17 % with 1.5 cycles and 3 % with 2.
 CYCLES, WINDOW_CYCLES = 2.0, 5.0
-SHARE = 0.25  # of what a sine at the peak input makes in the long run: a burst ends before the resonance has built up
-LONGEST_STROKE_M = 0.1  # of the longest shakers 50 mm from rest to the stop
-LEAST_RATE = 20  # samples per period of the target and of the resonance
+PEAK_SHARE = 0.25  # target's peak over the steady amplitude at peak input; a burst ends before resonance builds up
+LONGEST_STROKE_M = 0.1  # twice that of the longest shakers, 50 mm from rest to the stop
+LEAST_RATE = 20  # least number of samples per period of the target and of the resonance
 
 
 class Datasheet(Section):
-    """What a datasheet states of an actuator with a coil in a magnet; the description of a key says what it is.
+    """The values that a datasheet states of a moving-coil actuator; each key has a description.
 
     A shaker is a voice coil whose table carries a payload; its resonance is that of the bare table.
     """
 
     kind: Literal["inertial", "voice_coil", "shaker"] = "inertial"
-    input: Literal["voltage", "current"] = Field("voltage", description="what the driver sets: voltage or current")
+    input: Literal["voltage", "current"] = Field("voltage", description="quantity that the driver sets")
     resonance_Hz: Positive | None = Field(None, description="resonance f0, terminals open")
     quality: Positive | None = Field(None, description="quality Q of that resonance, terminals open")
-    damping_N_s_m: NonNegative | None = Field(None, description="damper of a moving part that no spring holds")
-    moving_mass_kg: Positive = Field(description="moving mass; of a shaker the bare table with its coil")
-    payload_kg: NonNegative = Field(0.0, description="what stands on a shaker's table")
-    case_mass_kg: Positive | None = Field(None, description="case with all that shakes with it, as a phone or a jig")
+    damping_N_s_m: NonNegative | None = Field(None, description="damper of a moving part without a spring")
+    moving_mass_kg: Positive = Field(description="moving mass; for a shaker the bare table with its coil")
+    payload_kg: NonNegative = Field(0.0, description="mass on a shaker's table")
+    case_mass_kg: Positive | None = Field(None, description="case with all that shakes with it, such as a phone")
     force_factor_N_A: Positive = Field(
         description="force factor BL: newton per ampere, tesla metre, volt second per m"
     )
     R_ohm: Positive | None = Field(None, description="resistance of the coil")
-    L_H: NonNegative = Field(0.0, description="its inductance; 0 leaves it out")
-    rated: Positive | None = Field(None, description="what it stands for ever, as the peak of a sine [V or A]")
-    peak: Positive = Field(description="the most that the driver may ever put out [V or A]")
-    stroke_m: Positive | None = Field(None, description="from rest to the stop, in either direction")
-    frequency_Hz: Positive | None = Field(None, description="of the first target; an inertial one's resonance")
-    rate_Hz: Annotated[float, Field(ge=100, le=1e5)] | None = Field(None, description="rate of the driver's samples")
+    L_H: NonNegative = Field(0.0, description="inductance of the coil; 0 leaves it out")
+    rated: Positive | None = Field(None, description="largest continuous input, as the peak of a sine [V or A]")
+    peak: Positive = Field(description="largest input at any instant [V or A]")
+    stroke_m: Positive | None = Field(None, description="displacement from rest to the stop, in either direction")
+    frequency_Hz: Positive | None = Field(None, description="frequency of the target; for an LRA its resonance")
+    rate_Hz: Annotated[float, Field(ge=100, le=1e5)] | None = Field(None, description="sample rate of the driver")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -77,8 +77,8 @@ class Datasheet(Section):
             raise ValueError("R_ohm: missing; a voltage drives the coil")
         if self.rated is not None and self.rated > self.peak:
             raise ValueError(
-                f"rated = {self.rated:g} {self.unit}: above peak = {self.peak:g} {self.unit}; what it stands for "
-                "ever is at most what it stands for an instant: exchange or correct them"
+                f"rated = {self.rated:g} {self.unit}: above peak = {self.peak:g} {self.unit}; the continuous input "
+                "is at most the largest one: exchange or correct them"
             )
         if self.kind == "inertial" and self.case_mass_kg is not None and self.moving_mass_kg >= self.case_mass_kg:
             raise ValueError(
@@ -87,8 +87,8 @@ class Datasheet(Section):
             )
         if self.stroke_m is not None and self.stroke_m > LONGEST_STROKE_M:
             raise ValueError(
-                f"stroke_m = {self.stroke_m:g}: above {LONGEST_STROKE_M:g} m, which no such actuator has; it is in "
-                "metres: correct it"
+                f"stroke_m = {self.stroke_m:g}: above {LONGEST_STROKE_M:g} m, longer than any such actuator's; it is "
+                "in metres: correct it"
             )
         for name, value in (("resonance_Hz", self.resonance_Hz or 0.0), ("frequency_Hz", self.target_Hz)):
             if self.samples_Hz < LEAST_RATE * value:
@@ -110,12 +110,12 @@ class Datasheet(Section):
 
     @property
     def samples_Hz(self) -> float:
-        """Rate of the driver's samples."""
+        """Sample rate of the driver."""
         return RATES_HZ[self.kind] if self.rate_Hz is None else self.rate_Hz
 
     @property
     def target_Hz(self) -> float:
-        """Frequency of the first target."""
+        """Frequency of the target."""
         if self.frequency_Hz is not None:
             return self.frequency_Hz
         return self.resonance_Hz if self.kind == "inertial" and self.resonance_Hz else FREQUENCY_HZ
@@ -127,18 +127,18 @@ class Datasheet(Section):
 
 
 def needed(kind: str, driven_by: str) -> tuple[str, ...]:
-    """Keys without which no scene can be written."""
+    """Keys that a scene of this kind and input requires."""
     own = ("resonance_Hz", "quality", "case_mass_kg") if kind == "inertial" else ()
     coil = ("R_ohm",) if driven_by == "voltage" else ()
     return (*own, "moving_mass_kg", "force_factor_N_A", *coil, "peak")
 
 
 def scene_text(sheet: Datasheet, name: str) -> str:
-    """The scene of a datasheet as the text of its file, checked.
+    """The text of a datasheet's scene file, checked.
 
     Parameters
     ----------
-    name : of the scene.
+    name : name of the scene.
 
     Raises
     ------
@@ -159,18 +159,18 @@ def _scene(sheet: Datasheet, name: str, text: str) -> Scene:
 
 
 def _peak_m_s2(sheet: Datasheet, plant: StateSpace) -> float:
-    """Peak of a burst that is well within the actuator's reach: its input and its stroke."""
+    """Peak of a burst well within the actuator's input and stroke."""
     f = np.array([sheet.target_Hz])
     per_input = float(abs(plant.response(f)[0]))
     reach = per_input * sheet.peak
     if sheet.stroke_m is not None:
         moved = StateSpace(plant.A, plant.B, plant.outputs[POSITION].row, np.zeros((1, 1)))
         reach = min(reach, per_input / float(abs(moved.response(f)[0])) * sheet.stroke_m)
-    return rounded_down(SHARE * reach, 2)
+    return rounded_down(PEAK_SHARE * reach, 2)
 
 
 def _n(value: float | None) -> str:
-    """A number as a scene states it, its digits kept; one that is there, by what has been checked."""
+    """A number as a scene states it, with all its digits; earlier checks ensure that it is stated."""
     assert value is not None
     return f"{value:.12g}"
 
@@ -183,29 +183,29 @@ def _text(sheet: Datasheet, peak_m_s2: float) -> str:
         "hand_over_samples = 1  # the waveform ends in a sample of zero",
         "",
         "[time]",
-        f"dt_s = {1 / sheet.samples_Hz:.17g}  # the driver plays {_n(sheet.samples_Hz)} samples a second",
+        f"dt_s = {1 / sheet.samples_Hz:.17g}  # the driver plays {_n(sheet.samples_Hz)} samples per second",
         f"stages = {sheet.stages}  # samples, {_n(WINDOW_CYCLES)} periods of the target: it also brakes",
-        "lead_s = 0.0  # nobody comes in before the waveform begins",
+        "lead_s = 0.0  # the waveform begins at t = 0",
         "",
-        "# What it shall make, one table [[targets]] for each: a burst, a decay, a half sine, or file = a recording.",
+        "# Wanted accelerations, one table [[targets]] each: a burst, a decay, a half sine, or file = a recording.",
         "[[targets]]",
         f'name = "click {_n(sheet.target_Hz)} Hz"',
         'shape = "burst"',
         f"frequency_Hz = {_n(sheet.target_Hz)}",
         f"cycles = {_n(CYCLES)}",
-        f"peak_m_s2 = {_n(peak_m_s2)}  # a quarter of what a long sine at the limits makes",
+        f"peak_m_s2 = {_n(peak_m_s2)}  # a quarter of a long sine's at the limits",
         "",
     ]
     weights = [
         "# [weights]",
-        "# calm = 30.0  # what rings after the end of a target counts so many times what is amiss within it",
+        "# calm = 30.0  # weight of the error after the end of a target, relative to that within it",
     ]
     return "\n".join([*head, *_model(sheet), "", *_limits(sheet), "", *weights, ""])
 
 
 def _model(sheet: Datasheet) -> list[str]:
     coil = [
-        f'input = "{sheet.input}"  # what the driver sets',
+        f'input = "{sheet.input}"  # quantity that the driver sets',
         f"force_factor_N_A = {_n(sheet.force_factor_N_A)}  # BL: force per ampere, and back-EMF per m/s",
         *([f"R_ohm = {_n(sheet.R_ohm)}"] if sheet.R_ohm is not None else []),
         f"L_H = {_n(sheet.L_H)}",
@@ -226,7 +226,7 @@ def _model(sheet: Datasheet) -> list[str]:
         spring = ["stiffness_N_m = 0  # no spring holds it", f"damping_N_s_m = {_n(sheet.damping_N_s_m)}"]
     else:
         assert sheet.quality is not None
-        # In a case the datasheet's resonance is that of both masses against each other.
+        # In a case both masses vibrate against each other at the datasheet's resonance.
         M = sheet.case_mass_kg
         mass, symbol = (m, "m") if M is None else (m * M / (m + M), "mu")
         said = ", mu = m M / (m + M)" if M is not None else ", m the bare table's" if sheet.kind == "shaker" else ""
@@ -254,7 +254,7 @@ def _limits(sheet: Datasheet) -> list[str]:
     return [
         "[limits]",
         f"{key} = {_n(sheet.peak)}  # at every instant",
-        f"steady_{key} = {_n(steady)}  # for ever, the peak of a sine; a baseline of the report, no limit",
+        f"steady_{key} = {_n(steady)}  # continuous, the peak of a sine; for a baseline of the report, no limit",
         "# stroke_m = 0.0005  # from rest to the stop, in either direction"
         if sheet.stroke_m is None
         else f"stroke_m = {_n(sheet.stroke_m)}  # from rest to the stop, in either direction",

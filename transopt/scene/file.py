@@ -1,4 +1,4 @@
-"""Reading scene files, with errors in the words of the file: table, key, value, limit."""
+"""Reads scene files; errors name the file's table, key, value and limit."""
 
 import re
 import tomllib
@@ -23,20 +23,19 @@ from transopt.scene.plant_file import with_plant_file
 from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
 
-# Keys that older scene files have -> what is written instead.
+# Keys of older scene files -> what to write instead.
 REPLACED = {
     "recordings.highpass_Hz": (
-        "the recorded tap is followed as it is, and no high-pass takes a share of it away: delete the line; how the "
-        "stylus moves without current is said by [hand], and weights.rapid_from_Hz says from where on an error is "
-        "rapid"
+        "the recorded tap is tracked without a high-pass: delete the line; [hand] states how the stylus moves "
+        "without current, and weights.rapid_from_Hz the corner of the rapid error"
     ),
     "weights.error_filter": (
         'the error has a plain and a rapid term: write weights.rapid = "pacinian" or "highpass" with '
-        "weights.rapid_from_Hz, and weights.plain for the error as it is"
+        "weights.rapid_from_Hz, and weights.plain for the unfiltered error"
     ),
-    "weights.tracking": "write weights.plain, the weight of the error as it is over hand.intention_s",
+    "weights.tracking": "write weights.plain, the weight of the unfiltered error over hand.intention_s",
 }
-# How pydantic asks for a table: by the names of classes.
+# Pydantic's message where a table is expected, which names classes.
 _A_TABLE = re.compile(r"Input should be a valid dictionary or (instance of \w+|object to extract fields from)")
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
 _MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
@@ -47,11 +46,11 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    InputError : no such file, no text, or no TOML.
+    InputError : no such file, not a text file, or not TOML.
     """
     advice = "a scene is a TOML file; `transopt scene list` names the built-in scenes"
     try:
-        # Line ends as a text file has them.
+        # Files written on Windows end lines with \r\n.
         text = read_file(path, MOST_TEXT_BYTES, advice).decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read as text ({error}); a scene is a TOML file") from None
@@ -63,7 +62,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path}: not valid TOML: nested too deep; a scene has tables in tables, no deeper"
         ) from None
-    except ValueError as error:  # a number of a million digits is one as well
+    except ValueError as error:  # not only TOMLDecodeError: a number with too many digits raises a plain one
         if _MODEL_LINE.search(text) and _MODEL_TABLE.search(text):
             clash = "states a model file (model = ...) and [model] tables: write model_file = ... in that line"
             raise InputError(f"{path}: {clash}") from None
@@ -71,7 +70,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _line_of(text: str, said: str) -> str:
-    """The line that is no TOML, and what is wrong with it where that is a decimal comma."""
+    """The line that is not TOML, with a hint if it has a decimal comma."""
     at = re.search(r"at line (\d+)", said)
     if at is None:
         return ""
@@ -81,7 +80,7 @@ def _line_of(text: str, said: str) -> str:
 
 
 def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
-    """The location as the file spells it: pydantic also lists the names of union members on the way."""
+    """The keys of a complaint's location; pydantic also lists the names of union members among them."""
     keys: list[str | int] = []
     for step in complaint["loc"]:
         inside = step in content if isinstance(content, dict) else isinstance(step, int)
@@ -94,7 +93,7 @@ def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
 
 
 def _known_keys(keys: tuple[str | int, ...], content: Any, kind: type[Section]) -> list[str]:
-    """The keys that the table around the last of `keys` takes."""
+    """The keys that the table which contains the last of `keys` may have."""
     tables: list[Any] = [kind]
     for key in keys[:-1]:
         content = content[key]
@@ -111,16 +110,16 @@ def _known_keys(keys: tuple[str | int, ...], content: Any, kind: type[Section]) 
 
 
 def explain(source: Path | str, error: ValidationError, content: dict[str, Any], kind: type[Section] = Scene) -> str:
-    """The first complaint about a scene's content in one line, and how many more keys there are complaints about.
+    """One line with pydantic's first complaint about a scene's content, and the number of further keys concerned.
 
     Parameters
     ----------
-    source : the file or the scene's name, first in the line.
-    error : what pydantic found.
-    content : the tables that it was given.
-    kind : what they shall be, where that is not a scene but a file of its own.
+    source : the file or the scene's name, with which the line begins.
+    error : pydantic's error.
+    content : the tables that were validated.
+    kind : their class, if they are not a scene but another file.
     """
-    # A misspelt key comes before the one that is missing for it.
+    # A misspelt key is named before the key that is missing because of it.
     first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
     keys = _keys_only(first, content)
     where = ".".join(str(key) for key in keys)
@@ -131,7 +130,7 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any],
         text = f"{where}: unknown key{did_you_mean(str(keys[-1]), known)}; known here: {', '.join(known)}"
         if kind is Scene and len(keys) > 1 and keys[-1] in Scene.model_fields:
             text = (
-                f"{where}: {keys[-1]} is no key of this table but of the scene: put its line above the first [table]"
+                f"{where}: {keys[-1]} is a key of the scene, not of this table: put its line above the first [table]"
             )
     elif first["type"] == "missing":
         text = f"{where}: missing; add it to the {'scene' if kind is Scene else 'file'}"
@@ -139,18 +138,18 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any],
         message = _A_TABLE.sub("must be a table", first["msg"]).removeprefix("Value error, ")
         message = message.replace("Input should be", "must be")
         if first["type"] == "float_parsing":
-            message = "must be a number alone, without quotes and unit: the key's name states the unit"
+            message = "must be a number without quotes and unit: the key's name states the unit"
         shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {cut(repr(first['input']))}"
         text = f"{where}{shown}: {message}" if where else message
     others = {_keys_only(complaint, content) for complaint in error.errors()}
-    # Complaints about a table around this key are the other members of a union, not faults of their own.
+    # Complaints about a table that contains this key come from the other members of a union; they are not counted.
     elsewhere = [other for other in others if other != keys[: len(other)]]
     more = f" (and {len(elsewhere)} more)" if elsewhere else ""
     return f"{source}: {text}{more}"
 
 
 def _identified(scene: Path, line: str, named: str) -> dict[str, Any]:
-    """The table that stands for a model file: all that it holds, so that a library does not need the file."""
+    """The table of a model file's content, so that a library does not need the file."""
     try:
         return identified_table(scene.parent / named, named)
     except InputError as error:
@@ -158,7 +157,7 @@ def _identified(scene: Path, line: str, named: str) -> dict[str, Any]:
 
 
 def _take_model_file(scene: Path, content: dict[str, Any]) -> None:
-    """Put the file that `model_file` names in the place of the scene's own device, which stays as the striker."""
+    """Replace the scene's own device by the file that `model_file` names; the device becomes the striker."""
     named = content.pop("model_file")
     if not isinstance(named, str):
         raise InputError(f'{scene}: model_file = {cut(repr(named))}: must be the path of a file, "MODEL.json"')
@@ -168,14 +167,14 @@ def _take_model_file(scene: Path, content: dict[str, Any]) -> None:
 
 
 def with_model(scene: Scene, file: str | Path) -> Scene:
-    """The scene with what has been identified in place of what it states of the device, checked as a whole.
+    """The scene with its device replaced by an identified model, checked as a whole.
 
-    The model takes the place of `[model]` and, as far as the file has these parts, of the tip and of the amplifier's
-    pole and delay; the command's range stays. Simulated taps are struck by the scene's own device.
+    The model replaces `[model]` and, if the file has these parts, the tip and the amplifier's pole and delay; the
+    command's range stays. The scene's own device still makes the simulated taps.
 
     Parameters
     ----------
-    file : model file, as `transopt identify` writes it.
+    file : model file written by `transopt identify`.
 
     Raises
     ------
@@ -190,11 +189,11 @@ def with_model(scene: Scene, file: str | Path) -> Scene:
 
 
 def with_plant(scene: Scene, plant: StateSpace) -> Scene:
-    """The scene of a whole actuator with a plant by its matrices in place of its own, checked as a whole.
+    """The scene of a complete actuator with its plant replaced by one stated by matrices, checked as a whole.
 
     Raises
     ------
-    InputError : a plant that does not go with what the scene states, as its input with the limits.
+    InputError : a plant that contradicts the scene, for example by its input and the scene's limits.
     """
     content = {**scene.model_dump(), "model": Matrices.of(plant).model_dump()}
     try:
@@ -204,7 +203,7 @@ def with_plant(scene: Scene, plant: StateSpace) -> Scene:
 
 
 def _resolved(scene: Path, folder: str) -> str:
-    """The recordings' folder from anywhere."""
+    """The absolute path of the recordings' folder."""
     try:
         return str((scene.parent / folder).resolve())
     except (OSError, RuntimeError, ValueError) as error:
@@ -221,16 +220,16 @@ def read_scene(
 ) -> Scene:
     """Read and check a scene file.
 
-    Relative paths in it count from the scene's folder; motor, transmission and population, where they are file names
-    and not tables, are also looked for in the `search` folders. A model that is a file name is a model file, which
-    takes the place of the [model] table; `model_file` names one beside that table. A plant by its matrices may have
-    them in a file, `model.file`. The files below `limits.own` are run.
+    Relative paths in it are relative to the scene's folder. Where motor, transmission and population are file names
+    and not tables, they are also searched in the `search` folders. If `model` is a file name, it names a model file
+    in place of the [model] table; `model_file` names one in addition to that table. The matrices of a plant may be in
+    a file, `model.file`. The Python files below `limits.own` are executed.
 
     Parameters
     ----------
-    model : a model file in place of any that the scene names; its path counts from the working folder.
-    model_grips : whether the grid takes the grips that `model` was identified at, if it does not know the scene's.
-    accept : numbers that no device and no tap has (`transopt.scene.plausible`), as if the scene accepted them.
+    model : a model file in place of any that the scene names; its path is relative to the working folder.
+    model_grips : whether to use the grips at which `model` was identified, if it does not cover the scene's.
+    accept : whether to accept implausible numbers (`transopt.scene.plausible`), as a scene itself may.
 
     Raises
     ------
@@ -280,7 +279,7 @@ def read_scene(
         recordings["folder"] = _resolved(path, recordings.get("folder", "."))
     limits = content.get("limits")
     if isinstance(limits, dict) and "own" in limits:
-        # The stages over which limits of a user's own are written out follow from the rest of the scene.
+        # The user's own limits are written out over the stages, whose number follows from the rest of the scene.
         own = limits.pop("own")
         limits["own"] = own_tables(path, own, _validated(path, content).stages)
     return _validated(path, content)

@@ -1,7 +1,7 @@
-"""Numbers that were fitted: the parts of a model file with their covariance, intervals, and the files they come from.
+"""Common part of all model parts that were fitted: covariance, intervals, source files.
 
-`transopt.scene.model_parts` says which parts there are. This file has what they share, and draws other values that
-the covariance allows.
+`transopt.scene.model_parts` defines the parts. This file defines what they share, and how other values are drawn from
+the covariance.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_STATES
 
 KINDS = ("drive", "state_space", "second_order", "fourth_order")
-SYMMETRY = 1e-6  # relative to the standard deviations, beyond the rounding of a covariance that was inverted
+SYMMETRY = 1e-6  # tolerance of symmetry and eigenvalues, relative to the standard deviations, for rounding
 
 Interval = tuple[Finite, Finite]
 
@@ -26,8 +26,8 @@ class Source(Section):
 
     Attributes
     ----------
-    file : its name.
-    sha256 : of its bytes.
+    file : name of the file.
+    sha256 : hash of its bytes.
     """
 
     file: Words
@@ -35,13 +35,13 @@ class Source(Section):
 
 
 class ModelPart(Section):
-    """What every part states besides its values.
+    """Common fields of all parts.
 
     Attributes
     ----------
-    verdict : in plain words, what designs the part supports.
-    shortfalls : why it is not fit to design with, one sentence each; none for a part that is.
-    sources : what it was fitted to.
+    verdict : which designs the part supports, in plain words.
+    shortfalls : why it is not fit to design with, one sentence each; empty for a part that is fit.
+    sources : files that it was fitted to.
     """
 
     verdict: Words
@@ -50,13 +50,13 @@ class ModelPart(Section):
 
 
 class FittedPart(ModelPart):
-    """A part with numbers that were fitted.
+    """A part with fitted numbers.
 
     Attributes
     ----------
-    intervals : name -> (lower, upper) end of its 95 % interval.
-    parameters : dotted names of the p values that were fitted.
-    covariance : (p, p) of `parameters`, in their order, raw SI units.
+    intervals : name -> lower and upper end of the 95 % interval.
+    parameters : dotted names of the p fitted values.
+    covariance : (p, p) covariance of `parameters`, in their order, in SI units.
     """
 
     intervals: dict[str, Interval]
@@ -78,7 +78,7 @@ class FittedPart(ModelPart):
             if name not in known:
                 raise ValueError(f"parameters: {name} is no number of this part; known: {', '.join(known)}")
         if len(set(self.parameters)) < len(self.parameters):
-            raise ValueError("parameters: a name stands in it twice")
+            raise ValueError("parameters: a name occurs twice")
         p = len(self.parameters)
         if len(self.covariance) != p or any(len(row) != p for row in self.covariance):
             raise ValueError(f"covariance: must be {p} by {p}, one row per name in parameters")
@@ -93,7 +93,7 @@ class FittedPart(ModelPart):
         if np.abs(scaled - scaled.T).max() > SYMMETRY:
             raise ValueError("covariance: not symmetric")
         if np.linalg.eigvalsh((scaled + scaled.T) / 2)[0] < -SYMMETRY:
-            raise ValueError("covariance: has a negative eigenvalue, so it is none")
+            raise ValueError("covariance: has a negative eigenvalue, so it is not a covariance")
         return self
 
     def values(self) -> FloatArray:
@@ -106,7 +106,7 @@ class FittedPart(ModelPart):
 
         Raises
         ------
-        InputError : values that no such part can have, for example a device that is not passive.
+        InputError : invalid values, for example of a device that is not passive.
         """
         content = self.model_dump()
         for name, value in zip(self.parameters, values, strict=True):
@@ -121,31 +121,31 @@ class FittedPart(ModelPart):
             raise InputError(complaint(error)) from None
 
     def factor(self) -> FloatArray:
-        """(p, p) L with L L' = covariance: L times p standard normal numbers is a draw of the error of the values."""
+        """(p, p) L with L L' = covariance: L times p standard normal numbers is a random error of the values."""
         covariance = np.array(self.covariance).reshape(len(self.parameters), -1)
         variance = np.diagonal(covariance)
         deviation = np.where(variance > 0, np.sqrt(variance), 1.0)
-        # Scaled first: stiffnesses of 1e5 and masses of 1e-2 share one matrix.
+        # Scaled to correlations first, as variances of stiffnesses and masses differ by many orders of magnitude.
         size, along = np.linalg.eigh((covariance + covariance.T) / 2 / np.outer(deviation, deviation))
         return np.asarray(deviation[:, None] * along * np.sqrt(np.maximum(size, 0.0)))
 
 
 def numbers(content: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
     """The numbers of a part by dotted name, without those that describe the fit (intervals, errors)."""
-    found: dict[str, float] = {}
+    by_name: dict[str, float] = {}
     for name, value in content.items():
         if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "error", "predicted"):
-            found |= numbers(value, f"{prefix}{name}.")
+            by_name |= numbers(value, f"{prefix}{name}.")
         elif isinstance(value, float):
-            found[f"{prefix}{name}"] = value
-    return found
+            by_name[f"{prefix}{name}"] = value
+    return by_name
 
 
 def complaint(error: ValidationError) -> str:
-    """The first of pydantic's complaints about a part in one line: field, value, what is wrong, how many more."""
+    """One line with pydantic's first complaint about a part: field, value, what is wrong, number of further ones."""
     errors = error.errors()
     first = min(errors, key=lambda found: found["type"] != "extra_forbidden")
-    # Pydantic lists the kind of a device or a hand as a step on the way.
+    # Pydantic also lists the kind of a device or a hand in the location.
     where = ".".join(str(part) for part in first["loc"] if part not in KINDS)
     message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     if first["type"] == "extra_forbidden":

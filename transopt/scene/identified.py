@@ -1,4 +1,4 @@
-"""A scene's model where it comes from a model file, and other devices that the uncertainty of the fit allows."""
+"""A scene's model that comes from a model file, and devices drawn from the uncertainty of its fit."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -22,18 +22,18 @@ from transopt.scene.model_parts import (
     check_grip,
 )
 
-SEED = 7  # of the draws, always the same, so that a library can be made again
-TRIES = 200  # for one draw or pair of draws
-TAP_HZ = 5.0, 600.0  # where a tap has its energy
-BANDS = 24  # of that range, of an error that only the covariance of a fit tells
-SMALL = 1e-4  # relative change of a parameter by which responses are differentiated
+SEED = 7  # fixed seed of the draws, so that a library can be reproduced
+MAX_DRAWS = 200  # for each device that is wanted, until it is passive
+TAP_HZ = 5.0, 600.0  # band that contains the energy of a tap
+BANDS = 24  # number of frequencies in that band for an error by the covariance of a fit
+RELATIVE_STEP = 1e-4  # relative change of a parameter for difference quotients of responses
 
 Chain = DriveDevice | SecondOrderHand | FourthOrderHand
-"""What has masses, springs and dampers that were fitted, with their covariance."""
+"""Parts whose masses, springs and dampers were fitted, with their covariance."""
 
 
 class IdentifiedModel(ModelParts):
-    """The content of a model file (`model = "MODEL.json"`), so that a library needs the file no more."""
+    """The content of a model file (`model = "MODEL.json"`), so that a library does not need the file."""
 
     kind: Literal["identified"]
     file: str
@@ -43,24 +43,24 @@ class IdentifiedModel(ModelParts):
     def _moves_something(self) -> Self:
         if self.device is None and self.hand is None:
             raise ValueError(
-                f"{self.file}: has neither a device nor a hand part, so nothing that moves: run `transopt identify "
-                "device` into it"
+                f"{self.file}: has neither a device nor a hand part to simulate: run `transopt identify device` "
+                "into it"
             )
         return self
 
     @property
     def moving(self) -> DriveDevice | StateSpaceDevice | SecondOrderHand | FourthOrderHand:
-        """What a current moves: the device, or where only a hand was identified, that as a whole."""
+        """The part that the current moves: the device, or the hand where only a hand was identified."""
         part = self.hand if self.device is None else self.device
         assert part is not None
         return part
 
     def unfit(self, *, coil: bool) -> dict[str, list[str]]:
-        """Why the parts that a design takes are not fit to design with, by part; empty where all are.
+        """Part that a design uses -> why it is not fit to design with; empty if all are fit.
 
         Parameters
         ----------
-        coil : whether the design has a motor, and with it a coil that gets warm.
+        coil : whether the design has a motor, and so uses the coil part.
         """
         moving = "device" if self.device is not None else "hand"
         used: dict[str, ModelPart | None] = {"amplifier": self.amplifier, moving: self.moving}
@@ -73,7 +73,7 @@ class IdentifiedModel(ModelParts):
         return not isinstance(self.moving, StateSpaceDevice)
 
     def tip(self) -> Tip | None:
-        """The drive at the tip; None where the file has no drive chain."""
+        """The drive at the tip; None if the file has no drive chain."""
         device = self.device
         if not isinstance(device, DriveDevice):
             return None
@@ -85,10 +85,11 @@ class IdentifiedModel(ModelParts):
         )
 
     def check_grip(self, grip_N: float) -> None:
-        """
+        """Check that a grip is within the recorded ones.
+
         Raises
         ------
-        InputError : a grip that was not recorded.
+        InputError : it is not.
         """
         check_grip(self.moving.grips_N, grip_N)
 
@@ -101,16 +102,16 @@ class IdentifiedModel(ModelParts):
         *,
         force_per_current_N_A: float | None = None,
     ) -> float:
-        """Relative error between a tap as the model predicts it and as the device does it; NaN where it is unknown.
+        """Expected relative error between a tap as predicted and as played by the device; NaN where it is unknown.
 
-        A file that states no spectrum of its error has the held-out error of the grip, noise included. A hand on its
-        own has what the covariance of its fit makes of the tap.
+        For a file without a spectrum of its error it is the held-out error at the grip, noise included. For a file
+        with a hand only it follows from the covariance of its fit.
 
         Parameters
         ----------
-        current_A : (N,) of the tap, sampled every `dt_s`.
+        current_A : (N,) current of the tap, sampled every `dt_s`.
         energy : sum of the squares of its N samples of acceleration [(m/s^2)^2].
-        force_per_current_N_A : of the scene, for a file with a hand only.
+        force_per_current_N_A : that of the scene, for a file with a hand only.
         """
         if self.device is None:
             assert force_per_current_N_A is not None
@@ -121,13 +122,15 @@ class IdentifiedModel(ModelParts):
 
     @property
     def driven_by(self) -> Input:
-        """What its input is: models are identified from currents."""
+        """The model's input, always a current."""
         return CURRENT_INPUT
 
     def plant(self, grip_N: float, force_per_current_N_A: float | None, *, struck: bool = False) -> StateSpace:
-        """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.
+        """The model from motor current, or with `struck` from a force on the stylus [N], to stylus acceleration.
 
-        The force per current is the scene's where the model file has a hand only.
+        Parameters
+        ----------
+        force_per_current_N_A : that of the scene, for a file with a hand only.
 
         Raises
         ------
@@ -147,13 +150,12 @@ class IdentifiedModel(ModelParts):
                 return hand.plant(grip_N, force_per_current_N_A=1.0 if struck else force_per_current_N_A)
 
     def drawn(self, samples: int, grips_N: Sequence[float]) -> list[Self]:
-        """Models with parameters drawn around those of the fit, passive at all recorded and given grips.
+        """Models with parameters drawn around the fitted ones, passive at all recorded and given grips.
 
-        Their errors have the shape of the fit's covariance and the size of the file's own verdict: where the records
-        show more error than the covariance explains (a structure that the model lacks, friction at the amplitude of
-        use), they are that much larger (`stretch`). Seeded; in pairs of opposite errors, so that the mean over the
-        spread is the identified model (an odd last one stands alone). One draw is one device: it has the same
-        parameters at every grip.
+        The errors are drawn from the fit's covariance, scaled by `stretch` where the records show more error than the
+        covariance explains, such as missing structure or friction at the amplitude of use. The draws are seeded and
+        come in pairs of opposite errors, so that their mean is the identified model; an odd last one is single. Each
+        draw is one device with the same parameters at every grip.
 
         Raises
         ------
@@ -164,7 +166,7 @@ class IdentifiedModel(ModelParts):
             raise InputError(f"{self.file}: the model has no covariance to draw from")
         random, values, factor = np.random.default_rng(SEED), part.values(), self.stretch * part.factor()
         found: list[Self] = []
-        for _ in range(TRIES * samples):
+        for _ in range(MAX_DRAWS * samples):
             error = factor @ random.standard_normal(values.size)
             signs = (1.0, -1.0) if samples - len(found) > 1 else (1.0,)
             try:
@@ -174,17 +176,17 @@ class IdentifiedModel(ModelParts):
             if len(found) == samples:
                 return found
         raise InputError(
-            f"{self.file}: of {TRIES * samples} devices drawn from the covariance of its fit fewer than {samples} "
-            "are passive: record more and identify again"
+            f"{self.file}: of {MAX_DRAWS * samples} devices drawn from the covariance of its fit fewer than "
+            f"{samples} are passive: record more and identify again"
         )
 
     @cached_property
     def stretch(self) -> float:
-        """How many times as far devices are off as the covariance of the fit says, by its `error`; at least 1.
+        """Factor >= 1 by which the errors of devices exceed the covariance of the fit, according to its `error`.
 
-        The ratio of two root mean squares over the recorded grips and the band of a tap: of the response's error as
-        the records and the taps at the amplitude of use show it, and of what one standard deviation of the parameters
-        makes of the response, to first order.
+        It is the ratio of two root mean squares over the recorded grips and the band of a tap: the error of the
+        response in the records and in the taps at the amplitude of use, over the standard deviation of the response
+        by the covariance, to first order.
         """
         part = self.moving
         if not isinstance(part, DriveDevice) or part.error is None:
@@ -195,7 +197,7 @@ class IdentifiedModel(ModelParts):
         for grip_N, power in zip(part.error.grips_N, part.error.power, strict=True):
             if grip_N not in part.grips_N or not inside.any():
                 continue
-            # Relative to the response, so that a resonance counts no more than what lies beside it.
+            # Relative to the response, so that a resonance does not dominate.
             scale = np.abs(part.plant(grip_N).response(known[inside])) ** 2
             beyond = max((tap.excess for tap in part.error.at_use if tap.grip_N == grip_N), default=0.0)
             shown += float(np.mean(np.array(power)[inside] / scale)) + beyond**2
@@ -204,51 +206,53 @@ class IdentifiedModel(ModelParts):
 
     @cached_property
     def _hand_error(self) -> ModelError:
-        """Error of the hand's response, by the covariance of its fit."""
+        """Error of the hand's response by the covariance of its fit."""
         assert self.hand is not None
         return error_by_covariance(self.hand)
 
     def _with(self, part: Chain, grips_N: Sequence[float]) -> Self:
-        """The model with another device or hand, refused by an InputError where that is not passive at a grip."""
+        """The model with another device or hand.
+
+        Raises
+        ------
+        InputError : it is not passive at one of the grips.
+        """
         for grip_N in grips_N:
             part.plant(grip_N)
         return self.model_copy(update={"device" if isinstance(part, DriveDevice) else "hand": part})
 
 
 def error_by_covariance(part: Chain) -> ModelError:
-    """Expected square of the error of a response where nothing but the covariance of its fit is known of it.
-
-    Per ampere of a device, per newton of a hand.
-    """
+    """Expected squared error of a response by the covariance of its fit, per ampere (device) or newton (hand)."""
     frequencies_Hz = np.geomspace(*TAP_HZ, BANDS)
     power = [_variance(part, grip_N, frequencies_Hz).tolist() for grip_N in part.grips_N]
     return ModelError(grips_N=part.grips_N, frequencies_Hz=frequencies_Hz.tolist(), power=power)
 
 
 def known_to(part: Chain) -> dict[float, float]:
-    """Recorded grip -> rms over the band of a tap of the relative standard deviation of the response there."""
-    error, found = error_by_covariance(part), {}
+    """Recorded grip -> rms over the band of a tap of the response's relative standard deviation."""
+    error, deviations = error_by_covariance(part), {}
     for grip_N, power in zip(error.grips_N, error.power, strict=True):
         size = np.abs(part.plant(grip_N).response(np.array(error.frequencies_Hz))) ** 2
-        found[grip_N] = float(np.sqrt(np.mean(np.array(power) / size)))
-    return found
+        deviations[grip_N] = float(np.sqrt(np.mean(np.array(power) / size)))
+    return deviations
 
 
 def _variance(part: Chain, grip_N: float, frequencies_Hz: FloatArray) -> FloatArray:
-    """(m,) E|.|^2 of the response by the covariance of the parameters, to first order."""
+    """(m,) variance of the response by the covariance of the parameters, to first order."""
     values = part.values()
 
     def moved(by: FloatArray) -> FloatArray:
         return part.with_values(values + by).plant(grip_N).response(frequencies_Hz)
 
     def slope(column: FloatArray) -> FloatArray:
-        # The response is linear in a step so small; smaller still where a parameter all but vanishes at a grip.
+        # The step is reduced until both ends are passive, as where a parameter is nearly zero at a grip.
         share = np.divide(column, values, out=np.zeros_like(values), where=values != 0)
-        for step in SMALL / max(float(np.abs(share).max()), SMALL) * 4.0 ** -np.arange(20):
+        for step in RELATIVE_STEP / max(float(np.abs(share).max()), RELATIVE_STEP) * 4.0 ** -np.arange(20):
             try:
                 return np.asarray((moved(step * column) - moved(-step * column)) / (2 * step))
             except InputError:
                 continue
-        return np.zeros(frequencies_Hz.size)  # at the end of what is passive nothing moves both ways
+        return np.zeros(frequencies_Hz.size)  # on the boundary of passivity no step in both directions is possible
 
     return np.asarray(sum(np.abs(slope(column)) ** 2 for column in part.factor().T))

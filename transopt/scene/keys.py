@@ -1,6 +1,6 @@
-"""Keys of a scene by dotted path: unit, bounds, default, value; and scenes with some of them changed.
+"""Keys of a scene by dotted path, with unit, bounds, default and value; and scenes with some of them changed.
 
-Everything is read from the tables of which `Scene` is made, so that a key that is added there is known here.
+Everything is derived from the tables of `Scene`, so a key that is added there appears here without further code.
 """
 
 import math
@@ -24,10 +24,10 @@ from transopt.scene.scene import Scene
 Value = float | int | str | None
 Changes = Mapping[str, Any]  # dotted path -> value; a whole table for "motor" and "transmission"
 
-# Two statements of one thing: the later takes the place of the other.
+# Two keys that state the same quantity: setting one removes the other.
 IN_PLACE_OF = {"limits.current_A": "limits.beta", "limits.beta": "limits.current_A"}
 WHOLE_TABLES = ("motor", "transmission")
-COUPLED = "a motor is one row of a datasheet, its values belong together: swap whole files with motor=A,B"
+COUPLED = "the values of a motor belong together as one row of a datasheet: swap whole files with motor=A,B"
 
 
 @dataclass(frozen=True)
@@ -36,18 +36,18 @@ class Key:
 
     Attributes
     ----------
-    path : dotted.
-    unit : from the ending of the name, empty without one.
-    default : where the scene does not state it; None for none.
+    path : dotted path.
+    unit : unit by the ending of the name; empty without one.
+    default : value where the scene does not state it; None for none.
     required : whether every scene has to state it.
-    value : in this scene, None if not stated.
-    bounds : in words.
-    choices : the words it takes.
-    number : whether it takes numbers.
-    integer : whether it takes only whole ones.
+    value : value in this scene, None if not stated.
+    bounds : bounds in words.
+    choices : permitted words.
+    number : whether it accepts numbers.
+    integer : whether it accepts only integers.
     optional : whether it may be left out.
-    description : what it is, in a sentence.
-    interval : the bounds as two numbers; a bound may itself be refused ("> 0").
+    description : meaning in a sentence.
+    interval : the bounds as two numbers; a strict bound ("> 0") is itself not permitted.
     """
 
     path: str
@@ -65,7 +65,7 @@ class Key:
 
 
 def flat(annotation: Any) -> Iterator[Any]:
-    """The members of a union and what stands inside Annotated, metadata included."""
+    """The members of a union and the content of Annotated, metadata included."""
     yield annotation
     if get_origin(annotation) is not Literal:
         for member in get_args(annotation):
@@ -74,7 +74,7 @@ def flat(annotation: Any) -> Iterator[Any]:
 
 
 def bounds_of(parts: list[Any], unit: str) -> str:
-    """Bounds in words; those of FieldInfo objects inside Annotated included, and the largest of the unit."""
+    """Bounds in words, those of FieldInfo objects inside Annotated and the largest value of the unit included."""
     words, most = [], largest(unit)
     for part in parts:
         match part:
@@ -92,7 +92,7 @@ def bounds_of(parts: list[Any], unit: str) -> str:
 
 
 def _interval(parts: list[Any], unit: str) -> tuple[float, float]:
-    """The bounds as two numbers: what pydantic states, and the largest of the unit."""
+    """The bounds as two numbers: those of pydantic and the largest value of the unit."""
     low, high = -largest(unit), largest(unit)
     for part in parts:
         match part:
@@ -104,13 +104,13 @@ def _interval(parts: list[Any], unit: str) -> tuple[float, float]:
 
 
 def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[Key]:
-    """The keys of a table and of the tables in it; `value` is the table as the scene states it, if it does."""
+    """The keys of a table and of the tables in it; `value` is the table as stated in the scene, None if it is not."""
     said = meanings(table)
     for name, field in table.model_fields.items():
         path, stated = f"{prefix}{name}", getattr(value, name, None)
         parts = [*flat(field.annotation), *field.metadata]
         parts += [bound for part in parts if isinstance(part, FieldInfo) for bound in part.metadata]
-        # What strikes simulated taps stays when the device is varied; the others are read from files of their own.
+        # A study varies the device, not the striker of simulated taps; the other two are read from separate files.
         if path in ("striker", "limits.own") or (path == "robust.population" and stated is None):
             continue
         inner = [part for part in parts if isinstance(part, type) and issubclass(part, Section)]
@@ -130,7 +130,7 @@ def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[
 
 
 def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, description: str) -> Key | None:
-    """A key that holds a number or one of several words; None for names, lists and what is fixed."""
+    """A key whose value is a number or one of several words; None for names, lists and fixed values."""
     choices = tuple(word for p in parts if get_origin(p) is Literal for word in get_args(p) if isinstance(word, str))
     numbers = [n for p in parts if get_origin(p) is Literal for n in get_args(p) if isinstance(n, int)]
     grid = path in ("grid.speeds_m_s", "grid.grips_N")
@@ -157,9 +157,9 @@ def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, descriptio
 
 
 def keys(scene: Scene) -> list[Key]:
-    """Every key of a scene that a study can vary, in the order of the models.
+    """All keys of a scene that a study can vary, in the order of its tables.
 
-    Names, files and lists are none, but for the nodes of the grid; a motor is one key (see `COUPLED`).
+    Names, files and lists are left out, except for the nodes of the grid; a motor is one key (see `COUPLED`).
     """
     return list(_walk(Scene, scene, ""))
 
@@ -169,13 +169,13 @@ def find_key(scene: Scene, path: str) -> Key:
 
     Raises
     ------
-    InputError : no such key, or one of a motor's own values.
+    InputError : no such key, or a single value of a motor.
     """
     if path.startswith("motor."):
         raise InputError(f"{path}: {COUPLED}")
     known = {key.path: key for key in keys(scene)}
     if path not in known:
-        # The table may be left out or be another: the key is then looked for by its own name.
+        # The given table may be wrong or missing, so suggestions are also searched by the last part of the path.
         close = nearest(path, known, 0.5) or nearest(path.rsplit(".", 1)[-1], known, 0.4)
         hint = f" (did you mean {' or '.join(close)}?)" if close else ""
         raise InputError(
@@ -185,11 +185,11 @@ def find_key(scene: Scene, path: str) -> Key:
 
 
 def parse_value(key: Key, text: str) -> Value:
-    """A value as typed on a command line: a number, one of the key's words, or `none` where it may be left out.
+    """Parse a value of the command line: a number, one of the key's words, or `none` for an optional key.
 
     Raises
     ------
-    InputError : none of these.
+    InputError : the text is none of these.
     """
     text = text.strip()
     if text in key.choices:
@@ -207,9 +207,9 @@ def parse_value(key: Key, text: str) -> Value:
 
 
 def _content(scene: Scene, changes: Changes) -> dict[str, Any]:
-    """The scene as its file would state it, with the changes."""
+    """The tables of the scene with the changes."""
     content = scene.model_dump()
-    # Whole tables first: a key of a table is meant for the table that takes the old one's place.
+    # Whole tables first: a changed key belongs to the new table.
     for path, value in sorted(changes.items(), key=lambda change: change[0] not in WHOLE_TABLES):
         *tables, name = path.split(".")
         table = content
@@ -228,7 +228,7 @@ def _content(scene: Scene, changes: Changes) -> dict[str, Any]:
 def with_values(scene: Scene, changes: Changes) -> Scene:
     """The scene with some keys changed, checked as a whole.
 
-    `limits.current_A` takes the place of `limits.beta` and the other way round; other keys stay as they are.
+    `limits.current_A` replaces `limits.beta` and vice versa; other keys stay unchanged.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def with_values(scene: Scene, changes: Changes) -> Scene:
 
 
 def check_value(scene: Scene, path: str, value: Any) -> None:
-    """Refuse a value that its key cannot take, whatever the rest of the scene says.
+    """Refuse a value that its key cannot have, regardless of the rest of the scene.
 
     Raises
     ------

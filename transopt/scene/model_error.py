@@ -1,10 +1,9 @@
-"""How far an identified model is off, as a spectrum, and what that makes of a tap.
+"""The spectrum of an identified model's error, and the error of a tap predicted from it.
 
-What a command makes the true device do beyond what the model says is (G_true - G) times its current. The records tell
-the expected square of G_true - G line by line: the misfit, less what is noise in it, and the uncertainty of the
-parameters. Weighted with the spectrum of a tap's current it is the error that this tap will have. What a device does
-at large currents alone (friction, backlash, a skin that stiffens) is not in its response; held-out taps show it, and
-it is stated beside, by grip and peak current.
+A tap's error is (G_true - G) times its current. The records give the expected square of G_true - G at every frequency
+line: the misfit minus its noise, plus the uncertainty of the parameters. Weighted with the spectrum of a tap's
+current it predicts the error of that tap. Effects of large currents only (friction, backlash, a stiffening skin) are
+not in the response; held-out taps show them, and they are stated separately by grip and peak current.
 """
 
 from typing import Annotated, Self
@@ -17,17 +16,17 @@ from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_NODES
 
 MOST_BANDS = 200
-COVERED = 1.1  # times the largest current that was recorded: no device changes at once
+COVERED = 1.1  # largest current for which the error is valid, over the largest recorded one
 
 
 class AtUse(Section):
-    """What one held-out tap at the amplitude of use missed beyond what the response explains.
+    """The error of one held-out tap at the amplitude of use beyond what the response's error explains.
 
     Attributes
     ----------
-    grip_N : at which it was played.
+    grip_N : grip at which it was played.
     peak_A : its largest current.
-    excess : part of the tap's acceleration (relative error) that was neither predicted nor noise nor expected.
+    excess : relative error of the acceleration that is neither noise nor explained by the response's error.
     """
 
     grip_N: NonNegative
@@ -36,15 +35,15 @@ class AtUse(Section):
 
 
 class ModelError(Section):
-    """Expected square of the error of a response, by grip and band of frequency.
+    """Expected squared error of a response, by grip and frequency band.
 
     Attributes
     ----------
-    grips_N : (ng,) recorded, increasing.
-    frequencies_Hz : (m,) middles of the bands, increasing.
+    grips_N : (ng,) recorded grips, increasing.
+    frequencies_Hz : (m,) centres of the bands, increasing.
     power : (ng, m) mean square of |G_true - G| [(m/s^2/A)^2].
-    at_use : by held-out tap; empty where none was recorded.
-    recorded_A : (ng,) largest current that was recorded at each grip; empty where a file does not say.
+    at_use : excess error of each held-out tap; empty if none was recorded.
+    recorded_A : (ng,) largest recorded current at each grip; empty if the file does not state it.
     """
 
     grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
@@ -69,24 +68,24 @@ class ModelError(Section):
         return self
 
     def recorded_at(self, grip_N: float) -> float:
-        """Largest current [A] that was recorded at the grips around this one; infinite where nobody says."""
+        """Largest recorded current [A], interpolated between grips; infinite if it is not stated."""
         if not self.recorded_A:
             return np.inf
         kept = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)] or range(len(self.grips_N))
         return float(np.interp(grip_N, [self.grips_N[j] for j in kept], [self.recorded_A[j] for j in kept]))
 
     def covers(self, grip_N: float, peak_A: float) -> bool:
-        """Whether as large a current, and a little less, was recorded: nothing else is known of a larger one."""
+        """Whether the records cover a peak current: it exceeds the recorded ones by at most 10 %."""
         return peak_A <= COVERED * self.recorded_at(grip_N)
 
     def _power(self, grip_N: float) -> FloatArray:
-        """(m,) at a grip, linear between the recorded ones; held grips and the free device apart."""
+        """(m,) power at a grip, linear between recorded grips; the free device is not blended with held grips."""
         kept = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)] or range(len(self.grips_N))
         grips, rows = [self.grips_N[j] for j in kept], np.array([self.power[j] for j in kept])
         return np.array([np.interp(grip_N, grips, column) for column in rows.T])
 
     def _excess(self, grip_N: float, peak_A: float) -> float:
-        """Beyond the response, at the nearest grips where taps were recorded and between their peak currents."""
+        """Excess error of a tap, interpolated between the held-out taps over grip and peak current."""
         grips = sorted({tap.grip_N for tap in self.at_use})
         if not grips:
             return 0.0
@@ -101,7 +100,7 @@ class ModelError(Section):
 
         Parameters
         ----------
-        current_A : (N,) of the tap, sampled.
+        current_A : (N,) current of the tap, sampled every `dt_s`.
         energy : sum of the squares of the tap's N samples of acceleration [(m/s^2)^2].
         """
         size = 8 * current_A.size
@@ -117,8 +116,8 @@ class Predicted(Section):
 
     Attributes
     ----------
-    speeds_m_s, grips_N : of the taps.
-    nrmse : (ng, nv).
+    speeds_m_s, grips_N : (nv,) speeds and (ng,) grips of the taps.
+    nrmse : (ng, nv) relative error.
     """
 
     speeds_m_s: Annotated[list[Positive], Field(min_length=1, max_length=MOST_NODES)]
@@ -127,7 +126,7 @@ class Predicted(Section):
 
     @property
     def worst(self) -> tuple[float, float, float]:
-        """Relative error, speed and grip of the tap that is predicted worst."""
+        """Relative error, speed and grip of the tap with the largest predicted error."""
         values = np.array(self.nrmse)
         j, i = np.unravel_index(int(np.argmax(values)), values.shape)
         return float(values[j, i]), self.speeds_m_s[i], self.grips_N[j]

@@ -1,8 +1,8 @@
-"""The model file: reading and writing what `transopt identify` found out about a device.
+"""Reading and writing of model files, in which `transopt identify` stores an identified device.
 
-It is JSON with `schema`, `versions` and up to four parts (`transopt.scene.model_parts`), each with its uncertainty,
-its verdict and its sources. SI throughout, units in the names. Covariances are in raw SI units, in the order of the
-part's `parameters`; a parameter that was held fixed is not among them. Intervals are of 95 %.
+The file is JSON with `schema`, `versions` and up to four parts (`transopt.scene.model_parts`), each with its
+uncertainty, its verdict and its sources. Numbers are in SI, with units in the names. Covariances are in the order of
+the part's `parameters`, which exclude fixed parameters. Intervals are 95 % intervals.
 """
 
 import json
@@ -34,12 +34,12 @@ SCHEMA = 1
 
 
 class ModelFile(ModelParts):
-    """The content of a model file: its parts, and what they were written with.
+    """The content of a model file: its parts, and the versions of the software that wrote it.
 
     Attributes
     ----------
-    schema_ : which of the forms of this file it is.
-    versions : of this project and of what it computed with.
+    schema_ : version of the file format.
+    versions : package -> version.
     """
 
     # The field is called `schema` in the file, but pydantic has a deprecated method of that name.
@@ -48,11 +48,11 @@ class ModelFile(ModelParts):
 
 
 def _refuse_constant(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not a finite number")
 
 
 def parse_model(source: Path | str, content: bytes) -> ModelFile:
-    """The model file of a file's bytes; `source` names it in messages.
+    """Parse a model file's bytes; `source` names it in messages.
 
     Raises
     ------
@@ -96,13 +96,13 @@ def load_model(path: Path) -> ModelFile:
 
 
 def save_part(path: Path, name: ModelPartName, part: AnyModelPart) -> None:
-    """Put one part into a model file in place of the one it had; the other parts stay as they are.
+    """Write one part into a model file and keep the file's other parts.
 
     Raises
     ------
-    InputError : an existing file that is damaged or no model file (it stays as it is); a place that cannot be
+    InputError : an existing file that is damaged or no model file, which is not changed; a path that cannot be
         written.
-    TypeError : a part of another name.
+    TypeError : a part that does not belong under this name.
     """
     expected = {
         "amplifier": AmplifierPart,
@@ -111,7 +111,7 @@ def save_part(path: Path, name: ModelPartName, part: AnyModelPart) -> None:
         "coil": CoilPart,
     }[name]
     if not isinstance(part, expected):
-        raise TypeError(f"{name}: a {type(part).__name__} is none")
+        raise TypeError(f"{name}: cannot be a {type(part).__name__}")
     content = load_model(path).model_dump(by_alias=True, mode="json") if path.exists() else {}
     content = {
         "schema": SCHEMA,

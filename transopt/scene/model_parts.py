@@ -1,8 +1,7 @@
-"""What a model file may hold: amplifier, device, hand and coil of a haptic device, each identified by itself.
+"""The parts of a model file: amplifier, device, hand and coil of a haptic device, each identified separately.
 
-`transopt identify` fills these parts one by one, from records of their own, and a scene builds its models on them.
-Each part states its values in SI, what the fit knows about them, a verdict in plain words, and the files it was
-fitted to.
+`transopt identify` writes these parts one by one, each from its own records, and a scene builds its models on them.
+Each part states its values in SI, their uncertainty, a verdict in plain words, and the files it was fitted to.
 """
 
 from abc import abstractmethod
@@ -25,7 +24,7 @@ from transopt.scene.model_error import ModelError, Predicted
 
 MODEL_PARTS = ("amplifier", "device", "hand", "coil")
 ModelPartName = Literal["amplifier", "device", "hand", "coil"]
-OUTSIDE = 0.1  # a grip may leave the recorded ones by this share of the nearest of them
+OUTSIDE = 0.1  # share by which a grip may lie outside the recorded range
 
 Matrix = Annotated[list[list[Finite]], Field(min_length=1, max_length=MOST_STATES)]
 
@@ -35,10 +34,10 @@ class AmplifierPart(FittedPart):
 
     Attributes
     ----------
-    pole_Hz : where the low-pass has lost 3 dB.
-    delay_s : beyond the hold of the command, which delays by half a period itself.
-    delay_with_hold_s : the two together.
-    gain : of the current over the command, at low frequency.
+    pole_Hz : frequency of -3 dB.
+    delay_s : delay in addition to that of the hold, which is half a servo period.
+    delay_with_hold_s : both delays together.
+    gain : current over command at low frequency.
     """
 
     pole_Hz: Positive
@@ -52,11 +51,11 @@ class ChainHand(Section):
 
     Attributes
     ----------
-    mass_kg : of the hand.
-    skin_stiffness_N_m : between stylus and hand.
-    skin_damping_N_s_m : between stylus and hand.
-    arm_stiffness_N_m : between hand and intention.
-    arm_damping_N_s_m : between hand and intention.
+    mass_kg : mass of the hand.
+    skin_stiffness_N_m : spring between stylus and hand.
+    skin_damping_N_s_m : damper between stylus and hand.
+    arm_stiffness_N_m : spring between hand and intended motion.
+    arm_damping_N_s_m : damper between hand and intended motion.
     """
 
     mass_kg: LinearParameter
@@ -66,7 +65,7 @@ class ChainHand(Section):
     arm_damping_N_s_m: LinearParameter
 
     def hand(self) -> Hand:
-        """The hand as a model takes it."""
+        """The hand as the models use it."""
         return Hand(**{name: getattr(self, name).linear() for name in type(self).model_fields})
 
 
@@ -87,24 +86,24 @@ def _of_grips(nrmse: NrmseByGrip) -> NrmseByGrip:
         except ValueError:
             grip_N = np.nan
         if not 0 <= grip_N < np.inf:
-            raise ValueError(f"{name!r} is no grip in newton")
+            raise ValueError(f"{name!r} is not a grip in newton")
     return nrmse
 
 
 def check_grip(grips_N: list[float], grip_N: float) -> None:
-    """Refuse a grip that was not recorded: no model is known there.
+    """Refuse a grip outside the recorded range, where no model is known.
 
     Raises
     ------
-    InputError : with the recorded range.
+    InputError : the grip is outside; the message states the recorded range.
     """
     held = [grip for grip in grips_N if grip > 0]
     if grip_N == 0:
         if grips_N[0] > 0:
-            raise InputError("the model file knows no free device: record one at grip 0 and identify with it")
+            raise InputError("the model file has no free device: record one at grip 0 and identify with it")
         return
     if not held:
-        raise InputError("the model file knows only the free device: record held grips and identify with them")
+        raise InputError("the model file has only the free device: record held grips and identify with them")
     lowest, highest = held[0], held[-1]
     if not lowest * (1 - OUTSIDE) <= grip_N * (1 + 1e-12) or not grip_N <= highest * (1 + OUTSIDE) * (1 + 1e-12):
         raise InputError(
@@ -114,15 +113,15 @@ def check_grip(grips_N: list[float], grip_N: float) -> None:
 
 
 class RecordedDevice(ModelPart):
-    """What an identified device states whatever its model is.
+    """Common fields of all kinds of identified device.
 
     Attributes
     ----------
-    grips_N : (ng,) recorded, increasing; 0 for the free device.
+    grips_N : (ng,) recorded grips, increasing; 0 for the free device.
     nrmse : grip -> held-out error on trials outside the fit, their noise included.
-    error : how far its response is off; None in files of older versions.
-    predicted : what that makes of the taps of the scene it was identified for; None where there was none.
-    causes : what was found to be in the records or the device beside the model, by name.
+    error : error of its response; None in files of older versions.
+    predicted : predicted errors of the taps of the scene it was identified for; None without a scene.
+    causes : effects found in the records that the model does not describe, by name.
     """
 
     grips_N: Grips
@@ -135,7 +134,7 @@ class RecordedDevice(ModelPart):
     _nrmse_by_grip = field_validator("nrmse")(_of_grips)
 
     def error_at(self, grip_N: float) -> float:
-        """Held-out error at a grip, linear between those that were validated; NaN without validation."""
+        """Held-out error at a grip, linear between the validated grips; NaN without validation."""
         by_grip = sorted((float(name), value) for name, value in self.nrmse.items())
         if grip_N > 0:
             by_grip = [(grip, value) for grip, value in by_grip if grip > 0] or by_grip
@@ -149,13 +148,13 @@ class DriveDevice(RecordedDevice, FittedPart):
 
     Attributes
     ----------
-    kind : that it is this one.
-    force_per_current_N_A : known, not fitted: the response does not change if it and all masses, stiffnesses and
-        dampings are scaled alike.
-    moving_mass_kg : of the motor, at the tip.
-    stylus_mass_kg : of the stylus.
-    transmission_stiffness_N_m : between the two.
-    transmission_damping_N_s_m : between the two.
+    kind : "drive".
+    force_per_current_N_A : known, not fitted, since the response does not change if it and all masses, stiffnesses
+        and dampings are scaled by one factor.
+    moving_mass_kg : effective mass of the motor at the tip.
+    stylus_mass_kg : mass of the stylus.
+    transmission_stiffness_N_m : spring between motor and stylus.
+    transmission_damping_N_s_m : damper between motor and stylus.
     hand : skin, hand mass and arm.
     """
 
@@ -177,11 +176,11 @@ class DriveDevice(RecordedDevice, FittedPart):
         return self
 
     def plant(self, grip_N: float, *, struck: bool = False) -> StateSpace:
-        """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.
+        """The model from motor current, or with `struck` from a force on the stylus [N], to stylus acceleration.
 
         Raises
         ------
-        InputError : a grip that was not recorded, parameters that are not passive there.
+        InputError : a grip that was not recorded, or parameters that are not passive there.
         """
         check_grip(self.grips_N, grip_N)
         return drive(
@@ -200,9 +199,9 @@ class StateSpaceDevice(RecordedDevice):
 
     Attributes
     ----------
-    kind : that it is this one.
+    kind : "state_space".
     order : n, number of states.
-    A : (ng, n, n), real and stable.
+    A : (ng, n, n), stable.
     B : (ng, n, 1).
     C : (ng, 1, n).
     D : (ng, 1, 1).
@@ -232,14 +231,15 @@ class StateSpaceDevice(RecordedDevice):
         return self
 
     def node(self, j: int) -> StateSpace:
-        """The model of a recorded grip. A black box knows no position."""
+        """The model of the recorded grip j; a black box has no position output."""
         A, B, C, D = (np.array(getattr(self, name)[j]) for name in "ABCD")
         return StateSpace(A, B, C, D)
 
     def plant(self, grip_N: float) -> StateSpace:
-        """Motor current to stylus acceleration; between recorded grips their outputs are blended, linearly.
+        """The model from motor current to stylus acceleration, blended linearly between recorded grips.
 
-        Of order 2 n wherever there are two held grips to blend, also at a node, so that all grips share one order.
+        Its order is 2 n where there are at least two held grips, also at a recorded one, so that all grips have the
+        same order.
 
         Raises
         ------
@@ -259,11 +259,11 @@ class StateSpaceDevice(RecordedDevice):
 
 
 class _HeldHand(FittedPart):
-    """What a hand on its own states whatever its order is.
+    """Common part of a hand that was identified on its own.
 
     Attributes
     ----------
-    grips_N : recorded.
+    grips_N : recorded grips.
     """
 
     grips_N: Grips
@@ -283,11 +283,11 @@ class _HeldHand(FittedPart):
 
     @abstractmethod
     def plant(self, grip_N: float, *, force_per_current_N_A: float = 1.0) -> StateSpace:
-        """Motor current, or as it stands a force [N], to stylus acceleration.
+        """The model from motor current, or by default from a force [N], to stylus acceleration.
 
         Raises
         ------
-        InputError : a grip that was not recorded, parameters that are not passive there.
+        InputError : a grip that was not recorded, or parameters that are not passive there.
         """
 
 
@@ -296,11 +296,11 @@ class SecondOrderHand(_HeldHand):
 
     Attributes
     ----------
-    kind : that it is this one.
-    mass_kg : of stylus and hand.
-    damping_N_s_m : to the hand's intention.
-    stiffness_N_m : to the hand's intention.
-    grips_N : recorded.
+    kind : "second_order".
+    mass_kg : mass of stylus and hand.
+    damping_N_s_m : damper to the hand's intended motion.
+    stiffness_N_m : spring to the hand's intended motion.
+    grips_N : recorded grips.
     """
 
     kind: Literal["second_order"]
@@ -324,10 +324,10 @@ class FourthOrderHand(_HeldHand):
 
     Attributes
     ----------
-    kind : that it is this one.
-    stylus_mass_kg : of the stylus and of whatever moves rigidly with it, a motor too.
+    kind : "fourth_order".
+    stylus_mass_kg : mass of the stylus and of all that moves rigidly with it, a motor included.
     hand : skin, hand mass and arm.
-    grips_N : recorded.
+    grips_N : recorded grips.
     """
 
     kind: Literal["fourth_order"]
@@ -346,14 +346,14 @@ class FourthOrderHand(_HeldHand):
 
 
 class CoilPart(FittedPart):
-    """Thermal resistances winding to housing to ambient, and the time constants of both.
+    """Thermal resistances and time constants of winding and housing.
 
     Attributes
     ----------
-    R_wh_K_W : from winding to housing.
-    R_ha_K_W : from housing to ambient.
-    tau_w_s : of the winding.
-    tau_h_s : of the housing.
+    R_wh_K_W : thermal resistance from winding to housing.
+    R_ha_K_W : thermal resistance from housing to ambient.
+    tau_w_s : time constant of the winding.
+    tau_h_s : time constant of the housing.
     """
 
     R_wh_K_W: Positive
@@ -368,14 +368,14 @@ AnyModelPart = AmplifierPart | DriveDevice | StateSpaceDevice | SecondOrderHand 
 
 
 class ModelParts(Section):
-    """What was identified; None for what was not.
+    """The identified parts of a device; None for a part that was not identified.
 
     Attributes
     ----------
-    amplifier : between command and current.
-    device : from current to acceleration.
-    hand : that holds the stylus.
-    coil : that the current heats.
+    amplifier : model from command to current.
+    device : model from current to acceleration.
+    hand : hand that holds the stylus.
+    coil : thermal model of the coil.
     """
 
     amplifier: AmplifierPart | None = None

@@ -1,4 +1,4 @@
-"""The place of a model file in a scene: what the file replaces, what stays, and which grips it serves."""
+"""Inserts a model file into a scene: which tables it replaces, which stay, and which grips it serves."""
 
 import hashlib
 import json
@@ -13,15 +13,15 @@ from transopt.scene.model_file import parse_model, read_model
 from transopt.scene.model_parts import MODEL_PARTS, check_grip
 
 _GRIPS_LINE = re.compile(r"^grips_N *= *\[[^]]*\]", re.MULTILINE)
-OF_THE_FILE = ("pole_Hz", "delay_s")  # of the amplifier, where the file has that part
+OF_THE_FILE = ("pole_Hz", "delay_s")  # keys of [amplifier] that a file with an amplifier part replaces
 
 
 def identified_table(path: Path, shown: str) -> dict[str, Any]:
-    """The table that stands for a model file: all that it holds, so that a library does not need the file.
+    """The table `[model]` with a model file's content, so that a library does not need the file.
 
     Parameters
     ----------
-    shown : what reports call the file.
+    shown : name of the file in reports.
 
     Raises
     ------
@@ -33,20 +33,20 @@ def identified_table(path: Path, shown: str) -> dict[str, Any]:
 
 
 def put_model(content: dict[str, Any], identified: dict[str, Any]) -> None:
-    """Put a model file in the place of a scene's own device.
+    """Replace a scene's own device by a model file.
 
-    What the scene states of the device, its [model], [tip], pole and delay, goes into the table `striker` if the
-    recordings are simulated: the taps that shall be reproduced are made with it, whatever the design's model is.
+    If the recordings are simulated, the scene's own [model], [tip], pole and delay move into the table `striker`: it
+    makes the taps to reproduce, independently of the model used for the design.
 
     Parameters
     ----------
-    content : tables of the scene, as its file states them; changed.
+    content : tables of the scene file; modified in place.
     identified : see `identified_table`.
     """
     own, amplifier, recordings = content.get("model"), content.get("amplifier"), content.get("recordings")
     simulated = isinstance(recordings, dict) and recordings.get("simulated") is not None
     if isinstance(own, dict) and own.get("kind") != "identified" and simulated:
-        # Only the delay matters to a tap that nobody drives, and it only to how long the recording is.
+        # A simulated tap is not driven: of the amplifier only the delay matters, for the length of the recording.
         whole = isinstance(amplifier, dict) and all(amplifier.get(name) is not None for name in OF_THE_FILE)
         striker = {"model": own, "tip": content.get("tip"), "amplifier": amplifier if whole else "ideal"}
         content["striker"] = {name: table for name, table in striker.items() if table is not None}
@@ -58,7 +58,7 @@ def put_model(content: dict[str, Any], identified: dict[str, Any]) -> None:
 
 
 def served_grips(identified: dict[str, Any], grips_N: Sequence[float]) -> list[float]:
-    """The grips if a model knows them all, else those that it was identified at (the free one apart).
+    """The given grips if the model covers them all, else those at which it was identified, without the free one.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ def served_grips(identified: dict[str, Any], grips_N: Sequence[float]) -> list[f
 
 
 def model_line(model: Path, folder: Path) -> str:
-    """The line by which a scene file in a folder names a model file; it stands above the scene's first table."""
+    """The line by which a scene file in a folder names a model file, to be put above the scene's first table."""
     named = model if model.is_absolute() else Path(os.path.relpath(model, folder))
-    return f"model_file = {json.dumps(named.as_posix())}"  # JSON and TOML spell a string alike
+    return f"model_file = {json.dumps(named.as_posix())}"  # JSON strings are valid TOML strings
 
 
 def on_model(text: str, model: Path, folder: Path, grips_N: Sequence[float]) -> str:
-    """The text of a scene file in a folder, with a model file in the place of its device and the grid's grips."""
+    """The text of a scene file in a folder, with a model file in place of its device, and with these grips."""
     held = _GRIPS_LINE.sub(f"grips_N = {list(grips_N)}", text, count=1)
     return f"{model_line(model, folder)}\n{held}"

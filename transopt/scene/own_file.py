@@ -1,7 +1,7 @@
-"""Files in which a user states own limits: Python files with a list `LIMITS` of what `transopt.own_limit` makes.
+"""Reads the user's own limits: Python files with a list `LIMITS` of results of `transopt.own_limit`.
 
-Such a file is a program of the user's, and is run as one when a scene that names it is read. This room knows neither
-its expressions nor CasADi, only that each limit tells what it is as a table.
+Such a file is a program of the user and is executed when a scene that names it is read. This package depends neither
+on its expressions nor on CasADi; each limit describes itself as a table.
 """
 
 import runpy
@@ -16,16 +16,16 @@ LIST = "LIMITS"
 
 
 def own_tables(scene: Path, named: Any, stages: int) -> list[dict[str, Any]]:
-    """The tables of all limits in the named files, whose paths count from the scene's folder.
+    """The tables of all limits in the named files, whose paths are relative to the scene's folder.
 
     Parameters
     ----------
-    named : what the scene says below `limits.own`; tables stay what they are.
-    stages : of the scene's horizon, over which what depends on the stage is written out.
+    named : the scene's value of `limits.own`; tables in it are kept.
+    stages : number of stages of the scene's horizon, over which stage-dependent numbers are written out.
 
     Raises
     ------
-    InputError : no such file, one that ends with an error, or one without limits.
+    InputError : no such file, a file that raises an error, or one without limits.
     """
     if not isinstance(named, list):
         raise InputError(f'{scene}: limits.own = {named!r}: must be a list of files, as in own = ["my_limits.py"]')
@@ -34,13 +34,13 @@ def own_tables(scene: Path, named: Any, stages: int) -> list[dict[str, Any]]:
         found += [each] if isinstance(each, dict) else _read(scene, each, stages)
     names = [table.get("name") for table in found]
     if len(set(names)) < len(names):
-        raise InputError(f"{scene}: limits.own: two limits are called {max(names, key=names.count)}: rename one")
+        raise InputError(f"{scene}: limits.own: two limits have the name {max(names, key=names.count)}: rename one")
     return found
 
 
 def _read(scene: Path, named: Any, stages: int) -> list[dict[str, Any]]:
     if not isinstance(named, str):
-        raise InputError(f"{scene}: limits.own: {named!r} is no name of a file")
+        raise InputError(f"{scene}: limits.own: {named!r} is not the name of a file")
     path = scene.parent / named
     if not is_file(path):
         raise InputError(f"{scene}: limits.own = {named!r}: no such file in {scene.parent}")
@@ -51,7 +51,7 @@ def _read(scene: Path, named: Any, stages: int) -> list[dict[str, Any]]:
         return [limit.table(stages) for limit in stated]
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    except Exception as error:  # whatever a user's program may raise
+    except Exception as error:  # a user's program may raise anything
         line = next(
             (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(path)), 0
         )

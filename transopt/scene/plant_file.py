@@ -1,12 +1,12 @@
-"""Files of a plant by its matrices: read with a scene that names one, written by `transopt plant fit`.
+"""Files with the matrices of a plant: read with a scene that names one, written by `transopt plant fit`.
 
-dx/dt = A x + B u, acceleration = C x + D u. NPZ and MAT files hold the variables A (n, n), B (n,), C (n,), D (0
-where it is missing), and a row `output_NAME` (n,) for every further output that limits may be on; an NPZ file also
-`input`, "current" or "voltage". A CSV file is the block matrix [A B; C D] below comment lines, of which
-`# input: voltage` and `# outputs: position, velocity` say the same; the rows of these outputs follow, their last
-cell 0.
+dx/dt = A x + B u, acceleration = C x + D u. NPZ and MAT files contain the variables A (n, n), B (n,), C (n,), D (0 if
+missing), and a row `output_NAME` (n,) for every further output on which limits may be stated; an NPZ file also
+`input`, "current" or "voltage". A CSV file contains the block matrix [A B; C D] below comment lines. The lines
+`# input: voltage` and `# outputs: position, velocity` state input and outputs; the rows of these outputs follow the
+matrix, with 0 in the last cell.
 
-What a file holds is put into the table `[model]`, so that a library does not need the file.
+The content is copied into the table `[model]`, so that a library does not need the file.
 """
 
 import re
@@ -27,8 +27,8 @@ from transopt.base.sizes import MOST_MODEL_BYTES, MOST_STATES
 from transopt.plant.state_space import StateSpace
 from transopt.recordings.containers import guarded
 
-OUTPUT = "output_"  # how the name of a further output's row begins
-USUAL_UNITS = {"position": "m", "velocity": "m/s", "current": "A"}  # of outputs that limits know by name
+OUTPUT = "output_"  # prefix of the variable with a further output's row
+USUAL_UNITS = {"position": "m", "velocity": "m/s", "current": "A"}  # of the outputs with built-in limits
 INPUTS = ("current", "voltage")
 SUFFIXES = (".npz", ".mat", ".csv")
 _STATED = re.compile(r"#\s*(input|outputs)\s*[:=]\s*(.*?)[;,\s]*")
@@ -40,8 +40,8 @@ def with_plant_file(scene: Path, table: dict[str, Any]) -> dict[str, Any]:
 
     Parameters
     ----------
-    scene : the scene's file; the plant's counts from its folder.
-    table : as the scene states it.
+    scene : the scene's file; the plant's path is relative to its folder.
+    table : the table of the scene.
 
     Raises
     ------
@@ -63,7 +63,12 @@ def with_plant_file(scene: Path, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _said(table: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
-    """Input and outputs, as far as file and scene state them between each other."""
+    """The plant's outputs, with rows and units from file and scene combined.
+
+    Raises
+    ------
+    InputError : file and scene contradict each other, or a unit or row is missing.
+    """
     stated = table.get("input")
     if stated is not None and found.get("input", stated) != stated:
         raise InputError(
@@ -76,11 +81,11 @@ def _said(table: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     for name, row in rows.items():
         each = own.get(name, {})
         if "row" in each:
-            raise InputError(f"model.outputs.{name}: the scene has a row of it as well: take one of them out")
+            raise InputError(f"model.outputs.{name}: the scene states its row as well: take one of them out")
         unit = each.get("unit", USUAL_UNITS.get(name))
         if unit is None:
             raise InputError(
-                f'{OUTPUT}{name} has no unit: add [model.outputs.{name}] with unit = "m" or whatever it is in'
+                f'{OUTPUT}{name} has no unit: add [model.outputs.{name}] with unit = "m" or another unit'
             )
         outputs[name] = {"row": row, "unit": unit}
     for name, each in own.items():
@@ -94,11 +99,11 @@ def _said(table: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_plant(path: Path) -> dict[str, Any]:
-    """A, B, C, D, and as far as the file states them input and outputs (name -> row), as the table [model] has them.
+    """A, B, C, D, outputs (name -> row) and, if stated, the input, as entries of the table [model].
 
     Raises
     ------
-    InputError : one line: file, matrix, its shape, the shape that it needs.
+    InputError : one line: file, matrix, its shape, the required shape.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -124,7 +129,7 @@ def _numbers(name: str, value: Any) -> FloatArray:
 
 
 def _of_text(data: bytes) -> tuple[dict[str, FloatArray], dict[str, Any]]:
-    """The matrices of a CSV file, and what its comments state."""
+    """The matrices of a CSV file, and the statements in its comments."""
     try:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -142,7 +147,8 @@ def _of_text(data: bytes) -> tuple[dict[str, FloatArray], dict[str, Any]]:
             rows.append([float(cell) for cell in cells])
         except ValueError:
             raise InputError(
-                f"row {number}: {cut(content)!r} is no row of numbers; put # before a remark; the rows are [A B; C D]"
+                f"row {number}: {cut(content)!r} is not a row of numbers; put # before a remark; the rows are "
+                "[A B; C D]"
             ) from None
         if len(rows[-1]) != len(rows[0]):
             raise InputError(f"row {number}: {len(rows[-1])} cells, the rows above have {len(rows[0])}: correct it")
@@ -156,14 +162,14 @@ def _of_text(data: bytes) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     block = np.array(rows)
     fed = next((name for name, row in zip(names, block[n + 1 :], strict=True) if row[n] != 0), None)
     if fed is not None:
-        raise InputError(f"output {fed}: its last cell must be 0, limits may only be on what the states tell")
+        raise InputError(f"output {fed}: its last cell must be 0, as limits need outputs of the states alone")
     matrices = {"A": block[:n, :n], "B": block[:n, n:], "C": block[n : n + 1, :n], "D": block[n : n + 1, n:]}
     outputs = {f"{OUTPUT}{name}": row[None, :n] for name, row in zip(names, block[n + 1 :], strict=True)}
     return {**matrices, **outputs}, dict(stated)
 
 
 def _checked(matrices: Mapping[str, FloatArray], stated: Mapping[str, Any]) -> dict[str, Any]:
-    """The matrices as lists, each of the shape that A asks for."""
+    """The matrices as lists, after a check of their shapes."""
     missing = [name for name in "ABC" if name not in matrices]
     if missing:
         has = ", ".join(matrices) or "none of them"
@@ -181,7 +187,7 @@ def _checked(matrices: Mapping[str, FloatArray], stated: Mapping[str, Any]) -> d
                 f"output, for A with {n} states"
             )
         if not np.all(np.isfinite(matrix)):
-            raise InputError(f"{name}: holds a number that is not finite; correct it")
+            raise InputError(f"{name}: contains NaN or an infinite number; correct it")
         if name.startswith(OUTPUT):
             found["outputs"][name.removeprefix(OUTPUT)] = matrix.ravel().tolist()
         elif name != "A":
@@ -195,14 +201,14 @@ def _checked(matrices: Mapping[str, FloatArray], stated: Mapping[str, Any]) -> d
 
 
 def save_plant(plant: StateSpace, path: Path) -> None:
-    """Write a plant as the NPZ file that `read_plant` reads, its outputs included.
+    """Write a plant and its outputs as an NPZ file for `read_plant`.
 
     Raises
     ------
-    InputError : another ending, or a place that cannot be written.
+    InputError : another ending, or a path that cannot be written.
     """
     if path.suffix.lower() != ".npz":
-        raise InputError(f"{path}: a plant file that is written ends in .npz")
+        raise InputError(f"{path}: a plant file is written as .npz: give a name that ends so")
     arrays: dict[str, Any] = {name: getattr(plant, name) for name in "ABCD"}
     arrays |= {f"{OUTPUT}{name}": output.row for name, output in plant.outputs.items()}
     with whole_file(path) as file:

@@ -1,9 +1,8 @@
-"""Numbers that no device has, which a wrong unit makes: key, value, what devices have, the unit that was meant.
+"""Finds implausible numbers, mostly due to a wrong unit: key, value, usual range, and the unit probably meant.
 
-A mass in grams, a speed in cm/s or a stroke in millimetres is a number like any other, and its optimum is proven like
-any other. The bounds here are those of hand-held devices, small actuators and shakers, a good step wider than what is
-on sale; a mistaken unit is off by a factor of a hundred or more. What recordings hold is looked at by
-`transopt.recordings.plausible`.
+A mass in grams, a speed in cm/s or a stroke in millimetres is a valid number, and the optimum for it is proven like
+any other. The bounds here are those of hand-held devices, small actuators and shakers, clearly wider than what is on
+sale; a mistaken unit is off by a factor of a hundred or more. `transopt.recordings.plausible` checks recordings.
 """
 
 import math
@@ -19,8 +18,8 @@ from transopt.recordings.plausible import HAND_M_S, implausible_response
 
 ACCEPT = 'correct it; if it is right, --accept takes it, or implausible = "accept" above the first table of the scene'
 KELVIN_0_C = -273.15
-FREQUENCIES_HZ = np.geomspace(2.0, 3e3, 150)  # at which the response of a plant by its matrices is looked at
-# Unit of a key -> units that are entered in its place, each with what one of it is.
+FREQUENCIES_HZ = np.geomspace(2.0, 3e3, 150)  # at which the response of a plant stated by matrices is checked
+# Unit of a key -> units entered by mistake, each with its size in the key's unit.
 MISTAKEN = {
     "kg": {"g": 1e-3, "mg": 1e-6},
     "m": {"mm": 1e-3, "um": 1e-6, "cm": 1e-2},
@@ -44,7 +43,7 @@ MISTAKEN = {
     "1/m": {"1/mm": 1e3},
     "g/sqrt(Hz)": {"ug/sqrt(Hz)": 1e-6},
 }
-# Ending of a dotted key, or of one below the kind of its table -> least and largest number.
+# Ending of a dotted key, or of one with a kind in place of its table -> smallest and largest plausible number.
 PLAUSIBLE = {
     "grid.speeds_m_s": HAND_M_S,
     "grid.grips_N": (0.05, 60.0),
@@ -129,11 +128,11 @@ PLAUSIBLE = {
 
 
 def implausible(content: Mapping[str, Any]) -> list[str]:
-    """What no device has among the numbers of a scene or a datasheet, one sentence each.
+    """Sentences about the implausible numbers of a scene or a datasheet, one each.
 
     Parameters
     ----------
-    content : its tables as they were read; what is no number, or of no key known here, is passed over.
+    content : its tables as read; entries that are not numbers, or whose key has no bounds here, are skipped.
     """
     found = [said for each in _numbers(content) if (said := _wrong(*each))]
     if said := _wrong_matrices(content.get("model")):
@@ -142,7 +141,7 @@ def implausible(content: Mapping[str, Any]) -> list[str]:
 
 
 def _wrong_matrices(model: Any) -> str:
-    """Why a plant by its matrices is no actuator; empty if it can be one, or is none by matrices that fit."""
+    """Why a plant stated by matrices cannot be an actuator; empty if it can be, or if the matrices are invalid."""
     if not isinstance(model, Mapping) or model.get("kind") != "state_space" or "A" not in model:
         return ""
     try:
@@ -152,22 +151,22 @@ def _wrong_matrices(model: Any) -> str:
         with np.errstate(all="ignore"):
             response = plant.response(FREQUENCIES_HZ)
     except (InputError, ValueError, IndexError, TypeError, np.linalg.LinAlgError):
-        return ""  # refused where the scene is checked
+        return ""  # invalid matrices are refused when the scene is validated
     if not np.all(np.isfinite(response)):
         return ""
     return implausible_response(FREQUENCIES_HZ, response, found, "V" if model.get("input") == "voltage" else "A")
 
 
 def _wrong(path: str, names: str, value: float) -> str:
-    """Why a key cannot have a value; empty if it can, or nothing is known of the key.
+    """Why a value is implausible; empty if it is plausible, or if the key has no bounds.
 
     Parameters
     ----------
-    names : the path with kinds in the place of tables, by which the bounds are found.
+    names : the path with kinds in place of tables, by which the bounds are found.
     """
     bounds, unit = _bounds(names), unit_of(path)
     if bounds is None or bounds[0] <= value <= bounds[1] or (value <= 0 and unit != "C"):
-        return ""  # a sign is no unit's making, and 0 leaves out
+        return ""  # no wrong unit makes a number <= 0; it is checked with the scene
     low, high = bounds
     likely = _likely(value, unit, bounds)
     meant = "; check its unit"
@@ -177,15 +176,15 @@ def _wrong(path: str, names: str, value: float) -> str:
 
 
 def check_plausible(source: object, content: Mapping[str, Any]) -> None:
-    """Refuse numbers that no device has.
+    """Refuse implausible numbers.
 
     Parameters
     ----------
-    source : what holds them, first in the line.
+    source : where the numbers come from; the message begins with it.
 
     Raises
     ------
-    InputError : the first of them in one line, and how many more there are.
+    InputError : one line with the first implausible number, and how many more there are.
     """
     found = implausible(content)
     if found:
@@ -200,7 +199,7 @@ def _bounds(names: str) -> tuple[float, float] | None:
 
 
 def _likely(value: float, unit: str, bounds: tuple[float, float]) -> tuple[str, float] | None:
-    """The unit that was probably meant, and the value in the key's own unit."""
+    """The unit that was probably meant, and the value converted from it to the key's unit."""
     low, high = bounds
     if unit == "C":
         return ("K", value + KELVIN_0_C) if low <= value + KELVIN_0_C <= high else None
@@ -210,12 +209,12 @@ def _likely(value: float, unit: str, bounds: tuple[float, float]) -> tuple[str, 
 
 
 def _numbers(table: Any, path: str = "", names: str = "") -> Iterator[tuple[str, str, float]]:
-    """Every number with its dotted path, as it is called and with the kind of a table in the place of its name."""
+    """Every number with its dotted path, and with the same path where kinds replace the names of tables."""
     if isinstance(table, Mapping):
         kind = table.get("kind")
         inside = f"{kind}." if isinstance(kind, str) else names and f"{names}."
         for key, value in table.items():
-            if key == "constant":  # of a parameter that is linear in grip
+            if key == "constant":  # the value at zero grip of a parameter that is linear in grip
                 yield from _numbers(value, path, names)
             else:
                 yield from _numbers(value, f"{path}.{key}" if path else str(key), f"{inside}{key}")

@@ -1,8 +1,8 @@
-"""A population of hands: how the parameters of a hand are spread over those who may hold a device, as a file.
+"""A population of hands: the distribution of a hand's parameters over the users of a device, as a file.
 
-The logarithms of the five parameters at two grips are normal over the population. Between the two grips a hand is
-linear in grip, as every `Hand` is. A population is the prior of a calibration (`transopt.identify.calibration`), the
-spread of a robust design (`robust.population`), and what hands are drawn from to try either.
+The logarithms of the five parameters at two grips are normally distributed. Between the two grips a hand is linear in
+grip, like every `Hand`. A population is the prior of a calibration (`transopt.identify.calibration`) and the spread
+of a robust design (`robust.population`); tests of both draw hands from it.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ from transopt.base.signals import FloatArray
 from transopt.plant.hand import HandSection, LinearParameter
 
 PARAMETERS = tuple(HandSection.model_fields)
-TRIES = 50  # draws for each hand that is asked for, of which one is passive at all grips
-WIDEST = 1.0  # standard deviation of a logarithm: beyond it a tenth of all hands is off by a factor of five
+MAX_DRAWS = 50  # for each hand that is wanted, until it is passive at all grips
+WIDEST = 1.0  # largest standard deviation of a logarithm: then a tenth of all hands is off by a factor of five
 
 Ends = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 Deviation = Annotated[float, Field(ge=0, le=WIDEST)]
@@ -30,10 +30,10 @@ class Spread(Section):
 
     Attributes
     ----------
-    median : at the two grips of the population [the parameter's own SI unit].
+    median : medians at the two grips of the population [the parameter's own SI unit].
     spread : standard deviation of the natural logarithm from hand to hand.
     tilt : standard deviation of the logarithm of the value at the second grip over that at the first.
-    source : where the numbers come from.
+    source : source of the numbers.
     """
 
     median: Ends
@@ -43,7 +43,7 @@ class Spread(Section):
 
 
 class Correlation(Section):
-    """Correlation of the logarithms of two parameters, alike at both grips."""
+    """Correlation of the logarithms of two parameters, the same at both grips."""
 
     of: tuple[str, str]
     value: Annotated[float, Field(gt=-1, lt=1)]
@@ -51,7 +51,7 @@ class Correlation(Section):
 
 
 class Population(Section):
-    """Hands as a file describes them.
+    """The content of a population file.
 
     Attributes
     ----------
@@ -95,19 +95,19 @@ class Population(Section):
         return np.log([spread.median[end] for end in range(2) for spread in self._spreads])
 
     def covariance(self) -> FloatArray:
-        """(10, 10) of these logarithms."""
+        """(10, 10) covariance of these logarithms."""
         spread = np.array([each.spread for each in self._spreads])
         tilt = np.array([each.tilt for each in self._spreads])
         together = np.outer(spread, spread) * self._correlation()
         return np.asarray(np.kron(np.ones((2, 2)), together) + np.kron([[1, -1], [-1, 1]], np.diag(tilt**2) / 4))
 
     def factor(self) -> FloatArray:
-        """(10, 10) L with L L' = covariance, columns of zeros where nothing is spread."""
+        """(10, 10) L with L L' = covariance; columns of directions without spread are zero."""
         size, along = np.linalg.eigh(self.covariance())
         return np.asarray(along * np.sqrt(np.maximum(size, 0.0)))
 
     def hand(self, logarithms: FloatArray) -> HandSection:
-        """The hand of (10,) logarithms."""
+        """The hand with these logarithms (10,), ordered as `mean`."""
         light, firm = np.exp(logarithms).reshape(2, -1)
         slope = (firm - light) / (self.grips_N[1] - self.grips_N[0])
         values = zip(PARAMETERS, light - slope * self.grips_N[0], slope, strict=True)
@@ -115,7 +115,7 @@ class Population(Section):
         return HandSection(**lines)
 
     def drawn(self, count: int, seed: int, grips_N: Sequence[float], wider: float = 1.0) -> list[HandSection]:
-        """Hands of the population that are passive at some grips, in pairs of opposite deviations.
+        """Random hands of the population that are passive at these grips, in pairs of opposite deviations.
 
         Parameters
         ----------
@@ -124,10 +124,10 @@ class Population(Section):
 
         Raises
         ------
-        InputError : hardly any hand is passive at these grips.
+        InputError : too few draws are passive at these grips.
         """
         random, factor, found = np.random.default_rng(seed), wider * self.factor(), list[HandSection]()
-        for _ in range(TRIES * count):
+        for _ in range(MAX_DRAWS * count):
             off = factor @ random.standard_normal(factor.shape[1])
             found += [hand for sign in (1.0, -1.0) if _passive(hand := self.hand(self.mean() + sign * off), grips_N)]
             if len(found) >= count:

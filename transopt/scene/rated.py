@@ -1,15 +1,16 @@
-"""What a sheet of an LRA, a voice coil or a shaker leaves out, from all that it states.
+"""Estimates the numbers that a datasheet of an LRA, a voice coil or a shaker omits from those that it states.
 
-Sheets of LRAs rarely state moving mass, force factor BL and quality Q. They state what a sine at the resonance f0
-makes on a jig of mass M; sheets of voice coils and exciters state the qualities of the open and the driven coil. The
-circuit of every moving-coil transducer ties these numbers together, with w0 = 2 pi f0, the reduced mass
-mu = m M / (m + M), or m where the ground holds it, the damper c = mu w0 / Q and the motional resistance BL^2 / c:
+Datasheets of LRAs rarely state moving mass, force factor BL and quality Q. They state the response to a sine at the
+resonance f0 on a jig of mass M. Those of voice coils and exciters state the qualities of the open and the driven
+coil. The equations of a moving-coil transducer relate these numbers, with w0 = 2 pi f0, the reduced mass
+mu = m M / (m + M), or m on the ground, the damper c = mu w0 / Q and the motional resistance BL^2 / c:
 
     V = I |R + BL^2 / c + j w0 L|,    t_rise = t_brake = 2 ln(10) mu / (c + BL^2 / R),    k = mu w0^2
-    a = w0 BL I / c,  and of a jig m / (m + M) times that
+    a = w0 BL I / c,  and for a jig m / (m + M) times that
     Qes = mu w0 R / BL^2,    1 / Qts = 1 / Q + 1 / Qes   (Thiele and Small)
 
-Five unknown numbers, m, BL, Q, R and f0, are fitted to all that is stated, each within a tolerance that is assumed.
+The five unknowns m, BL, Q, R and f0 are fitted to all stated numbers by least squares, each weighted by an assumed
+tolerance.
 """
 
 import math
@@ -23,8 +24,8 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
 UNKNOWN = ("moving_mass_kg", "force_factor_N_A", "quality", "R_ohm", "resonance_Hz")
-START = (1.5e-3, 1.0, 10.0, 20.0, 150.0)  # in their order: an LRA of a phone
-# Relative tolerance of what a sheet states; assumed, no sheet tells it.
+START = (1.5e-3, 1.0, 10.0, 20.0, 150.0)  # start values of `UNKNOWN`: an LRA of a phone
+# Relative tolerances of the stated numbers; assumed, as datasheets do not state them.
 TOLERANCE: Mapping[str, float] = {
     "moving_mass_kg": 0.05,
     "force_factor_N_A": 0.05,
@@ -39,7 +40,7 @@ TOLERANCE: Mapping[str, float] = {
     "quality_total": 0.1,
     "stiffness_N_m": 0.1,
 }
-SAID = {
+WORDS = {
     "moving_mass_kg": "moving mass",
     "force_factor_N_A": "force factor BL",
     "quality": "quality Q",
@@ -53,21 +54,21 @@ SAID = {
     "quality_total": "total quality Qts",
     "stiffness_N_m": "stiffness",
 }
-CONTRADICTS = 3.0  # tolerances, by which a number may miss what the others say
-DETERMINED = 1e-3  # of the largest singular value, below which a combination of unknowns is not told
-UNSURE = 0.5  # relative deviation, from which on a number is called a guess
-OPEN = 30.0  # nats, of a prior about START that decides nothing but keeps the fit at finite numbers
+CONTRADICTS = 3.0  # largest residual of a number that agrees with the others, in tolerances
+DETERMINED = 1e-3  # least singular value over the largest one for which all unknowns are determined
+UNSURE = 0.5  # relative standard deviation above which a number is reported as a guess
+PRIOR_DEVIATION = 30.0  # of the logarithms, of a weak prior at START that keeps the fit finite
 
 
 @dataclass(frozen=True)
 class Completed:
-    """The five numbers of an actuator, and how far the sheet determines them.
+    """The five numbers of an actuator and their uncertainty.
 
     Attributes
     ----------
-    values : of `UNKNOWN`, in SI.
-    deviations : relative standard deviations of them.
-    note : which of the stated numbers contradicts the others, in one sentence; empty where they agree.
+    values : name in `UNKNOWN` -> value in SI.
+    deviations : name in `UNKNOWN` -> relative standard deviation.
+    note : which of the stated numbers contradicts the others, in one sentence; empty if they agree.
     """
 
     values: Mapping[str, float]
@@ -77,14 +78,14 @@ class Completed:
 
 @dataclass(frozen=True)
 class Rating:
-    """How a sheet tests its actuator: what is known of that, and is no number to be found.
+    """The known conditions under which a datasheet rates its actuator.
 
     Attributes
     ----------
-    jig_kg : what the actuator shakes, its case included; None where the ground holds it.
-    L_H : of the coil.
-    rms_V : rated voltage of the sine; None where the sheet states none.
-    rms_A : rated current, at which the acceleration is stated.
+    jig_kg : mass that the actuator shakes, its case included; None on the ground.
+    L_H : inductance of the coil.
+    rms_V : rated voltage of the sine; None if the datasheet states none.
+    rms_A : rated current, at which the acceleration is stated; None if the datasheet states none.
     """
 
     jig_kg: float | None = None
@@ -94,10 +95,10 @@ class Rating:
 
 
 def predicted(unknown: FloatArray, test: Rating) -> dict[str, float]:
-    """What a sheet would state of an actuator with these numbers, in the order of `UNKNOWN`."""
+    """The numbers that a datasheet would state of an actuator with these unknowns, in the order of `UNKNOWN`."""
     m, BL, Q, R, f = map(float, unknown)
     w = 2 * math.pi * f
-    share = 1.0 if test.jig_kg is None else m / (m + test.jig_kg)  # of the relative motion that the jig makes
+    share = 1.0 if test.jig_kg is None else m / (m + test.jig_kg)  # motion of the jig over the relative motion
     mu = m if test.jig_kg is None else share * test.jig_kg
     c = mu * w / Q
     electrical = mu * w * R / BL**2
@@ -106,7 +107,7 @@ def predicted(unknown: FloatArray, test: Rating) -> dict[str, float]:
     if test.rms_V is not None:
         current = found["rms_A"] = test.rms_V / math.hypot(R + BL**2 / c, w * test.L_H)
     if current is not None:
-        # The sheet's acceleration is that at its current, where it states one.
+        # The stated acceleration belongs to the stated current, if there is one.
         found["rms_g"] = share * w * BL * (test.rms_A or current) / c / STANDARD_GRAVITY_M_S2
     found["rise_s"] = found["brake_s"] = 2 * math.log(10) * mu / (c + BL**2 / R)
     found["quality_electrical"], found["quality_total"] = electrical, 1 / (1 / Q + 1 / electrical)
@@ -115,15 +116,15 @@ def predicted(unknown: FloatArray, test: Rating) -> dict[str, float]:
 
 
 def completed(stated: Mapping[str, float], test: Rating) -> Completed:
-    """The numbers of an actuator from what its sheet states.
+    """Fit the numbers of an actuator to those that its datasheet states.
 
     Parameters
     ----------
-    stated : some of `TOLERANCE`, in SI but for the rated acceleration [g]; those of a sine are rms.
+    stated : key of `TOLERANCE` -> number, in SI except for the rated acceleration [g]; those of a sine are rms.
 
     Raises
     ------
-    InputError : too few numbers; the line says which of the others would do.
+    InputError : too few numbers; the message says which further ones would suffice.
     """
     start = np.log(START)
     told = {key: float(stated[key]) for key in predicted(np.exp(start), test) if key in stated}
@@ -134,7 +135,7 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
 
     def fitted(keys: list[str]) -> tuple[FloatArray, FloatArray]:
         def all_misses(x: FloatArray) -> FloatArray:
-            return np.append(misses(x, keys), (x - start) / OPEN)
+            return np.append(misses(x, keys), (x - start) / PRIOR_DEVIATION)
 
         own = start + [
             math.log(told[key]) - at if key in keys else 0.0 for key, at in zip(UNKNOWN, start, strict=True)
@@ -143,14 +144,14 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
         return np.asarray(found.x), np.asarray(found.jac)
 
     def contradiction() -> str:
-        """Which numbers are wrong if one is: those without which the others agree; empty if there are none."""
+        """The numbers without any one of which the others agree, as suspects of an error; empty if there are none."""
         suspects = []
         for key in keys:
             rest = [each for each in keys if each != key]
             others, slopes = fitted(rest)
             if _is_determined(slopes[: len(rest)]) and np.abs(misses(others, rest)).max() <= CONTRADICTS:
                 by_others = predicted(np.exp(others), test)[key]
-                suspects.append(f"{SAID[key]} {told[key]:.3g}, by the others {by_others:.3g}")
+                suspects.append(f"{WORDS[key]} {told[key]:.3g}, by the others {by_others:.3g}")
         return "; ".join(suspects)
 
     keys, said = list(told), "the numbers contradict each other; one of these is wrong:"
@@ -169,25 +170,25 @@ def completed(stated: Mapping[str, float], test: Rating) -> Completed:
 
 
 def _too_much_current(told: Mapping[str, float], test: Rating) -> str:
-    """Whether the rated voltage cannot drive the rated current, which no motion makes more of; empty if it can."""
+    """Message if the rated current exceeds the rated voltage over R, its largest value; empty otherwise."""
     rms_V, R, rms_A = test.rms_V, told.get("R_ohm"), told.get("rms_A")
     if rms_V is None or R is None or rms_A is None or rms_A <= rms_V / R:
         return ""
     return (
         f"the numbers contradict each other: {rms_V:g} V through {R:g} ohm are {rms_V / R:.3g} A at standstill and "
-        f"less in motion, the rated current is {rms_A:g} A: one is a largest value, or of another temperature; "
+        f"less in motion, the rated current is {rms_A:g} A: one of them is a maximum, or for another temperature; "
         "leave that one out"
     )
 
 
 def _is_determined(slopes: FloatArray) -> bool:
-    """Whether a sheet's equations tell all numbers."""
+    """Whether the stated numbers determine all unknowns, by the singular values of the Jacobian."""
     sizes = np.linalg.svd(slopes, compute_uv=False)
     return len(sizes) == len(UNKNOWN) and bool(sizes[-1] > DETERMINED * sizes[0])
 
 
 def _insufficient(x: FloatArray, keys: list[str], test: Rating) -> str:
-    """Which further number would make a sheet sufficient."""
+    """Message that names the further numbers which would make a datasheet sufficient."""
 
     def slopes(of: list[str]) -> FloatArray:
         def logs(at: FloatArray) -> FloatArray:
@@ -200,7 +201,7 @@ def _insufficient(x: FloatArray, keys: list[str], test: Rating) -> str:
     able = predicted(np.exp(x), test)
     would = [key for key in TOLERANCE if key in able and key not in keys and _is_determined(slopes([*keys, key]))]
     options = " or ".join(f"--{key.replace('_', '-')}" for key in would)
-    stated = ", ".join(SAID[key] for key in keys) or "nothing"
+    stated = ", ".join(WORDS[key] for key in keys) or "nothing"
     remedy = (
         f"state {options} as well" if would else "state the rated voltage and current, their acceleration and rise"
     )

@@ -1,4 +1,4 @@
-"""The recordings that a scene names, from its files or simulated."""
+"""The recordings of a scene, read from its files or simulated, and the references made of them."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -16,7 +16,7 @@ from transopt.scene.scene import Scene
 
 
 def recordings_of(scene: Scene) -> list[Recording]:
-    """The taps that a scene shall reproduce: read from its files, or made by its own simulated strikes.
+    """The taps that a scene shall reproduce, read from its files or simulated.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def recordings_of(scene: Scene) -> list[Recording]:
 
 
 def free_of(scene: Scene) -> Free:
-    """How the stylus of a scene's recordings moves without current: as its hand means to, by `[hand]`."""
+    """The motion without current of the stylus in a scene's recordings, by its table `[hand]`."""
     kept: dict[float, FreeMotion] = {}
 
     def free(speed_m_s: float, grip_N: float, incoming_m_s2: float) -> Callable[[FloatArray], FloatArray]:
@@ -40,11 +40,11 @@ def free_of(scene: Scene) -> Free:
 
 
 def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
-    """What the device has to do at speeds and grips, from the scene's recordings, or for each of its named targets.
+    """Reference accelerations at all speeds and grips from the scene's recordings, or for each of its named targets.
 
     Raises
     ------
-    InputError : recordings that cannot serve, a target's file that cannot be read.
+    InputError : unsuitable recordings, or a target's file that cannot be read.
     """
     if scene.targets:
         return target_references(scene.targets, scene.time_grid(), scene.recordings)
@@ -55,11 +55,11 @@ def references_of(scene: Scene, recordings: Sequence[Recording]) -> References:
 
 
 def sampled_again(scene: Scene, references: References) -> References:
-    """References of the scene's recordings or targets on the scene's time axis, which is another one now.
+    """References of the scene's recordings or targets, sampled on the scene's new time axis.
 
     Raises
     ------
-    InputError : a recording or a target that does not fit the time axis.
+    InputError : a recording or a target that does not cover the time axis.
     """
     if scene.targets:
         return references_of(scene, ())

@@ -1,8 +1,7 @@
-"""What a scene holds: everything that defines one library, and the models that follow from it.
+"""The scene: everything that defines one library, and the models built from it.
 
-What its tables say about each other is checked in `transopt.scene.consistent`, what a single table may say in
-`transopt.scene.sections`. Its methods turn the tables into the objects of the rooms below: plant, amplifier, coil,
-wall, time grid, limits.
+`transopt.scene.sections` checks each table, `transopt.scene.consistent` the tables against each other. The methods of
+`Scene` build the objects of the lower layers from the tables: plant, amplifier, coil, wall, time grid, limits.
 """
 
 import math
@@ -64,11 +63,11 @@ class Scene(Section):
     Attributes
     ----------
     name : name of the scene and of the folder of its results; by default that of the file.
-    description : words for reports.
+    description : description for reports.
     motor : file or table of a motor: one row of a datasheet.
-    amplifier : `ideal`: the current follows at once; or the table of an amplifier.
-    hand_over_samples : last commands of a waveform, at which the transient is zero.
-    implausible : whether numbers that no device has are refused.
+    amplifier : `ideal`, where the current follows the command without lag, or the table of an amplifier.
+    hand_over_samples : number of last commands of a waveform at which the transient is zero.
+    implausible : whether implausible numbers are refused or accepted.
     """
 
     name: Name
@@ -102,13 +101,13 @@ class Scene(Section):
 
     @property
     def axes(self) -> Axes:
-        """What the entries of its library are for: speeds and grips, or named targets."""
+        """The axes of its library: speeds and grips, or named targets."""
         names = tuple(target.name for target in self.targets)
         return Axes(tuple(self.grid.speeds_m_s) or (0.0,) * len(names), tuple(self.grid.grips_N), names)
 
     @property
     def driven_by(self) -> Input:
-        """What drives the plant: a current, or a voltage."""
+        """The plant's input, a current or a voltage."""
         return self.model.driven_by
 
     @model_validator(mode="after")
@@ -117,21 +116,21 @@ class Scene(Section):
         return self
 
     def striking(self) -> Self:
-        """The scene whose device strikes the object of simulated recordings: this one, unless it states a striker."""
+        """The scene whose device strikes the object in simulated recordings: this one, unless it states a striker."""
         if self.striker is None:
             return self
         stated = {"model": self.striker.model, "tip": self.striker.tip, "amplifier": self.striker.amplifier}
         return self.model_copy(update={**stated, "striker": None})
 
     def free_motion(self, grip_N: float) -> FreeMotion:
-        """How the stylus moves without current in the hand of the recordings, at one grip."""
+        """The motion of the stylus without current in the hand of the recordings, at one grip."""
         struck = self.striking() if self.recordings.simulated is not None else self
         is_held = grip_N > 0 and (isinstance(struck.model, IdentifiedModel) or struck.model.held_by_hand)
         chain = struck.plant(grip_N) if is_held and struck.model.is_chain else None
         return FreeMotion(self.hand.intention(), chain, is_held=is_held)
 
     def drive_at_tip(self) -> Tip:
-        """What the stylus feels of the drive: as identified, as motor and transmission make it, or as stated."""
+        """The drive at the tip: identified, computed from motor and transmission, or stated."""
         identified = self.model.tip() if isinstance(self.model, IdentifiedModel) else None
         if identified is not None:
             return identified
@@ -141,9 +140,9 @@ class Scene(Section):
         return at_the_tip(self.motor, self.transmission)
 
     def plant(self, grip_N: float, *, struck: bool = False) -> StateSpace:
-        """Model from motor current to stylus acceleration at one grip.
+        """The model from the plant's input to the tracked acceleration at one grip.
 
-        With `struck` the input is a force on the stylus [N] instead: the same device tapping a real object.
+        With `struck` the input is a force on the stylus [N]: the same device, not driven, tapping a real object.
 
         Raises
         ------
@@ -162,7 +161,7 @@ class Scene(Section):
         return self.model.plant(grip_N, tip, struck=struck)
 
     def amplifier_model(self) -> Amplifier | None:
-        """Model of the amplifier; None for an ideal one."""
+        """The amplifier's model; None for an ideal one."""
         if self.amplifier == "ideal":
             return None
         assert isinstance(self.amplifier, AmplifierSection)
@@ -182,16 +181,16 @@ class Scene(Section):
 
     @property
     def pole_is_stated(self) -> bool:
-        """Whether the amplifier's pole stands in the scene or its model file, and does not follow from a bridge."""
+        """Whether the scene or its model file states the amplifier's pole, in place of a bridge that implies it."""
         identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
         return identified is not None or (self.amplifier != "ideal" and self.amplifier.pole_Hz is not None)
 
     def bridge(self) -> Bridge | None:
-        """Give the bridge that the amplifier is made of; None where its switching frequency is not stated.
+        """The amplifier's H-bridge; None if its switching frequency is not stated.
 
         Raises
         ------
-        InputError : a motor, rail, frequency or gain for which its model was not tried.
+        InputError : a motor, rail, frequency or gain outside the range of its model.
         """
         circuit, rail_V = self.circuit(), self.limits.supply_V
         if self.amplifier == "ideal" or self.amplifier.switching_Hz is None or circuit is None or rail_V is None:
@@ -207,34 +206,34 @@ class Scene(Section):
 
     @property
     def lead_s(self) -> float:
-        """How long before contact the waveform starts: as stated, or the least that covers the amplifier's delay."""
+        """Time by which the waveform precedes contact: as stated, or the least that covers the amplifier's delay."""
         return covering_lead_s(self.time.dt_s, self.delay_s) if self.time.lead_s is None else self.time.lead_s
 
     @property
     def stages(self) -> int:
-        """Commands of an entry: as stated, or those of 80 ms, fewer where the next tap comes sooner."""
+        """Number of commands of an entry: as stated, or 80 ms of them, fewer if the next tap comes sooner."""
         dt_s, rate_Hz = self.time.dt_s, self.thermal.tap_rate_Hz
         if self.time.stages is not None:
             return self.time.stages
         stages = min(round(WINDOW_S / dt_s), MOST_STAGES)
         if rate_Hz is not None:
-            # A tap takes a servo period and the amplifier's delay more than its window, and ends before the next one.
+            # A tap takes a servo period and the amplifier's delay longer than its window, and ends before the next.
             stages = min(stages, math.ceil((1 / rate_Hz - self.delay_s) / dt_s * BELOW) - 2)
         return max(stages, self.hand_over_samples + 1, 2)
 
     def time_grid(self) -> TimeGrid:
-        """Servo ticks and switching instants of every entry, and how many samples after them count."""
+        """Servo ticks and switching instants of every entry, and the number of samples in the tail."""
         after = samples_after(self.weights.after_s, self.time.dt_s)
         return TimeGrid(self.time.dt_s, self.stages, self.lead_s, self.delay_s, after)
 
     @property
     def nonlinear(self) -> bool:
-        """Whether its plant has formulas in place of constants."""
+        """Whether the plant has formulas in place of constants."""
         return isinstance(self.model, MovingCoil) and self.model.nonlinear is not None
 
     @property
     def formulas(self) -> dict[str, str | None] | None:
-        """What its plant has in place of constants, key -> formula; None for a linear plant."""
+        """Key -> formula in place of the plant's constant; None for a linear plant."""
         stated = self.model.nonlinear if isinstance(self.model, MovingCoil) else None
         return None if stated is None else stated.model_dump()
 
@@ -251,32 +250,32 @@ class Scene(Section):
         return plant
 
     def at_rest(self) -> Self:
-        """The scene with the plant as it is at rest, a linear one."""
+        """The scene with the linear plant at rest."""
         if not self.nonlinear:
             return self
         return self.model_copy(update={"model": self.model.model_copy(update={"nonlinear": None})})
 
     def posing(self) -> Posing:
-        """What the problems of all its taps share.
+        """The data that the problems of all its taps share.
 
         Raises
         ------
-        InputError : a nonlinear plant, which no linear problem has, or one of several motors.
+        InputError : a nonlinear plant, or one with several motors.
         """
         if self.nonlinear:
             raise InputError(
-                f"{self.name}: model.nonlinear: this is done with linear plants alone; `transopt solve` and "
-                "transopt.build design for a nonlinear one, for all else leave the table out"
+                f"{self.name}: model.nonlinear: this needs a linear plant; `transopt solve` and transopt.build "
+                "design for a nonlinear one, for all else leave the table out"
             )
         if isinstance(self.model, Arm):
             raise InputError(
-                f"{self.name}: model.kind = arm has several motors, and this is done with one: `transopt solve`, "
-                "show, verify and export take it, transopt.solve_arm, and `transopt study --study direction`"
+                f"{self.name}: model.kind = arm has several motors, and this needs one; `transopt solve`, show, "
+                "verify and export accept an arm, as do transopt.solve_arm and `transopt study --study direction`"
             )
         return self._posing()
 
     def arm(self) -> Arm:
-        """The arm with several motors.
+        """The scene's arm with several motors.
 
         Raises
         ------
@@ -290,7 +289,7 @@ class Scene(Section):
         return self.model
 
     def arm_posing(self) -> Posing:
-        """What the problems of all taps of an arm share.
+        """The data that the problems of all taps of an arm share.
 
         Raises
         ------
@@ -323,24 +322,27 @@ class Scene(Section):
         )
 
     def budget(self) -> Budget:
-        """What the winding's temperature may do."""
+        """Requirements on the winding's temperature beyond its limit."""
         thermal = self.thermal
         return Budget(thermal.headroom_K, thermal.tap_rate_Hz, thermal.idle_A)
 
     def wall(self) -> Wall | None:
-        """Rendered wall; None without feedback."""
+        """The virtual wall; None without feedback."""
         if self.feedback is None:
             return None
         return Wall(force_per_current_N_A=self.drive_at_tip().force_per_current_N_A, **self.feedback.model_dump())
 
     def circuit(self) -> Circuit | None:
-        """Give the circuit; None if the drive is stated at the tip. In SI, back-EMF per m/s is force per ampere."""
+        """The circuit of motor or coil; None if the drive is stated at the tip.
+
+        In SI the back-EMF per m/s equals the force per ampere.
+        """
         if self.motor is None:
             return self.model.circuit() if isinstance(self.model, PlantKind) else None
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
 
     def unfit_model(self) -> str:
-        """Which parts of the model file are not fit to design with, and why, in one line; empty if there is none."""
+        """The parts of the model file that are not fit to design with, and why, in one line; empty if all are fit."""
         if not isinstance(self.model, IdentifiedModel):
             return ""
         parts = self.model.unfit(coil=self.motor is not None)
@@ -348,7 +350,7 @@ class Scene(Section):
         return f"{self.model.file} is not fit to design with: {said}" if said else ""
 
     def spread_grips_N(self, grip_N: float) -> list[float]:
-        """Grips around a node that its command shall serve besides, the node itself not among them."""
+        """Further grips around a node that its command shall serve, without the node's own."""
         if self.robust is None or self.robust.grip_spread is None:
             return []
         width = self.robust.grip_spread
@@ -356,10 +358,10 @@ class Scene(Section):
         return [grip_N * factor for factor in factors if abs(factor - 1) > 1e-9]
 
     def spread(self, grip_N: float) -> list[tuple[Self, float]]:
-        """Further devices that the command of a node shall serve, each as its scene and its grip.
+        """Further devices that the command of a node shall serve, each as a scene and a grip.
 
-        The scene itself at other grips, what the uncertainty of its model makes of it at the node's own, and the
-        device in other hands.
+        They are the scene at other grips; at the node's grip, devices drawn from the uncertainty of its model, the
+        device in other hands, and specimens from production.
         """
         devices: list[tuple[Self, float]] = [(self, grip) for grip in self.spread_grips_N(grip_N)]
         if self.robust is not None and self.robust.model_uncertainty:
@@ -375,11 +377,11 @@ class Scene(Section):
         return devices
 
     def in_hand(self, hand: HandSection) -> Self:
-        """The scene whose device is held by another hand.
+        """The scene with its device held by another hand.
 
         Raises
         ------
-        InputError : a model that has no hand of its own.
+        InputError : a model without a separate hand.
         """
         model = self.model
         if isinstance(model, Drive | FourthOrder):
@@ -388,19 +390,19 @@ class Scene(Section):
             device = model.device.model_copy(update={"hand": ChainHand.model_validate(hand.model_dump())})
             return self.model_copy(update={"model": model.model_copy(update={"device": device})})
         raise InputError(
-            f"{self.name}: model.kind = {model.kind} has no skin and arm that could be another hand's: take a scene "
-            "of kind drive, or identify its device as a drive chain"
+            f"{self.name}: model.kind = {model.kind} has no separate hand to replace: take a scene of kind drive, or "
+            "identify its device as a drive chain"
         )
 
     @property
     def winding(self) -> Motor | Winding | None:
-        """How the winding heats, by the motor's datasheet or by that of a whole actuator; None where nobody says."""
+        """Thermal data of the winding, from the motor's or the actuator's datasheet; None if neither states them."""
         if self.motor is not None:
             return self.motor
         return self.model.known_winding if isinstance(self.model, PlantKind) else None
 
     def coil(self) -> CoilModel | None:
-        """Give the coil; None if the drive is stated at the tip (no motor, no temperature) or takes a voltage."""
+        """The coil's thermal model; None without thermal data of a winding, or for a voltage-driven plant."""
         circuit, winding = self.circuit(), self.winding
         if circuit is None or winding is None or self.driven_by.unit == "V":
             return None

@@ -21,7 +21,7 @@ from transopt.base.sizes import (
     SHORTEST_DT_S,
 )
 from transopt.plant.bridge import FASTEST_SWITCHING_HZ, SLOWEST_SWITCHING_HZ
-from transopt.plant.discretise import WHOLE
+from transopt.plant.discretise import DELAY_ROUNDING
 from transopt.plant.intention import INTENTION_S, Intention, Yielding
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Tip
@@ -34,36 +34,36 @@ def _increasing(values: list[float]) -> list[float]:
     return values
 
 
-COVERED_S = 0.2e-3  # by the lead beyond the delay: without it no current acts while the pulse rises
+COVERED_S = 0.2e-3  # lead beyond the amplifier's delay, so that current already acts while the pulse rises
 
 
 def covering_lead_s(dt_s: float, delay_s: float) -> float:
     """The least whole number of servo periods that is at least the amplifier's delay and 0.2 ms."""
-    periods = int(np.ceil((delay_s + COVERED_S) / dt_s - WHOLE))
-    return float(f"{periods * dt_s:.12g}")  # 3e-4 and not 0.00030000000000000003, as a scene would state it
+    periods = int(np.ceil((delay_s + COVERED_S) / dt_s - DELAY_ROUNDING))
+    return float(f"{periods * dt_s:.12g}")  # 3e-4 and not 0.00030000000000000003
 
 
-def _nobody() -> list[float]:
-    """Grips of a device that nobody holds."""
+def _free() -> list[float]:
+    """Grips of a free device: 0 alone."""
     return [0.0]
 
 
 class Grid(Section):
-    """Nodes of the library: no speeds where there are named targets, grip 0 alone where nobody holds the device.
+    """Nodes of the library: no speeds with named targets, and grip 0 alone for a device that no hand holds.
 
-    With `cool_share` each node has a cool command, the best that makes no more than this share of the first one's
-    heat. A device whose coil is warm blends towards it in place of playing a weaker first one.
+    With `cool_share` each node has a second, cool command: the optimum with at most this share of the first one's
+    heat. A device whose coil is warm blends towards it instead of scaling the first command down.
 
     Attributes
     ----------
     speeds_m_s : incoming speeds of the taps, increasing.
-    grips_N : grip forces, increasing; 0 alone is a device that nobody holds.
-    grip_min_N : below this grip no transient is played.
-    cool_share : share of the heat that a cool command for a warm coil may make.
+    grips_N : grip forces, increasing; 0 alone is a free device.
+    grip_min_N : grip below which no transient is played.
+    cool_share : heat of the cool command for a warm coil, at most this share of the first command's.
     """
 
     speeds_m_s: Annotated[list[Speed], Field(max_length=MOST_NODES)] = Field(default_factory=list)
-    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)] = Field(default_factory=_nobody)
+    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)] = Field(default_factory=_free)
     grip_min_N: Positive = 0.5
     cool_share: Annotated[float, Field(gt=0, lt=1)] | None = None
 
@@ -73,7 +73,7 @@ class Grid(Section):
     @model_validator(mode="after")
     def _held_or_free(self) -> Self:
         if self.grips_N[0] == 0 and len(self.grips_N) > 1:
-            raise ValueError("grips_N: the free device (grip 0) is its own scene, never blended with held ones")
+            raise ValueError("grips_N: the free device (grip 0) needs a scene of its own, without held grips")
         if 0 < self.grips_N[0] < self.grip_min_N:
             raise ValueError(
                 f"grips_N: {self.grips_N[0]:g} N is below grip_min_N = {self.grip_min_N:g} N, "
@@ -82,20 +82,20 @@ class Grid(Section):
         return self
 
 
-WINDOW_S = 80e-3  # within which the hand is held up and let go again, unless taps come sooner
+WINDOW_S = 80e-3  # default window, in which the hand is stopped and let go again
 
 
 class Time(Section):
-    """Servo period, horizon, and how long before contact the waveform starts.
+    """Servo period, horizon, and the time by which the waveform precedes contact.
 
-    Without `stages` the window is 80 ms, or what `thermal.tap_rate_Hz` leaves of it where taps come sooner. A lead of
-    none is the least whole number of servo periods that covers the amplifier's delay and 0.2 ms.
+    Without `stages` the window is 80 ms, or shorter if `thermal.tap_rate_Hz` brings the next tap sooner. The default
+    lead is the least whole number of servo periods that covers the amplifier's delay and 0.2 ms.
 
     Attributes
     ----------
-    dt_s : servo period: a command is held for so long.
-    stages : commands of a waveform; without it the window is 80 ms, or what `thermal.tap_rate_Hz` leaves of it.
-    lead_s : how long before contact the waveform starts; without it the delay and 0.2 ms are covered.
+    dt_s : servo period, for which a command is held.
+    stages : number of commands of a waveform; by default 80 ms of them, fewer if `thermal.tap_rate_Hz` is high.
+    lead_s : time by which the waveform precedes contact; by default the amplifier's delay and 0.2 ms.
     """
 
     dt_s: Annotated[float, Field(ge=SHORTEST_DT_S, le=LONGEST_DT_S)] = 1e-4
@@ -116,18 +116,18 @@ class Time(Section):
 class AmplifierSection(Section):
     """Amplifier: pole, delay beyond the hold, range of the command.
 
-    Pole and delay stand here unless the scene's model file has them. With `switching_Hz`, the PWM frequency of an
-    H-bridge on the rail `limits.supply_V`, a pole that is not stated follows from the motor, the delay with it, and
-    so does the ripple's heat. `gain_V_A` is the proportional gain of its PI current loop, by default that of a
-    crossover at a tenth of `switching_Hz`. A voltage amplifier's range is `command_limit_V`, a class-D stage's rail,
-    by default `limits.voltage_V`.
+    Pole and delay are stated here unless the scene's model file has them. With `switching_Hz`, the PWM frequency of
+    an H-bridge on the rail `limits.supply_V`, pole and delay that are not stated follow from the motor, as does the
+    ripple's heat. `gain_V_A` is the proportional gain of its PI current loop, by default for a crossover at a tenth
+    of `switching_Hz`. The range of a voltage amplifier, a class-D stage's rail, is `command_limit_V`, by default
+    `limits.voltage_V`.
 
     Attributes
     ----------
-    pole_Hz : frequency at which the current has lost 3 dB against the command.
-    delay_s : time from a command to the first current, beyond the hold.
-    command_limit_A : range of the command, either sign.
-    command_limit_V : range of the command of a voltage amplifier; by default `limits.voltage_V`.
+    pole_Hz : frequency of -3 dB from command to current.
+    delay_s : time from a command to the first current, in addition to the hold.
+    command_limit_A : largest command, of either sign.
+    command_limit_V : largest command of a voltage amplifier; by default `limits.voltage_V`.
     switching_Hz : PWM frequency of an H-bridge, from which pole, delay and ripple follow.
     gain_V_A : proportional gain of the current loop; by default its crossover is a tenth of `switching_Hz`.
     """
@@ -141,9 +141,9 @@ class AmplifierSection(Section):
 
 
 class Striker(Section):
-    """The device that strikes the object of simulated recordings, where the design is for that of a model file.
+    """The device that strikes the object in simulated recordings, where the design is for that of a model file.
 
-    It is what the scene states beside its model file, so that the taps to be reproduced stay when the model changes.
+    The scene states it in addition to its model file, so that the taps to reproduce do not change with the model.
     """
 
     model: Annotated[Model, Field(discriminator="kind")]
@@ -152,7 +152,7 @@ class Striker(Section):
 
 
 class OwnLimitTable(Section):
-    """A limit of a user's own, as its file was read (`limits.own` names files, which are read with the scene)."""
+    """A user's own limit, as read from its file (`limits.own` names files, which are read with the scene)."""
 
     name: Words
     unit: Words
@@ -166,30 +166,30 @@ class OwnLimitTable(Section):
 
 
 Instant = Annotated[list[Finite], Field(min_length=2, max_length=2)]  # a time [s] and a value there
-OF_A_VOLTAGE = ("steady_voltage_V", "slew_V_per_s", "sag")  # limits beside `voltage_V`
-OF_A_CURRENT = ("steady_current_A", "slew_A_per_s", "supply_V")  # limits where a current is the input
+OF_A_VOLTAGE = ("steady_voltage_V", "slew_V_per_s", "sag")  # keys that need `voltage_V`
+OF_A_CURRENT = ("steady_current_A", "slew_A_per_s", "supply_V")  # keys of plants that a current drives
 
 
 class LimitsSection(Section):
     """The transient limit is beta * steady_current_A (seed Eq. 8), or `current_A` in its place.
 
-    Where a voltage is the input it is `voltage_V`, of which `sag` states the share that the supply has along the
-    waveform, and `current_A` bounds the coil's current.
+    For a voltage input it is `voltage_V`; `sag` states the share of it that the supply provides along the waveform,
+    and `current_A` bounds the coil's current.
 
     Attributes
     ----------
-    steady_current_A : current that the motor stands for ever.
+    steady_current_A : largest continuous current of the motor.
     beta : the transient limit as a multiple of the steady current.
-    current_A : current at all times, in the place of `beta`; the current of a coil that a voltage drives.
-    slew_A_per_s : change of the command over time.
-    supply_V : rail: the voltage that resistance, inductance and back-EMF together may take.
-    voltage_V : voltage at all times, where a voltage drives the plant.
-    steady_voltage_V : rated voltage, by which the baselines are made.
-    slew_V_per_s : change of a voltage command over time.
-    sag : share of `voltage_V` that the supply has along the waveform: pairs of time and share.
-    stroke_m : way of the motor mass, or of a moving coil, from the surface or from rest.
-    velocity_m_s : velocity of that mass, the motion of the hand included.
-    own : files of Python with limits of your own.
+    current_A : largest current at any time, in place of `beta`; with a voltage input, that of the coil.
+    slew_A_per_s : largest rate of change of the command.
+    supply_V : supply rail: largest sum of the voltages of resistance, inductance and back-EMF.
+    voltage_V : largest voltage at any time, where a voltage drives the plant.
+    steady_voltage_V : rated voltage, for the baselines.
+    slew_V_per_s : largest rate of change of a voltage command.
+    sag : share of `voltage_V` that the supply provides along the waveform: pairs of time and share.
+    stroke_m : largest displacement of the motor mass, or of a moving coil, from the surface or from rest.
+    velocity_m_s : largest velocity of that mass, the motion of the hand included.
+    own : Python files with limits of your own.
     """
 
     steady_current_A: Positive | None = None
@@ -220,7 +220,7 @@ class LimitsSection(Section):
         return self
 
     def asked(self) -> dict[str, Any]:
-        """Key -> number of every limit, the input's as the number that it comes to; `own` where there are any."""
+        """Key -> number of every limit, with the transient limit as a number; `own` if there are any."""
         exclude = {"beta"} if self.own else {"beta", "own"}
         if self.voltage_V is not None:
             stated = self.model_dump(exclude={*exclude, *OF_A_CURRENT})
@@ -238,24 +238,24 @@ class LimitsSection(Section):
 
     @property
     def steady_input(self) -> float:
-        """What the actuator stands for ever: the steady current or voltage, by default of a voltage the limit."""
+        """Largest continuous current or voltage of the actuator; a voltage defaults to its transient limit."""
         steady = self.steady_current_A if self.voltage_V is None else self.steady_voltage_V or self.voltage_V
         assert steady is not None
         return steady
 
 
 class Thermal(Section):
-    """Temperatures at the start, and what the winding may do: keep its limit, a headroom per tap, taps for ever.
+    """Temperatures at the start, and requirements on the winding: its limit, a rise per tap, repeated taps.
 
     Attributes
     ----------
     ambient_C : temperature of the air.
     start_winding_C : temperature of the winding when a tap begins.
     start_housing_C : temperature of the housing when a tap begins.
-    nodes : 2: winding and housing warm; 1: the housing stays as it is.
-    headroom_K : how far one tap may warm the winding.
-    tap_rate_Hz : taps a second, for ever: their steady state keeps the limit.
-    idle_A : current in the pauses between such taps; by default what a wall asks for.
+    nodes : 2: winding and housing warm; 1: the housing keeps its temperature.
+    headroom_K : largest rise of the winding during one tap.
+    tap_rate_Hz : taps per second, repeated for ever: their steady state keeps the limit.
+    idle_A : current in the pauses between repeated taps; by default that of a wall.
     """
 
     ambient_C: Temperature = 25.0
@@ -270,7 +270,7 @@ class Thermal(Section):
     def _one_budget(self) -> Self:
         if self.tap_rate_Hz is not None and (self.headroom_K is not None or self.nodes == 1):
             raise ValueError(
-                "tap_rate_Hz is about the steady state of winding and housing: it needs nodes = 2 and no headroom_K"
+                "tap_rate_Hz states a steady state of winding and housing: it needs nodes = 2 and no headroom_K"
             )
         if self.idle_A is not None and self.tap_rate_Hz is None:
             raise ValueError("idle_A flows in the pauses between taps: state tap_rate_Hz too, or leave it out")
@@ -278,14 +278,14 @@ class Thermal(Section):
 
 
 class Feedback(Section):
-    """Virtual wall under the transient (seed Eq. 9): spring and damper below the surface, from the encoder.
+    """Virtual wall rendered together with the transient (seed Eq. 9): spring and damper below the surface.
 
     Attributes
     ----------
     stiffness_N_m : spring of the virtual wall.
     damping_N_s_m : damper of the wall.
-    latency_ticks : age of the encoder reading that the wall answers to, in servo periods.
-    derivative_filter_Hz : low-pass of the measured velocity.
+    latency_ticks : age of the encoder reading that the wall responds to, in servo periods.
+    derivative_filter_Hz : corner of the low-pass of the measured velocity.
     """
 
     stiffness_N_m: Positive
@@ -295,45 +295,46 @@ class Feedback(Section):
 
 
 class Hand(Section):
-    """How the hand behind the recordings moves: on at the incoming speed for `intention_s`, and then as it yields.
+    """Motion of the hand in the recordings: at the incoming speed for `intention_s`, then by the law of yielding.
 
-    `brakes` comes to rest evenly in 60 ms, `straight` goes on, `stops` stops dead, `decays` loses its speed with a
-    time constant of 30 ms, `pulls` turns back within 60 ms. What the hand does by itself is not asked of the motor.
+    `brakes` comes to rest in 60 ms at constant deceleration, `straight` continues, `stops` is at rest at once,
+    `decays` loses its speed with a time constant of 30 ms, `pulls` reverses within 60 ms. The motor is not asked to
+    make the hand's own motion.
 
     Attributes
     ----------
-    intention_s : how long the hand goes on as it came, since nobody answers sooner.
-    yields : law by which the hand gives way after that.
+    intention_s : time for which the hand continues at its speed, as nobody reacts sooner.
+    yields : law by which the hand yields after that.
     """
 
     intention_s: Annotated[float, Field(ge=1e-3, le=LONGEST_HORIZON_S)] = INTENTION_S
     yields: Yielding = "brakes"
 
     def intention(self) -> Intention:
-        """What the hand means to do from contact on."""
+        """The intended motion of the hand from contact on."""
         return Intention(self.intention_s, self.yields)
 
 
 class Weights(Section):
-    """What is minimised: two terms of the error, the command's movement and heat, and how long after the waveform.
+    """Weights of the objective: two error terms, the command's movement, its heat, and the tail after the waveform.
 
-    The plain error counts over the hand's intention, the rapid one, above `rapid_from_Hz` or as vibration is felt,
-    through window and tail. With `objective = "intensity"` the tap is asked to have at least the recorded energy,
-    `intensity_dB` above it.
-    What is left after the end of a named target counts `calm` times: a little error of a click for much less ringing.
+    The plain error counts during the hand's intention; the rapid error, above `rapid_from_Hz` or in the band of felt
+    vibration, counts through window and tail. With `objective = "intensity"` the tap must also have at least the
+    recorded energy, changed by `intensity_dB`.
+    The error after the end of a named target counts `calm` times: slightly more error of a click, much less ringing.
 
     Attributes
     ----------
-    rho : weight of the movement of the command; above 0 the optimum is unique.
-    plain : weight of the error as it is, over the intention.
-    rapid : filter of the rapid term: a high-pass, the band of felt vibration, or no filter.
+    rho : weight of the command's movement; above 0 the optimum is unique.
+    plain : weight of the unfiltered error during the intention.
+    rapid : filter of the rapid term: a high-pass, the band of felt vibration, or no such term.
     rapid_from_Hz : corner of that high-pass.
-    heat_price : price of the heat of the coil [1/A^2]; 0 asks for none.
-    after_s : how long after the waveform the error still counts.
-    calm : how many times more counts what is left after a named target ends.
-    objective : `waveform`: the nearest one; `intensity`: the nearest one with the energy of the tap.
-    intensity_dB : energy that `intensity` asks for, over that of the recorded tap.
-    tangential : weight of the acceleration across the normal, which an arm shall not have; 0 leaves it free.
+    heat_price : price of the heat of the coil [1/A^2]; 0 for none.
+    after_s : duration of the tail after the waveform in which the error still counts.
+    calm : factor on the weight of the error after a named target ends.
+    objective : `waveform`: least error; `intensity`: least error with the required energy of the tap.
+    intensity_dB : energy required by `intensity`, over that of the recorded tap.
+    tangential : weight of an arm's acceleration across the normal; 0 leaves it free.
     """
 
     rho: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 1e-3
@@ -348,26 +349,25 @@ class Weights(Section):
     tangential: Annotated[float, Field(ge=0, le=1e6)] = 1.0
 
 
-SAME_DEVICE = 1e-9  # a factor this near to 1 makes no other device
+SAME_DEVICE = 1e-9  # largest difference of a factor from 1 at which it stands for the nominal device
 
 
 class Robust(Section):
-    """One command for a spread of devices around each node: least in the mean of their squared errors, or the worst.
+    """One command for a spread of devices around each node, by the mean or the worst of their squared errors.
 
-    The spread is of grips, of devices that the uncertainty of the identified model allows, of hands of a population,
-    or of these side by side;
-    of a moving coil it is that of resonance and quality as production has it, `samples` resonances evenly across and
-    three qualities for each.
+    The spread is over grips, over devices drawn from the uncertainty of the identified model, over hands of a
+    population, or over several of these. For a moving coil it is over resonance and quality in production, with
+    `samples` evenly spaced resonances and three qualities for each.
 
     Attributes
     ----------
-    grip_spread : grips around each node that one command serves, as a share of the grip.
+    grip_spread : half width of the range of grips around each node, as a share of the grip.
     model_uncertainty : whether devices within the uncertainty of the identified model are served.
     population : file of a population of hands that one command serves.
-    resonance_spread : share by which production spreads the resonance of a moving coil.
-    quality_spread : share by which production spreads its quality.
-    samples : devices that stand for the spread.
-    minimise : whether the mean or the largest of the errors is least.
+    resonance_spread : relative spread of a moving coil's resonance in production.
+    quality_spread : relative spread of its quality in production.
+    samples : number of devices that represent the spread.
+    minimise : whether the mean or the largest of the errors is minimised.
     """
 
     grip_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
@@ -379,7 +379,7 @@ class Robust(Section):
     minimise: Literal["mean", "worst"] = "mean"
 
     def produced(self) -> list[tuple[float, float]]:
-        """Factors on resonance and quality of the devices beside the nominal one."""
+        """Factors on resonance and quality of the devices other than the nominal one."""
         wide, steps = self.resonance_spread or 0.0, self.samples if self.resonance_spread else 1
         resonances = [1 + wide * x for x in np.linspace(-1, 1, steps)] if steps > 1 else [1.0]
         qualities = [1.0] if self.quality_spread is None else [1 - self.quality_spread, 1.0, 1 + self.quality_spread]

@@ -1,4 +1,4 @@
-"""Recordings of a scene whose taps are simulated: its device, not driven, strikes an object that the scene states."""
+"""Simulates the recordings of a scene: its device, not driven, strikes an object that the scene states."""
 
 from collections.abc import Callable
 
@@ -15,13 +15,13 @@ from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.scene import Scene
 
 STEP_S = 1e-5
-LONGEST_S = 1.0  # of a simulated tap
-APPROACH_S = 30e-3  # recorded before contact
-BEYOND_S = 10e-3  # recorded after all that a scene looks at
-USUAL_LEAD_S = 3e-4  # a scene's lead moves its window, but not the noise that is drawn
+LONGEST_S = 1.0  # longest simulated tap
+APPROACH_S = 30e-3  # recorded time before contact
+BEYOND_S = 10e-3  # recorded time after the end of the scene's window and tail
+USUAL_LEAD_S = 3e-4  # reference lead, so that another lead of the scene does not change the drawn noise
 ENCODER_COUNT_M = 24.5e-6
-GRIP_STEP_N = 1e-6  # to which a grip is rounded where it seeds its random numbers
-LIGHT_N = 1.0  # grip of the hand that strikes for a scene of a free stylus
+GRIP_STEP_N = 1e-6  # rounding of a grip where it seeds the random numbers
+LIGHT_N = 1.0  # grip of the hand that strikes in a scene of a free stylus
 STRAIGHT = Intention(yields="straight")
 
 
@@ -35,7 +35,7 @@ def rk4_step(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: f
 
 
 def contact_force(target: SimulatedTaps, depth_m: FloatArray, closing_m_s: FloatArray) -> FloatArray:
-    """k delta^n (1 + c d delta/dt) >= 0 on the stylus [N], for indentations and their rates of any one shape."""
+    """Contact force k delta^n (1 + c d delta/dt) >= 0 on the stylus [N], for arrays of indentation and its rate."""
     elastic = target.contact_stiffness_N_m * np.maximum(depth_m, 0.0) ** target.contact_exponent
     return np.asarray(np.maximum(elastic * (1 + target.contact_damping_s_m * closing_m_s), 0.0))
 
@@ -50,15 +50,22 @@ def _driven(
     step_s: float,
     found: FloatArray,
 ) -> FloatArray:
-    """RK4 of dx/dt = flow x + push F for V courses at once: x (n, V) at last, outputs of x and F in found (K, q, V).
+    """RK4 of dx/dt = flow x + push F for V taps at once.
 
-    The contact's rows give depth and closing speed, of which the force F follows. The steps of `rk4_step` written
-    out: state, slopes and outputs of all four stages are linear in the state at the start of the step and in the
-    forces of the stages before, so that only the forces are computed one by one: compiled, or all courses at once in
-    numpy.
+    The force F follows from depth and closing speed, the two rows of `contact`. State, slopes and outputs of all four
+    RK4 stages are linear in the state at the start of the step and in the forces of the previous stages. So only the
+    forces are computed one by one: in compiled code, or for all taps at once in numpy.
+
+    Parameters
+    ----------
+    start : (n, V) states. found : (K, q, V), receives the outputs of x and F.
+
+    Returns
+    -------
+    (n, V) states at the last instant.
     """
     size = push.size
-    # Each a map from the state (size) and the four forces.
+    # Maps from the state (size) and the four forces.
     now, nothing = np.eye(size, size + 4), np.zeros((size, size + 4))
     stages, slopes = [], [nothing]
     for j, share in enumerate((0.0, 0.5, 0.5, 1.0)):
@@ -68,7 +75,7 @@ def _driven(
         slopes.append(slope)
     k1, k2, k3, k4 = slopes[1:]
     after = now + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    by_output = np.pad(outputs, ((0, 0), (0, 3)))  # of the first stage's force alone
+    by_output = np.pad(outputs, ((0, 0), (0, 3)))  # outputs depend on the first stage's force only
     rows = np.concatenate([*(contact @ stage for stage in stages), by_output, after])
     law = (target.contact_stiffness_N_m, target.contact_exponent, target.contact_damping_s_m)
     last = recursions.strike(rows, law, start, found)
@@ -96,19 +103,19 @@ def strike(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Stylus acceleration and encoder position of V taps, from contact on.
 
-    The states of the chain are relative to what the hand means to do, so that every mass feels the intention's own
-    acceleration v u'' (`transopt.plant.intention`). The stylus feels the contact force
-    F = k delta^n (1 + c d delta/dt) >= 0 besides. The object is a mass on a spring and a damper.
+    The states of the chain are relative to the hand's intended motion, whose acceleration v u'' acts on every mass as
+    an inertial force (`transopt.plant.intention`). The contact force F = k delta^n (1 + c d delta/dt) >= 0 acts on
+    the stylus. The object is a mass on a spring and a damper.
 
     Parameters
     ----------
-    plant : from force on the stylus [N] to stylus acceleration; a chain, whose states are elongations, then
+    plant : model from force on the stylus [N] to stylus acceleration; a chain with states elongations, then
         velocities.
     target : the object.
-    speeds_m_s : (V,).
-    duration_s : from contact on.
-    step_s : of the integration; the stretches of the intention begin at whole steps.
-    intention : what the hand means to do from contact on.
+    speeds_m_s : (V,) incoming speeds.
+    duration_s : simulated time after contact.
+    step_s : step of the integration; the phases of the intended motion begin at whole steps.
+    intention : intended motion of the hand from contact on.
 
     Returns
     -------
@@ -118,10 +125,10 @@ def strike(
     stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
     position_of_stylus = np.zeros(n)
     position_of_stylus[stylus:masses] = 1.0
-    # Behind the chain: position and velocity of the object, v t, v, and v u with its derivative.
+    # States after those of the chain: position and velocity of the object, v t, v, and v u with its derivative.
     thing, way = slice(n, n + 2), slice(n + 2, n + 4)
 
-    # Indentation and its rate, of the states: z of the stylus is its deviation from the intention, v u less v t.
+    # Indentation and its rate: z of the stylus is its deviation from the intended motion v u - v t.
     contact = np.zeros((2, n + 6))
     contact[0, :n], contact[0, n], contact[0, n + 2], contact[0, n + 4] = -position_of_stylus, 1.0, 1.0, -1.0
     contact[1, masses + stylus], contact[1, n + 1], contact[1, n + 3], contact[1, n + 5] = -1.0, 1.0, 1.0, -1.0
@@ -129,14 +136,14 @@ def strike(
     state[n + 3] = speeds_m_s
     steps = int(np.ceil(duration_s / step_s))
     starts = [round(phase.start_s / step_s) for phase in intention.phases]
-    outputs = np.zeros((2, n + 7))  # of the states and the force
+    outputs = np.zeros((2, n + 7))  # rows over the states and the force
     outputs[0, :n], outputs[0, -1] = plant.C[0], plant.D[0, 0]
     outputs[1, :n], outputs[1, n + 2], outputs[1, n + 4] = plant.Ce[0], -1.0, 1.0
     found = np.empty((steps + 1, 2, speeds_m_s.size))
     for phase, first, last in zip(intention.phases, starts, [*starts[1:], steps], strict=True):
         if first >= steps:
             break
-        # Everything but the contact force is linear: d state/dt = flow @ state + push F.
+        # All but the contact force is linear: d state/dt = flow @ state + push F.
         flow, push = np.zeros((n + 6, n + 6)), np.zeros(n + 6)
         flow[:n, :n], push[:n] = plant.A, plant.B[:, 0]
         flow[n, n + 1], push[n + 1] = 1.0, -1 / target.object_mass_kg
@@ -155,9 +162,9 @@ def strike(
 
 
 def grips_of(scene: Scene) -> list[float]:
-    """Grips at which the simulated recordings of a scene are made: the stated one, or those of its grid.
+    """Grips of a scene's simulated recordings: the stated one, or those of its grid.
 
-    A free stylus would not come back for the next tap, so that a scene of one is struck by a light hand.
+    A free stylus would not return for the next tap, so in its scene a light hand strikes.
     """
     target = scene.recordings.simulated
     assert target is not None
@@ -167,11 +174,11 @@ def grips_of(scene: Scene) -> list[float]:
 
 
 def recordings(scene: Scene) -> list[Recording]:
-    """Recordings of every grid speed and grip with repeats at varied speed, as a hand and an ADXL321 would give them.
+    """Simulated recordings at every grid speed and grip, with repeats at varied speed, as measured by an ADXL321.
 
-    Static 1 g, white noise, end stops, encoder counts; a fixed seed makes them the same every time. The recordings
-    outlast by 10 ms what the scene looks at. Looking further after the waveform makes them longer and changes no
-    sample: that noise is drawn apart from the rest.
+    They include static 1 g, white noise, clipping at the sensor's range and encoder counts; a fixed seed makes them
+    reproducible. They end 10 ms after the scene's window and tail. A longer tail extends them and changes no earlier
+    sample, since its noise is drawn separately.
 
     Raises
     ------
@@ -200,13 +207,13 @@ def recordings(scene: Scene) -> list[Recording]:
 
 
 def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, within_s: float) -> list[Recording]:
-    """The recordings of one grip, with random numbers of its own, whatever the scene's other grips are."""
+    """The recordings of one grip; its random numbers do not depend on the scene's other grips."""
     random = np.random.default_rng([target.seed, round(grip_N / GRIP_STEP_N)])
     nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
     speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
     after_s = scene.time_grid().after_stages * scene.time_grid().dt_s
     plant, intention = scene.plant(grip_N, struck=True), scene.hand.intention()
-    with np.errstate(all="ignore"):  # what overflows is found as not finite
+    with np.errstate(all="ignore"):  # an overflow is found below, by numbers that are not finite
         _, acceleration, encoder = strike(plant, target, speeds, within_s + after_s, intention=intention)
 
     dt = 1 / target.rate_Hz
@@ -222,8 +229,8 @@ def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, within_s: float
     z[:, before:] = _between(encoder, times[:, before:])
     if not (np.isfinite(measured_g).all() and np.isfinite(z).all()):
         raise InputError(
-            f"recordings.simulated: a tap does not stay finite in steps of {STEP_S:g} s: device or contact are too "
-            "fast for them; raise the masses, or lower the stiffnesses and dampings"
+            f"recordings.simulated: the simulation of a tap in steps of {STEP_S:g} s diverges: device or contact are "
+            "too fast for this step; raise the masses, or lower the stiffnesses and dampings"
         )
     measured_m_s2 = np.clip(measured_g, -target.range_g, target.range_g) * STANDARD_GRAVITY_M_S2
     counts_m = np.round(z / ENCODER_COUNT_M) * ENCODER_COUNT_M
@@ -242,10 +249,10 @@ def _at_grip(scene: Scene, target: SimulatedTaps, grip_N: float, within_s: float
 
 
 def _between(courses: FloatArray, times_s: FloatArray) -> FloatArray:
-    """(V, m) of courses (V, K) in steps of `STEP_S` from 0 on, at times (V, m) within them, by straight lines."""
-    places = times_s.T / STEP_S  # instants outermost, as `strike` leaves its courses in memory
+    """(V, m) courses (V, K) in steps of `STEP_S` from 0 on, interpolated linearly at times (V, m) within them."""
+    places = times_s.T / STEP_S  # transposed, as `strike` stores its courses with instants outermost
     left = np.clip(places.astype(int), 0, courses.shape[1] - 2)
     course = np.arange(courses.shape[0])
-    with np.errstate(all="ignore"):  # what has overflown
+    with np.errstate(all="ignore"):  # courses that overflowed
         low = courses.T[left, course]
         return np.asarray((low + (places - left) * (courses.T[left + 1, course] - low)).T)

@@ -1,4 +1,4 @@
-"""A scene as the text of its file: what is read back from it is the same scene."""
+"""Writes a scene as the text of a file; reading it back gives the same scene."""
 
 import json
 import math
@@ -13,16 +13,16 @@ from transopt.scene.scene import Scene
 
 
 def scene_text(scene: Scene) -> str:
-    """The TOML file of a scene, one table after the other; what is not stated is left out.
+    """The TOML text of a scene, one table after the other; keys without a value are left out.
 
-    Motor, transmission and model stand in it as tables, wherever they were read from, so that the file needs no other
-    but the recordings.
+    Motor, transmission and model are written as tables, even if they were read from files, so that the scene needs no
+    other files than the recordings.
     """
     content = scene.model_dump(mode="json", exclude_none=True)
     if isinstance(scene.model, Matrices):
-        del content["model"]["file"]  # the matrices stand here, and in one place only
+        del content["model"]["file"]  # the matrices are written out, and may be stated only once
     plain = {key: value for key, value in content.items() if not isinstance(value, dict)}
-    # A line that would come after a table would belong to it.
+    # Keys of the scene come first: after a table's header they would belong to that table.
     blocks = ["\n".join(f"{key} = {_value(value)}" for key, value in plain.items() if value != [])]
     for key, value in content.items():
         if isinstance(value, dict) and value:
@@ -33,18 +33,18 @@ def scene_text(scene: Scene) -> str:
 
 
 def _key(name: str) -> str:
-    """A key as it stands before the equals sign; quoted where it is more than letters, digits and dashes."""
+    """A TOML key; quoted if it contains more than letters, digits, underscores and dashes."""
     bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
     return name if bare else _text(name)
 
 
 def _text(text: str) -> str:
-    """A basic string; TOML and JSON escape alike, but TOML also the delete character."""
+    """A TOML basic string: escaped as in JSON, and the delete character too."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _value(value: Any) -> str:
-    """A value on one line, tables within tables as inline ones."""
+    """A TOML value on one line; nested tables become inline tables."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -62,17 +62,17 @@ def _value(value: Any) -> str:
 
 
 def edited(text: str, changes: Mapping[str, Any]) -> str | None:
-    """The text of a scene's file with other values, and with all its comments.
+    """The text of a scene file with some values changed and all comments kept.
 
-    A line that is changed says what stood there; one that is left out becomes a comment.
+    A changed line notes the old value in a comment; a removed line becomes a comment.
 
     Parameters
     ----------
-    changes : dotted path -> value; None leaves the key out. A whole table takes the place of the one of its name.
+    changes : dotted path -> value; None removes the key. A whole table replaces the one of the same name.
 
     Returns
     -------
-    The text; None for no text, or one that states what is changed in another way than line by line.
+    The text; None if there is no text, or if it does not state the changed keys line by line.
     """
     if not text:
         return None
@@ -99,7 +99,7 @@ def _put(content: dict[str, Any], path: str, value: Any) -> None:
 
 @dataclass(frozen=True)
 class _Statement:
-    """A key in the lines of a file: [start, stop), the table above it, and its name."""
+    """A statement in the lines [start, stop) of a file: the table it belongs to, and its key (empty for a header)."""
 
     start: int
     stop: int
@@ -116,13 +116,13 @@ def _statements(lines: list[str]) -> Iterator[_Statement]:
             yield _Statement(start, stop, table, "")
         elif "=" in lines[start].partition("#")[0]:
             while _value_of("\n".join(lines[start:stop])) is None and stop < len(lines):
-                stop += 1  # an array or a text of several lines
+                stop += 1  # an array or a string over several lines
             yield _Statement(start, stop, table, lines[start].partition("=")[0].strip())
         start = stop
 
 
 def _value_of(statement: str) -> list[Any] | None:
-    """What a statement states, alone in a list; None where it is none."""
+    """The value of a statement, in a list; None if it is not a complete statement."""
     try:
         return list(tomllib.loads(statement).values())
     except tomllib.TOMLDecodeError:
@@ -130,7 +130,7 @@ def _value_of(statement: str) -> list[Any] | None:
 
 
 def _line(lines: list[str], path: str, value: Any) -> list[str]:
-    """The lines with one key changed, added at the end of its table, or made a comment."""
+    """The lines with one key changed, added at the end of its table, or turned into a comment."""
     table, _, key = path.rpartition(".")
     all_of_them = list(_statements(lines))
     old = next((each for each in all_of_them if (each.table, each.key) == (table, key)), None)
@@ -156,7 +156,7 @@ def _line(lines: list[str], path: str, value: Any) -> list[str]:
 
 
 def _comment(lines: list[str]) -> tuple[str, str]:
-    """Comment at the end of a statement, and its value as it is written."""
+    """The comment at the end of a statement, and its value as text."""
     text = " ".join(line.strip() for line in lines)
     value = text.partition("=")[2].strip()
     for at in (match.start() for match in re.finditer("#", value)) if len(lines) == 1 else ():
@@ -166,7 +166,7 @@ def _comment(lines: list[str]) -> tuple[str, str]:
 
 
 def _table(lines: list[str], name: str, value: Mapping[str, Any]) -> list[str]:
-    """The lines with other keys in a table, which loses those it had and the tables within it; remarks stay."""
+    """The lines with the keys of a table, and its subtables, replaced by these; comments stay."""
     new = [f"{key} = {_value(each)}" for key, each in value.items()]
     found, begun = list(lines), False
     for each in reversed(list(_statements(lines))):

@@ -69,7 +69,7 @@ class TestFollows:
         switched = with_values(plain, {"amplifier.switching_Hz": 30e3, "limits.supply_V": 24.0})
         assert switched.amplifier_model() == plain.amplifier_model()
         assert switched.coil() != plain.coil()
-        with pytest.raises(InputError, match="gain_V_A: the pole follows from it, and is stated too"):
+        with pytest.raises(InputError, match="gain_V_A: determines the pole, which is stated too"):
             with_values(switched, {"amplifier.gain_V_A": 1.0})
 
     def test_without_a_bridge_the_ripple_is_the_seeds(self, scene: Scene) -> None:
@@ -107,7 +107,7 @@ REFUSED = [
     ({"amplifier.pole_Hz": 900.0}, r"amplifier\.delay_s: missing"),
     (
         {"amplifier.pole_Hz": 900.0, "amplifier.delay_s": 0.0, "amplifier.gain_V_A": 1.0},
-        r"gain_V_A: the pole follows from it, and is stated too: take one of them out",
+        r"gain_V_A: determines the pole, which is stated too: take one of them out",
     ),
     ({"amplifier.gain_V_A": 5.0}, r"gain_V_A = 5 V/A: a crossover of 3344 Hz .* at most 2250 Hz"),
     ({"amplifier.switching_Hz": 11e3}, r"switching_Hz = 11000 Hz: a ripple of 1\.1\d A .* at most 1 A"),

@@ -200,9 +200,9 @@ TIP = "\n[tip]\nforce_per_current_N_A = 1.25\nmoving_mass_kg = 0.014\n"
         ),
         (ON_FILE, {"coil": coil_part()}, [], "", "neither a device nor a hand part"),
         (ON_FILE, {"device": drive_device()}, [("3.0, 5.0]", "3.0, 6.0]")], "", r"6 N: outside .*, 1 to 5 N"),
-        (ON_FILE, {"device": drive_device()}, [("[1.0, 3.0, 5.0]", "[0.0]")], "", "knows no free device"),
+        (ON_FILE, {"device": drive_device()}, [("[1.0, 3.0, 5.0]", "[0.0]")], "", "has no free device"),
         (ON_FILE, {"device": drive_device()}, [], "\n[robust]\ngrip_spread = 0.3\n", "0.7 N: outside"),
-        (ON_FILE, {"device": drive_device()}, [(DRIVE, "")], TIP, "tip: the device in MODEL.json has it all"),
+        (ON_FILE, {"device": drive_device()}, [(DRIVE, "")], TIP, "tip: the device in MODEL.json includes the drive"),
         (
             ON_FILE,
             {"device": drive_device().model_copy(update={"force_per_current_N_A": 1.27})},

@@ -61,7 +61,7 @@ def test_a_part_is_written_where_it_belongs(tmp_path: Path) -> None:
         ('{"amplifier": {}}', "schema is missing"),
         ('{"schema": 2, "versions": {}}', "schema = 2"),
         ('{"schema": 1, "versions": {}, "moter": {}}', "moter: unknown field"),
-        ('{"schema": 1, "versions": {"x": NaN}}', "NaN is no number"),
+        ('{"schema": 1, "versions": {"x": NaN}}', "NaN is not a finite number"),
     ],
 )
 def test_a_damaged_file_is_refused_and_not_overwritten(tmp_path: Path, damaged: str, message: str) -> None:
@@ -110,7 +110,7 @@ def _indefinite(content: Content) -> None:
     ("change", "message"),
     [
         (_set("amplifier.pole_Hz", -1.0), r"amplifier\.pole_Hz = -1\.0: must be greater than 0"),
-        (_set("amplifier.pole_Hz", 1e999), "Infinity is no number"),
+        (_set("amplifier.pole_Hz", 1e999), "Infinity is not a finite number"),
         (_set("amplifier.delay_s", "68 us"), r"amplifier\.delay_s = '68 us': must be a valid number"),
         (_set("amplifier.pole", 1.0), r"amplifier\.pole: unknown field"),
         (_set("amplifier.intervals.pole_Hz", [2.0, 1.0]), "lower bound 2 is above its upper bound 1"),
@@ -124,7 +124,7 @@ def _indefinite(content: Content) -> None:
         (_set("device.kind", "box"), "device"),
         (_set("device.moving_mass_kg", 0.0), r"device\.moving_mass_kg = 0\.0"),
         (_set("device.grips_N", [3.0, 1.0]), "strictly increasing"),
-        (_set("device.nrmse", {"firm": 0.1}), "'firm' is no grip"),
+        (_set("device.nrmse", {"firm": 0.1}), "'firm' is not a grip"),
         (_set("device.hand.arm_stiffness_N_m", {"constant": -400.0, "per_newton": 110.0}), "at 1 N: .*passive"),
         (_set("hand.mass_kg", {"constant": 0.2, "per_newton": -0.1}), "at 7 N: .*must be > 0"),
         (_set("hand.grips_N", [0.0, 1.0]), "0 N"),

@@ -103,7 +103,7 @@ def test_a_row_of_the_scene_stands_beside_those_of_the_file(tmp_path: Path) -> N
         ({"B": np.ones((10, 2))}, "", r"B: of shape \(10, 2\), must have 10 numbers, one input and one output"),
         ({"C": np.ones(9)}, "", r"C: of shape \(1, 9\), must have 10 numbers"),
         ({"D": np.ones(2)}, "", r"D: of shape \(1, 2\), must have 1 number, one input"),
-        ({"B": np.full(10, np.nan)}, "", "B: holds a number that is not finite"),
+        ({"B": np.full(10, np.nan)}, "", "B: contains NaN or an infinite number"),
         ({"A": np.array(["a"])}, "", "A: must be a matrix of real numbers"),
         ({"B": None}, "", "no B: a plant file holds the matrices A, B, C, D .* it has A, C, D"),
         ({"input": "force"}, "", "input = 'force': must be current or voltage"),
@@ -111,7 +111,7 @@ def test_a_row_of_the_scene_stands_beside_those_of_the_file(tmp_path: Path) -> N
         (
             {},
             "[model.outputs.pull]\nrow = [1]\nunit = 'N'\n",
-            "model.outputs.pull: the scene has a row of it as well",
+            "model.outputs.pull: the scene states its row as well",
         ),
         (
             {},
@@ -137,7 +137,7 @@ def test_what_cannot_be_is_said_in_one_line(changed: dict[str, Any], more: str, 
     [
         ("1,2,3\n4,5,6\n", r"2 rows of 3 cells: the block matrix \[A B; C D\] of n states has n \+ 1 rows"),
         ("1,2\n3\n", "row 2: 1 cells, the rows above have 2"),
-        ("a,b\n", "row 1: 'a,b' is no row of numbers; put # before a remark"),
+        ("a,b\n", "row 1: 'a,b' is not a row of numbers; put # before a remark"),
         ("", "0 rows of 1 cells"),
         ("# outputs: x\n-1,1\n1,0\n1,2\n", "output x: its last cell must be 0"),
         ("# input: force\n-1,1\n1,0\n", "input = 'force': must be current or voltage"),

@@ -105,7 +105,7 @@ class TestRobust:
             read_scene(self.scene_file(tmp_path, "second_order", "populations/stylus_grip.toml"), search=[FOLDER])
         with pytest.raises(InputError, match=r"robust\.population = 'hands.toml': no such file"):
             read_scene(self.scene_file(tmp_path, "wood_on_foam", "hands.toml"), search=[FOLDER])
-        with pytest.raises(InputError, match="has no skin and arm"):
+        with pytest.raises(InputError, match="has no separate hand"):
             load_scene("second_order").in_hand(population.hand(population.mean()))
 
     def test_a_robust_scene_is_another_one_by_its_population(self, population: Population) -> None:
