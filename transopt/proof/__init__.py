@@ -1,1 +1,1 @@
-"""What proves an answer, from the rollout and never from the solver: certificate, Farkas ray, replay."""
+"""Proofs of an answer from its rollout, independent of the solver: certificate, Farkas ray, replay."""

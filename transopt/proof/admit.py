@@ -1,4 +1,4 @@
-"""Admission: whether an answer that was proven and replayed may stand in a library, and what speaks against it."""
+"""Admission of an answer to a library: its status after certificate and replay, and the reasons against it."""
 
 import numpy as np
 
@@ -14,19 +14,18 @@ from transopt.proof.continuous import after_s
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay
 
-GROWS = 1e-6  # per tick: more than rounding
+UNSTABLE_GROWTH = 1e-6  # excess of the spectral radius over 1 per tick beyond rounding
 
 
 def admit(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
-    """Whether an answer may stand in a library: optimal, certified and replayed clean.
+    """Decide whether an answer may enter a library: it must be optimal, certified, and feasible in the replay.
 
     Returns
     -------
-    The entry's status and, unless it is OPTIMAL or on a nonlinear plant STATIONARY, what speaks against it, one
-    sentence each.
+    The entry's status and, unless it is OPTIMAL or on a nonlinear plant STATIONARY, the reasons, one sentence each.
     """
-    status, said = _admitted(designed, played)
-    return status, designed.remarks or said
+    status, reasons = _admitted(designed, played)
+    return status, designed.remarks or reasons
 
 
 def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
@@ -35,9 +34,9 @@ def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
     status, certificate, problem = designed.solution.status, designed.certificate, designed.problem
     if status is not Status.OPTIMAL:
         return status, [status.value]
-    # For a limit of a user's own that is not convex nobody can promise more than a stationary point.
-    bent = certificate.is_stationary and any(name != TemperatureLimit.name for name in problem.nonlinear)
-    if not (certificate.accepted or bent):
+    # If a user's own limit is nonlinear, the certificate proves a stationary point only.
+    stationary = certificate.is_stationary and any(name != TemperatureLimit.name for name in problem.nonlinear)
+    if not (certificate.accepted or stationary):
         below = certificate.is_stationary and certificate.relative_bound > certificate.BOUND_TOLERANCE
         return Status.NOT_GLOBAL if below else Status.NOT_CERTIFIED, [certificate.shortfall]
     command = designed.solution.command
@@ -52,7 +51,7 @@ def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
     between = [limit.unresolved(problem, command, played.peak(limit)) for limit in left if limit not in late]
     if problem.wall is not None and not left and (elsewhere := _pushes_elsewhere(played, problem, command)):
         return Status.HAND_OVER, [elsewhere]
-    # A cause that explains some of it is no cause.
+    # The causes count only if they explain all shortfalls.
     if len(left) < len(shortfalls) or not all(between):
         return Status.REPLAY_VIOLATION, shortfalls
     return (
@@ -66,7 +65,7 @@ def _admitted(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
 
 
 def _admitted_as_stationary(designed: Designed, played: Replay) -> tuple[Status, list[str]]:
-    """Whether an answer on a nonlinear plant is a certified stationary point and replayed clean."""
+    """Status of an answer on a nonlinear plant: STATIONARY if certified and feasible in the replay."""
     answer, certificate = designed.solution, designed.certificate
     predicted = designed.effect.motion.acceleration_m_s2
     shortfalls = played.shortfalls(designed.problem, designed.effect.command, predicted)
@@ -78,7 +77,7 @@ def _admitted_as_stationary(designed: Designed, played: Replay) -> tuple[Status,
 
 
 def _pushes_elsewhere(played: Replay, problem: TransientProblem, command: FloatArray) -> str:
-    """Whether the wall pushes at other ticks of the hand-over than the optimum was sought for; empty if not."""
+    """Message if the wall pushes at other ticks of the hand-over than the problem assumed; empty otherwise."""
     assert problem.wall is not None
     truly = pressing(problem, encoder_course(problem, command)).wall
     assert truly is not None
@@ -87,39 +86,39 @@ def _pushes_elsewhere(played: Replay, problem: TransientProblem, command: FloatA
         return ""
     off = float(np.abs(played.command - command).max())
     return (
-        f"hand-over: the stylus grazes the surface, and the wall pushes at {ticks} of its ticks other than the "
-        f"optimum was sought for: the command is {off:.1e} {problem.driven_by.unit} off, limit "
+        f"hand-over: the stylus grazes the surface, and at {ticks} of its ticks the wall pushes where the problem "
+        f"assumes that it does not, or the reverse: the command is {off:.1e} {problem.driven_by.unit} off, limit "
         f"{tolerated(problem.limits.input_limit):.0e} {problem.driven_by.unit}"
     )
 
 
 def _after_hand_over(played: Replay, problem: TransientProblem, late: list[Limit]) -> str:
-    """What the wall does with the limits when the waveform has ended, which no transient can help any more."""
+    """Message on the limits that the wall alone exceeds after the waveform."""
     assert problem.wall is not None
-    asked = " and ".join(
+    exceeded = " and ".join(
         f"a {limit.label} of {played.peak(limit):.6g} {limit.unit}, {played.peak(limit) - limit.stated:.2g} "
         f"{limit.unit} over its limit of {limit.stated:g} {limit.unit}"
         for limit in late
     )
     return (
         f"hand-over: within {after_s(problem.grid) * 1e3:g} ms after the last command the wall alone asks for "
-        f"{asked}, with {stated_wall(problem.wall.wall)}"
+        f"{exceeded}, with {stated_wall(problem.wall.wall)}"
     )
 
 
 def unstable_wall(problem: TransientProblem) -> str:
-    """Whether the pressing wall grows by itself on this device; empty if it does not."""
+    """Message if the loop of the pressing wall is unstable on this device; empty otherwise."""
     if problem.wall is None:
         return ""
     growth = hand_over.growth(problem)
-    if growth <= 1 + GROWS:
+    if growth <= 1 + UNSTABLE_GROWTH:
         return ""
     stated = stated_wall(problem.wall.wall)
     return f"feedback: on this device the pressing wall grows {growth:.4g} times per tick, with {stated}"
 
 
 def stated_wall(wall: Wall) -> str:
-    """What a scene says of its wall, as far as that is not zero."""
+    """The scene's keys and values of a wall, without those that are zero."""
     numbers = {
         "feedback.stiffness_N_m": (wall.stiffness_N_m, " N/m"),
         "feedback.damping_N_s_m": (wall.damping_N_s_m, " N s/m"),

@@ -1,9 +1,9 @@
-"""Replay of a tap on the full arm, whose inertia and Jacobian change as it moves, by DOP853.
+"""Replay of a tap on the full arm, whose inertia and Jacobian change with its motion.
 
-The linear plant holds around one posture. Here the arm turns: I(q) q'' + c(q, q') = torques - J(q)' F, with F the
-force of the spring and the damper between the tip of the arm and the stylus. Stylus and hand follow as in the linear
-plant; the hand means to move on straight along the normal. Hairer, Norsett and Wanner, Solving Ordinary Differential
-Equations I, Sec. II.5 has the method.
+The linear plant is valid around one posture. Here the arm turns: I(q) q'' + c(q, q') = torques - J(q)' F, with F the
+force of the spring and the damper between the tip of the arm and the stylus. Stylus and hand are modelled as in the
+linear plant; the hand's intended motion is straight along the normal. The integrator is DOP853 (Hairer, Norsett and
+Wanner, Solving Ordinary Differential Equations I, Sec. II.5).
 """
 
 from collections.abc import Callable
@@ -18,19 +18,19 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.arm import Arm, Place
 from transopt.plant.discretise import TimeGrid
 
-RELATIVE, ABSOLUTE = 1e-9, 1e-12  # tolerances of the method; states are in m, rad and their rates
+RELATIVE, ABSOLUTE = 1e-9, 1e-12  # tolerances of the integrator; states are in m, rad and their rates
 
 
 @dataclass(frozen=True)
 class ArmMotion:
-    """What a tap does on the full arm.
+    """The motion of a tap on the full arm.
 
     Attributes
     ----------
-    acceleration_m_s2 : (3, N + M) of the stylus along normal and tangents, at the switching instants.
-    without_m_s2 : (3, N + M) the same without any command: what the moving arm does by itself.
-    moved_m : (N + M,) how far the stylus is from where it met the surface.
-    turned_rad : (N + M,) the largest turn of a joint since then.
+    acceleration_m_s2 : (3, N + M) acceleration of the stylus along normal and tangents, at the switching instants.
+    without_m_s2 : (3, N + M) the same without any command, by the motion of the arm alone.
+    moved_m : (N + M,) distance of the stylus from the point of contact.
+    turned_rad : (N + M,) largest rotation of a joint since contact.
     """
 
     acceleration_m_s2: FloatArray
@@ -64,7 +64,7 @@ class _Device:
         return self.rate(time_s, state, np.zeros(3))[12:15]
 
     def rate(self, time_s: float, state: FloatArray, current_A: FloatArray) -> FloatArray:
-        """(18,) of a state, at a time after contact, under currents (3,)."""
+        """(18,) time derivative of a state, at a time after contact, under currents (3,)."""
         (K, B), linkage = self._links, self.arm.linkage
         start, intended = self.start[3:6], self.start[12:15]
         q, stylus, hand = state[:3], state[3:6], state[6:9]
@@ -94,11 +94,11 @@ def replay_on_arm(
     amplifier: Amplifier | None,
     command: FloatArray,
 ) -> ArmMotion:
-    """Play commands (3, N) on the full arm, from contact at a speed along the normal on.
+    """Play commands (3, N) on the full arm, which makes contact at a speed along the normal.
 
-    The motion begins at contact or at the first switching instant, whichever comes first: with no current before, the
-    stylus arrives as it came. Each period between switching instants is integrated by itself, since the slope of the
-    current jumps there.
+    The simulation begins at contact or at the first switching instant, whichever is earlier; before that no current
+    flows and the speed is constant. Each period between switching instants is integrated separately, as the slope of
+    the current jumps at the instants.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _played(
     K, first = command.shape[1], float(grid.switching_times_s[0])
     states, accelerations = np.empty((18, K)), np.empty((3, K))
     state, current = device.start, np.zeros(3)
-    if first < 0:  # the hand moves on straight: before contact all is as at contact, but for where it is
+    if first < 0:  # before contact the motion is uniform, so only the positions differ from those at contact
         state = state.copy()
         state[3:9] += first * np.tile(-device.speed_m_s * device.place.normal, 2)
         state[:3] += first * state[9:12]
@@ -154,7 +154,7 @@ def _rate(device: _Device, fed: Callable[[float], FloatArray], time_s: float, st
 def _current(
     amplifier: Amplifier | None, since_s: float, held: FloatArray, before: FloatArray, time_s: float
 ) -> FloatArray:
-    """(3,) currents at a time, under a command that is felt since then and the currents that flowed there."""
+    """(3,) currents at a time, with a command that acts since `since_s`, when the currents were `before`."""
     if amplifier is None:
         return held
     return np.asarray(held + (before - held) * np.exp(-amplifier.rate_rad_s * (time_s - since_s)))

@@ -1,4 +1,4 @@
-"""Certificate of optimality without a solver."""
+"""Certificate of optimality from a command and multipliers, independent of the solver."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,10 +17,10 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 
 TEMPERATURE = TemperatureLimit.row_names[0]
-BINDING_MULTIPLIER = 1e-9  # 1/A; an interior-point method leaves about 1e-13 on a limit that does not bind
-BINDING_SLACK = 1e-5  # of the limit
-SILENT = 1e-12  # of the limit: what rounding leaves of no transient at all over a wall
-DRAWS = 4  # of last bits, of which none may speak for rounding alone
+BINDING_MULTIPLIER = 1e-9  # least multiplier of a binding limit [1/A]; interior-point methods leave 1e-13 on others
+BINDING_SLACK = 1e-5  # largest slack of a binding limit, as a share of the limit
+SILENT = 1e-12  # largest transient that is zero up to rounding over a wall, as a share of the limit
+DRAWS = 4  # random perturbations by which `gradient_rounding` estimates the rounding error
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,11 @@ class Box:
 
     Attributes
     ----------
-    limit : whose row it is.
-    value : (N,). lower, upper : (N,) its bounds, infinite where nothing is asked.
+    limit : the limit that the row belongs to.
+    value : (N,) value of the row.
+    lower, upper : (N,) bounds, infinite where there is none.
     by_lower, by_upper : (N,) multipliers >= 0.
-    condition : under which the row is asked for, in words; empty for none.
+    condition : the case that the row covers, in words; empty for none.
     """
 
     limit: Limit
@@ -53,22 +54,22 @@ class Box:
 
     @property
     def excess(self) -> FloatArray:
-        """(N,) how far the value is outside, negative inside."""
+        """(N,) violation of the bounds, negative where they hold."""
         return np.asarray(np.maximum(self.value - self.upper, self.lower - self.value))
 
     @property
     def kept(self) -> bool:
-        """Whether the value is nowhere outside, without any tolerance."""
+        """Whether all bounds hold, without any tolerance."""
         return bool((self.value <= self.upper).all()) and bool((self.value >= self.lower).all())
 
     @property
     def peak(self) -> float:
-        """Largest size that the value reaches where it is bounded."""
+        """Largest absolute value where there is a bound."""
         return float(np.abs(self.value[np.isfinite(self.upper) | np.isfinite(self.lower)]).max())
 
     @property
     def complementarity(self) -> float:
-        """Sum of multiplier times slack, slacks by their size; a bound of infinity has no multiplier."""
+        """Sum of multiplier times |slack| over the finite bounds."""
         return _paired(self.by_upper, self.upper - self.value) + _paired(self.by_lower, self.value - self.lower)
 
 
@@ -80,11 +81,11 @@ def _paired(multiplier: FloatArray, slack: FloatArray) -> float:
 
 
 class Effect:
-    """What a command (N,) does in a problem, each part computed when it is first asked for and then kept.
+    """Motion and heat of a problem under a command (N,), each part computed on first use.
 
     Parameters
     ----------
-    motion : (N,) of the problem's own device, where it is known already.
+    motion : (N,) motion of the problem's own device, if it is known already.
     """
 
     def __init__(self, problem: TransientProblem, command: FloatArray, motion: Motion | None = None) -> None:
@@ -94,69 +95,69 @@ class Effect:
             self.motion = motion
 
     def of(self, problem: TransientProblem) -> "Effect":
-        """Put the command into another problem; the motion is kept where devices and wall are the same ones."""
-        found, own = Effect(problem, self.command), self.problem
+        """The effect of the command in another problem; the motion is reused if devices and wall are the same."""
+        effect, own = Effect(problem, self.command), self.problem
         alike = [*map(id, problem.devices)] == [*map(id, own.devices)] and problem.grid == own.grid
         if not alike or problem.wall is not own.wall:
-            return found
+            return effect
         for name in ("continued", "lasting", "motion", "others", "accelerations_m_s2"):
             if name in vars(self):
-                setattr(found, name, getattr(self, name))
-        return found
+                setattr(effect, name, getattr(self, name))
+        return effect
 
     @cached_property
     def continued(self) -> FloatArray:
-        """(N + M,) the command and what follows it."""
-        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself goes on growing
+        """(N + M,) the command, continued after the window."""
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
             return self.problem.continued(self.command)
 
     @cached_property
     def lasting(self) -> Motion:
-        """(N + M,) of the problem's own device, through the window and after it."""
+        """(N + M,) motion of the problem's own device through the window and after it."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.problem.stage.motion(self.continued)
 
     @cached_property
     def motion(self) -> Motion:
-        """(N,) of the problem's own device within the window."""
+        """(N,) motion of the problem's own device within the window."""
         return self.lasting.first(self.command.shape[-1])
 
     @cached_property
     def others(self) -> tuple[Motion, ...]:
-        """(N + M,) of every further device, through the window and after it."""
+        """(N + M,) motion of every further device through the window and after it."""
         return tuple(device.motion(self.continued) for device in self.problem.spread)
 
     def value(self, row: Row) -> FloatArray:
-        """(N,) of a row of the problem's limits."""
+        """(N,) value of a row of the problem's limits."""
         if row.name not in self._values:
             self._values[row.name] = row.value(self.motion_of(row.device), self.command)
         return self._values[row.name]
 
     def motion_of(self, device: int) -> Motion:
-        """(N,) of a device within the window; 0 is the problem's own."""
+        """(N,) motion of a device within the window; 0 is the problem's own."""
         return self.others[device - 1].first(self.command.shape[-1]) if device else self.motion
 
     @cached_property
     def accelerations_m_s2(self) -> FloatArray:
-        """(S, N + M) of every device, or (p, N + M) of every direction."""
+        """(S, N + M) y'' of every device, or (p, N + M) of every direction."""
         if self.problem.directions:
             return self.lasting.acceleration_m_s2
         return np.stack([motion.acceleration_m_s2 for motion in (self.lasting, *self.others)])
 
     @cached_property
     def mean_square_A2(self) -> FloatArray:
-        """(N,) mean of i_eff^2 over each period; of a problem with a temperature limit, as what follows."""
+        """(N,) mean of i_eff^2 over each period; only for a problem with a temperature limit."""
         assert self.problem.thermal is not None
         return self.problem.thermal.model.heating.mean_square(self.motion.plant_input, self.command)
 
     @cached_property
     def rise_K(self) -> FloatArray:
-        """(N + 1, m) of the nodes at tau_0 to tau_N."""
+        """(N + 1, m) rises of the thermal nodes at tau_0 to tau_N; only for a problem with a temperature limit."""
         assert self.problem.thermal is not None
         return self.problem.thermal.model.rise(self.mean_square_A2)
 
     def by_heating(self, multipliers: Multipliers) -> FloatArray:
-        """(N,) gradient of the temperature limit's part of the Lagrangian by the heatings; zero without one."""
+        """(N,) gradient of the temperature limit's term of the Lagrangian by the heatings; zero without a limit."""
         thermal, by_winding = self.problem.thermal, multipliers.upper(TEMPERATURE)
         if thermal is None or not by_winding.any():
             return np.zeros(self.command.shape[-1])
@@ -164,12 +165,12 @@ class Effect:
 
 
 def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
-    """Every limit that the problem has, with what the command does to it."""
+    """All rows of the problem's limits, with their values under a command and its motion."""
     return list(boxes_of(Effect(problem, command, motion), multipliers))
 
 
 def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = None) -> Iterator[Box]:
-    """Yield every limit, or only those of one name, with what a command whose effect is known does to it."""
+    """Yield the rows of all limits, or of the limit of one name, with their values under a command's effect."""
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
         if only in (None, limit.name):
@@ -184,11 +185,11 @@ def boxes_of(effect: Effect, multipliers: Multipliers, *, only: str | None = Non
 def inside(
     problem: TransientProblem, command: FloatArray, *, only: str | None = None, effect: Effect | None = None
 ) -> bool:
-    """Whether a command keeps all limits, or only those of one name, without any tolerance.
+    """Whether a command meets all limits, or only the limit of one name, without any tolerance.
 
     Parameters
     ----------
-    effect : of this command in this problem, where further questions about it follow.
+    effect : effect of this command in this problem, if the caller reuses it.
     """
     limits = boxes_of(effect or Effect(problem, command), Multipliers.zero(problem), only=only)
     return all(box.kept for box in limits)
@@ -197,7 +198,7 @@ def inside(
 def reduced_gradient(effect: Effect, multipliers: Multipliers, *, of_limits_alone: bool = False) -> FloatArray:
     """(N,) or (m, N) gradient by the commands of L + sum mu (constraint) + sum hand_over (c - feedback) [1/A].
 
-    L is what is minimised, J where intensity has no price; `of_limits_alone` leaves it out.
+    L is the minimised function, J where intensity has no price; `of_limits_alone` leaves it out.
     """
     return _reduced_gradient(effect, multipliers, effect.by_heating(multipliers), of_limits_alone=of_limits_alone)
 
@@ -228,7 +229,7 @@ def _reduced_gradient(
         for device, its_own in zip(problem.spread, through_others, strict=True):
             by_command = by_command + device.adjoint(its_own)
         return np.asarray(problem.stage.adjoint(by_motion) + by_command)
-    # What happens after the window moves with the commands within it; no limit's row looks there.
+    # The tracking term also depends on the motion after the window; no limit's row does.
     after = problem.grid.after_stages
     tracking, shares = problem.tracking, problem.shared
     if problem.directions:
@@ -244,11 +245,12 @@ def _reduced_gradient(
 
 
 def gradient_rounding(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> FloatArray:
-    """(N,) what rounding makes of the reduced gradient of the Lagrangian [1/A].
+    """(N,) estimate of the rounding error of the reduced gradient of the Lagrangian [1/A].
 
-    Every command is moved by its last bit, up or down by lot, and the gradient is taken again. The change has both
-    causes in it: the answer cannot be stored more finely, and the sums of the gradient round. Its size is averaged
-    over a few draws, so that no entry is small because two roundings cancel. The lot is the same for every call.
+    Every command is perturbed by its last bit with a random sign, and the gradient is computed again. The change
+    covers both causes: commands have a finite resolution, and the sums of the gradient round. Its absolute value is
+    averaged over a few draws, so that no entry is small because two roundings cancel. The random signs are the same
+    for every call.
     """
     m = admissible(problem, multipliers)
 
@@ -262,18 +264,21 @@ def gradient_rounding(problem: TransientProblem, command: FloatArray, multiplier
 
 
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
-    """Make multipliers >= 0, and zero where no limit bears them: a headroom may be infinite at some instants."""
+    """Clip multipliers to >= 0, and to zero where the temperature's headroom is infinite."""
     clipped = multipliers.clipped()
     if problem.thermal is None or not clipped.upper(TEMPERATURE).any():
         return clipped
-    bears = np.isfinite(problem.thermal.model.headroom_K)
+    bounded = np.isfinite(problem.thermal.model.headroom_K)
     return clipped.with_pair(
-        TEMPERATURE, clipped.lower(TEMPERATURE), np.where(bears, clipped.upper(TEMPERATURE), 0.0)
+        TEMPERATURE, clipped.lower(TEMPERATURE), np.where(bounded, clipped.upper(TEMPERATURE), 0.0)
     )
 
 
 def kink_gap(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
-    """What the tangent at |mean i| with the stated slope lies below it; zero where the slope is its sign."""
+    """Gap of the Lagrangian by the kink of |mean i|: how far the tangent with the stated slope lies below it.
+
+    It is zero where the slope is the sign of the mean.
+    """
     effect = Effect(problem, command, motion)
     return _kink_gap(effect, multipliers, effect.by_heating(multipliers))
 
@@ -297,24 +302,23 @@ def certify(
 ) -> Certificate:
     """Bound the distance of a command from the optimum.
 
-    What is minimised is J, or L where intensity has a price, and convex in the commands. So for any mu >= 0 the
-    optimum is at least min over |c| <= c_max of the Lagrangian's tangent, which gives
+    The minimised function, J or, where intensity has a price, L, is convex in the commands. So for any mu >= 0 the
+    optimum is at least the minimum over |c| <= c_max of the Lagrangian's tangent, which gives
 
         gap = sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|)
 
-    with s the slacks and g the reduced gradient of the Lagrangian over the commands. Negative slacks
-    count by their size. Where that is more than an optimum may have, the second sum gives way to `movement_bound`, if
-    that is smaller: there, what rounding leaves of g counts by its square. The hand-over multipliers are checked too:
-    they must cancel g over the hand-over, or what is left of it counts with c_max (so that a lost or flipped one is
-    noticed, although the hand-over commands cannot move). Where the temperature binds, the Lagrangian is not convex:
-    the gap is then that of a stationary point, and `lower_bound` has to come from the convex problem of
-    `TemperatureLimit.relaxed`.
+    with the slacks s, negative ones by their size, and the reduced gradient g of the Lagrangian over the commands. If
+    that exceeds the accepted gap, `movement_bound` replaces the second sum if it is smaller: it is quadratic in g,
+    hence small for rounding errors. The hand-over multipliers are checked too: they must cancel g over the hand-over,
+    and any remainder counts with c_max, so that a lost or flipped multiplier is noticed although the hand-over
+    commands are fixed. Where the temperature binds, the Lagrangian is not convex: the gap is then that of a
+    stationary point, and `lower_bound` has to come from the convex problem of `TemperatureLimit.relaxed`.
 
     Parameters
     ----------
     command : (N,).
-    lower_bound : of the optimum, from elsewhere; not needed while no temperature multiplier is positive.
-    effect : of this command in this problem, where it is known already.
+    lower_bound : a lower bound on the optimum from elsewhere; only needed if a temperature multiplier is positive.
+    effect : effect of this command in this problem, if it is known already.
     """
     if not is_stated(problem, command, multipliers):
         return Certificate.nothing()
@@ -323,17 +327,15 @@ def certify(
     limits, silent = list(boxes_of(effect, clipped)), problem.reference_is_zero
     objective = merit = 0.0
     if problem.tracking.energy_m2_s4 > 0:
-        with np.errstate(
-            over="ignore", invalid="ignore"
-        ):  # over a wall that grows by itself what comes after does too
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
             objective = problem.objective(command, effect.accelerations_m_s2, effect.motion.plant_input)
-            merit = objective - problem.tracking.reward(effect.accelerations_m_s2)  # L, which is minimised
+            merit = objective - problem.tracking.reward(effect.accelerations_m_s2)  # L
         if not np.isfinite(merit):
-            # Beside an objective without bound any gap would be none.
+            # A gap relative to an infinite objective would be accepted.
             return Certificate.nothing()
 
     if not all(np.isfinite(box.value).all() for box in limits):
-        # Thermal runaway: there is no steady state to speak of.
+        # Thermal runaway: there is no steady state.
         return replace(Certificate.nothing(), objective=objective, merit=merit)
 
     tail = hand_over.residual(problem, command, effect.motion)
@@ -350,18 +352,18 @@ def certify(
         finite=True,
     )
     if silent:
-        # If nothing is asked for in the window the stated answer is the zero waveform, over a wall as without one.
+        # For a target of zero in the window the answer is the zero transient, with or without a wall.
         zero = float(np.abs(problem.transient_command(command)).max()) <= SILENT * problem.limits.input_limit
         return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
-    with np.errstate(over="ignore", invalid="ignore"):  # of a method that broke down the multipliers may be 1e300
+    with np.errstate(over="ignore", invalid="ignore"):  # multipliers of a solver that broke down may be 1e300
         by_heating = effect.by_heating(clipped)
         g = _reduced_gradient(effect, clipped, by_heating)
         c_max = problem.command_bound
         rest = sum(box.complementarity for box in limits) + float(np.vdot(np.abs(clipped.hand_over), np.abs(tail)))
         rest += _kink_gap(effect, clipped, by_heating)
         if problem.worst:
-            # The sum by the shares bounds the loss of the worst device from below, and `merit` is that loss.
+            # The mean by the shares bounds the worst device's loss from below, and `merit` is that loss.
             rest += problem.tracking.above_mean(effect.accelerations_m_s2)
         gap = float(np.vdot(np.abs(g), c_max + np.abs(command))) + rest
         if gap > Certificate.GAP_TOLERANCE * max(objective, OBJECTIVE_SCALE):
@@ -369,7 +371,7 @@ def certify(
     if not np.isfinite(gap):
         return replace(found, dual_residual=float("inf"), duality_gap=float("inf"), lower_bound=lower_bound)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.upper(TEMPERATURE).any()
-    convex = convex and not _bent(problem, clipped)
+    convex = convex and not _has_nonconvex_multiplier(problem, clipped)
     return replace(
         found,
         dual_residual=float(np.abs(g).max()),
@@ -379,7 +381,7 @@ def certify(
 
 
 def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> bool:
-    """Whether command and multipliers have the problem's shapes, and are numbers everywhere."""
+    """Whether command and multipliers have the problem's shapes and are finite."""
     N, arrays = problem.grid.stages, [command, *multipliers.arrays()]
     motors = problem.rest.shape[:-1]
     shapes = [(*motors, N)] + [(N,)] * (len(arrays) - 3) + [(*motors, problem.hand_over_samples), (N,)]
@@ -390,12 +392,12 @@ def is_stated(problem: TransientProblem, command: FloatArray, multipliers: Multi
 def left_over(
     problem: TransientProblem, outside: Sequence[tuple[Limit, float]], off: float
 ) -> tuple[dict[str, float], float]:
-    """Excess over limits and hand-over, by unit, and the most of it in units of what is tolerated.
+    """Violations of limits and hand-over by unit, and the largest one divided by its tolerance.
 
     Parameters
     ----------
-    outside : limits, each with how far it is left at most, negative where it is kept.
-    off : by how much the hand-over is missed at most [A].
+    outside : limits, each with its largest violation, negative where it holds.
+    off : largest residual of the hand-over [A].
     """
     violations, excess = {"A": max(off, 0.0)}, [off / tolerated(problem.limits.input_limit), 0.0]
     for limit, by in outside:
@@ -406,20 +408,20 @@ def left_over(
 
 
 def movement_bound(problem: TransientProblem, gradient: FloatArray) -> float:
-    """Bound on what a reduced gradient (N,) of the Lagrangian leaves, from the movement's own curvature.
+    """Bound on the decrease of the Lagrangian that a reduced gradient (N,) permits, from the movement's curvature.
 
-    All but the movement's term is convex and lies above its tangent, and that term is w sum m_k^2 with m_k the
-    movement of the command. Moving on by m therefore changes the Lagrangian by at least sum_k (G_k m_k + w m_k^2),
-    G_k = sum_(j >= k) g_j, whose minimum over all m is -sum G_k^2 / (4 w). Infinite where the movement costs nothing.
-    Of several motors, (m, N), each has a sum of its own.
+    The Lagrangian without the movement's term is convex and lies above its tangent; that term is w sum m_k^2 with m_k
+    the changes of the command. A step with changes m thus changes the Lagrangian by at least
+    sum_k (G_k m_k + w m_k^2), G_k = sum_(j >= k) g_j, whose minimum over all m is -sum G_k^2 / (4 w). The bound is
+    infinite for w = 0. With several motors, (m, N), the sums of all motors are added.
     """
     to_come = np.cumsum(gradient[..., ::-1], axis=-1)
     weight = problem.movement.weight
     return float(np.vdot(to_come, to_come)) / (4 * weight) if weight > 0 else np.inf
 
 
-def _bent(problem: TransientProblem, multipliers: Multipliers) -> bool:
-    """Whether a limit bears a multiplier that leaves no convex set: the tangents then bound nothing."""
+def _has_nonconvex_multiplier(problem: TransientProblem, multipliers: Multipliers) -> bool:
+    """Whether a limit that is not proven convex has a multiplier: tangents then give no lower bound."""
     return any(
         isinstance(row, LawRow) and not row.convex and any(side.any() for side in multipliers.pairs.get(row.name, ()))
         for _, row in problem.rows()
@@ -427,16 +429,17 @@ def _bent(problem: TransientProblem, multipliers: Multipliers) -> bool:
 
 
 def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
-    """Rigorous lower bound on J where the warming copper makes the problem nonconvex, from its own multipliers.
+    """Rigorous lower bound on J where warming copper makes the problem nonconvex, from the problem's own multipliers.
 
-    Any multipliers of the convex problem (`TemperatureLimit.relaxed`) bound its optimum, which bounds this one's:
-    those are taken under which heat has the price that it has here: what is stationary here is stationary there too.
-    All that the bound then lacks is what the limits differ by, price times slack. Minus infinity where taps repeat:
-    there a price comes back through the pause, and its inverse is not at hand.
+    Any multipliers of the convex relaxation (`TemperatureLimit.relaxed`) give a lower bound on its optimum and so on
+    this problem's. The multipliers are chosen such that heat has the same price as here: a stationary point here is
+    then one there too, and the bound's gap is only price times the difference of the limits. For repeating taps the
+    bound is minus infinity, as `HeatModel.prices` is implemented for a single tap only.
 
     Parameters
     ----------
-    effect : of the command in the problem. multipliers : its own, as `certify` takes them.
+    effect : effect of the command in the problem.
+    multipliers : multipliers of the problem, as for `certify`.
     """
     problem, command = effect.problem, effect.command
     thermal = problem.thermal
@@ -450,7 +453,7 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
 
 
 def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
-    """From when to when a limit is active, in milliseconds after contact."""
+    """The time spans in which a limit is active, in milliseconds after contact."""
     times_ms = problem.grid.switching_times_s * 1e3
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
     spans = [
@@ -463,13 +466,13 @@ def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
 def binding_limits(
     problem: TransientProblem, command: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
 ) -> str:
-    """Which limits bind, with which sign and from when to when, in the user's words; "none" if none does.
+    """The binding limits with sign and time spans, in words; "none" if none binds.
 
-    A limit binds at a stage where its multiplier is positive beyond rounding and its slack is gone.
+    A limit binds at a stage where its multiplier exceeds `BINDING_MULTIPLIER` and its slack is below `BINDING_SLACK`.
 
     Parameters
     ----------
-    effect : of this command in this problem, where it is known already.
+    effect : effect of this command in this problem, if it is known already.
     """
     if multipliers.largest <= BINDING_MULTIPLIER:
         return "none"

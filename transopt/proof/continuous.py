@@ -1,9 +1,9 @@
-"""Continuous-time simulation of a device under held commands, for the replay and for nothing else.
+"""Continuous-time simulation of a device under held commands, for the replay only.
 
-The replay checks the design by other means, so nothing but the plant's matrices is shared with the design model
-(`transopt.plant.discretise`). The time axis is the true one: commands are issued at t_k and felt a delay later. The
-integrator is an implicit Runge-Kutta method on a finer step, where the design has a matrix exponential. For commands
-that are held a Runge-Kutta step is a linear map, the same in every period.
+The replay checks the design by independent means, so it shares only the plant's matrices with the design model
+(`transopt.plant.discretise`). On its time axis commands are issued at t_k and act a delay later. The integrator is an
+implicit Runge-Kutta method with a finer step, where the design uses a matrix exponential. Under held commands a
+Runge-Kutta step is a linear map, the same in every period.
 """
 
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, TimeGrid, split_delay
 from transopt.plant.wall import FeedbackLoop, HandOver
 
-SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
-STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode that is not resolved would die out
-STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
+SAMPLES_PER_PERIOD = 8  # samples of the trajectory per servo period
+STEP_RADIUS = 0.5  # largest |eigenvalue| times step at the start; an unresolved stiff mode would be damped out
+STEP_ERROR = 1e-10  # wanted relative difference between results with a step and with half of it
 MOST_HALVINGS = 6
-AFTER_S = 20e-3  # of free motion after the waveform, at least
-AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
-# If link and current forces cancel at the switching instants (a mass on a link that decays within one tick), what
-# is left of y'' is rounding of C x and D i. Differences up to this share of them say nothing.
+AFTER_S = 20e-3  # least simulated time after the waveform
+AGREEMENT = 1e-6  # largest accepted difference between replay and prediction, relative to the peak
+# If link and current forces cancel at the switching instants (a mass on a link that decays within one tick), y'' is
+# the rounding error of C x and D i. Differences up to this share of the two are not significant.
 ROUNDING = 16 * float(np.finfo(float).eps)
 
 
 def peak_scale(peak_m_s2: FloatArray, rounding_m_s2: FloatArray | float) -> FloatArray:
-    """The peak, unless `AGREEMENT` of it is less than the rounding of what adds up to it."""
+    """The peak, as reference for relative differences; raised where `AGREEMENT` of it is below rounding errors."""
     return np.maximum(np.maximum(peak_m_s2, rounding_m_s2 / AGREEMENT), np.finfo(float).tiny)
 
 
@@ -62,13 +62,13 @@ def _step_map(A: FloatArray, B: FloatArray, h_s: float) -> tuple[FloatArray, Flo
 
 @dataclass(frozen=True)
 class Segment:
-    """The share of a servo period in which one command c is felt: maps from its start to each kept sample.
+    """The part of a servo period in which one command c acts, with maps from its start to each sample.
 
     Attributes
     ----------
-    behind : how many ticks before the period's own command c was issued.
-    offsets_s : (m + 1,) times of the kept samples from the start of the period, the segment's start first.
-    P : (m + 1, n, n), Q : (m + 1, n, 1) of x_j = P_j x_0 + Q_j c.
+    behind : number of ticks by which c was issued before the period's own command.
+    offsets_s : (m + 1,) times of the samples from the start of the period, the segment's start first.
+    P, Q : (m + 1, n, n) and (m + 1, n, 1) of x_j = P_j x_0 + Q_j c.
     """
 
     behind: int
@@ -78,7 +78,7 @@ class Segment:
 
 
 def _segment(flow: "Flow", start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
-    """Kept samples a fraction of a period apart, reached by as many Radau steps as the stiffest mode needs."""
+    """The segment with its samples, each reached by as many Radau steps as the stiffest mode needs."""
     n = flow.A.shape[0]
     samples = SAMPLES_PER_PERIOD // 2
     spacing = (end_s - start_s) / samples
@@ -94,27 +94,27 @@ def _segment(flow: "Flow", start_s: float, end_s: float, behind: int, halvings: 
 
 
 def _segments(flow: "Flow", grid: TimeGrid, halvings: int) -> list[Segment]:
-    """A period [t_k, t_(k+1)) feels the command of one tick earlier until the delay's fraction has passed."""
+    """The two segments of a period [t_k, t_(k+1)): the earlier command acts until the delay's fraction has passed."""
     dt = grid.dt_s
     whole, late = split_delay(grid.delay_s, dt)
     if late <= 1e-9 * dt:
-        # Two halves all the same, so that a period always has as many kept samples.
+        # Two halves in this case too, so that a period always has the same number of samples.
         return [_segment(flow, 0.0, dt / 2, whole, halvings), _segment(flow, dt / 2, dt, whole, halvings)]
     return [_segment(flow, 0.0, late, whole + 1, halvings), _segment(flow, late, dt, whole, halvings)]
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The kept samples of M taps, K of each.
+    """The K samples of each of M taps.
 
     Attributes
     ----------
-    times_s : (K,) contact at 0.
+    times_s : (K,) times, contact at 0.
     acceleration_m_s2 : (M, K) y'' of the stylus.
-    plant_input : (M, K) in the motor.
-    felt : (M, K) command that the amplifier follows.
-    velocity_m_s : (M, K) dy/dt of the motor mass; (M, 0) where nobody asks for it.
-    outputs : name -> (M, K) of a further output of the stage.
+    plant_input : (M, K) input of the plant.
+    felt : (M, K) command that acts on the amplifier.
+    velocity_m_s : (M, K) dy/dt of the motor mass; (M, 0) if it was not requested.
+    outputs : name -> (M, K) further output of the stage model.
     at_switching : (N,) indices of the samples just after each switching instant.
     segment_starts : (S,) indices of the first sample of each segment.
     """
@@ -131,12 +131,12 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Loop:
-    """The walls of M taps, closed over the replay's own motion.
+    """The closed loop of the walls of M taps with the replay's motion.
 
     Attributes
     ----------
     walls : M hand-overs with the same wall.
-    count_m : the encoder is rounded to whole multiples of this; 0 does not round.
+    count_m : resolution to which the encoder is rounded; 0 does not round.
     """
 
     walls: Sequence[HandOver]
@@ -144,22 +144,22 @@ class Loop:
 
     @cached_property
     def _nominal_m(self) -> FloatArray:
-        """(K, M) z_nom at the ticks that the walls know."""
+        """(K, M) z_nom at the ticks of window and tail."""
         return np.stack([wall.nominal_m for wall in self.walls], axis=1)
 
     def nominal(self, k: int) -> FloatArray:
-        """(M,) z_nom at tick k, going on straight after the last."""
+        """(M,) z_nom at tick k, extrapolated linearly after the last one."""
         z = self._nominal_m
         last = z.shape[0] - 1
         return np.asarray(z[k] if k <= last else z[last] + (k - last) * (z[last] - z[last - 1]))
 
     def read(self, k: int, deviation_m: FloatArray) -> FloatArray:
-        """(M,) what the encoder reads at tick k for the deviations y (M,) from the nominal motion."""
+        """(M,) encoder readings at tick k for deviations y (M,) from the nominal motion."""
         z = self.nominal(k) + deviation_m
         return np.asarray(np.round(z / self.count_m) * self.count_m) if self.count_m else z
 
     def start(self, stage: StageModel, dt_s: float) -> FeedbackLoop:
-        """The wall's law before its first tick."""
+        """The wall's law in its state before the first tick."""
         wall = self.walls[0].wall
         approach = np.array([wall.approach_m_s for wall in self.walls])
         first = self.read(0, np.zeros(approach.size))
@@ -176,11 +176,11 @@ class Flow:
     ----------
     A : (n, n).
     B : (n, 1).
-    rows : (3 + further, n) what the states add to y'', the current, the velocity of the motor mass and the further
-        outputs of the stage.
-    direct : (3 + further,) what the command that is felt adds to them.
-    names : of the further outputs.
-    encoder : (n,) position of the motor mass, of the states.
+    rows : (3 + further, n) rows over the states of y'', the current, the velocity of the motor mass and the further
+        outputs of the stage model.
+    direct : (3 + further,) their direct dependence on the command that acts.
+    names : names of the further outputs.
+    encoder : (n,) row over the states of the motor mass's position.
     """
 
     A: FloatArray
@@ -192,12 +192,12 @@ class Flow:
 
     @cached_property
     def fastest_rad_s(self) -> float:
-        """Largest size of an eigenvalue of A."""
+        """Largest |eigenvalue| of A."""
         return float(np.abs(np.linalg.eigvals(self.A)).max())
 
     @classmethod
     def of(cls, stage: StageModel) -> "Flow":
-        """From the continuous-time plant and the amplifier of a stage; its discrete matrices are not used."""
+        """The flow of a stage model's continuous-time plant and amplifier; its discrete matrices are not used."""
         plant, amplifier = stage.plant, stage.amplifier
         n, velocity = plant.order, plant.Cv[0]
         if amplifier is None:
@@ -206,7 +206,7 @@ class Flow:
             w = amplifier.rate_rad_s
             A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
             B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, [0.0, 0.0, 0.0]
-        # In balanced units (powers of two, exact) no state drowns in the rounding of another.
+        # Balanced units (exact powers of two) keep small states above the rounding errors of large ones.
         even, units = balanced(A)
         further = {name: plant.output(name).row for name in stage.outputs}
         rows = np.zeros((3 + len(further), n + more))
@@ -228,16 +228,16 @@ class Flow:
 
 @dataclass(frozen=True)
 class Period:
-    """One servo period as one map: the second of its segments goes on from the first.
+    """One servo period as one map, its two segments in sequence.
 
     Attributes
     ----------
-    segments : two.
-    P : (n, n), by_command : (n, 1 + late) of x_(k+1) = P x_k + by_command @ (issued_k, .., issued_(k+late)), where
-        the issued commands begin with the silence before the first.
-    arriving : index of the segment in which a tick's own command is felt first.
-    periods : that are played, until `after_s` after tau_N.
-    instants : N and those after the window that the problem looks at.
+    segments : the two segments.
+    P, by_command : (n, n) and (n, 1 + late) of x_(k+1) = P x_k + by_command @ (issued_k, .., issued_(k+late)), where
+        the issued commands begin with zeros before the first.
+    arriving : index of the segment in which a tick's own command begins to act.
+    periods : number of simulated periods, until `after_s` after tau_N.
+    instants : number of switching instants in window and tail.
     """
 
     segments: list[Segment]
@@ -249,7 +249,7 @@ class Period:
 
     @classmethod
     def of(cls, flow: Flow, grid: TimeGrid, halvings: int) -> "Period":
-        """A period integrated by a Runge-Kutta step that is halved so often."""
+        """A period integrated with a Runge-Kutta step that is halved so many times."""
         segments = _segments(flow, grid, halvings)
         first, second = segments
         late = first.behind - second.behind
@@ -260,7 +260,7 @@ class Period:
             segments,
             second.P[-1] @ first.P[-1],
             by_command,
-            # If the delay is whole the command arrives with the tick, else with the second segment.
+            # If the delay is a whole number of periods, a command begins to act at a tick, else within the period.
             arriving=0 if late == 0 else 1,
             periods=grid.stages + first.behind + int(np.ceil(after_s(grid) / grid.dt_s)),
             instants=grid.stages + grid.after_stages,
@@ -273,12 +273,12 @@ class Period:
 
     @property
     def at_switching(self) -> slice:
-        """Periods whose arriving segments start at the switching instants, those after the window among them."""
+        """The periods whose arriving segments start at the switching instants of window and tail."""
         behind = self.segments[self.arriving].behind
         return slice(behind, behind + self.instants)
 
     def issued(self, commands: FloatArray) -> FloatArray:
-        """(M, periods + late or more) of commands (M, N), with the silence before the first and after the last."""
+        """(M, periods + late or more) commands (M, N) with zeros before the first and after the last."""
         behind = self.segments[0].behind
         found = np.zeros((commands.shape[0], behind + self.periods))
         found[:, behind : behind + commands.shape[1]] = commands
@@ -291,10 +291,10 @@ class Course:
 
     Attributes
     ----------
-    period : that is played again and again.
-    states : (M, periods, n) per segment, at its start.
-    felt : (M, periods) per segment, the command that is felt in it.
-    command : (M, N) as issued.
+    period : the map of every period.
+    states : for each segment, (M, periods, n) states at its start.
+    felt : for each segment, (M, periods) command that acts in it.
+    command : (M, N) issued commands.
     """
 
     period: Period
@@ -318,7 +318,7 @@ class Course:
         return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
 
     def rounding(self, flow: Flow) -> FloatArray:
-        """(M,) `ROUNDING` times the largest sum of the sizes of the terms that add up to y'' there [m/s^2]."""
+        """(M,) rounding error of y'' there: `ROUNDING` times the largest sum of the absolute values of its terms."""
         at, arriving = self.period.at_switching, self.period.arriving
         states, felt = np.abs(self.states[arriving][:, at]), np.abs(self.felt[arriving][:, at])
         terms = states @ np.abs(flow.rows[0]) + np.abs(flow.direct[0]) * felt
@@ -326,12 +326,12 @@ class Course:
 
 
 def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int) -> FloatArray:
-    """(M, periods, n) of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
+    """(M, periods, n) states of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
 
     Parameters
     ----------
     by_command : (n, w).
-    issued : (M, at least periods + w - 1).
+    issued : (M, periods + w - 1 or more).
     """
     (n, w), M, recursion = by_command.shape, issued.shape[0], Recursion(P)
     pushed = np.zeros((M, periods, n))
@@ -346,7 +346,7 @@ def _play(
     """The states of M taps under the commands (M, N) [A], period by period; `loop` adds the wall's feedback."""
     (M, N), n, late = commands.shape, flow.A.shape[0], period.late
     first, periods = period.segments[0], period.periods
-    # Before the first command and after the waveform there is silence, or what the wall goes on asking for.
+    # Before the first command and after the waveform the command is zero, or the wall's feedback.
     issued = period.issued(commands)
     if loop is None:
         starts = _held(period.P, period.by_command, issued, periods)
@@ -363,22 +363,22 @@ def _play(
 
 
 def after_s(grid: TimeGrid) -> float:
-    """How long the replay looks at the free motion after the waveform: through all that the problem looks at."""
+    """Simulated time after the waveform: at least `AFTER_S`, and the problem's whole tail."""
     return max(AFTER_S, grid.after_stages * grid.dt_s)
 
 
 def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> Trajectory:
-    """All kept samples of a course: `SAMPLES_PER_PERIOD` a period, and the start of each segment besides.
+    """All samples of a course: `SAMPLES_PER_PERIOD` per period, and the start of each segment.
 
     Parameters
     ----------
-    moving : whether anybody asks for the velocity of the motor mass, or for a further output.
+    moving : whether the velocity of the motor mass and the further outputs are requested.
     """
     M, periods, _ = course.states[0].shape
     period, samples = course.period, course.period.segments[0].offsets_s.size
     n, outputs = flow.encoder.size, flow.direct.size if moving else 2
-    # Segment after segment within each period, all of it along one axis in the end: one product an output, of what
-    # stands at the starts of both segments and what is felt in them.
+    # One matrix product per output: states at the starts of both segments and the commands that act in them, times
+    # the maps to all samples of a period. The samples of all segments end up along one axis.
     begun = np.concatenate(
         [
             np.append(states, command[..., None], axis=-1)
@@ -395,7 +395,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> 
         maps[:, j, n, j] = (rows @ segment.Q[..., 0].T) + direct[:, None]
         felt[:, :, j] = command[..., None]
         times[:, j] = ticks[:, None] + segment.offsets_s
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
         values = begun.reshape(M * periods, -1) @ maps.reshape(outputs, 2 * (n + 1), -1)
     acceleration, current, *others = values.reshape(outputs, M, -1)
     velocity, *further = others or [np.empty((M, 0))]
@@ -415,14 +415,14 @@ def fine(course: Course, flow: Flow, grid: TimeGrid, *, moving: bool = True) -> 
 
 @dataclass(frozen=True)
 class Accurate:
-    """M commands played with a Runge-Kutta step that is fine enough.
+    """M commands played with a sufficiently fine Runge-Kutta step.
 
     Attributes
     ----------
-    flow, loop : what was played.
-    acceleration_m_s2 : (M, instants) y'' just after the switching instants, those after the window behind.
-    step_error : (M,) largest difference of y'' to the course of twice the step, relative to its peak.
-    course : their states.
+    flow, loop : the simulated device and wall.
+    acceleration_m_s2 : (M, instants) y'' just after the switching instants of window and tail.
+    step_error : (M,) largest difference of y'' from the result with twice the step, relative to its peak.
+    course : states of the taps.
     """
 
     flow: Flow
@@ -432,7 +432,7 @@ class Accurate:
     course: Course
 
     def of(self, taps: slice) -> "Accurate":
-        """The replay of some of the commands, which no wall's feedback was added to."""
+        """The replay of some of the commands; only without a wall."""
         assert self.loop is None
         return replace(
             self,
@@ -443,30 +443,30 @@ class Accurate:
 
 
 def _flow(stage: StageModel) -> Flow:
-    """The flow of a device, kept with it for the next replay."""
+    """The flow of a device, cached in its stage model."""
     if Flow not in stage.derived:
         stage.derived[Flow] = Flow.of(stage)
-    found: Flow = stage.derived[Flow]
-    return found
+    flow: Flow = stage.derived[Flow]
+    return flow
 
 
 def _period(stage: StageModel, grid: TimeGrid, halvings: int) -> Period:
-    """The period of a device, kept with it for the next replay."""
+    """The period of a device, cached in its stage model."""
     key = Period, grid, halvings
     if key not in stage.derived:
         stage.derived[key] = Period.of(_flow(stage), grid, halvings)
-    found: Period = stage.derived[key]
-    return found
+    period: Period = stage.derived[key]
+    return period
 
 
 def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
-    """Play commands (M, N) [A], halving the step until halving changes y'' by no more than `STEP_ERROR`.
+    """Play commands (M, N) [A], halving the step until halving changes y'' by at most `STEP_ERROR`.
 
-    After `MOST_HALVINGS` the finest course is returned as it is; its `step_error` says how good it is.
+    After `MOST_HALVINGS` the finest course is returned with the `step_error` that remains.
 
     Parameters
     ----------
-    loop : the walls whose feedback is added to the commands; None for none.
+    loop : the walls whose feedback is added to the commands; None without a wall.
     """
     flow = _flow(stage)
     coarse = _play(stage, flow, grid, commands, _period(stage, grid, 0), loop).accelerations(flow)

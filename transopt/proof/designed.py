@@ -1,4 +1,4 @@
-"""An answer with its proof: what a problem's solution is worth before anything is played."""
+"""An answer with its certificate, before the replay."""
 
 from dataclasses import dataclass
 
@@ -9,21 +9,21 @@ from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect
 
-TOLERANCE_dB = 0.01  # a hundredth of what a hand can tell apart, and more
+TOLERANCE_dB = 0.01  # accepted error of the energy, below a hundredth of the just noticeable difference
 
 
 @dataclass(frozen=True)
 class Attained:
-    """Energy of the tap that was asked for, and what was found.
+    """The required energy of the tap, and the energy that was attained.
 
     Attributes
     ----------
-    asked_dB : energy within the window over that of r, both through the error filter, as the scene asks for it.
-    energy_dB : what the entry has, the mean over its devices.
-    waveform_dB, waveform_tap_error : what the optimum of J alone has, and its tap error.
-    price : lam of the entry; 0 where the optimum of J has what is asked.
-    most : the largest lam that was allowed.
-    problems : how many were solved for it, that at lam = 0 among them.
+    asked_dB : energy that the scene requires within the window over that of r, both through the error filter.
+    energy_dB : energy of the entry, the mean over its devices.
+    waveform_dB, waveform_tap_error : energy and tap error of the optimum of J alone.
+    price : lam of the entry; 0 if the optimum of J has the required energy.
+    most : largest permitted lam.
+    problems : number of problems solved, that at lam = 0 included.
     """
 
     asked_dB: float
@@ -36,19 +36,19 @@ class Attained:
 
     @property
     def missing_dB(self) -> float:
-        """How much less than asked the entry has; 0 within the tolerance."""
+        """Energy that the entry lacks; 0 within the tolerance."""
         missing = self.asked_dB - self.energy_dB
         return missing if missing > TOLERANCE_dB else 0.0
 
     @property
     def is_stray(self) -> bool:
-        """Whether the energy is off what was asked for, though lam was neither at its least nor at its most."""
+        """Whether the energy misses the required one although lam is strictly between 0 and `most`."""
         off = abs(self.energy_dB - self.asked_dB) > TOLERANCE_dB
         return off and 0 < self.price < self.most
 
     @property
     def sentence(self) -> str:
-        """What the entry is worth as an answer to what was asked."""
+        """The attained and the required energy, in words."""
         found = f"intensity {self.energy_dB:+.2f} dB of {self.asked_dB:+.2f} dB asked for"
         if self.price == 0 and self.missing_dB == 0:
             return f"{found}: the optimum of the waveform has it"
@@ -58,7 +58,7 @@ class Attained:
             return (
                 nearest
                 if above <= TOLERANCE_dB
-                else f"{nearest}; at no lam nearer to what was asked was a proof found"
+                else f"{nearest}; no optimum with an energy nearer to that was proven"
             )
         why = (
             f"lam {self.price:.4g} is the last one tried"
@@ -66,30 +66,31 @@ class Attained:
             else f"beyond lam {self.price:.4g} none was proven"
         )
         return (
-            f"{nearest}; {self.missing_dB:.2f} dB are missing, {why}, which is no proof that no command within the "
-            "limits has more"
+            f"{nearest}; {self.missing_dB:.2f} dB are missing, {why}, which does not prove that no command within "
+            "the limits has more"
         )
 
 
 @dataclass(frozen=True)
 class Designed:
-    """The answer to one problem, proven; nothing of it has been replayed.
+    """The answer to one problem with its certificate; it has not been replayed.
 
     Attributes
     ----------
-    problem : with every limit of the scene, and the wall pushing where the answer makes it push. If the plant is
-        nonlinear it is the problem of the plant at rest, whose objective and limits are those of `nonlinear`.
-    certificate : of the answer for that whole problem.
-    effect : what the answer's command does in it, on the nonlinear plant where there is one.
+    problem : the problem with all limits of the scene, and with the wall's ticks of the answer. For a nonlinear plant
+        it is the problem linearised at rest, with the objective and limits of `nonlinear`.
+    solution : command and multipliers.
+    certificate : certificate of the answer for `problem`.
+    effect : motion under the answer's command, on the nonlinear plant if there is one.
     unlimited_command : (N,) the optimum without limits.
     floor : tap error of that optimum against the problem's target.
     free_peak : its largest plant input [A or V].
-    left_out : part -> why the problem that was solved does not have it.
-    solved : the problem that a program was made of; None where one linear solve was enough.
+    left_out : part -> why the solved problem does not have it.
+    solved : the problem passed to a solver; None where one linear solve was sufficient.
     remarks : why there is no answer.
-    attained : what was found of the energy that was asked for; None where none is.
+    attained : required and attained energy; None if the scene requires none.
     nonlinear : the problem on the nonlinear plant; None for a linear one.
-    linear : the answer for the plant at rest, beside that for a nonlinear plant.
+    linear : the answer for the plant linearised at rest; None for a linear plant.
     """
 
     problem: TransientProblem
@@ -110,5 +111,5 @@ class Designed:
 
     @property
     def is_proven(self) -> bool:
-        """Certified, but for the global bound where the temperature binds."""
+        """Whether it is a certified stationary point; a global bound is not required where the temperature binds."""
         return self.solution.status is Status.OPTIMAL and self.certificate.is_stationary

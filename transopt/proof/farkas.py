@@ -1,4 +1,4 @@
-"""Proof that no command meets all limits, from multipliers alone (Farkas' lemma over the commands' box)."""
+"""Proof of infeasibility from multipliers alone (Farkas' lemma over the commands' box)."""
 
 from dataclasses import replace
 
@@ -10,23 +10,24 @@ from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import TEMPERATURE, Effect, admissible, boxes, kink_gap, reduced_gradient
 
-MARGIN = 1e-9  # of the sum of all terms' sizes: a hundred thousand times what rounding leaves of it
+MARGIN = 1e-9  # of the sum of the terms' absolute values, 1e5 times its rounding error
 
 
 def is_infeasible(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> bool:
     """Whether these multipliers prove that no command meets all limits and the hand-over.
 
-    For any mu >= 0 a command that meets them has sum_j mu_j (value_j - limit_j) + sum_k nu_k (c_k - feedback_k) <= 0.
-    The values are affine in the commands, so over |c| <= c_max the sum is at least its value at any command c less
-    sum_k |g_k| (c_max + |c_k|), g its gradient by the adjoint recursion. If that is positive, there is none. As a
-    solver runs into infeasibility its multipliers grow along such a ray; nothing else of it is used here.
+    For any mu >= 0 a feasible command has sum_j mu_j (value_j - limit_j) + sum_k nu_k (c_k - feedback_k) <= 0. The
+    values are affine in the commands, so over |c| <= c_max the sum is at least its value at any command c minus
+    sum_k |g_k| (c_max + |c_k|), with g its gradient by the adjoint recursion. If that is positive, no command is
+    feasible. The multipliers of a solver that meets infeasibility grow along such a ray; nothing else of the solver
+    is used here.
 
-    What the stated slope of |mean i| leaves below it counts as in the certificate. Heat is convex in the commands
-    only while copper keeps its resistance: with multipliers on a temperature that warms it nothing is proven.
+    The kink of |mean i| counts as in the certificate. Heat is convex in the commands only if the copper's resistance
+    is constant, so multipliers on a temperature that warms it prove nothing.
 
     Parameters
     ----------
-    command : (N,) any command; the closer to all limits, the sharper.
+    command : (N,) any command; the nearer to all limits, the sharper the test.
     """
     sides = [side for pair in multipliers.pairs.values() for side in pair]
     largest = max(float(np.abs(side).max()) for side in (*sides, multipliers.hand_over))
@@ -54,5 +55,5 @@ def is_infeasible(problem: TransientProblem, command: FloatArray, multipliers: M
     g = reduced_gradient(effect, ray, of_limits_alone=True)
     loss = float(np.vdot(np.abs(g), problem.command_bound + np.abs(command)))
     loss += kink_gap(problem, command, motion, ray)
-    # Written so that a NaN proves nothing. The gradient's rounding counts in `loss` itself.
+    # The comparison is false for NaN. The rounding error of the gradient is included in `loss`.
     return bool(total - loss > MARGIN * (size + float(np.vdot(np.abs(ray.hand_over), np.abs(tail)))))

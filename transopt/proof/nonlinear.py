@@ -1,9 +1,9 @@
-"""Certificate of a stationary point on a nonlinear plant, without a solver.
+"""Certificate of a stationary point on a nonlinear plant, independent of the solver.
 
-The command is rolled out by the nonlinear stage and the gradient of the Lagrangian is formed by the adjoint of that
-recursion, whose derivatives are complex steps through the plant's own formulas: nothing comes from IPOPT but the
-command and the multipliers of the limits, and nothing from CasADi. The dynamics have no multipliers here; the adjoint
-states take their place.
+The command is rolled out by the nonlinear stage. The gradient of the Lagrangian follows from the adjoint of that
+recursion, with derivatives by complex steps through the plant's formulas. Only the command and the multipliers of the
+limits come from IPOPT, and nothing from CasADi. The dynamics have no multipliers here; the adjoint states replace
+them.
 """
 
 from dataclasses import replace
@@ -27,14 +27,14 @@ def reduced_gradient(effect: NonlinearEffect, multipliers: Multipliers) -> Float
     through = replace(through, plant_input=by_input)
     by_motion = replace(through.padded(linear.grid.after_stages), acceleration_m_s2=by_error)
     by_continued = stage.adjoint(effect.linearised, by_motion)
-    # After the window the command is zero, whatever it was before.
+    # The command after the window is zero, so gradients by it are dropped.
     found = by_continued[: command.size] + linear.movement.gradient(command) + by_command
     found[linear.free_stages :] += m.hand_over
     return np.asarray(found)
 
 
 def with_hand_over(effect: NonlinearEffect, multipliers: Multipliers) -> Multipliers:
-    """Add the hand-over's multipliers to the others, from which they follow: they cancel the gradient there."""
+    """Complete multipliers by those of the hand-over, which cancel the gradient of the others there."""
     silent = replace(multipliers, hand_over=np.zeros_like(multipliers.hand_over))
     if not effect.finite:
         return silent
@@ -48,16 +48,16 @@ def certify_nonlinear(
     *,
     effect: NonlinearEffect | None = None,
 ) -> Certificate:
-    """How far a command is from a stationary point; no bound on the optimum follows, whose problem is not convex.
+    """Certify that a command is a stationary point. The problem is not convex, so no bound on the optimum follows.
 
-    As for the convex problem (`certify.certify`), sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|) with the slacks s and
-    the reduced gradient g: zero at a point that meets the conditions of Karush, Kuhn and Tucker, and what J could
-    still fall by if it were as its tangent says. `lower_bound` is minus infinity.
+    As in the convex problem (`certify.certify`) the gap is sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|) with the
+    slacks s and the reduced gradient g. It is zero at a KKT point, and otherwise the possible decrease of J to first
+    order. `lower_bound` is minus infinity.
 
     Parameters
     ----------
     command : (N,).
-    effect : of the command, where it is known already.
+    effect : effect of the command, if it is known already.
     """
     linear = problem.linear
     if not is_stated(linear, command, multipliers):

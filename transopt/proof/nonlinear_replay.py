@@ -1,9 +1,9 @@
 """Independent continuous-time replay of commands on a nonlinear plant.
 
-The plant's own equations with the amplifier's pole are integrated by DOP853, an explicit Runge-Kutta method of order
-eight with step control (Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 1993; scipy's),
-period after period, so that no step goes over a jump of the command. It shares the plant's formulas with the design
-and nothing else: neither its splitting nor its steps.
+The plant's equations with the amplifier's pole are integrated by DOP853, an explicit Runge-Kutta method of order
+eight with step control (Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 1993; scipy's), one
+period at a time, so that no step crosses a jump of the command. Only the plant's formulas are shared with the design,
+neither its splitting nor its steps.
 """
 
 from collections.abc import Sequence
@@ -25,10 +25,10 @@ from transopt.problem.objective.target import Target
 from transopt.proof.continuous import Trajectory, after_s, peak_scale
 from transopt.proof.replay import Replay, largest_reached
 
-SAMPLES = 4  # in every period
-RELATIVE = 1e-9  # tolerance of a step, of the state
-ABSOLUTE = 1e-3  # of that, of the largest value that the state has in the prediction
-COARSER = 100.0  # than that: the tolerance of the replay by which this one's error is told
+SAMPLES = 4  # per servo period
+RELATIVE = 1e-9  # relative tolerance of the integrator
+ABSOLUTE = 1e-3  # absolute tolerance over the relative one, per largest predicted value of the state
+COARSER = 100.0  # factor on the tolerances of the second replay, which estimates the error of the first
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,10 @@ class _Course:
 
     Attributes
     ----------
-    times_s : (K,). states : (M, n, K). felt : (M, K) command.
-    instants : (N + M',) indices of the samples just after the switching instants, those after the window behind.
+    times_s : (K,).
+    states : (M, n, K).
+    felt : (M, K) command that acts.
+    instants : (N + M',) indices of the samples just after the switching instants of window and tail.
     """
 
     times_s: FloatArray
@@ -67,7 +69,7 @@ def _integrated(
     samples = N * (SAMPLES + 1) + later * SAMPLES + 1
     states, felt, times = np.full((samples, n * M), np.nan), np.zeros((samples, M)), np.empty(samples)
     z, at = np.zeros(n * M), 0
-    # Period after period, and all that comes after the window at once.
+    # One span per period, and one for the time after the window.
     spans = [(k * dt, 1, commands[:, k]) for k in range(N)] + [(N * dt, later, np.zeros(M))]
     for start, periods, command in spans:
         offsets = np.linspace(0.0, periods * dt, periods * SAMPLES + 1)
@@ -109,7 +111,7 @@ def _trajectory(stage: NonlinearStage, grid: TimeGrid, course: _Course) -> Traje
 
 
 def replay_nonlinear(problem: NonlinearProblem, commands: Sequence[FloatArray]) -> list[Replay]:
-    """Play commands (N,) on the nonlinear plant, from rest, against what the problem asks for."""
+    """Play commands (N,) on the problem's nonlinear plant from rest, and compare them with its target and limits."""
     linear = problem.linear
     return played_nonlinear(problem.stage, linear.stage, linear.yardstick, linear.target, linear.limits, commands)
 
@@ -122,25 +124,27 @@ def played_nonlinear(
     watched: Limits,
     commands: Sequence[FloatArray],
 ) -> list[Replay]:
-    """Play commands (N,) on a nonlinear plant, from rest.
+    """Play commands (N,) on a nonlinear plant from rest.
 
-    The temperatures are NaN: no winding is looked at. `step_error` is the difference of y'' to a replay with a
+    The temperatures are NaN, as no winding is simulated. `step_error` is the difference of y'' from a replay with a
     hundredfold tolerance, relative to its peak.
 
     Parameters
     ----------
-    stage : whose plant and amplifier are played; its steps are not.
-    at_rest : the linear device over one period, by whose outputs the limits are stated.
-    yardstick : by what they are compared. target : what shall be done. watched : limits that are looked at.
+    stage : plant and amplifier; its discrete steps are not used.
+    at_rest : stage model of the plant linearised at rest, whose outputs the limits refer to.
+    yardstick : rule by which figures are computed.
+    target : target acceleration.
+    watched : limits to check.
     """
     grid, played = yardstick.grid, np.stack(commands)
     N = grid.stages
     after = np.zeros(grid.after_stages)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        # If a motion has no value the states up to there tell their sizes; at tau_0 they are zero.
+        # For a motion that diverges, the states up to the divergence give their sizes.
         states = [stage.states(np.append(each, after)) for each in played]
         if len(played) > 1 and not np.isfinite(states).all():
-            # All commands share their steps, and one whose motion has no value would take the others with it.
+            # All commands share the integrator's steps, so a diverging one would end the others: play one by one.
             return [
                 found
                 for each in played

@@ -1,7 +1,7 @@
 """Independent continuous-time replay of commands.
 
-Simulated by `continuous`, which shares nothing but the plant's matrices with the design model; every limit is checked
-at every fine step.
+`continuous` simulates them and shares only the plant's matrices with the design model. Every limit is checked at
+every fine step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,29 +24,31 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.continuous import AGREEMENT, Accurate, Loop, Trajectory, accurate, fine, peak_scale
 
-AT_ONCE = 5  # commands whose samples stay in a processor's cache: those of many take several times as long
+COMMANDS_AT_ONCE = (
+    5  # commands evaluated together: their samples fit into the processor's cache, several times faster
+)
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What one command does in continuous time.
+    """The continuous-time motion under one command.
 
     Attributes
     ----------
-    acceleration_m_s2, plant_input : (N,) y'' and i at the switching instants.
-    figures : how near the stylus comes to the recorded tap.
-    peak_input, peak_command : over all t.
-    after_m_s2 : (M,) y'' at the instants after the window.
-    after_peak_m_s2 : largest |y''| after the waveform (`continuous.after_s`), when no current flows any more.
-    reached : name of a limit -> largest size over all t of what it bounds, for the limits that were handed in; 0
-        where nothing of it can be seen between the ticks.
-    reached_while_stated : the same up to the last switching instant, tau_(N-1): what comes later follows from the
-        last command and, with a wall, from its feedback alone.
+    acceleration_m_s2, plant_input : (N,) y'' and the plant's input at the switching instants.
+    figures : comparison with the recorded tap.
+    after_m_s2 : (M,) y'' at the instants of the tail.
+    peak_input, peak_command : largest absolute values over all t.
+    after_peak_m_s2 : largest |y''| after the waveform (`continuous.after_s`).
+    reached : name of a limit -> largest absolute value over all t of the quantity it bounds; 0 for a limit that is
+        defined at the ticks only.
+    reached_while_stated : the same up to the last switching instant, tau_(N-1). Later values follow from the last
+        command and, with a wall, from its feedback alone.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
     command : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
-    rounding_m_s2 : `ROUNDING` of the largest |C||x| + |D||i| at the switching instants, the terms that add up to y''.
-    step_error : difference of y'' to a replay with half the step, relative to `scale_m_s2`.
+    rounding_m_s2 : rounding error of y'', `ROUNDING` times the largest |C||x| + |D||i| at the switching instants.
+    step_error : difference of y'' from a replay with half the step, relative to `scale_m_s2`.
     """
 
     acceleration_m_s2: FloatArray
@@ -68,24 +70,24 @@ class Replay:
 
     @property
     def scale_m_s2(self) -> float:
-        """What differences of y'' are relative to."""
+        """Reference for relative differences of y''."""
         return float(peak_scale(np.abs(self.acceleration_m_s2).max(), self.rounding_m_s2))
 
     def peak(self, limit: Limit) -> float:
-        """Largest size over all t of what a limit bounds; NaN where the replay was not asked about it."""
+        """Largest absolute value over all t of the quantity a limit bounds; NaN if the replay did not check it."""
         return self.winding_C if limit.name == TemperatureLimit.name else self.reached.get(limit.name, float("nan"))
 
     def leaves(self, limit: Limit) -> bool:
-        """Whether a limit is left at any time; a NaN leaves every limit."""
+        """Whether a limit is violated at any time; a NaN violates every limit."""
         return not self.peak(limit) <= limit.stated + limit.replay_tolerance
 
     def leaves_late(self, limit: Limit) -> bool:
-        """Whether a limit that is watched after the waveform is left, but only after the last switching instant."""
+        """Whether a limit is violated only after the last switching instant."""
         early = self.reached_while_stated.get(limit.name, np.inf)
         return limit.after_the_waveform and self.leaves(limit) and early <= limit.stated + limit.replay_tolerance
 
     def shortfalls(self, problem: TransientProblem, command: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
-        """What speaks against admitting this command (N,), one sentence each; empty if clean."""
+        """Reasons not to admit this command (N,), one sentence each; empty if there are none."""
         found: list[str] = []
         tolerance_A = tolerated(problem.limits.input_limit)
         found.extend(limit.replayed(self.peak(limit)) for limit in problem.limits if self.leaves(limit))
@@ -93,8 +95,8 @@ class Replay:
             fastest_Hz = float(np.abs(np.linalg.eigvals(problem.stage.plant.A)).max()) / (2 * np.pi)
             found.append(
                 f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak; the "
-                f"device's fastest mode, at {fastest_Hz:.2g} Hz, leaves it no digits: raise the smallest mass, or "
-                "lower the stiffness and the damping that move it"
+                f"device's fastest mode, at {fastest_Hz:.2g} Hz, is too stiff for double precision: raise the "
+                "smallest mass, or lower the stiffness and the damping that act on it"
             )
         feedback_off = float(np.abs(self.command - command).max())
         if not feedback_off <= tolerance_A:
@@ -111,25 +113,25 @@ class Replay:
 def replayed_figures(
     stage: StageModel, yardstick: Yardstick, commands: FloatArray, targets: Sequence[Target]
 ) -> list[Figures]:
-    """Figures of M commands (M, N) beside what they shall do, by the same simulation as `replay`."""
+    """Figures of M commands (M, N) relative to their targets, by the same simulation as `replay`."""
     return figures_of(accurate(stage, yardstick.grid, commands, None), yardstick, targets)
 
 
 def figures_of(simulated: Accurate, yardstick: Yardstick, targets: Sequence[Target]) -> list[Figures]:
-    """Figures of M commands that have been simulated beside what they shall do."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+    """Figures of M simulated commands relative to their targets."""
+    with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
         return [yardstick.figures(target, a) for a, target in zip(simulated.acceleration_m_s2, targets, strict=True)]
 
 
 def largest_reached(
     runs: Sequence[Trajectory], limits: Sequence[Limits], devices: tuple[StageModel, ...], grid: TimeGrid
 ) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """Give, for each command and limit, the largest size of the values it watches, in all and up to tau_(N-1).
+    """For each command and limit, the largest absolute value that it bounds, in all and up to tau_(N-1).
 
     Parameters
     ----------
-    runs : the same commands on the entry's own device, and on those of its spread where a limit looks at them.
-    devices : as many, or more where nothing looks at them.
+    runs : the same commands on the entry's own device and, if a limit depends on them, on those of its spread.
+    devices : the devices of `runs`; further ones are not used.
     """
     run = runs[0]
     instants = np.append(grid.switching_times_s, grid.end_s)
@@ -137,7 +139,7 @@ def largest_reached(
         int(np.searchsorted(run.times_s, grid.switching_times_s[0], side="left")),
         int(np.searchsorted(run.times_s, grid.end_s, side="right")),
     )
-    # The sample just before an instant has its time, but the command before it.
+    # A switching instant has two samples, just before and just after it; the later one has its command.
     last_stated = int(run.at_switching[-1])
     found = []
     for m, of_entry in enumerate(limits):
@@ -170,7 +172,7 @@ def largest_reached(
 
 @dataclass(frozen=True)
 class _Posed:
-    """What the rows of limits look at."""
+    """The part of a problem that limits read to state their rows."""
 
     devices: tuple[StageModel, ...]
     grid: TimeGrid
@@ -182,7 +184,7 @@ class _Posed:
 
 
 def _moves(posed: _Posed) -> bool:
-    """Whether a limit watches anything but current and command."""
+    """Whether a limit depends on anything but input and command."""
     rows = [row for limit in posed.limits for row in limit.watched(posed)]
     return any(not row.linear or set(row.outputs) - {INPUT, COMMAND} for row in rows)
 
@@ -190,12 +192,11 @@ def _moves(posed: _Posed) -> bool:
 def _temperatures(
     run: Trajectory, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
 ) -> tuple[FloatArray, FloatArray]:
-    """(M,) highest winding and housing temperature; segment after segment."""
+    """(M,) highest winding and housing temperature each, up to tau_N."""
     starts = run.times_s[run.segment_starts]
-    # Up to tau_N; what plays after the waveform is no part of it.
     playing = starts < grid.end_s - 1e-9 * grid.dt_s
     first, lengths = run.segment_starts[playing], np.diff(starts, append=run.times_s[-1])[playing]
-    # Exact for whole segments, as the command is held within each.
+    # One step per segment is exact, as the command is constant within it.
     before, felt = run.plant_input[:, first], run.felt[:, first]
     if amplifier is None:
         heat = effective_square(before, coil.ripple_A)
@@ -227,30 +228,32 @@ def replay(
     spread: tuple[StageModel, ...] = (),
     yardstick: Yardstick | None = None,
 ) -> list[Replay]:
-    """Play M commands (M, N) through one device, from rest, and compare each with what it shall do.
+    """Play M commands (M, N) on one device from rest, and compare each with its target.
 
     The integrator's step resolves the fastest mode and is halved until the acceleration at the switching instants
-    changes by less than 1e-10 of its scale; the difference reached is reported as `step_error`.
+    changes by less than 1e-10 of its scale; the remaining difference is reported as `step_error`.
 
     Parameters
     ----------
     targets : one per command.
-    limits : one set per command, for the largest values that it reaches.
-    walls : one per command: the commands are then the transients, and the feedback is added tick by tick from the
+    coil : thermal model of the coil; None leaves the temperatures NaN.
+    limits : one set per command, whose bounded quantities are evaluated.
+    walls : one per command. The commands are then the transients, and the feedback is added tick by tick from the
         replay's own encoder position, which `count_m` rounds to whole counts.
-    budgets : one per command, of one tap rate; with it the temperatures are those of the periodic steady state.
-    simulated : these commands, where they have been simulated together with others.
-    spread : further devices that the commands shall serve: limits on the motion are followed on each of them, by a
-        simulation of its own, and everything else is of the first device.
-    yardstick : by what they are compared; by default a tap's intention of 30 ms.
+    budgets : one per command, with a common tap rate; with a tap rate the temperatures are those of the periodic
+        steady state.
+    simulated : the simulation of these commands, if they were simulated together with others.
+    spread : further devices that the commands serve. Limits on the motion are checked on each of them by a separate
+        simulation; all other results are those of the first device.
+    yardstick : rule by which figures are computed; by default with a tap's intention of 30 ms.
     """
     if simulated is None:
         loop = None if walls is None else Loop(walls, count_m)
         simulated = accurate(stage, grid, commands, loop)
     M = commands.shape[0]
-    if simulated.loop is None and M > AT_ONCE:
+    if simulated.loop is None and M > COMMANDS_AT_ONCE:
         replays = list[Replay]()
-        for part in (slice(first, first + AT_ONCE) for first in range(0, M, AT_ONCE)):
+        for part in (slice(first, first + COMMANDS_AT_ONCE) for first in range(0, M, COMMANDS_AT_ONCE)):
             replays += replay(
                 stage,
                 grid,
@@ -282,12 +285,12 @@ def replay(
             runs.append(fine(its_own.course, its_own.flow, grid))
             step_error = np.maximum(step_error, its_own.step_error)
     reached = [({}, {})] * M if limits is None else largest_reached(runs, limits, (stage, *spread), grid)
-    told = figures_of(found, Yardstick(grid) if yardstick is None else yardstick, targets)
+    figures = figures_of(found, Yardstick(grid) if yardstick is None else yardstick, targets)
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
             plant_input=current[m],
-            figures=told[m],
+            figures=figures[m],
             after_m_s2=later[m],
             peak_input=float(np.abs(run.plant_input[m]).max()),
             peak_command=float(np.abs(command[m]).max()),

@@ -1,8 +1,8 @@
 """Independent continuous-time replay of commands of several motors.
 
-The device is linear and starts at rest, so each acceleration is the sum of what the motors make of it alone. Each
-motor is simulated by itself (`continuous`), through a plant with one input and one output: that shares nothing with
-the design model, which has all motors in one matrix exponential.
+The device is linear and starts at rest, so each acceleration is the sum of the responses to the single motors. Each
+motor is simulated separately (`continuous`), on a plant with one input and one output; the design model has all
+motors in one matrix exponential.
 """
 
 from collections.abc import Sequence
@@ -27,8 +27,10 @@ class _Course:
 
     Attributes
     ----------
-    instants_m_s2 : (M, N + M_after). fine_m_s2 : (M, K), at all kept samples.
-    off_m_s2 : (M,) how far halving the step changes the motors' parts. rounding_m_s2 : (M,) of their terms.
+    instants_m_s2 : (M, N + M_after) acceleration at the switching instants.
+    fine_m_s2 : (M, K) acceleration at all samples.
+    off_m_s2 : (M,) change of the motors' parts by halving the step.
+    rounding_m_s2 : (M,) rounding error of the motors' parts.
     """
 
     instants_m_s2: FloatArray
@@ -39,11 +41,11 @@ class _Course:
 
 @one_blas_thread()
 def replay_several(problems: Sequence[TransientProblem], commands: FloatArray) -> list[Replay]:
-    """Play M commands (M, m, N) through one device, from rest, and compare each with what it shall do.
+    """Play M commands (M, m, N) on one device from rest, and compare each with its target.
 
     Parameters
     ----------
-    problems : one per command, of one device and one time axis; targets and limits may differ.
+    problems : one per command, all with the same device and time axis; targets and limits may differ.
     """
     first = problems[0]
     stage, grid = first.stage, first.grid
@@ -79,7 +81,7 @@ def replay_several(problems: Sequence[TransientProblem], commands: FloatArray) -
 
 @dataclass(frozen=True)
 class _Places:
-    """Indices among the kept samples: those of the switching instants, and the first after the waveform."""
+    """Indices among the samples: those of the switching instants, and the first one after the waveform."""
 
     at_switching: NDArray[np.intp]
     start: int
@@ -88,7 +90,7 @@ class _Places:
 def _played(
     stage: StageModel, grid: TimeGrid, commands: FloatArray
 ) -> tuple[list[_Course], FloatArray, FloatArray, _Places]:
-    """Courses of all directions; inputs and felt commands (M, m, K); places."""
+    """Courses of all directions, inputs and acting commands (M, m, K), and sample indices."""
     plant, courses, inputs, felt = stage.plant, list[_Course](), [], []
     for i in range(plant.tracked):
         parts, off, rounding = [], [], []
@@ -110,7 +112,7 @@ def _played(
 
 
 def _alone(stage: StageModel, direction: int, motor: int) -> StageModel:
-    """The device with one motor and one direction, as far as a replay looks at it; kept with the device."""
+    """The part of the device with one motor and one direction, cached in its stage model."""
     key = "alone", direction, motor
     if key not in stage.derived:
         plant, i, j = stage.plant, slice(direction, direction + 1), slice(motor, motor + 1)
@@ -122,7 +124,7 @@ def _alone(stage: StageModel, direction: int, motor: int) -> StageModel:
 
 @dataclass(frozen=True)
 class _Posed:
-    """What the rows of limits look at."""
+    """The part of a problem that limits read to state their rows."""
 
     stage: StageModel
     grid: TimeGrid
@@ -136,7 +138,7 @@ class _Posed:
 def _reached(
     limits: Limits, stage: StageModel, grid: TimeGrid, inputs: FloatArray, felt: FloatArray
 ) -> dict[str, float]:
-    """Name of a limit -> largest size over all t of what it bounds, a motor with a share of it counting by that."""
+    """Name of a limit -> largest absolute value over all t, that of each motor divided by its share of the limit."""
     posed, nothing = _Posed(stage, grid, limits), np.zeros(felt.shape[-1])
     motion = Motion(nothing, inputs, np.zeros_like(inputs), nothing)
     return {
