@@ -1,8 +1,7 @@
-"""The sliders and choices of a scene, by rule from its own keys.
+"""The sliders and choices of the page, derived from the scene's keys.
 
-Which keys there are, their units, bounds and defaults come from `transopt.scene.keys`, which reads the tables of
-which a scene is made: a limit that is added to the project has its slider without a change here. A key is offered if
-the scene takes it, which is found by stating it.
+Keys, units, bounds and defaults come from `transopt.scene.keys`, which reads the tables of a scene, so a new limit of
+the project gets its slider without a change here. Whether the scene accepts a key is determined by setting it.
 """
 
 import math
@@ -17,11 +16,11 @@ from transopt.problem.limits import kinds_of
 from transopt.scene.keys import Key, Value, keys, with_values
 from transopt.scene.scene import Scene
 
-TABLES = ("limits", "thermal", "feedback", "weights", "robust", "amplifier")  # of a scene, in the order of the page
-DEVICE = ("amplifier.pole_Hz", "amplifier.delay_s")  # what the device is, and no limit of it
-DECADE = 10.0  # a slider of a number reaches from a tenth to ten times of it
-HALVINGS = 10  # until the end of a slider is found that the scene just takes
-# About what devices have, by unit: the middle of the slider of a limit that no scene states; of other units it is 1.
+TABLES = ("limits", "thermal", "feedback", "weights", "robust", "amplifier")  # tables with sliders, in page order
+DEVICE = ("amplifier.pole_Hz", "amplifier.delay_s")  # properties of the device, not offered as sliders
+DECADE = 10.0  # a slider reaches from a tenth to ten times the present value
+HALVINGS = 10  # bisection steps for the end of a slider that the scene still accepts
+# Typical values by unit: the middle of the slider of a limit that the scene does not state; 1 for other units.
 USUAL = {
     "A": 2.0,
     "A/s": 1e4,
@@ -43,19 +42,19 @@ class Control:
 
     Attributes
     ----------
-    key : dotted.
-    label : what it is called: the words of its limit, or the key's own.
-    table : of the scene it stands in.
+    key : dotted key of the scene.
+    label : name on the page: the label of its limit, or the words of the key.
+    table : table of the scene that contains it.
     unit : empty without one.
-    value : in the scene, None where it is not stated; the default of what has one.
-    low, high : ends of the slider; of a choice zero.
-    start : where the slider begins that is switched on.
-    log : whether equal steps are equal ratios.
-    integer : whether only whole numbers are taken.
+    value : value in the scene or its default; None if it is not stated.
+    low, high : ends of the slider; zero for a choice.
+    start : position of the slider when it is switched on.
+    log : whether the slider is logarithmic.
+    integer : whether only integers are accepted.
     optional : whether it can be left out.
-    choices : the words it takes; none of a number.
-    bounds : what is allowed, in words.
-    about : of the table.
+    choices : permitted words; empty for a number.
+    bounds : permitted range in words.
+    about : description of the table.
     """
 
     key: str
@@ -81,18 +80,18 @@ class Control:
 
 
 def input_key(scene: Scene) -> str:
-    """The key of the transient limit on what drives the plant, which the plots show."""
+    """The key of the transient limit on the plant's input, which the plots show."""
     return "limits.current_A" if scene.driven_by.unit == "A" else "limits.voltage_V"
 
 
 def controls(scene: Scene) -> list[Control]:
-    """Everything on the page that can be changed, table by table."""
+    """All controls of the page, table by table."""
     found = [control for key in keys(scene) if (control := _control(scene, key)) is not None]
     return sorted(found, key=lambda control: TABLES.index(control.table))
 
 
 def _control(scene: Scene, key: Key) -> Control | None:
-    """A key's control; None for one that is none of a limit or a weight, or that the scene does not take."""
+    """A key's control; None for a key that is not in `TABLES` or that the scene does not accept."""
     table = key.path.split(".", 1)[0]
     if table not in TABLES or key.path.count(".") != 1 or key.path in DEVICE or not (key.number or key.choices):
         return None
@@ -129,7 +128,7 @@ def _control(scene: Scene, key: Key) -> Control | None:
 
 
 def parsed(control: Control, word: str) -> Value:
-    """A choice as the scene takes it: whole numbers are numbers."""
+    """The value of a choice's word for the scene; integers are converted."""
     return int(word) if word.isdigit() else word
 
 
@@ -141,7 +140,7 @@ def _share(control: Control, value: float) -> float:
 
 
 def _takes(scene: Scene, path: str, value: Value) -> bool:
-    """Whether the scene takes a value."""
+    """Whether the scene accepts a value."""
     try:
         with_values(scene, {path: value})
     except InputError:
@@ -150,7 +149,7 @@ def _takes(scene: Scene, path: str, value: Value) -> bool:
 
 
 def _end(scene: Scene, control: Control, end: float) -> float:
-    """The end of a slider, drawn in to what the scene takes: a motor has a peak current, whatever the key allows."""
+    """The end of a slider, reduced to a value that the scene accepts, such as the motor's peak current."""
     inside, outside = _share(control, control.start), _share(control, end)
     if _takes(scene, control.key, control.at(outside)):
         return control.at(outside)
@@ -165,7 +164,7 @@ def _end(scene: Scene, control: Control, end: float) -> float:
 
 
 def _now(scene: Scene, key: Key) -> Value:
-    """What is in force: of the transient limit what beta makes of the steady current."""
+    """The effective value of a key; for the transient limit, the number that beta and the steady current give."""
     if key.path == input_key(scene):
         return scene.limits.transient_input
     if key.path == "limits.beta" and scene.driven_by.unit == "A":
@@ -177,7 +176,7 @@ def _now(scene: Scene, key: Key) -> Value:
 
 
 def _needed(scene: Scene, path: str) -> bool:
-    """Whether a scene cannot be without the key, although its table may."""
+    """Whether the scene's table requires the key, although the table itself is optional."""
     needed = {input_key(scene), "limits.beta"}
     return path in needed or (path == "limits.steady_current_A" and scene.driven_by.unit == "A")
 
@@ -193,10 +192,10 @@ def _usual(key: Key, low: float, high: float) -> float:
 
 
 def _range(key: Key, value: Value) -> tuple[float, float, bool]:
-    """Ends of the slider, and whether it is logarithmic: a decade around what is stated, within what is allowed."""
+    """Ends of the slider, a decade around the value and within the key's bounds, and whether it is logarithmic."""
     least, most = key.interval
     centre = float(value) if isinstance(value, int | float) else USUAL.get(key.unit, 1.0)
-    if key.unit in ("C", "dB"):  # differences from a zero of their own
+    if key.unit in ("C", "dB"):  # an arbitrary zero: ratios have no meaning
         return max(least, min(centre, 0.0) - 20), min(most, centre + 60), False
     if centre > 0 and least >= 0:
         low, high = max(centre / DECADE, least), min(centre * DECADE, most)
@@ -210,7 +209,7 @@ def _range(key: Key, value: Value) -> tuple[float, float, bool]:
 
 
 def _below(high: float, most: float) -> float:
-    """A round end of a slider that a strict bound does not refuse."""
+    """The upper end of a slider, rounded, strictly below a bound."""
     return float(f"{(high if high < most else most * (1 - 1e-3)):.3g}")
 
 

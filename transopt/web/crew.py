@@ -1,9 +1,9 @@
-"""Processes that solve the taps of a page side by side, each with a share of them.
+"""Worker processes that solve the taps of a page in parallel, each a share of them.
 
-Most of what one tap takes is Python's own work, which threads of one process take in turns. So a crew of processes
-stands beside the server, as many as leave it and the browser a core each; they are started when the page is, and
-until they are there, or while they work for another window, the server solves all taps itself. An answer is the same
-wherever it was found.
+Most of a tap's time is spent in Python code, which threads of one process cannot run in parallel. So the server has a
+crew of processes, as many as leave one core each to server and browser. They are started with the page. Until they
+are ready, or while they work for another window, the server solves all taps itself. The answers do not depend on the
+process.
 """
 
 import itertools
@@ -19,10 +19,10 @@ from transopt.scene.scene import Scene
 from transopt.web.service import Service
 from transopt.web.shown import Shown
 
-MOST = 3  # processes: with the server's own share that is three taps each of twelve
-MOST_S = 20.0  # for a share; who takes longer is ended, and the server solves it
+MOST = 3  # largest number of processes; with the server's share that is three of twelve taps each
+MOST_S = 20.0  # time limit of a share, after which the process is ended and the server solves it
 READY_S = 60.0
-KEPT = 16  # services that a process remembers
+KEPT = 16  # services that a process caches
 
 _names = itertools.count()
 
@@ -32,8 +32,8 @@ class Crew:
 
     Parameters
     ----------
-    size : how many; by default as many as there are cores beside two, at least one where there are two, at most
-        `MOST`.
+    size : number of processes; by default the number of cores minus two, at least one if there are two cores, and at
+        most `MOST`.
     """
 
     def __init__(self, size: int | None = None) -> None:
@@ -43,11 +43,11 @@ class Crew:
         self._members: list[_Member] = []
 
     def start(self) -> None:
-        """Start the processes, without waiting until they are ready."""
+        """Start the processes without waiting until they are ready."""
         threading.Thread(target=self.enlist, name="page crew", daemon=True).start()
 
     def enlist(self) -> None:
-        """Start as many processes as are lacking, and take each on when it has loaded all it needs."""
+        """Start the missing processes, and use each one when it has loaded its modules."""
         with self._enlisting:
             lacking = 0 if self._ended.is_set() else self._size - len(self._members)
             starting = [_Member() for _ in range(lacking)]
@@ -64,26 +64,26 @@ class Crew:
 
     @property
     def numbers(self) -> list[int]:
-        """Numbers of the processes that are ready, as the system counts them."""
+        """Process ids of the processes that are ready."""
         return [number for member in self._members for number in member.process.numbers]
 
     def end(self) -> None:
-        """End all processes, whatever they are doing."""
+        """End all processes at once."""
         self._ended.set()
         for member in self._members:
             member.process.shutdown(wait=False)
 
     def quick(self, name: str, service: Service, order: Sequence[int]) -> list[Shown]:
-        """`Service.quick`, the taps shared out.
+        """`Service.quick` with the taps distributed over the processes.
 
         Parameters
         ----------
-        name : of the service, by which the processes know it again (`service_name`).
+        name : unique name of the service, the processes' cache key (`service_name`).
         """
         if len(order) < 2 or not self._at_work.acquire(blocking=False):
             return service.quick(order)
         try:
-            # Neighbours in the order share the device of their grip, which is made once for each process.
+            # Neighbours in the order share a grip and so its device, which each process builds only once.
             own, *others = _shares(order, len(self._members) + 1)
             asked = [
                 (member, share, member.ask(name, service, share))
@@ -102,7 +102,7 @@ class Crew:
         try:
             return answer.result(MOST_S)
         except (BrokenExecutor, CancelledError, TimeoutError):
-            # Dead or late: its share is solved here, and another takes its place.
+            # The process died or is late: its share is solved here, and a new process replaces it.
             self._members.remove(member)
             member.process.shutdown(wait=False)
             if not self._ended.is_set():
@@ -111,23 +111,23 @@ class Crew:
 
 
 def _shares(order: Sequence[int], count: int) -> list[Sequence[int]]:
-    """The order in at most so many parts of about the same length."""
+    """The order split into at most so many parts of about equal length."""
     ends = [round(j * len(order) / min(count, len(order))) for j in range(min(count, len(order)) + 1)]
     return [order[first:after] for first, after in itertools.pairwise(ends)]
 
 
 class _Member:
-    """One process, and the services that it has been sent."""
+    """One process, and the services that were sent to it."""
 
     def __init__(self) -> None:
         self.process = Processes(1, quiet=True)
         self._sent: OrderedDict[str, str] = OrderedDict()
 
     def ask(self, name: str, service: Service, share: Sequence[int]) -> "Future[list[Shown]]":
-        """Begin with a share of a window's taps."""
+        """Submit a share of a window's taps."""
         whole, axis = None, service.axis
         if self._sent.get(name) != axis:
-            # For the first time, or with references on another time axis.
+            # The process does not have this service yet, or has references on another time axis.
             whole = pickle.dumps(service)
             self._sent[name] = axis
         self._sent.move_to_end(name)
@@ -141,7 +141,7 @@ _services: OrderedDict[str, Service] = OrderedDict()
 
 
 def _ready() -> None:
-    """Nothing; when it returns, the process has loaded this module."""
+    """Do nothing; its return shows that the process has loaded this module."""
 
 
 def _share(
@@ -162,5 +162,5 @@ def _share(
 
 
 def service_name() -> str:
-    """Another one for every service that a window opens."""
+    """A new unique name for a service."""
     return f"service {next(_names)}"

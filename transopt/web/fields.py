@@ -1,4 +1,4 @@
-"""Refusals in the words of the page: a key of the scene is called as its slider, an option as its field."""
+"""Refusals in the words of the page: keys of the scene become names of sliders, options names of fields."""
 
 import re
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from transopt.web.controls import controls
 from transopt.web.service import Service
 
-# What other front doors are told -> what the page has in its place.
+# Wording for the command line and Python -> wording for the page.
 ELSEWHERE = (
     (
         r"; options of `transopt taps`",
@@ -27,8 +27,8 @@ class Said:
 
     Attributes
     ----------
-    words : as the page says it.
-    key : of the slider that it is about; empty where it is about none or several.
+    words : text for the page.
+    key : key of the slider concerned; empty for none or several.
     """
 
     words: str

@@ -1,4 +1,4 @@
-"""Messages in binary: a head in JSON and numbers in float32, which a browser reads without parsing them.
+"""Binary messages: a head in JSON and arrays in float32, which a browser reads without parsing.
 
 A frame is the length of the head in bytes (uint32, little-endian), the head, padded by spaces to a multiple of four,
 and then the arrays one after the other in the order in which the head names them.
@@ -23,7 +23,7 @@ LENGTH = struct.Struct("<I")
 
 
 def frame(head: dict[str, Any], body: bytes) -> bytes:
-    """A head and what follows it."""
+    """A frame with this head and body."""
     text = json.dumps(head).encode()
     text += b" " * (-len(text) % 4)
     return LENGTH.pack(len(text)) + text + body
@@ -57,11 +57,11 @@ def curves(head: dict[str, Any], taps: Sequence[Shown]) -> bytes:
 
 
 def parted(message: bytes) -> tuple[dict[str, Any], bytes]:
-    """The head and the body of a frame that a browser has sent.
+    """Head and body of a frame from the browser.
 
     Raises
     ------
-    InputError : it is none.
+    InputError : the message is not a frame.
     """
     try:
         (length,) = LENGTH.unpack_from(message)

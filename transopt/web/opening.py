@@ -1,4 +1,4 @@
-"""Opening what a page shows: a scene, a library, a user's own taps; and what the page is told of it first."""
+"""Opens a scene, a library or a user's own taps for the page, and describes it to the browser."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -21,12 +21,12 @@ from transopt.web.shown import FIGURES
 
 
 def opened(source: Scene | Library | str | Path, recordings: Path | None = None, *, accept: bool = False) -> Service:
-    """The service of a scene, of a library, or of the name or path of one.
+    """The service of a scene or a library, given as object, name or path.
 
     Parameters
     ----------
     recordings : folder of the scene's recordings, in place of the one that it names.
-    accept : numbers that no device and no tap has, as `transopt.scene.builtin.load_scene` takes them.
+    accept : whether to accept implausible numbers, as in `transopt.scene.builtin.load_scene`.
 
     Raises
     ------
@@ -51,24 +51,24 @@ def opened(source: Scene | Library | str | Path, recordings: Path | None = None,
 
 
 def own_taps(of: Service, folder: Path, files: Sequence[str], reading: Mapping[str, Any]) -> Service:
-    """The service of a scene with taps of a user's own in place of its recordings.
+    """The service of a scene with a user's own taps in place of its recordings.
 
-    The grid takes the speeds of the files, one each, since taps within the scene's tolerance of each other share one.
+    The speeds of the files become the grid's; taps within the scene's tolerance of each other share one speed.
 
     Parameters
     ----------
-    of : whose scene, as it was opened, the taps are for.
-    files : names in the folder.
-    reading : keys of `recordings` that say how they are read, as `speed_m_s` of files that state none.
+    of : service of the scene, as opened, that the taps are for.
+    files : names of the files in the folder.
+    reading : keys of `recordings` for reading them, such as `speed_m_s` for files that state none.
 
     Raises
     ------
-    InputError : a file that is no tap, or whose speed nobody states.
+    InputError : a file that is not a tap, or a missing speed.
     """
     scene = of.opened
     if scene.targets:
         raise InputError(
-            f"{scene.name}: has named targets, which no tap takes the place of: choose a scene with speeds"
+            f"{scene.name}: has named targets, which recorded taps cannot replace: choose a scene with speeds"
         )
     stated = scene.recordings.model_dump(include={"lowpass_Hz", "trusted_from_Hz", "speed_tolerance"})
     table = {**stated, **reading, "files": list(files)}
@@ -95,7 +95,7 @@ def gallery() -> list[dict[str, str]]:
 
 
 def described(service: Service) -> dict[str, Any]:
-    """What a page has to know of a scene before anything of it is solved: words, units, taps and controls."""
+    """Description of a scene for the browser before the first solution: words, units, taps and controls."""
     scene, axes = service.scene, service.scene.axes
     driven = scene.driven_by
     return {
@@ -121,7 +121,7 @@ def described(service: Service) -> dict[str, Any]:
 
 
 def _columns(scene: Scene) -> list[dict[str, str]]:
-    """Name, head and meaning of the columns of the page's table that hold numbers."""
+    """Name, head and meaning of the numeric columns of the page's table."""
     driven, named = scene.driven_by, bool(scene.targets)
     told = EntryTable((), FIGURES, (), driven.unit).meanings(driven.name, named=named)
     found = [(name, COLUMNS[name].head, told.get(COLUMNS[name].head, "")) for name in FIGURES]

@@ -1,4 +1,4 @@
-"""What wider limits buy for one tap, as the curves that the page draws: every point is solved and certified."""
+"""Tap error of one tap over its binding limits, as curves for the page; every point is solved and certified."""
 
 from dataclasses import dataclass, replace
 
@@ -11,8 +11,8 @@ from transopt.design.price import Price
 from transopt.problem.answer import Status
 from transopt.solvers.options import SolverOptions
 
-TIGHTEST = 0.5  # of the limit as it stands: where the curve begins
-POINTS = 4  # that are solved beside those of the price
+TIGHTEST = 0.5  # lower end of the curve, as a share of the present limit
+POINTS = 4  # points solved in addition to those of the price
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,10 @@ class Priced:
 
     Attributes
     ----------
-    sentence : in words.
-    label, unit : of the limit.
-    now : where it stands.
-    points : (bound, tap error) of certified optima, rising in the bound; for the dearest limit from half of it on.
+    sentence : the price in words.
+    label, unit : label and unit of the limit.
+    now : present limit.
+    points : (bound, tap error) of certified optima, increasing in the bound; the dearest limit's from half of it on.
     """
 
     sentence: str
@@ -35,7 +35,7 @@ class Priced:
 
 
 def priced(posed: Posed, entry: Entry, options: SolverOptions) -> tuple[Priced, ...]:
-    """Prices of the limits that bind at an admitted entry, the dearest first and with the longest curve."""
+    """Prices of the limits that bind at an admitted entry, dearest first; that one has the longest curve."""
     found = []
     for number, price in enumerate(entry.prices):
         points = _known(price)
@@ -46,16 +46,16 @@ def priced(posed: Posed, entry: Entry, options: SolverOptions) -> tuple[Priced, 
 
 
 def _known(price: Price) -> dict[float, float]:
-    """Bound -> tap error, as the price has them."""
+    """Bound -> tap error of the points that the price contains."""
     found = {price.bound: price.tap_error, price.bound + price.step: price.then, price.enough: price.there}
     return {bound: error for bound, error in found.items() if np.isfinite(bound) and np.isfinite(error)}
 
 
 def _solved(posed: Posed, entry: Entry, price: Price, options: SolverOptions) -> dict[float, float]:
-    """Bound -> tap error at some bounds more: below the limit, and between it and where it stops mattering."""
+    """Bound -> tap error at further bounds: below the limit, and up to where it no longer matters."""
     limit = next((each for each in entry.problem.limits if each.label == price.limit), None)
     if limit is None or not price.bound > 0 or limit.step_unit != limit.unit:
-        return {}  # a temperature counts from a zero of its own
+        return {}  # a share of a temperature has no meaning, as its zero is arbitrary
     widest = price.enough if np.isfinite(price.enough) else price.bound + price.step
     asked = np.linspace(TIGHTEST * price.bound, max(widest, price.bound), POINTS + 2)[:-1]
     problems = [posed.problem.replaced(limit.raised(float(bound) - price.bound)) for bound in asked]

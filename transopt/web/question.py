@@ -1,4 +1,4 @@
-"""The inverse question of one tap: which limit does its error need, and what can move that error at all."""
+"""The inverse question for one tap: which value of a limit an error requires, and which keys change the error."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from transopt.study.rows import OPTIMAL, Row
 from transopt.web.controls import Control
 from transopt.web.service import Service
 
-PRECISION = 1e-3  # of the answer
-LEAST_MOVE = 5e-4  # of the tap error: what moves it less is not offered
+PRECISION = 1e-3  # relative precision of the value that is found
+LEAST_MOVE = 5e-4  # smallest change of the tap error for which a key is offered
 
 
 @dataclass(frozen=True)
 class Found:
-    """What an inverse question came to.
+    """The answer to an inverse question.
 
     Attributes
     ----------
-    value : of the key; None where none within its slider does.
-    needed : whether the error is too large as it is; else the value would do as well.
-    words : what was found, or how near the search came.
+    value : value of the key; None if none within its slider meets the error.
+    needed : whether the present error is too large; otherwise the value is an alternative.
+    words : the answer, or how near the search came.
     """
 
     value: Value
@@ -37,12 +37,12 @@ class Found:
 
 @dataclass(frozen=True)
 class Mover:
-    """A number of the scene that moves the error of one tap.
+    """A number of the scene that changes the error of one tap.
 
     Attributes
     ----------
-    key, label : of its control.
-    best, worst : least and greatest tap error of its value now and at the two ends of its slider.
+    key, label : key and label of its control.
+    best, worst : least and greatest tap error among its present value and the two ends of its slider.
     """
 
     key: str
@@ -52,13 +52,13 @@ class Mover:
 
 
 def movers(service: Service, index: int, given_up: Callable[[], bool] = lambda: False) -> list[Mover] | None:
-    """What can move the error of one tap: every stated number, solved at the ends of its slider.
+    """The numbers that change the error of one tap, each solved at both ends of its slider.
 
-    Limits come before weights, those that bring it lowest first.
+    Limits come before weights; those with the lowest error come first.
 
     Parameters
     ----------
-    given_up : asked before every solution; the answer is then None.
+    given_up : called before every solution; if it returns true, the search ends with None.
     """
     now = _tap_error(service, index, {})[0]
     found = []
@@ -81,12 +81,12 @@ def asked(service: Service, index: int, control: Control, tap_error: float) -> F
 
     Parameters
     ----------
-    control : of the number that is asked for; its slider is the range.
+    control : control of the number; its slider is the range of the search.
     tap_error : 0.05 for 5 %.
 
     Raises
     ------
-    InputError : a key that is no number, or an error that is none.
+    InputError : a key that is not a number, or an error outside 0 to 100 %.
     """
     if control.choices:
         raise InputError(f"{control.label}: a choice and no number: ask about a limit")
@@ -129,7 +129,7 @@ def asked(service: Service, index: int, control: Control, tap_error: float) -> F
 
 
 def _tap_error(service: Service, index: int, changes: dict[str, Value]) -> tuple[float, str]:
-    """Tap error with other values, NaN where it is not certified, and why it is not."""
+    """Tap error with other values, NaN if it is not certified, and the reason."""
     place, reference = service.places[index], service.reference(service.places[index])
     try:
         context = service.context.varied(with_values(service.scene, changes)) if changes else service.context

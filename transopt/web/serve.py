@@ -1,4 +1,4 @@
-"""A scene or a library on its page: for the command, for Python, for a notebook."""
+"""Serves a scene or a library as a page: for the command, for Python, for a notebook."""
 
 from functools import cached_property
 from pathlib import Path
@@ -24,14 +24,14 @@ class Page:
     Parameters
     ----------
     source : a scene, a library, the name of a built-in scene, or the path of a .toml or .npz file.
-    port : 0 for any that is free; None for the usual one, or any where that is taken.
+    port : 0 for any free port; None for the usual one, or any if that is taken.
     recordings : folder of the scene's recordings, in place of the one that it names.
-    token : of the address; a random one where none is given.
-    accept : numbers that no device and no tap has.
+    token : secret part of the address; random by default.
+    accept : whether to accept implausible numbers.
 
     Attributes
     ----------
-    address : what a browser on this machine opens; its token is secret.
+    address : address to open in a browser on this machine; its token is secret.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Page:
         return self._server.address
 
     def serve(self) -> None:
-        """Serve until a signal asks to end."""
+        """Serve until a signal ends the process."""
         self._server.serve()
 
     def start(self) -> Self:
@@ -70,7 +70,7 @@ class Page:
         return self
 
     def close(self) -> None:
-        """End what `start` has begun."""
+        """End the thread of `start`."""
         self._server.close()
 
     def __enter__(self) -> Self:
@@ -84,13 +84,13 @@ class Page:
 
     @cached_property
     def _entries(self) -> list[list[Entry]]:
-        """Every tap as a library would hold it: rows of speeds or targets."""
+        """All taps as entries of a library, in rows of speeds or targets."""
         width = len(self.service.scene.axes.grips_N)
         entries = [self.service.entry(index) for index in range(len(self.service.places))]
         return [entries[at : at + width] for at in range(0, len(entries), width)]
 
     def plot(self) -> "Figure":
-        """Every tap as the figures of a library show it, without a server."""
+        """All taps in the figure of a library, without a server."""
         return entries_figure(self._entries)
 
     def _repr_html_(self) -> str:

@@ -1,8 +1,7 @@
-"""The page on this machine: files for the browser and one websocket for each window.
+"""The page's web server on this machine: static files and one websocket per window.
 
-It is bound to 127.0.0.1 alone. The address has a random token, which every request must have; a request that a page
-of another origin makes, or that came by another host name (DNS rebinding), is refused. Nothing is loaded from
-anywhere else.
+It is bound to 127.0.0.1 only. The address contains a random token, which every request must have. A request from a
+page of another origin, or by another host name (DNS rebinding), is refused. The page loads nothing from elsewhere.
 """
 
 import asyncio
@@ -29,20 +28,20 @@ STATIC = Path(__file__).parent / "static"
 KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 MOST_WINDOWS = 16
 FRAME_BYTES = MOST_UPLOAD_BYTES + 2**20
-USUAL_PORT = 8037  # another start has the same origin, in which a browser keeps own taps
+USUAL_PORT = 8037  # a fixed port keeps the origin, under which the browser stores own taps, over restarts
 READY_S = 10.0
 SWITCH_S = 5e-4
-REFUSED = 4403  # closes a websocket that is not the page's own
+REFUSED = 4403  # close code of a websocket that does not belong to the page
 
 Asgi = Callable[..., Any]
 
 
 def check_extra() -> None:
-    """Say what to install where the extra is missing.
+    """Check that the packages of the extra `page` are installed.
 
     Raises
     ------
-    InputError : a package of it cannot be imported.
+    InputError : one cannot be imported; the message says what to install.
     """
     try:
         import starlette  # noqa: F401
@@ -53,13 +52,13 @@ def check_extra() -> None:
 
 
 class Guard:
-    """Lets through what the page's own window asks for, and refuses everything else.
+    """Middleware that refuses requests which do not come from the page's own window.
 
     Parameters
     ----------
     inner : the application behind it.
     token : first part of every path.
-    port : of the address; other hosts and origins are foreign.
+    port : port of the address; requests by other hosts and origins are refused.
     """
 
     def __init__(self, inner: Asgi, token: str, port: int) -> None:
@@ -73,7 +72,7 @@ class Guard:
         )
 
     def refused(self, scope: dict[str, Any]) -> bool:
-        """Whether a request is none of the page's own."""
+        """Whether to refuse a request."""
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
         origin = headers.get(b"origin")
         if headers.get(b"host", "") not in self._hosts:
@@ -114,7 +113,7 @@ def application(opener: Callable[[], Service], crew: Crew, token: str, port: int
 
     Parameters
     ----------
-    opener : makes the service of each window.
+    opener : creates the service of each window.
     crew : solves the taps of all windows.
     """
     from starlette.applications import Starlette
@@ -128,7 +127,7 @@ def application(opener: Callable[[], Service], crew: Crew, token: str, port: int
 
     async def static(request: Request) -> Response:
         name = request.path_params["name"]
-        # Looked up by its name among those there are: no path of a request is opened.
+        # The name is looked up in the list of static files; a path from a request is never opened.
         if name not in files:
             return Response("no such file\n", status_code=404, media_type="text/plain")
         return FileResponse(files[name], media_type=KINDS[files[name].suffix])
@@ -193,13 +192,13 @@ def application(opener: Callable[[], Service], crew: Crew, token: str, port: int
 
 
 class Server:
-    """The page being served; `address` is what a browser opens.
+    """The server of a page; `address` is to be opened in a browser.
 
     Parameters
     ----------
-    opener : makes the service of each window.
-    port : 0 for any that is free; None for the usual one, or any where that is taken.
-    token : of the address; a random one where none is given.
+    opener : creates the service of each window.
+    port : 0 for any free port; None for the usual one, or any if that is taken.
+    token : secret part of the address; random by default.
 
     Raises
     ------
@@ -232,8 +231,9 @@ class Server:
         self._thread: threading.Thread | None = None
 
     def serve(self) -> None:
-        """Serve until a signal asks to end."""
-        # A window's thread computes while this one sends: at Python's own 5 ms an answer waits longer than it takes.
+        """Serve until a signal ends the process."""
+        # Windows' threads compute while this one sends. With Python's default switch interval of 5 ms an answer would
+        # wait for the interpreter longer than it takes to compute.
         sys.setswitchinterval(SWITCH_S)
         self._crew.start()
         try:
@@ -248,14 +248,14 @@ class Server:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread that `start` has begun."""
+        """End the thread of `start`."""
         self._server.should_exit = True
         if self._thread is not None:
             self._thread.join(READY_S)
 
 
 def _bound(port: int | None) -> socket.socket:
-    """A socket that listens at a port, at the usual one where none is asked for, or else at any."""
+    """A socket that listens at the given port; for None at the usual one, or any if that is taken."""
     listening = socket.socket()
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -1,8 +1,8 @@
-"""A scene and its taps, solved under other limits again and again: what the page shows, with no web in it.
+"""A scene and its taps, solved again under changed limits: the computations of the page, without the web server.
 
-While a slider moves, an answer is all optima with their certificates (`Service.quick`). When it rests, every tap is
-made anew as `transopt solve` makes it, replayed, priced and admitted (`Service.settled`), so that what the table says
-is what a library would hold.
+While a slider moves, an answer consists of the optima with their certificates (`Service.quick`). When it rests, every
+tap is designed as by `transopt solve`, replayed, priced and admitted (`Service.settled`), so that the table shows the
+figures of a library.
 """
 
 import json
@@ -42,7 +42,7 @@ from transopt.web.price import priced
 from transopt.web.shown import Place, Shown, shown
 from transopt.web.warm import Warm, on_warm_coil
 
-MOST_REMEDY_WORK = 100.0  # of the trials for what would do for one tap: a second or two
+MOST_REMEDY_WORK = 100.0  # work limit for the search of remedies for one refused tap: one or two seconds
 RECORDED = {
     "recordings",
     "hand",
@@ -59,20 +59,20 @@ RECORDED = {
 
 
 class Service:
-    """A scene, its taps, and the changes that have been made to it.
+    """A scene, its taps, and the changes made to it on the page.
 
     Parameters
     ----------
-    scene : as it was opened.
-    recordings : to be reproduced in place of those that the scene names.
-    library : of which it is the scene: then its references serve as long as the time axis stays, and no recording
-        need be there.
-    text : of the scene's file, whose comments a scene that is saved keeps; empty where there is none.
-    dropped : whether its recordings lie in a folder that is soon gone: a scene that is saved has them beside itself.
+    scene : the scene as opened.
+    recordings : recordings to reproduce in place of those that the scene names.
+    library : library that the scene belongs to; its references are used while the time axis does not change, so that
+        the recordings need not be present.
+    text : text of the scene's file, whose comments are kept when it is saved; empty without a file.
+    dropped : whether its recordings are in a temporary folder; a saved scene then expects them in its own folder.
 
     Raises
     ------
-    InputError : recordings that cannot serve; a nonlinear plant.
+    InputError : unsuitable recordings, or a nonlinear plant.
     """
 
     def __init__(
@@ -89,9 +89,9 @@ class Service:
         self.options = SolverOptions()
         self.trial = TrialOptions(self.options.solver, self.options.tolerance, self.options.max_iterations)
         self._references: tuple[str, References] = ("", References())
-        self._referenced: Scene | None = None  # that the references were last looked up for
+        self._referenced: Scene | None = None  # scene of the last look-up of references
         self._recordings: tuple[str, list[Recording]] = ("", [])
-        self._stages: Kept[StageModel] = Kept(KEPT_STAGES)  # of all scenes that the sliders have come to
+        self._stages: Kept[StageModel] = Kept(KEPT_STAGES)  # cache over all scenes that the sliders produced
         self._context: Context | None = None
         self.probe: tuple[float, float] | None = None
         self.winding_C: float | None = None
@@ -103,11 +103,11 @@ class Service:
         self.references(scene)
 
     def __getstate__(self) -> dict[str, Any]:
-        # For another process: it makes the devices itself, and needs no library beside the references.
+        # Another process builds the devices itself, and needs the references only.
         return {**vars(self), "_stages": Kept(KEPT_STAGES), "_context": None, "of_library": None}
 
     def another(self) -> "Service":
-        """Give another window a service of the scene as it was opened; what is known of its recordings is shared."""
+        """A service of the scene as opened for another window; the references are shared."""
         found = object.__new__(Service)
         vars(found).update(vars(self) | {"_stages": Kept(KEPT_STAGES), "_context": None})
         found.scene, found.changes, found.probe, found.winding_C = self.opened, {}, None, None
@@ -115,12 +115,12 @@ class Service:
 
     @property
     def axis(self) -> str:
-        """What its references were made for, as text: as long as it stays, so do they."""
+        """The references' cache key."""
         return self._references[0]
 
     @property
     def places(self) -> list[Place]:
-        """The taps of the scene, speeds outermost, and the one between the nodes where it is asked for."""
+        """The taps of the scene, speeds outermost, and the one between the nodes if it is requested."""
         axes, scene = self.scene.axes, self.scene
         names = axes.targets or ("",) * len(axes.speeds_m_s)
         found = [
@@ -144,7 +144,7 @@ class Service:
 
     @property
     def remarks(self) -> list[str]:
-        """What has to be known before anything that is shown is believed."""
+        """Warnings about the scene that qualify all results."""
         found = [self.scene.unfit_model()]
         if self.of_library is not None and self.of_library.meta.get("refinement"):
             found.append(
@@ -155,7 +155,7 @@ class Service:
 
     @property
     def windings_C(self) -> tuple[float, float] | None:
-        """Ambient, and what a transient may bring the winding to; None where the scene has no cool commands."""
+        """Ambient temperature and the winding's limit during a transient; None without cool commands."""
         coil = self._guarded
         if coil is None or self.scene.grid.cool_share is None:
             return None
@@ -163,7 +163,7 @@ class Service:
 
     @property
     def _guarded(self) -> CoilModel | None:
-        """The coil as the servo that plays the commands estimates it."""
+        """The coil's model by which the servo estimates its temperature."""
         coil = self.scene.coil()
         return None if coil is None else coil.on_a_device()
 
@@ -173,17 +173,17 @@ class Service:
         probe: tuple[float, float] | None = None,
         winding_C: float | None = None,
     ) -> None:
-        """Take other values into the scene as it was opened, in place of those that were taken before.
+        """Apply changes to the scene as opened, in place of earlier changes.
 
         Parameters
         ----------
-        changes : key -> value; of two statements of one limit the later counts.
+        changes : key -> value; of two keys that state the same limit the later one counts.
         probe : a speed [m/s] and a grip [N] between the nodes; None for none.
-        winding_C : of a coil on which every tap is played besides; None for none.
+        winding_C : temperature of a warm coil on which every tap is shown too; None for none.
 
         Raises
         ------
-        InputError : values that the scene does not take; it stays as it was.
+        InputError : values that the scene refuses; it is then not changed.
         """
         wanted: dict[str, Value] = {}
         for key, value in changes.items():
@@ -210,16 +210,16 @@ class Service:
                 )
 
     def _axis(self, scene: Scene) -> str:
-        """What the references depend on, as text."""
+        """The references' cache key for a scene: all that they depend on, as text."""
         stated = scene.model_dump(include={"recordings", "targets", "hand"}, mode="json")
         return f"{scene.time_grid()} {json.dumps(stated)}"
 
     def references(self, scene: Scene) -> References:
-        """What the device has to do at speeds and grips of a scene or for its targets; kept until the axis changes.
+        """References at the speeds and grips of a scene or for its targets, cached by `axis`.
 
         Raises
         ------
-        InputError : recordings that cannot serve.
+        InputError : unsuitable recordings.
         """
         if scene is not self._referenced:
             axis = self._axis(scene)
@@ -258,9 +258,9 @@ class Service:
 
     @one_blas_thread()
     def quick(self, indices: Sequence[int]) -> list[Shown]:
-        """Design some taps together under the present limits: optima and certificates, no replays and no prices."""
+        """Design some taps together under the present limits: optima and certificates, without replays and prices."""
         places = self.places
-        with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails, and says so
+        with np.errstate(over="ignore", invalid="ignore"):  # extreme values overflow and end as refused taps
             entries = design([self._posed(places[index]) for index in indices], options=self.trial)
             found = shown(indices, entries)
             if self.winding_C is None:
@@ -268,7 +268,7 @@ class Service:
             return [self._warmed(each, entry) for each, entry in zip(found, entries, strict=True)]
 
     def _warmed(self, found: Shown, entry: Entry) -> Shown:
-        """A tap with what is played of it on the warm coil."""
+        """A tap together with the transient that the warm coil allows."""
         warm = self._warm(found.index, entry) if found.certified else None
         if warm is None or found.curves is None:
             return found
@@ -278,7 +278,7 @@ class Service:
         return replace(found, warm=played, curves=curves)
 
     def _warm(self, index: int, entry: Entry) -> tuple[Warm, FloatArray, FloatArray] | None:
-        """A tap on a coil as warm as is asked for; None where nothing is asked."""
+        """The transient on a coil at the requested temperature; None if none is requested."""
         share = self.scene.grid.cool_share
         coil = None if self.winding_C is None else self._guarded
         if self.winding_C is None or coil is None or share is None:
@@ -293,7 +293,7 @@ class Service:
 
     @one_blas_thread()
     def settled(self, index: int) -> Shown:
-        """One tap as a library would hold it; of a refused one the reason, and what would do."""
+        """One tap as an entry of a library; for a refused one the reason and remedies."""
         place, entry = self.places[index], self.entry(index)
         admitted = entry.admitted
         reason, warm = "", self._warm(index, entry) if admitted else None
@@ -319,7 +319,7 @@ class Service:
 
     @property
     def text(self) -> str:
-        """The scene as it is now as a file: with the comments of the one that was opened, without an installation."""
+        """The changed scene as text of a file, with the comments of the opened one, without installation paths."""
         scene = self.scene
         changes: dict[str, Any] = {"name": scene.name}
         for path, value in self.changes.items():
@@ -329,22 +329,22 @@ class Service:
         return edited(self.source, changes) or scene_text(_portable(scene, self._dropped))
 
     def accelerations(self, index: int) -> dict[str, FloatArray]:
-        """What a tap sounds like: (N + M,) of recorded, clipped and, if certified, optimum [m/s^2]."""
+        """Accelerations to play as sound: (N + M,) recorded, clipped and, if certified, optimum [m/s^2]."""
         (shown,) = self.quick([index])
         assert shown.curves is not None
         found = {"recorded": shown.curves.recorded_m_s2, "clipped": shown.curves.clipped_m_s2}
         return {**found, "optimum": shown.curves.optimum_m_s2} if shown.certified else found
 
     def library(self, progress: Callable[[int, int], None] = lambda done, of: None) -> Library:
-        """Build the library of the scene as it is.
+        """Build the library of the changed scene.
 
         Parameters
         ----------
-        progress : called with how many taps are done, and of how many.
+        progress : called with the number of finished taps and their total.
 
         Raises
         ------
-        InputError : an entry is refused, with its reason; recordings that are not there.
+        InputError : an entry is refused, with its reason; missing recordings.
         """
         scene, done = self.scene, 0
 
@@ -365,12 +365,12 @@ class Service:
 
 
 def _portable(scene: Scene, beside: bool) -> Scene:
-    """The scene with a folder of recordings that names no place of an installation."""
+    """The scene with a relative folder of recordings, without a path of an installation."""
     folder = Path(scene.recordings.folder)
     if beside or not scene.recordings.files:
         folder = Path()
     elif folder.is_relative_to(FOLDER):
         folder = folder.relative_to(FOLDER)
     elif not folder.is_dir():
-        folder = Path(folder.name)  # of a library that was built elsewhere
+        folder = Path(folder.name)  # the library was built elsewhere
     return scene.model_copy(update={"recordings": scene.recordings.model_copy(update={"folder": folder.as_posix()})})

@@ -1,8 +1,8 @@
-"""One window's conversation: requests come in, answers go out, and the newest change takes the place of older ones.
+"""Handles the requests of one window; a newer change replaces older ones that are not solved yet.
 
-Every window has its own service and its own thread, so that two of them never see each other's changes. A change that
-has begun to be solved is answered; of those that came meanwhile only the newest is. What takes long, the replays and
-prices of a slider at rest, is given up as soon as there is a newer one.
+Every window has its own service and thread, so windows do not see each other's changes. A change that is being solved
+is answered; of the changes that arrive meanwhile only the newest is. Replays and prices, which take long, are
+abandoned as soon as a newer change arrives.
 """
 
 import json
@@ -30,20 +30,20 @@ from transopt.web.shown import plain
 from transopt.web.upload import Upload, uploadable
 
 SOUND_RATE_HZ = 48000
-LOUDEST = 0.5  # of full scale, the recorded peak of the scene's loudest tap: -6 dB leave room for what is stronger
+LOUDEST = 0.5  # recorded peak of the loudest tap over full scale: -6 dB of headroom for stronger curves
 
 Send = Callable[[str | bytes], None]
 Message = dict[str, Any]
 
 
 class Session:
-    """A window.
+    """The session of one window.
 
     Parameters
     ----------
-    opener : makes its service.
-    send : takes what goes to the browser; called from this session's thread.
-    crew : solves several taps side by side; by default nobody does.
+    opener : creates its service.
+    send : sends a message to the browser; called from this session's thread.
+    crew : processes that solve taps in parallel; by default none.
     """
 
     def __init__(self, opener: Callable[[], Service], send: Send, crew: Crew | None = None) -> None:
@@ -53,7 +53,7 @@ class Session:
         self._others: deque[tuple[Message, bytes]] = deque()
         self._ended = False
         self._upload: Upload | None = None
-        self._service_name = ""  # by which the crew knows the service
+        self._service_name = ""  # the crew's cache key of the service
         self.service: Service | None = None
         self.thread = threading.Thread(target=self._run, name="page", daemon=True)
 
@@ -61,16 +61,16 @@ class Session:
         self.thread.start()
 
     def put(self, message: Message, body: bytes = b"") -> None:
-        """A request of the browser."""
+        """Queue a request of the browser."""
         with self._waiting:
-            if message.get("type") == "change":  # it says everything: those before are not needed
+            if message.get("type") == "change":  # it contains all changes, so earlier ones are dropped
                 self._newest = message
             else:
                 self._others.append((message, body))
             self._waiting.notify()
 
     def end(self) -> None:
-        """The window is closed."""
+        """End the session, as the window is closed."""
         with self._waiting:
             self._ended = True
             self._waiting.notify()
@@ -103,12 +103,12 @@ class Session:
             return self._others.popleft()
 
     def _guarded(self, about: str, work: Callable[[], None], message: Message | None = None) -> None:
-        """What a user can cause is said on the page; what nobody foresaw is too, and the window goes on."""
+        """Run work and show its errors on the page, unexpected ones too; the window stays usable."""
         try:
             work()
         except InputError as error:
             words = str(error)
-        except (KeyError, TypeError, ValueError) as error:  # a request that no page of ours makes
+        except (KeyError, TypeError, ValueError) as error:  # a malformed request
             words = f"a request of the page was not understood ({type(error).__name__}): load the page again"
         except Exception as error:
             words = f"{type(error).__name__}: {error}: this is a fault of the program; please report it"
@@ -124,7 +124,7 @@ class Session:
         self._show(self._opener())
 
     def _show(self, service: Service, upload: Upload | None = None) -> None:
-        """Go on with another service, and with the files that were dropped for it."""
+        """Switch to another service, and to the files that were dropped for it."""
         self.service, self._service_name = service, service_name()
         self._take(upload)
         own = upload.names if upload else []
@@ -168,13 +168,13 @@ class Session:
         )
         order = service.order(int(message["selected"]))
         head = {"type": "curves", "id": number, "places": [vars(place) for place in service.places]}
-        # All taps in one frame: whatever shows a result shows one of the same number.
+        # All taps in one frame, so that all displays show results of the same frame number.
         self._send(curves(head, self._crew.quick(self._service_name, service, order)))
         if message.get("final"):
             self._settle(service, order, number)
 
     def _settle(self, service: Service, order: list[int], number: int) -> None:
-        """Every tap as a library has it, one after the other, until something newer is asked for."""
+        """Send every tap as an entry of a library, one after the other, until a newer request arrives."""
         for done, index in enumerate(order):
             if self._superseded:
                 return
@@ -198,22 +198,22 @@ class Session:
         )
 
     def _movers(self, message: Message) -> None:
-        """Tell what can move the error of a tap, unless the page has something newer to do."""
+        """Send the numbers that change the error of a tap, unless a newer request arrives."""
         service, index = self._service(), self._index(message)
         found = movers(service, index, lambda: self._superseded or bool(self._others))
         if found is not None:
             self._say({"type": "movers", "tap": index, "movers": [vars(each) for each in found]})
         elif not self._superseded and all(other["type"] != "movers" for other, _ in list(self._others)):
-            self.put(message)  # once what came meanwhile is answered
+            self.put(message)  # try again after the newer requests
 
     def _choose(self, message: Message) -> None:
-        """Go on with another built-in scene."""
+        """Switch to another built-in scene."""
         chosen = opened(str(message["name"]))
         self._opener = chosen.another
         self._open()
 
     def _glimpse(self, message: Message) -> None:
-        """The last tap of a built-in scene, for its picture in the gallery."""
+        """Send the last tap of a built-in scene, for its picture in the gallery."""
         service = opened(str(message["name"]))
         found = service.quick([len(service.places) - 1])
         head = {"type": "glimpse", "name": message["name"], "window_end_s": service.grid.end_s}
@@ -222,7 +222,7 @@ class Session:
     def _index(self, message: Message) -> int:
         index = int(message["tap"])
         if not 0 <= index < len(self._service().places):
-            raise InputError(f"tap {index}: there is none of that number: choose another")
+            raise InputError(f"tap {index}: no tap has this number: choose another")
         return index
 
     def _sound(self, message: Message) -> None:

@@ -17,19 +17,19 @@ from transopt.problem.objective.figures import Figures
 from transopt.web.price import Priced
 from transopt.web.warm import Warm
 
-FIGURES = ("tap", "floor", "felt", "felt_dB", "speed", "bump", "heat")  # columns of the library's own table
+FIGURES = ("tap", "floor", "felt", "felt_dB", "speed", "bump", "heat")  # columns shared with the library's table
 
 
 @dataclass(frozen=True)
 class Place:
-    """Which tap it is.
+    """Identifies a tap on the page.
 
     Attributes
     ----------
-    speed_m_s, grip_N : 0 of a named target.
-    target : its name; empty for a tap.
-    title : in words.
-    between : whether it lies between the nodes of the scene, where the sliders of speed and grip put it.
+    speed_m_s, grip_N : 0 for a named target.
+    target : name of a named target; empty for a tap.
+    title : name of the tap in words.
+    between : whether it lies between the nodes of the scene, at the sliders of speed and grip.
     """
 
     speed_m_s: float
@@ -41,19 +41,19 @@ class Place:
 
 @dataclass(frozen=True)
 class Curves:
-    """One tap as it is drawn; without a certified optimum its own curves are NaN.
+    """The curves of one tap; without a certified optimum its own curves are NaN.
 
     Attributes
     ----------
-    times_s : (N + M,) the switching instants, and those after the window.
+    times_s : (N + M,) switching instants of window and tail.
     recorded_m_s2 : (N + M,) r, the recorded acceleration.
-    optimum_m_s2, clipped_m_s2 : (N + M,) y'' of the optimum, and of the unlimited one cut at the limit.
-    input, clipped_input : (N + M,) what drives the plant [A or V].
-    input_limit : that they stay within.
-    temperature_C : (N,) of the winding at the ends of the periods; (0,) without a coil.
+    optimum_m_s2, clipped_m_s2 : (N + M,) y'' of the optimum, and of the optimum without limits, clipped.
+    input, clipped_input : (N + M,) input of the plant [A or V].
+    input_limit : limit on the input.
+    temperature_C : (N,) winding temperature at the ends of the periods; (0,) without a coil.
     temperature_limit_C : NaN without a coil.
-    warm_m_s2, warm_input : (N + M,) as `optimum_m_s2` and `input`, of what is played on a coil as warm as is asked
-        for; (0,) where nothing is asked.
+    warm_m_s2, warm_input : (N + M,) as `optimum_m_s2` and `input`, for the transient on a warm coil; (0,) if none is
+        requested.
     """
 
     times_s: FloatArray
@@ -75,18 +75,18 @@ class Shown:
 
     Attributes
     ----------
-    index : of the place.
-    certified : whether the project's certificate is accepted; what is not is greyed.
-    replayed : whether it is admitted too, as an entry of a library is.
+    index : index of its place.
+    certified : whether its certificate is accepted; otherwise it is drawn grey.
+    replayed : whether it is replayed and admitted, as an entry of a library is.
     reason : why it is not certified; empty if it is.
-    figures : how near the optimum comes to the recorded tap; None where there is none.
-    floor, clipped : tap error of the optimum without limits, and of that one clipped.
+    figures : comparison with the recorded tap; None without an optimum.
+    floor, clipped : tap error of the optimum without limits, and of that optimum clipped.
     heat_A2_ms : integral of the squared current.
-    binds : what holds it back, in words.
-    curves : as drawn; None in the answer of `settled`, which changes no curve.
-    warm : what is played on a coil as warm as is asked for; None where nothing is asked, or it is not certified.
-    prices : of the limits that bind, the dearest first; known when settled.
-    verdict : known when settled.
+    binds : binding limits, in words.
+    curves : curves to draw; None in the answer of `settled`, which does not change them.
+    warm : transient on a warm coil; None if none is requested, or the tap is not certified.
+    prices : prices of the binding limits, dearest first; only when settled.
+    verdict : verdict in words; only when settled.
     """
 
     index: int
@@ -105,7 +105,7 @@ class Shown:
 
     @property
     def cells(self) -> dict[str, str]:
-        """Column of the table -> what stands there, as every other table of the project has it."""
+        """Column of the table -> text of its cell, as in all tables of the project."""
         f = self.figures
         values = {"floor": self.floor}
         if f is not None:
@@ -122,7 +122,7 @@ def shown(indices: Sequence[int], entries: Sequence[Entry]) -> list[Shown]:
 
 
 def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """(N + M,) acceleration and input of every unlimited optimum cut at the limit, those of one device together."""
+    """Index -> (N + M,) acceleration and input of the clipped optimum; taps of one device are computed together."""
     devices: dict[int, list[Entry]] = {}
     for entry in entries:
         devices.setdefault(id(entry.problem.stage), []).append(entry)
@@ -141,7 +141,7 @@ def _shown(index: int, entry: Entry, clipped_m_s2: FloatArray, clipped_input: Fl
     problem, answer, proof = entry.problem, entry.solution, entry.certificate
     grid, target = problem.grid, problem.target
     N = grid.stages
-    certified = answer.status is Status.OPTIMAL and (proof.accepted or _bent(entry))
+    certified = answer.status is Status.OPTIMAL and (proof.accepted or _is_stationary(entry))
     optimum = current = np.full(N + grid.after_stages, np.nan)
     if certified:
         lasting = entry.designed.effect.lasting
@@ -180,14 +180,14 @@ def _shown(index: int, entry: Entry, clipped_m_s2: FloatArray, clipped_input: Fl
     )
 
 
-def _bent(entry: Entry) -> bool:
-    """Whether the answer is a stationary point under a limit of a user's own, of which nobody can promise more."""
+def _is_stationary(entry: Entry) -> bool:
+    """Whether the answer is a certified stationary point under a user's own nonlinear limit."""
     own = any(name != TemperatureLimit.name for name in entry.problem.nonlinear)
     return entry.certificate.is_stationary and own
 
 
 def plain(shown: Shown) -> dict[str, Any]:
-    """An answer without its curves, as JSON has it: null where there is no number."""
+    """An answer without its curves for JSON; NaN becomes null."""
     own = asdict(replace(shown, curves=None))
     del own["curves"]
     found: dict[str, Any] = _finite(own)

@@ -1,4 +1,4 @@
-"""Files of a user's own that the browser sends, in a folder of the session's own."""
+"""Recordings that the browser uploads, stored in a temporary folder of the session."""
 
 import re
 import tempfile
@@ -16,25 +16,25 @@ MOST_UPLOAD_BYTES = 16 * 2**20
 
 
 def uploadable() -> dict[str, Any]:
-    """What the page asks of files before it sends them."""
+    """Limits by which the page checks files before it sends them."""
     return {"bytes": MOST_UPLOAD_BYTES, "files": MOST_FILES, "suffixes": SUFFIXES}
 
 
 class Upload:
-    """Files in one body one after the other: the browser's names are never opened.
+    """Uploaded files, concatenated in one body; names from the browser are never opened as paths.
 
     Parameters
     ----------
-    message : `files`, names and lengths; what the page's fields say of how they are read.
-    body : the files.
+    message : `files` with names and lengths, and the page's fields for reading them.
+    body : content of the files.
 
     Attributes
     ----------
-    names : of the files, made safe.
+    names : safe names of the files.
 
     Raises
     ------
-    InputError : too many or too large, not whole, or no recordings by their names.
+    InputError : too many or too large files, incomplete data, or names that are not those of recordings.
     """
 
     def __init__(self, message: Mapping[str, Any], body: bytes) -> None:
@@ -65,7 +65,7 @@ class Upload:
 
         Raises
         ------
-        InputError : files that are no taps of this scene.
+        InputError : files that are not taps for this scene.
         """
         try:
             return own_taps(of, Path(self._folder.name), self.names, self._reading)
@@ -78,7 +78,7 @@ class Upload:
 
 
 def safe_name(name: str, taken: list[str]) -> str:
-    """A file's name of letters, digits, dashes and underscores, with one of the suffixes that are read.
+    """A file name of letters, digits, dashes and underscores, with a supported suffix.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def safe_name(name: str, taken: list[str]) -> str:
     stem, dot, suffix = name.rpartition(".")
     suffix = f"{dot}{suffix}".lower()
     if suffix not in SUFFIXES:
-        raise InputError(f"{name[:80]}: no recording: files of taps end in {', '.join(SUFFIXES)}")
+        raise InputError(f"{name[:80]}: not a recording: files of taps end in {', '.join(SUFFIXES)}")
     safe = re.sub(r"[^A-Za-z0-9_-]", "_", stem)[:60] or "tap"
     while f"{safe}{suffix}" in taken:
         safe += "_"

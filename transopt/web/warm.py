@@ -1,4 +1,4 @@
-"""What a device plays on a warm coil: a blend of a tap's two commands, as its servo decides at the contact."""
+"""The transient that a device plays on a warm coil: a blend of a tap's two commands, as the servo decides it."""
 
 from dataclasses import dataclass, replace
 
@@ -22,10 +22,10 @@ class Warm:
 
     Attributes
     ----------
-    words : what is played.
-    scale : of the blend; 0 where no transient is played.
-    cooled : part of the cool command in the blend.
-    figures : how near it comes to the recorded tap; None where the cool command is needed and not certified.
+    words : description of what is played.
+    scale : scale of the blend; 0 if no transient is played.
+    cooled : share of the cool command in the blend.
+    figures : comparison with the recorded tap; None if the cool command is needed and not certified.
     heat_A2_ms : integral of the squared current.
     """
 
@@ -39,14 +39,15 @@ class Warm:
 def on_warm_coil(
     posed: Posed, first: Entry, coil: CoilModel, winding_C: float, share: float, options: SolverOptions
 ) -> tuple[Warm, FloatArray, FloatArray]:
-    """A tap on a winding of some temperature, whose housing is no warmer; with it (N + M,) y'' and (N + M,) current.
+    """A tap at a winding temperature, with a housing that is not warmer; also (N + M,) y'' and (N + M,) current.
 
-    The cool command is solved only where the coil cannot take the first.
+    The cool command is solved only if the coil cannot take the first command.
 
     Parameters
     ----------
-    posed, first : the tap and its certified first command. coil : as the servo estimates it.
-    share : of the first command's heat that the cool one may make.
+    posed, first : the tap and its certified first command.
+    coil : the coil's model of the servo's estimate.
+    share : heat of the cool command, at most this share of the first one's.
     """
     problem = first.problem
     amplifier, dt_s, ticks = problem.stage.amplifier, problem.grid.dt_s, problem.grid.stages + 1
@@ -80,7 +81,7 @@ def on_warm_coil(
 
 
 def _words(scale: float, cooled: float) -> str:
-    """What is played: whole, a blend, a scaled command, or nothing."""
+    """What is played, in words: the whole command, a blend, a scaled command, or nothing."""
     if scale <= 0:
         return "no transient"
     of = "the first command" if cooled <= 0 else "the cool command"
