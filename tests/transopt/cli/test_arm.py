@@ -10,7 +10,7 @@ from tests.benches.commands import Run, assert_refused
 from transopt.library.arm import load_arm_library
 from transopt.scene.builtin import SCENES
 
-ONE_MOTOR = "model.kind = arm has several motors, and this is done with one"
+ONE_MOTOR = "model.kind = arm has several motors, and this needs one"
 
 
 @pytest.fixture(scope="module")

@@ -190,7 +190,7 @@ class TestScene:
             ({"limits.supply_V": 5.0}, "limits.supply_V: belongs to a motor"),
             ({"limits.steady_voltage_V": 4.0}, "steady_voltage_V = 4 V: above voltage_V = 3 V"),
             ({"limits.sag": [[0.0, 1.2]]}, "limits.sag: must be pairs"),
-            ({"grid.grips_N": [3.0]}, "grid.grips_N: named targets are for a device that nobody holds"),
+            ({"grid.grips_N": [3.0]}, "grid.grips_N: named targets are for a device that no hand holds"),
             ({"grid.speeds_m_s": [0.3]}, "grid.speeds_m_s: named targets have no speed"),
             ({"model.R_ohm": None}, "R_ohm: missing; a voltage drives the coil"),
             ({"model.input": "current"}, "limits.voltage_V: a current drives"),

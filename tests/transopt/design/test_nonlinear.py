@@ -104,7 +104,7 @@ class TestRefusedAnswer:
 class TestScene:
     def test_what_takes_linear_plants_alone_is_refused_by_one_line(self, tmp_path: Path, terminal: Terminal) -> None:
         path = stated(tmp_path)
-        with pytest.raises(InputError, match=r"done with linear plants alone; `transopt solve` and transopt\.build"):
+        with pytest.raises(InputError, match=r"this needs a linear plant; `transopt solve` and transopt\.build"):
             to.load_scene(path).posing()
         refused = terminal("transopt", "solve", path, "--out", tmp_path / "out", "--grid-tolerance", "0.02")
         assert_refused(refused, "--grid-tolerance", "model.nonlinear")

@@ -209,5 +209,5 @@ def test_intensity_is_of_the_mean(scene: Scene) -> None:
 
 
 def test_a_wall_answers_one_device(scene: Scene) -> None:
-    with pytest.raises(InputError, match="robust: feedback answers one device's motion"):
+    with pytest.raises(InputError, match="robust: feedback depends on the motion"):
         with_values(scene, {**ROBUST, "feedback": {"stiffness_N_m": 200.0, "damping_N_s_m": 0.2}})

@@ -51,7 +51,7 @@ def test_the_table_is_the_librarys(name: str) -> None:
 
 def test_a_nonlinear_plant_is_refused(tmp_path: Path) -> None:
     scene, library = stated(tmp_path), to.solve("lra_click")
-    with pytest.raises(InputError, match="this is done with linear plants alone"):
+    with pytest.raises(InputError, match="this needs a linear plant"):
         opened(scene)
     of_nonlinear = replace(library, meta={**library.meta, "scene": to.load_scene(scene).model_dump(mode="json")})
     with pytest.raises(InputError, match="page: this library's plant is nonlinear"):
