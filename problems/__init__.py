@@ -1,7 +1,7 @@
-"""What comes with the package to be solved: scenes, motors, transmissions, recordings, and the stress suite.
+"""Problems that come with the package: scenes, motors, transmissions, recordings, and the stress suite.
 
-`transopt` does not need any of it. A scene is loaded by its name; `generators` makes simulated recordings, and
-`stress` draws problems far from everyday ones.
+`transopt` does not depend on them. Scenes are loaded by name, `generators` simulates recordings, and `stress` draws
+extreme problems.
 """
 
 from transopt.scene.builtin import FOLDER, scene_names, scene_path

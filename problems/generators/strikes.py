@@ -1,4 +1,4 @@
-"""The example recordings of problems/recordings, made as a format to copy.
+"""Writes the example recordings of problems/recordings, which show the file format.
 
 `python -m problems.generators.strikes FOLDER` writes the first recording of each speed from 0.2 m/s on of the default
 scene, at 3 N, as canonical CSV files.
@@ -22,7 +22,7 @@ def write_csv(recording: Recording, path: Path) -> None:
 
     Raises
     ------
-    InputError : a recording without position, or a place that cannot be written.
+    InputError : a recording without position, or a path that cannot be written.
     """
     if recording.position is None:
         raise InputError(f"{recording.name}: no position to write")
@@ -40,7 +40,7 @@ def write_csv(recording: Recording, path: Path) -> None:
 
 
 def write_examples(folder: Path) -> None:
-    """The three files of problems/recordings."""
+    """Write the three files of problems/recordings."""
     scene = problems.load("wood_on_foam")
     assert scene.recordings.simulated is not None
     held = [recording for recording in recordings(scene) if recording.grip_N == GRIP_N]

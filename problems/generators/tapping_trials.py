@@ -1,8 +1,9 @@
 """Simulated tapping trials: hands of known mechanics tap a real surface with a stylus (seed Section 3).
 
 `python -m problems.generators.tapping_trials FOLDER` writes the 81 trials of one session as the files that
-`transopt identify hand` reads; `--hand fourth_order` with the seed's Fig. 4b for truth in place of its Eqs. 3-5.
-Recorded are surface force, stylus acceleration, position and grip, each behind its sensor.
+`transopt identify hand` reads; with `--hand fourth_order` the true hand is that of the seed's Fig. 4b, otherwise that
+of its Eqs. 3-5. The files contain surface force, stylus acceleration, position and grip, as their sensors measure
+them.
 """
 
 import argparse
@@ -25,11 +26,11 @@ from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.strikes import APPROACH_S, ENCODER_COUNT_M, contact_force, rk4_step
 
 STEP_S = 2e-5
-AFTER_S = 45e-3  # recorded from contact on
+AFTER_S = 45e-3  # recorded time after contact
 RATE_HZ = 10e3
 GRIPS_N = np.linspace(1.0, 10.0, 9)
 SPEEDS_M_S = np.linspace(0.1, 0.4, 9)
-JITTER = 0.05  # relative: nobody hits a speed or a grip that is asked for
+JITTER = 0.05  # relative deviation of actual speeds and grips from the requested ones
 HANDS = ("second_order", "fourth_order")
 
 # A stylus of 40 g, the hand's mass behind the skin: the seed's Fig. 4b, as a whole about as heavy as Eqs. 3-5.
@@ -45,7 +46,7 @@ FOURTH_ORDER_HAND = Hand(
 
 @dataclass(frozen=True)
 class Spread:
-    """Relative standard deviation of a hand from trial to trial, drawn for each of its parameters on its own."""
+    """Relative standard deviations of a hand's parameters from trial to trial, drawn independently."""
 
     mass: float = 0.05
     damping: float = 0.10
@@ -54,14 +55,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What stands between a trial and its file.
+    """The sensors that record a trial.
 
     Attributes
     ----------
-    accelerometer_Hz : one pole.
-    noise_g_rtHz : one-sided density (ADXL321).
-    range_g : its end stops.
-    offset_g : static.
+    accelerometer_Hz : pole of the accelerometer.
+    noise_g_rtHz : one-sided noise density of the accelerometer (ADXL321).
+    range_g : range at which it clips.
+    offset_g : static offset.
     force_N : rms noise of the force plate, white up to half the rate.
     grip_relative, grip_N : rms error of the stated grip, drawn once per trial: a share of it, and a constant.
     """
@@ -83,8 +84,8 @@ class Trials:
     ----------
     times_s : (n,).
     force_N, acceleration_m_s2, position_m : (T, n).
-    grip_N, speed_m_s : (T,) as stated by the session, not the truth.
-    accelerometer_Hz : of all.
+    grip_N, speed_m_s : (T,) as stated by the session, which differ from the true ones.
+    accelerometer_Hz : pole of the accelerometer, the same for all trials.
     """
 
     times_s: FloatArray
@@ -104,7 +105,7 @@ def surface() -> SimulatedTaps:
 
 
 def session(random: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """True grips [N] and speeds [m/s] of 81 taps: every grip with every speed, each somewhat missed; (81,) each."""
+    """True grips [N] and speeds [m/s] of 81 taps, (81,) each: every grip with every speed, with random deviations."""
     grips, speeds = (axis.ravel() for axis in np.meshgrid(GRIPS_N, SPEEDS_M_S, indexing="ij"))
     return (
         grips * (1 + JITTER * random.uniform(-1, 1, grips.size)),
@@ -124,7 +125,7 @@ def second_order_hands(grips_N: FloatArray, random: np.random.Generator, spread:
 
 
 def fourth_order_hands(grips_N: FloatArray, random: np.random.Generator, spread: Spread) -> list[StateSpace]:
-    """Draw one hand per tap by the seed's Fig. 4b: a stylus of one mass always, skin, hand mass and arm scattered."""
+    """One hand per tap by the seed's Fig. 4b: skin, hand mass and arm vary, the stylus' mass does not."""
     hand = FOURTH_ORDER_HAND
     mass = _scattered(hand.mass_kg, grips_N, random, spread.mass)
     skin_k = _scattered(hand.skin_stiffness_N_m, grips_N, random, spread.stiffness)
@@ -150,9 +151,9 @@ def _scattered(line: LinearInGrip, grips_N: FloatArray, random: np.random.Genera
 def taps(
     hands: Sequence[StateSpace], target: SimulatedTaps, speeds_m_s: FloatArray, step_s: float = STEP_S
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Taps from contact on, one per hand, free of sensors.
+    """True motions of taps from contact on, one per hand, before the sensors.
 
-    The hand goes on meaning to move at the incoming speed, so that the stylus' deviation from that motion obeys the
+    The hand's intended motion continues at the incoming speed. The stylus' deviation from that motion obeys the
     model, which starts from rest.
 
     Parameters
@@ -205,7 +206,7 @@ def recorded(
     target: SimulatedTaps | None = None,
     sensors: Sensors | None = None,
 ) -> Trials:
-    """Taps of these hands as the sensors see them; without `target` on wood on foam."""
+    """Taps of these hands as measured by the sensors; without `target` on wood on foam."""
     sensors = sensors or Sensors()
     t, force, acceleration, position = taps(hands, target or surface(), speeds_m_s)
     # The pole as the exact response to an acceleration that is linear between the fine steps.
@@ -217,7 +218,7 @@ def recorded(
     dt, before = 1 / RATE_HZ, round(APPROACH_S * RATE_HZ)
     count = before + int(AFTER_S * RATE_HZ)
     T = len(hands)
-    phases = random.uniform(0, 1, T)  # the clock does not know of the contact
+    phases = random.uniform(0, 1, T)  # sampling is not synchronised with the contact
     sampled = np.empty((3, T, count))
     for j in range(T):
         at = (np.arange(count) - before + phases[j]) * dt
@@ -256,7 +257,7 @@ def tapping_trials(seed: int = 1, *, hand: str = "second_order", spread: Spread 
 
 
 def write_trials(trials: Trials, folder: Path) -> list[Path]:
-    """One NPZ per trial: trial_01.npz, ...; the files written.
+    """Write one NPZ file per trial, trial_01.npz, ...; returns the paths.
 
     Raises
     ------

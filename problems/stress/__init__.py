@@ -1,6 +1,6 @@
-"""The stress suite: random and directed extreme problems, whose answers are checked by independent means.
+"""The stress suite: random and directed extreme problems, whose answers are checked independently of the solvers.
 
-`cases` describes a problem by a few numbers, `families` and `draw` choose them, `judge` solves a problem and says how
-it ended, `oracle` decides by other means whether a refusal is right, and `run` does all of it in worker processes.
+`cases` describes a problem by a few numbers, `families` and `draw` choose them, and `judge` solves a problem and
+classifies the outcome. `oracle` checks refusals by a separate method, and `run` runs the suite in worker processes.
 Run it with `python -m problems.stress`.
 """

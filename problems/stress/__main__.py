@@ -17,9 +17,9 @@ from transopt.base.writing import write_text
 if TYPE_CHECKING:
     from problems.stress.judge import Outcome
 
-LIMIT_S = 120  # per case; the slowest honest one takes a fraction of it
-SEEDS = 2**32  # as many as one is drawn from where none is stated
-LOG_EVERY = 50  # cases, where there is no terminal for the progress bar
+LIMIT_S = 120  # time limit per case; the slowest regular case takes a fraction of it
+SEEDS = 2**32  # number of seeds from which one is drawn if none is stated
+LOG_EVERY = 50  # cases between two lines of progress without a terminal
 
 
 def stress(
@@ -31,8 +31,8 @@ def stress(
     limit_s: Annotated[int, Option(min=1, help="Seconds that one case may take.")] = LIMIT_S,
     write: Annotated[Path | None, Option(help="File for the verdict on every case, a line each.")] = None,
 ) -> int:
-    """Judge hard cases: each ends certified or refused by name, or the exit code is 1."""
-    # Here, so that the help comes at once.
+    """Run the stress cases: each has to end certified or refused with a named cause, otherwise the exit code is 1."""
+    # Imported here, so that --help is fast.
     from problems.stress.draw import drawn
     from problems.stress.families import directed, long_cases
     from problems.stress.judge import CERTIFIED, judge

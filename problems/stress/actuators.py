@@ -1,4 +1,4 @@
-"""Actuators that are no stylus on a motor, drawn: moving coils, in a case or on the ground, by either input."""
+"""Random moving-coil actuators for stress cases, in a case or on the ground, driven by a current or a voltage."""
 
 from dataclasses import dataclass
 
@@ -10,19 +10,20 @@ from transopt.plant.voice_coil import VoiceCoil
 
 @dataclass(frozen=True)
 class Actuator:
-    """The actuator of a case, in the place of motor, stylus and hand.
+    """The actuator of a stress case, in place of motor, stylus and hand.
 
     Attributes
     ----------
-    resonance_Hz, quality : of the moving part against what holds it, the terminals open.
-    moving_kg : mass of it.
-    case_kg : of the case; None where the ground holds it.
+    resonance_Hz, quality : of the moving part relative to its support, with open terminals.
+    moving_kg : moving mass.
+    case_kg : mass of the case; None where the support is the ground.
     force_N_A : force per ampere, and back-EMF per m/s.
-    R_ohm, L_H : of the coil.
-    by_voltage : whether a voltage drives it, else a current.
-    stroke, velocity : limits over what the largest force makes at rest and at the resonance; None for none.
-    current : limit on the coil's current over the largest voltage by R, where a voltage drives it; None for none.
-    sag : share of the voltage that the supply has from the middle of the waveform on; None where it does not fall.
+    R_ohm, L_H : resistance and inductance of the coil.
+    by_voltage : whether the input is a voltage, otherwise a current.
+    stroke, velocity : limits over the static deflection, and over the velocity at resonance, under the largest force;
+        None for no limit.
+    current : limit on a voltage-driven coil's current, over the largest voltage divided by R; None for no limit.
+    sag : share of the voltage that the supply provides from the middle of the waveform on; None for no sag.
     """
 
     resonance_Hz: float = 150.0
@@ -40,7 +41,7 @@ class Actuator:
 
     @property
     def driven_by(self) -> Input:
-        """What its input is."""
+        """The actuator's input, a current or a voltage."""
         return VOLTAGE_INPUT if self.by_voltage else CURRENT_INPUT
 
     @property
@@ -49,11 +50,11 @@ class Actuator:
         return (m if M is None else m * M / (m + M)) * (2 * np.pi * self.resonance_Hz) ** 2
 
     def plant(self) -> StateSpace:
-        """From its input to the acceleration of the case, or of what moves.
+        """The model from the input to the acceleration of the case, or of the moving part on the ground.
 
         Raises
         ------
-        InputError : numbers that are none of an actuator.
+        InputError : numbers that no actuator can have.
         """
         w = 2 * np.pi * self.resonance_Hz
         coil = VoiceCoil(

@@ -1,8 +1,7 @@
-"""Cases of the stress suite: an entry's problem, described by a few numbers far from everyday ones.
+"""Cases of the stress suite: the problem of an entry, described by a few extreme numbers.
 
-A case is data and knows how to build itself with the library's own constructors, so that what a constructor refuses
-is refused here as it is for a user. Directed families are in `problems.stress.families`, random draws in
-`problems.stress.draw`.
+A case is data and is built by the library's own constructors, so that a constructor refuses it as it refuses a user's
+input. `problems.stress.families` defines directed cases, `problems.stress.draw` random ones.
 """
 
 from collections.abc import Mapping
@@ -41,16 +40,16 @@ class StressCase:
 
     Attributes
     ----------
-    family : what it is a case of.
-    device : that is driven.
+    family : name of the family.
+    device : the device.
     current : amplifier and limits.
     horizon : time grid.
-    demand : what is asked of the device.
-    coil : whose temperature is limited; None for no such limit.
+    demand : reference and weights.
+    coil : coil with a temperature limit; None for no such limit.
     surface : virtual wall; None for none.
-    actuator : in the place of the device, with limits of its own; None for a stylus on a motor. What the case says of
-        currents is then said of its input, a current or a voltage.
-    spread : further devices to serve; None for the one.
+    actuator : actuator in place of the device, with its own limits; None for a stylus on a motor. The case's numbers
+        for currents then apply to its input, a current or a voltage.
+    spread : further devices to serve; None for a single device.
     """
 
     family: str
@@ -64,7 +63,7 @@ class StressCase:
     spread: Spread | None = None
 
     def __str__(self) -> str:
-        """In one line what differs from the plain case."""
+        """One line with the differences from the plain case."""
         plain = StressCase(self.family)
         words = []
         for name in ("device", "current", "horizon", "demand", "coil", "surface", "actuator", "spread"):
@@ -84,18 +83,18 @@ class StressCase:
         return "waveform" if self.demand.asked_dB is None else "intensity"
 
     def grid(self) -> TimeGrid:
-        """Time grid of the case; an InputError as `problem` raises it."""
+        """Time grid of the case; raises InputError like `problem`."""
         horizon = self.horizon
         delay = 0.0 if self.current.pole_Hz is None else self.current.delay_samples * horizon.dt_s
         return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay, horizon.after)
 
     @property
     def driven_by(self) -> Input:
-        """What commands are."""
+        """The plant's input; commands have the same unit."""
         return CURRENT_INPUT if self.actuator is None else self.actuator.driven_by
 
     def _numbers(self) -> dict[str, Any]:
-        """Dotted key, as a scene would have it, -> number that the case states."""
+        """Dotted key of a scene -> number of the case."""
         current, horizon, driven = self.current, self.horizon, self.driven_by
         largest, supply = current.limit_A, current.supply
         numbers: dict[str, Any] = {
@@ -133,12 +132,12 @@ class StressCase:
         return numbers
 
     def value(self, key: str) -> float | None:
-        """What the case states for a dotted key of a scene; None where it states nothing."""
+        """The number of the case for a dotted key of a scene; None if it has none."""
         number: float | None = self._numbers().get(key)
         return number
 
     def posed(self, changes: Mapping[str, float | None] | None = None) -> Posed:
-        """The problem as `transopt.design.design` takes it; parameters and errors as of `problem`."""
+        """The problem in the form for `transopt.design.design`; parameters and errors as in `problem`."""
         problem = self.problem(changes)
         thermal = problem.thermal
         return Posed(problem, objective=self.objective, coil=None if thermal is None else thermal.coil)
@@ -148,8 +147,8 @@ class StressCase:
 
         Parameters
         ----------
-        changes : dotted key, as a scene would have it, -> another number; None takes out what stands there. The
-            rest stays as it is, in SI and not in units of what is changed; "feedback" stands for the whole wall.
+        changes : dotted key of a scene -> another number; None removes the key. All other numbers keep their values
+            in SI, even if the case states them relative to a changed one; "feedback" is the whole wall.
 
         Raises
         ------
@@ -213,7 +212,7 @@ class StressCase:
             wall=wall,
             heat_price=self.demand.heat_price / asked[key] ** 2,
         )
-        # A reference that is refused is named before the limits that it cannot be held to.
+        # The target is built first, so that a refused reference is reported before a refused limit.
         whole = replace(plain, limits=posed(asked, setting))
         if self.spread is not None:
             whole = replace(whole, spread=spread, worst=self.spread.worst)

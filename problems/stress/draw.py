@@ -1,4 +1,4 @@
-"""Random draws over everything at once; a case follows from seed and index alone."""
+"""Random stress cases in which all numbers vary at once; a case depends on seed and index only."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,8 +12,8 @@ from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, S
 from transopt.plant.intention import Yielding
 
 STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))
-MOST_FOR_SEVERAL = 600  # stages of a case with several devices
-WHEN_LONG = 2000  # stages from which coil and wall stay out: they need a general solver, which would take minutes
+MOST_FOR_SEVERAL = 600  # largest number of stages of a case with several devices
+WHEN_LONG = 2000  # stages from which on a case has no coil and no wall, whose general solver would take minutes
 YIELDED: tuple[Yielding, ...] = ("brakes", "brakes", "stops", "decays", "pulls")
 
 T = TypeVar("T")
@@ -34,16 +34,16 @@ class _Draw:
         return float(np.exp(self._random.uniform(np.log(low), np.log(high))))
 
     def of(self, *choices: T) -> T:
-        """One of the choices, each as likely."""
+        """One of the choices, with equal probabilities."""
         return choices[int(self._random.integers(len(choices)))]
 
     def weighted(self, choices: Sequence[tuple[int, float]]) -> int:
-        """One of the values, by its share."""
+        """One of the values, with probabilities proportional to the weights."""
         values, shares = zip(*choices, strict=True)
         return int(self._random.choice(values, p=shares))
 
     def seed(self) -> int:
-        """A seed for a generator of its own."""
+        """A seed for a separate generator."""
         return int(self._random.integers(2**31))
 
 
@@ -117,7 +117,7 @@ def _surface(draw: _Draw) -> Surface:
 
 
 def drawn(seed: int, index: int) -> StressCase:
-    """Case `index` of the sequence `seed`, whatever was drawn before it."""
+    """Case `index` of the sequence `seed`, independent of earlier draws."""
     draw = _Draw(seed, index)
     device, current, horizon, demand = _device(draw), _current(draw), _horizon(draw), _demand(draw)
     coil = _coil(draw) if draw.perhaps(0.15) else None
@@ -137,7 +137,10 @@ def drawn(seed: int, index: int) -> StressCase:
 
 
 def _of_a_recording(draw: _Draw, demand: Demand) -> Demand:
-    """Let the hand yield, and the recording miss its slow part, now and then, with random numbers of its own."""
+    """At random, let the hand yield and the recording's slow part be unknown.
+
+    Separate random numbers keep the other parts of a case unchanged; so do the functions below.
+    """
     if draw.perhaps(0.35):
         demand = replace(demand, yields=draw.of(*YIELDED), intention_s=draw.log(1e-4, 0.03))
     if demand.rapid != "none" and draw.perhaps(0.15):
@@ -146,7 +149,7 @@ def _of_a_recording(draw: _Draw, demand: Demand) -> Demand:
 
 
 def _of_a_hand(draw: _Draw, demand: Demand) -> Demand:
-    """Weigh the error as for a tap, price heat, or both, now and then, with random numbers of its own."""
+    """At random, use the weights of a tap, a heat price, or both."""
     if draw.perhaps(0.3):
         demand = replace(demand, heat_price=draw.log(1e-8, 1e-2))
     if draw.perhaps(0.5):
@@ -156,7 +159,7 @@ def _of_a_hand(draw: _Draw, demand: Demand) -> Demand:
 
 
 def _several(draw: _Draw, case: StressCase) -> StressCase:
-    """Turn a case into one for several devices now and then, with random numbers of its own."""
+    """At random, turn a case into one for several devices."""
     if not draw.perhaps(0.15) or case.surface is not None or case.horizon.stages > MOST_FOR_SEVERAL:
         return case
     worst = draw.perhaps(0.5)
@@ -166,7 +169,7 @@ def _several(draw: _Draw, case: StressCase) -> StressCase:
 
 
 def _actuator(draw: _Draw) -> Actuator:
-    """Random numbers of its own: the other cases are what they are without."""
+    """A random actuator."""
     by_voltage, limited = draw.perhaps(0.8), draw.perhaps(0.6)
     return Actuator(
         resonance_Hz=draw.log(5.0, 2000.0),
@@ -185,15 +188,12 @@ def _actuator(draw: _Draw) -> Actuator:
 
 
 def _beyond(draw: _Draw, horizon: Horizon, demand: Demand) -> tuple[Horizon, Demand]:
-    """Add what lies around the window, and a price on intensity or an intensity to search for.
-
-    It has random numbers of its own, so that a case is otherwise what it is without.
-    """
+    """At random, add lost samples, a tail, and a price on intensity or an intensity to search for."""
     after = draw.of(0, 0, 1, 7, 60, 300)
     horizon = replace(horizon, after=after if horizon.stages < WHEN_LONG else 0, lost=draw.perhaps(0.5))
     if draw.perhaps(0.25):
         return horizon, replace(demand, price=draw.of(1.0, 0.1, 0.5, 0.9))
-    # A search takes several problems; the longest ones are solved once.
+    # A search solves several problems; the longest cases are solved only once.
     if horizon.stages < WHEN_LONG and draw.perhaps(0.3):
         return horizon, replace(demand, asked_dB=draw.of(0.0, 0.0, -3.0, 3.0, 12.0))
     return horizon, demand

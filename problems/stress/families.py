@@ -1,4 +1,4 @@
-"""The directed families of the stress suite: one extreme after the other, the rest plain."""
+"""The directed families of the stress suite: cases with a single extreme number each."""
 
 import itertools
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from problems.stress.cases import StressCase
 from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Surface
 
 SATURATED = Demand(speed_m_s=1.0)
-SMALL_A = 0.3  # at which the plain tap saturates
+SMALL_A = 0.3  # a current limit at which the plain tap saturates
 
 
 def _devices() -> Iterator[StressCase]:
@@ -142,17 +142,17 @@ def _tails() -> Iterator[StressCase]:
 
 
 def directed() -> list[StressCase]:
-    """Every named extreme by itself."""
+    """All directed cases."""
     return [*_devices(), *_currents(), *_horizons(), *_demands(), *_heat(), *_walls(), *_intensities(), *_tails()]
 
 
 def rescaled(case: StressCase, units: float) -> StressCase:
-    """State the case with the states of its device in other units."""
+    """The case with the states of its device in other units."""
     return replace(case, device=replace(case.device, units=units))
 
 
 def long_cases() -> list[StressCase]:
-    """Horizons of 20000 stages: seconds each."""
+    """Cases with horizons of 20000 stages, which take seconds each."""
     slow = Horizon(stages=20000)
     return [
         StressCase("long", horizon=slow),

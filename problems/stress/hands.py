@@ -1,4 +1,4 @@
-"""How the hand of a case moves: what the stylus does without current, and the nominal motion under it."""
+"""The hand's motion in a stress case: acceleration without current, and nominal motion."""
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -15,7 +15,8 @@ class HandMotion:
 
     Parameters
     ----------
-    intention : what the hand means to do. speed_m_s : incoming.
+    intention : intended motion of the hand.
+    speed_m_s : incoming speed.
     """
 
     def __init__(self, intention: Intention, speed_m_s: float, grid: TimeGrid) -> None:

@@ -1,4 +1,4 @@
-"""How a stress case ends: certified and replayed clean, or refused by the name of its cause; all else is bad."""
+"""Classifies the outcome of a stress case: certified and replayed, or refused with a named cause; all else is bad."""
 
 import re
 import time
@@ -23,7 +23,7 @@ from transopt.proof.replay import Replay, replay
 from transopt.solvers.options import SolverOptions
 
 CERTIFIED = "certified"
-UNCHECKED = ", unchecked"  # a claim that no command keeps all limits, which the independent method could not decide
+UNCHECKED = ", unchecked"  # suffix of a claim of infeasibility that the independent method could not decide
 # Refusals that may stand, by what their remarks must name: a limit with amount and unit.
 REMARKS = {
     Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b|coil: no steady state|"
@@ -40,15 +40,15 @@ INPUT = r"^[A-Za-z][\w. :-]*\b.*(must|expected|not finite|lower it|above|choose|
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one case ended.
+    """The outcome of one case.
 
     Attributes
     ----------
-    kind : `CERTIFIED`, "refused: ..." by its name, or "bad: ...".
+    kind : `CERTIFIED`, "refused: ..." with the cause, or "bad: ...".
     detail : the message or the shortfall.
-    gap : bound on J - optimum over max(J, 1e-3).
-    difference : between replayed and predicted acceleration over the peak; this and `gap` are NaN unless certified.
-    elapsed_s : for building, solving and replaying.
+    gap : bound on J - optimum over max(J, 1e-3); NaN unless certified.
+    difference : difference of replayed and predicted acceleration over the peak; NaN unless certified.
+    elapsed_s : time for building, solving and replaying.
     """
 
     kind: str
@@ -59,12 +59,12 @@ class Outcome:
 
     @property
     def bad(self) -> bool:
-        """Whether the case ended in neither of the two ways that it may."""
+        """Whether the outcome is neither certified nor a named refusal."""
         return self.kind.startswith("bad")
 
 
 def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
-    """The replay of one command (N,) [A] as a library's entry gets it."""
+    """The replay of one command (N,) [A], as for an entry of a library."""
     thermal, wall = problem.thermal, problem.wall
     (run,) = replay(
         problem.stage,
@@ -81,7 +81,7 @@ def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
 
 
 def _numbers(result: Designed | Certificate | Multipliers | Replay, but: tuple[str, ...] = ()) -> bool:
-    """Whether every number in the fields of a result, but those named, is finite."""
+    """Whether all numbers in the fields of a result are finite, except for the named fields."""
     values = [getattr(result, field.name) for field in fields(result) if field.name not in but]
     if isinstance(result, Multipliers):
         values += result.arrays()
@@ -89,15 +89,15 @@ def _numbers(result: Designed | Certificate | Multipliers | Replay, but: tuple[s
 
 
 def judge_design(designed: Designed, run: Replay) -> Outcome:
-    """How an answer and its replay end; `elapsed_s` is 0, the caller's to fill in."""
+    """The outcome of an answer and its replay; the caller fills in `elapsed_s`."""
     problem, solution, proof = designed.problem, designed.solution, designed.certificate
     nothing = float("nan")
     predicted, _ = problem.stage.rollout(solution.command)
     status, shortfalls = admit(designed, run)
     said = "; ".join(shortfalls)
     if status is Status.OPTIMAL:
-        # Beside a tap that is zero over the intention any motion is infinitely wrong: that of the wall alone, or of a
-        # tap that begins later. A window may end before contact, too.
+        # Relative to a tap of zero over the intention the error of any motion is infinite, as that of the wall alone
+        # or of a tap that begins later. A window may also end before contact.
         any_motion = problem.yardstick.tap_error(problem.target, np.ones(predicted.shape[-1]))
         whole = _numbers(designed, ("floor",)) and _numbers(proof) and _numbers(solution.multipliers)
         whole = whole and _numbers(run, ("winding_C", "housing_C"))
@@ -111,7 +111,7 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
         if problem.thermal is not None and not (np.isfinite(run.winding_C) and np.isfinite(run.housing_C)):
             return Outcome("bad: NaN", "temperature of a certified answer", nothing, nothing, 0.0)
         attained = designed.attained
-        # If the temperature or a wall is in it the path may jump over what is asked for.
+        # With a temperature limit or a wall the energy may jump over the required one.
         smooth = problem.thermal is None and problem.wall is None
         if attained is not None and smooth and attained.is_stray:
             return Outcome("bad: intensity", attained.sentence, nothing, nothing, 0.0)
@@ -121,10 +121,10 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
         return Outcome(
             f"bad: {status.name}", f"{said} ({solution.solver}: {solution.message})", nothing, nothing, 0.0
         )
-    # The other causes are facts of one replay or of the wall alone, not claims about all commands.
+    # Other causes concern one replay or the wall alone, not all commands, so the oracle cannot contradict them.
     unchecked = ""
     if status is Status.INFEASIBLE or (status is Status.HAND_OVER and "K_p z" in said):
-        # A linear limit that is blamed has to fail without the temperature as well.
+        # If a linear limit is named as the cause, the problem has to be infeasible without the temperature as well.
         linear = any(not remark.startswith("coil") for remark in designed.remarks)
         verdict = admits_a_command(problem, ignoring_heat=linear)
         if verdict.way_out:
@@ -134,7 +134,7 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
 
 
 def with_remedy(case: StressCase, entry: Entry, found: Outcome) -> Outcome:
-    """A refusal with what would do, or bad where nothing was found that does."""
+    """A refusal with its remedy in the detail; bad if no remedy was found."""
     if not found.kind.startswith("refused"):
         return found
     own = remedies(case, entry, SolverOptions())
@@ -143,9 +143,9 @@ def with_remedy(case: StressCase, entry: Entry, found: Outcome) -> Outcome:
 
 
 def judge(case: StressCase) -> Outcome:
-    """Build, solve and replay one case, and say how it ended.
+    """Build, solve and replay one case, and classify its outcome.
 
-    Warnings and exceptions are bad outcomes; none is passed on.
+    Warnings and exceptions are bad outcomes and are not raised.
     """
     start = time.perf_counter()
     with warnings.catch_warnings():

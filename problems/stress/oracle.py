@@ -1,4 +1,4 @@
-"""Whether any command meets all limits, decided by a linear program that shares no code with the solvers."""
+"""Decides feasibility by a linear program that shares no code with the solvers."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -14,21 +14,21 @@ from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import inside
 
-MOST_STAGES = 700  # of the linear program
-LONGEST_S = 60.0  # of the linear program
-LATE_S = 20.0  # beyond that: it does not come back
-CLEARLY = 1e-4  # of the limits' width: room that no rounding of either method makes
-DECIDED = (0, 2)  # status of scipy's linprog: an optimum, or a proof that there is none
+MOST_STAGES = 700  # largest number of stages for the linear program
+LONGEST_S = 60.0  # time limit of the linear program
+LATE_S = 20.0  # further time after which its process is ended
+CLEARLY = 1e-4  # share of the limits beyond the rounding errors of both methods
+DECIDED = (0, 2)  # status codes of scipy's linprog for an optimum and for infeasibility
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found out about whether any command keeps all limits.
+    """The oracle's verdict on feasibility.
 
     Attributes
     ----------
-    way_out : what kind of command lies inside all limits; empty if none was found.
-    decided : whether the search was complete, so that an empty `way_out` means something.
+    way_out : description of a feasible command; empty if none was found.
+    decided : whether the search was complete, so that an empty `way_out` proves infeasibility.
     """
 
     way_out: str
@@ -36,11 +36,11 @@ class Verdict:
 
 
 def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) -> Verdict:
-    """Whether a command lies inside all limits, as far as an independent method can decide it.
+    """Whether a feasible command exists, as far as an independent method can decide it.
 
-    Doing nothing is tried first. All commands are then searched for the one that is farthest inside, with every
-    stage's state as the sum of impulse responses. The temperature is no linear limit and stays undecided, unless the
-    other limits alone are asked about or the ripple alone, which any current adds to, is already too much.
+    The zero command is tried first. Then a linear program maximises the least slack over all commands, with every
+    stage's state as a sum of impulse responses. The temperature is not a linear limit, so a problem with it stays
+    undecided, unless it is ignored or the heat of the ripple alone exceeds it.
     """
     if ignoring_heat:
         problem = problem.without("temperature")
@@ -52,7 +52,7 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
     if problem.grid.stages > MOST_STAGES:
         return Verdict("", decided=False)
     try:
-        # Whatever the method's native code does, prints or waits for, stays in a process of its own.
+        # A separate process isolates crashes, output and hangs of the method's native code.
         room = apart.call(_room, problem, LONGEST_S, within_s=LONGEST_S + LATE_S)
     except apart.UnansweredError:
         room = None
@@ -63,15 +63,15 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
 
 
 def _room(problem: TransientProblem, longest_s: float) -> float | None:
-    """Largest share s of every limit that can be left unused: min over limits of 1 - |value| / limit.
+    """Largest s such that every limit keeps a relative slack of s: max over commands of min of 1 - |value| / limit.
 
-    Minus infinity if the hand-over cannot be met at all, None if the linear program ended without deciding it.
+    Minus infinity if the hand-over is infeasible, None if the linear program ended undecided.
     """
     N, limits, stage = problem.grid.stages, problem.limits, problem.stage
     unit = problem.command_bound
     motion = stage.motion(np.eye(N) * unit)
     at_rest = stage.motion(np.zeros(N))
-    # Each row of `responses` is what one limited quantity does per command; `offset` what it does without any.
+    # Each row of `responses` is one limited quantity per command; `offset` its value without any.
     # Of a supply that sags the bound moves along the horizon.
     (row,) = limits.input.rows(problem)
     quantities: list[tuple[FloatArray, FloatArray, float | FloatArray]]
@@ -87,7 +87,7 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
     if supply is not None:
         assert isinstance(supply, SupplyLimit)
         w, rest = supply.pole_rad_s, supply.nominal_V
-        # The command felt just before and just after each switching instant, with the copper cold and hot.
+        # The command that acts just before and just after each switching instant, with the copper cold and hot.
         for circuit, felt in product((end.circuit for end in supply.ends), (np.eye(N, k=-1), np.eye(N))):
             rate = w * (felt * unit - motion.plant_input.T)
             volts = circuit.R_ohm * motion.plant_input.T + circuit.L_H * rate
@@ -103,7 +103,7 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
     answered = np.stack(
         [command - problem.hand_over_command(stage.motion(command)) for command in np.eye(N) * unit], axis=1
     )
-    # The feedback is affine: its share without a command is on the right-hand side.
+    # The feedback is affine in the commands: its constant part is on the right-hand side.
     at_zero = problem.hand_over_command(at_rest)[:, None]
     rows = (answered + at_zero)[tail] / unit
     found = optimize.linprog(

@@ -1,4 +1,4 @@
-"""What a case of the stress suite is made of: device, current, horizon, demand, coil, surface and spread."""
+"""The parts of a stress case: device, current, horizon, demand, coil, surface and spread."""
 
 from dataclasses import dataclass
 
@@ -37,10 +37,10 @@ class DrawnDevice:
     Attributes
     ----------
     kind : "drive", "second_order", or "defective": a stylus on a link so damped that both poles are one.
-    grip_N : 0 is free.
+    grip_N : grip force; 0 for a free stylus.
     moving_kg : mass of the motor at the tip.
     stylus_kg : mass of the stylus.
-    mode_Hz, damping_ratio : of motor and stylus on the transmission.
+    mode_Hz, damping_ratio : mode of motor and stylus on the transmission.
     force_N_A : force per ampere.
     units : the states are stated in units of 1, u, u^2, 1, u, ... of SI.
     """
@@ -55,7 +55,7 @@ class DrawnDevice:
     units: float = 1.0
 
     def plant(self) -> StateSpace:
-        """From current to stylus acceleration, its states in the stated units.
+        """The model from current to stylus acceleration, with its states in the stated units.
 
         Raises
         ------
@@ -95,10 +95,10 @@ class Current:
 
     Attributes
     ----------
-    limit_A : of the current.
+    limit_A : limit on the current.
     command : range of the command over that limit.
-    pole_Hz : of the amplifier; None is ideal.
-    delay_samples : of the amplifier, in servo periods.
+    pole_Hz : pole of the amplifier; None is ideal.
+    delay_samples : delay of the amplifier in servo periods.
     slew : limit on the change of the command per tick, over the limit on the current; None for none.
     supply : limit on the voltage over R times the limit on the current; None for none.
     """
@@ -117,8 +117,8 @@ class Horizon:
 
     Attributes
     ----------
-    after : instants after the window that count.
-    lost : whether what comes before the first instant that a command can reach counts.
+    after : number of instants in the tail.
+    lost : whether lost samples, before any command acts, count.
     """
 
     dt_s: float = 1e-4
@@ -131,22 +131,23 @@ class Horizon:
 
 @dataclass(frozen=True)
 class Demand:
-    """What a case asks of its device: reference, weights, movement.
+    """The demand of a case: reference and weights.
 
     Attributes
     ----------
-    kind : of the reference: "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
-    speed_m_s : incoming; 0 asks for nothing.
-    weights : of the plain error: "one", "late", "sparse", "none" or "tiny"; of a hand, "intention": 0.09 over that.
-        Of a recording that is not trusted in its slow part, "untrusted": there is no plain term.
+    kind : kind of reference: "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
+    speed_m_s : incoming speed; 0 gives a target of zero.
+    weights : weights of the plain error: "one", "late", "sparse", "none" or "tiny"; "intention" for 0.09 during the
+        hand's intention; "untrusted" for no plain term, as for a recording with an unreliable slow part.
     rho : weight of the command's movement.
     rapid : "none", or the filter of the second term of the error, "highpass" or "pacinian".
     rapid_from_Hz : corner of the high-pass.
-    heat_price : of the squared current, for a current of one limit.
-    seed : of the noise in the reference.
-    price : of intensity, lam over the largest that the weights leave.
-    asked_dB : intensity that is searched for; None for none.
-    yields : what the hand does when its intention is over. intention_s : how long that is after contact.
+    heat_price : price of the squared current, in units of the limit.
+    seed : seed of the noise in the reference.
+    price : price of intensity, lam over its largest value for these weights.
+    asked_dB : required intensity, which is searched for; None for none.
+    yields : law of yielding of the hand after its intention.
+    intention_s : duration of the intention after contact.
     """
 
     kind: str = "tap"
@@ -163,7 +164,7 @@ class Demand:
     intention_s: float = INTENTION_S
 
     def target(self, grid: TimeGrid, hand: HandMotion, *, lost: bool) -> Target:
-        """Within the window of a grid, after it and, if that counts, before it: less what the hand does by itself."""
+        """The target in the window of a grid, in the tail and, if they count, in the lost samples, minus a_free."""
         before = grid.before_times_s if lost else np.zeros(0)
         times = (grid.switching_times_s, grid.after_times_s, before)
         recorded = [self._reference(each, self.seed + j) for j, each in enumerate(times)]
@@ -173,7 +174,7 @@ class Demand:
         return Target(*(r - a for r, a in zip(recorded, free, strict=True)), *free)
 
     def _reference(self, times_s: FloatArray, seed: int) -> FloatArray:
-        """(K,) [m/s^2] at some instants, with the kinds of wrong input that the constructors have to refuse."""
+        """(K,) reference [m/s^2] at some instants; some kinds are wrong input that constructors have to refuse."""
         N, t = times_s.size, np.maximum(times_s, 0.0)
         peak = PEAK_PER_SPEED_1_S * self.speed_m_s
         ringing = 0.3 * np.exp(-t / RING_DECAY_S) * np.sin(2 * np.pi * RING_HZ * t)
@@ -193,7 +194,7 @@ class Demand:
         return made[self.kind]
 
     def terms(self, grid: TimeGrid) -> tuple[ErrorTerm, ...]:
-        """The terms of the error; the plain one counts after the window where it is alone."""
+        """The error terms; if the plain one is alone, it counts in the tail too."""
         k, filtered = np.arange(grid.stages), rapid_filter(self.rapid, self.rapid_from_Hz, grid.dt_s)
         made: dict[str, FloatArray] = {
             "one": np.ones(grid.stages),
@@ -212,15 +213,15 @@ class Demand:
 
 @dataclass(frozen=True)
 class Coil:
-    """The coil of a case, by how near its temperature limit is.
+    """The coil of a case, stated by its distance from the temperature limit.
 
     Attributes
     ----------
     tau_w_s, tau_h_s : time constants of winding and housing.
-    below_K : how far the start lies below the limit, negative above it.
-    warming : what the limit current held for the horizon would add to the winding, over `below_K` (at least 1 mK).
+    below_K : limit minus start temperature; negative for a start above the limit.
+    warming : rise of the winding under the limit current over the horizon, divided by `below_K` (at least 1 mK).
     nodes : 1 (winding) or 2 (winding and housing).
-    tap_share : of the time that taps take when they repeat for ever; None for a single tap.
+    tap_share : duration of a tap over the time between repeated taps; None for a single tap.
     """
 
     tau_w_s: float = 12.0
@@ -231,7 +232,7 @@ class Coil:
     tap_share: float | None = None
 
     def model(self, limit_A: float, duration_s: float) -> CoilModel:
-        """For a limit on the current and the length of the horizon.
+        """The coil's model for a limit on the current and the duration of the horizon.
 
         Raises
         ------
@@ -268,14 +269,14 @@ class Surface:
 
 @dataclass(frozen=True)
 class Spread:
-    """Further devices that the one command of a case shall serve: the case's own with two of its numbers varied.
+    """Further devices that the command of a case serves: the case's device with two numbers varied.
 
     Attributes
     ----------
-    count : how many.
-    width : the mode, or the resonance, lies up to this share beside the own.
-    held : so does the grip, or the quality.
-    worst : whether the worst of them counts and not their mean.
+    count : number of devices.
+    width : largest relative deviation of the mode, or of the resonance.
+    held : largest relative deviation of the grip, or of the quality.
+    worst : whether the worst device counts, not the mean.
     """
 
     count: int = 2
@@ -284,6 +285,6 @@ class Spread:
     worst: bool = False
 
     def factors(self) -> list[tuple[float, float]]:
-        """On the first and on the second number, for each device."""
+        """Factors on the first and on the second number, for each device."""
         shares = np.linspace(-1, 1, self.count) if self.count > 1 else np.ones(1)
         return [(float(1 + self.width * x), float(1 - self.held * x)) for x in shares]

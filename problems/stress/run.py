@@ -1,7 +1,7 @@
-"""Run the stress suite in worker processes and say how it went.
+"""Runs the stress suite in worker processes and summarises the outcomes.
 
-Every case has to end in one of two ways: a certified, cleanly replayed optimum, or a refusal that names its cause.
-Anything else, a warning, a NaN, a hang and the death of a worker included, is bad and makes the exit code 1.
+Every case has to end in one of two ways: an optimum that is certified and replayed within its limits, or a refusal
+that names its cause. Anything else is bad and makes the exit code 1: a warning, NaN, a hang, a worker that dies.
 """
 
 import os
@@ -20,7 +20,7 @@ from transopt.base.apart import Processes
 
 
 def _quietly(outcome_of: Callable[[StressCase], Outcome], case: StressCase) -> Outcome:
-    """Judge a case in a worker; what a library prints by itself makes the outcome bad, as a warning would."""
+    """Judge a case in a worker; output printed by a library makes the outcome bad, as a warning does."""
     with tempfile.TemporaryFile() as printed:
         for stream in (1, 2):
             os.dup2(printed.fileno(), stream)
@@ -33,7 +33,7 @@ def _quietly(outcome_of: Callable[[StressCase], Outcome], case: StressCase) -> O
 
 
 def _answer(future: "Future[Outcome]", limit_s: float) -> Outcome:
-    """What came of a case whose worker has answered, has died, or is late."""
+    """The outcome of a case whose worker has answered, has died, or is late."""
     if not future.done():
         return _lost("bad: hang", f"no answer within {limit_s:g} s", limit_s)
     try:
@@ -48,13 +48,13 @@ def run_cases(
     limit_s: float,
     outcome_of: Callable[[StressCase], Outcome] = judge,
 ) -> Iterator[tuple[int, Outcome]]:
-    """Index and outcome of every case, each in one of `jobs` processes, in the order in which they end.
+    """Index and outcome of every case in the order in which they end, run by `jobs` processes.
 
-    A worker that takes longer than `limit_s`, its start included, is killed, and one that dies is replaced: both are
-    outcomes of the case that it had.
+    A worker that takes longer than `limit_s`, its start included, is killed, and one that dies is replaced; both are
+    bad outcomes of its case.
     """
     waiting = iter(enumerate(cases))
-    # Each case under way: its index, the worker that has it, and until when that one may be silent.
+    # Each running case: its index, its worker, and the worker's deadline.
     busy: dict[Future[Outcome], tuple[int, Processes, float]] = {}
 
     def give(worker: Processes) -> None:
@@ -87,7 +87,7 @@ def _lost(kind: str, detail: str, elapsed_s: float) -> Outcome:
 
 
 def summary(cases: Sequence[StressCase], outcomes: dict[int, Outcome], command: str) -> tuple[Table, list[str]]:
-    """Counts of each outcome as a table, and the lines below it."""
+    """A table of the number of cases by outcome, and the lines below it."""
     table = Table(title=f"{len(cases)} cases")
     table.add_column("outcome")
     table.add_column("cases", justify="right")

@@ -11,7 +11,7 @@ from transopt.problem.stage import LinearStage, layout
 # Condition of the modes up to which the method works in them. The built-in scenes have at most 33, a wall's delay
 # line has no modes. The compiled certificate works in them as well, so it does not see what rounding does to them.
 # That grows with the square of the condition: at 8e3 a gap stated as 1e-8 of J was 6e-4, at 4e2 all agree to 1e-6.
-MAX_CONDITION = 4e2
+MOST_CONDITION = 4e2
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,6 @@ def _of_dynamics(A: FloatArray, current: int) -> Modes:
         own = int(np.abs(T[current]).argmax())
         T[:, own] /= T[current, own] or 1.0
         T[current] = np.arange(n) == own
-    if not np.linalg.cond(T) <= MAX_CONDITION:
+    if not np.linalg.cond(T) <= MOST_CONDITION:
         return dense
     return Modes(A, T, np.where(pattern, np.linalg.solve(T, A @ T), 0.0), own if current >= 0 else -1)

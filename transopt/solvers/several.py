@@ -17,7 +17,7 @@ from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers import sparse_kkt
 from transopt.solvers.bounds import check_bounds
-from transopt.solvers.modes import MAX_CONDITION
+from transopt.solvers.modes import MOST_CONDITION
 from transopt.solvers.native.motors import (
     ACCURACY,
     MOST_MOTORS,
@@ -202,7 +202,7 @@ def modes(stage: LinearStage, where: Layout) -> tuple[FloatArray, FloatArray]:
     own = np.eye(n)
     columns = [*pairs, *own[filters], *real]
     T = np.array([*(column / max(np.linalg.norm(column), 1e-300) for column in columns), *currents.T, *own[-m:]]).T
-    if not np.linalg.cond(T) <= MAX_CONDITION:
+    if not np.linalg.cond(T) <= MOST_CONDITION:
         return dense
     found = np.linalg.solve(T, A @ T)
     return np.where(_pattern(n, m, len(pairs) + before - filters.start), found, 0.0), T

@@ -255,7 +255,7 @@ class TestModes:
         self, hardest: Callable[[str], TransientProblem], monkeypatch: pytest.MonkeyPatch, name: str
     ) -> None:
         in_modes = solve(hardest(name), OWN)
-        monkeypatch.setattr(modes, "MAX_CONDITION", 0.0)
+        monkeypatch.setattr(modes, "MOST_CONDITION", 0.0)
         in_states = solve(hardest(name), OWN)
         np.testing.assert_allclose(in_states.command, in_modes.command, rtol=0, atol=1e-6)
 
