@@ -1,10 +1,10 @@
-"""Speed against the named peers, in one run on one machine.
+"""Compares the speed of the project's solvers with that of named peers, in one run on one machine.
 
     python scripts/benchmark.py --json FILE
 
 Prints machine, versions, and per row the median and quartiles of the solve, the set-up, the objective gap to the
 certified lower bound and the limit violation, both recomputed from the rolled-out command, as one table under the
-ratios. Ratios bind, milliseconds need the calibration row. One thread, of the linear algebra too.
+ratios. Compare machines by the ratios; milliseconds need the calibration row. All methods use one thread.
 """
 
 from dataclasses import asdict, replace
@@ -56,7 +56,7 @@ LONG, LONGEST = 10 * STAGES, 25 * STAGES
 
 
 def in_a_row(problem: TransientProblem, stages: int) -> TransientProblem:
-    """The tap again and again: so many times the work, nothing of it idle."""
+    """The tap repeated over so many stages, to scale the work without idle stages."""
     times = -(-stages // problem.grid.stages)
     return replace(
         problem,
@@ -67,7 +67,7 @@ def in_a_row(problem: TransientProblem, stages: int) -> TransientProblem:
 
 
 def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
-    """All rows, what iterations take at `STAGES` and at `LONGEST`, and the peak memory of `transopt solve` [MB]."""
+    """All rows, times of an iteration at `STAGES` and `LONGEST`, and the peak memory of `transopt solve` [MB]."""
     scene = problems.load("wood_on_foam")
     rows = [calibration()]
     saturated, free = entry(scene, 0.4, 5.0), entry(scene, 0.2, 3.0)
@@ -115,7 +115,7 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
 
 
 def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
-    """One sentence per ratio, the bounds of the own method in brackets."""
+    """One sentence per ratio, with the required bounds of the project's method in brackets."""
     by = {(r.case, r.method, r.stages): r.median_ms for r in rows}
 
     def ratio(case: str, one: str, other: str, bound: str = "") -> str:
@@ -152,7 +152,7 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
 
 
 def cells(rows: list[Row]) -> list[list[str]]:
-    """Cells of the table, a row each; a case is named once."""
+    """Cells of the table, row by row; the name of a case only in its first row."""
     found, before = [], ""
     for r in rows:
         case = r.case if r.stages in (0, STAGES) or r.case == "online" else f"{r.case}, {r.stages} stages"

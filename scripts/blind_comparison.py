@@ -1,19 +1,19 @@
-"""Which of two libraries is nearer to the real tap, asked of a person who does not know which one is playing.
+"""Blind comparison: which of two libraries a person finds nearer to the real tap without knowing which one plays.
 
     python scripts/blind_comparison.py A.npz B.npz (--port PORT | --simulate) --csv answers.csv [--trials 20]
         [--taps 3] [--seed 0] [--gain 1] [--judge intensity|waveform|chance]
 
-Figures tell how far two waveforms are from a recorded tap; which of them a hand takes for the real thing only hands
-can say. In every trial both libraries are played, one after the other in random order, for so many taps each; the
-person may knock on the real object at any time, and then answers 1 or 2: which one was nearer to it? Both libraries
-have to be made for the same device and the same limits, so that nothing but the waveforms differs.
+Figures state how far two waveforms are from a recorded tap; only a person can say which one feels like the real
+object. In every trial both libraries are played one after the other in random order, for so many taps each. The
+person may knock on the real object at any time, and then answers which interval was nearer to it, 1 or 2. Both
+libraries have to be made for the same device and limits, so that only the waveforms differ.
 
-Every answer is in the file before the next trial begins; started again with the same libraries, seed and file, the
-comparison goes on where it was left, by Ctrl-C or by q. At the end, and with no trial left, it says how often B was
-chosen, with the exact binomial 95 % interval and the probability of as uneven an outcome by chance.
+Every answer is saved before the next trial begins. After Ctrl-C or q, the same command with the same libraries, seed
+and file continues the comparison. At the end it prints how often B was chosen, with the exact binomial 95 % interval
+and the probability of an outcome at least as uneven by chance.
 
-With --simulate the compiled device is tapped by a simulated hand, and a simulated person answers: by the intensity
-that is felt, by the waveform, or by chance, each with a hand's uncertainty.
+With --simulate a simulated hand taps the compiled device, and a simulated person answers: by the felt intensity, by
+the waveform, or by chance, each with the uncertainty of a person.
 """
 
 import csv
@@ -48,14 +48,14 @@ from transopt.base.errors import InputError
 from transopt.problem.objective.bands import JUST_NOTICED_dB
 
 LISTEN_S = 0.05
-PREPARE_S = 1.0  # before every interval, longer than any upload takes
+PREPARE_S = 1.0  # fixed pause before every interval, longer than any upload, so that its length tells nothing
 ACCELEROMETER_Hz = 2500.0
 JUST_NOTICED_ERROR = 0.1  # tap error, of the simulated person who goes by the waveform
 QUIT = "q"
 
 
 class Judge(StrEnum):
-    """What a simulated person goes by."""
+    """The criterion of a simulated person."""
 
     INTENSITY = "intensity"
     WAVEFORM = "waveform"
@@ -64,13 +64,13 @@ class Judge(StrEnum):
 
 @dataclass(frozen=True)
 class Answer:
-    """One trial, as it stands in the file.
+    """One trial, as stored in the file.
 
     Attributes
     ----------
     first : library that was played first, A or B.
-    answer : 1 or 2, the interval that was said to be nearer.
-    chosen : the library that was played then.
+    answer : 1 or 2, the interval that the person found nearer.
+    chosen : the library that was played in that interval.
     speed_1_m_s, grip_1_N : mean over the taps of the first interval; likewise of the second.
     library_A, library_B : beginnings of the libraries' hashes.
     """
@@ -94,19 +94,20 @@ Asked = Callable[[Device, int, list[list[PlayedTap]]], str]  # device, trial, ta
 
 
 class Answers:
-    """The file of answers, which is whole after every one of them.
+    """The file of answers, which is complete after every answer.
 
     Parameters
     ----------
-    seed : of the order. names : of libraries A and B.
+    seed : seed of the order.
+    names : names of libraries A and B.
 
     Attributes
     ----------
-    all : in the order in which they were given.
+    all : answers in the order in which they were given.
 
     Raises
     ------
-    InputError : a file that cannot be written, or that holds something else.
+    InputError : a file that cannot be written, or with other content.
     """
 
     def __init__(self, path: Path, seed: int, names: tuple[str, str]) -> None:
@@ -131,7 +132,7 @@ class Answers:
         return found
 
     def add(self, answer: Answer) -> None:
-        """On the disk when this returns."""
+        """Append an answer and write it to the disk."""
         new = not self._path.exists()
         try:
             with self._path.open("a", newline="", encoding="utf-8") as file:
@@ -147,13 +148,13 @@ class Answers:
 
 
 def first_of(seed: int, trial: int) -> str:
-    """Which library a trial begins with; every pair of trials has both orders, in random order itself."""
+    """The library played first in a trial; every pair of trials has both orders, in random sequence."""
     orders = np.random.default_rng([seed, trial // 2]).permutation(["A", "B"])
     return str(orders[trial % 2])
 
 
 def summary(answers: list[Answer]) -> str:
-    """How often B was chosen, and what that says."""
+    """How often B was chosen, with its interval and probability."""
     n, k = len(answers), sum(answer.chosen == "B" for answer in answers)
     if n == 0:
         return "no answers"
@@ -189,7 +190,7 @@ def played(device: Device, given: Payload, bench: Bench, taps: int, gain: float)
 
 
 def person(device: Device, trial: int, intervals: list[list[PlayedTap]]) -> str:
-    """Ask whoever reads the terminal; the link is looked after meanwhile."""
+    """Ask the person at the terminal; the link to the device is served meanwhile."""
     typed: queue.Queue[str] = queue.Queue()
 
     def read() -> None:
@@ -209,7 +210,7 @@ def person(device: Device, trial: int, intervals: list[list[PlayedTap]]) -> str:
 
 
 def simulated_person(judge: Judge, seed: int) -> Asked:
-    """One that goes by what was recorded, with the uncertainty of a just noticeable difference on each interval."""
+    """A simulated person who judges the recorded taps, with the uncertainty of a just noticeable difference."""
 
     def distance(tap: PlayedTap) -> float:
         compared = tap.compared
@@ -230,7 +231,7 @@ def simulated_person(judge: Judge, seed: int) -> Asked:
 
 
 def prepare(device: Device, given: Payload) -> None:
-    """Put a library in force, without a word on which, in as long a time whether it had to be sent or not."""
+    """Load a library without naming it, in the same time whether it has to be sent or not."""
     end_s = device.now_s() + PREPARE_S
     device.configure(given.configuration)
     device.upload(fitted(given, capacity_of(device.hello))[0].image)
@@ -240,7 +241,7 @@ def prepare(device: Device, given: Payload) -> None:
 def compare(
     bench: Bench, given: dict[str, Payload], answers: Answers, trials: int, taps: int, gain: float, asked: Asked
 ) -> None:
-    """All trials that the file does not have yet; ends early where the person says so."""
+    """Run all trials that the file does not contain yet; the person may end early."""
     with connected(bench.port, False) as device:
         for trial in range(len(answers.all), trials):
             pair = [first_of(answers.seed, trial)]
@@ -276,7 +277,7 @@ def compare(
 
 
 def simulated_taps(given: Payload, seed: int, trials: int, taps: int) -> Iterator[SimulatedTap]:
-    """Taps as of a hand: at speeds and grips anywhere on the upper half of the grid, where limits bind."""
+    """Taps of a hand at random speeds and grips in the upper half of the grid, where limits bind."""
     rng, library = np.random.default_rng([seed, 2]), given.library
     for _ in range(2 * trials * taps):
         v, F = (

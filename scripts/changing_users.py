@@ -1,16 +1,16 @@
-"""What a library is worth in the hands of other users: as it is, robust, and calibrated from three taps.
+"""Quality of a library in the hands of other users: nominal, robust, and calibrated from three taps.
 
     python scripts/changing_users.py [--hands 20] [--seed 101] [--page docs/results/users.md] [--figure FILE.png]
 
-Hands are drawn from the built-in population, with a seed that nothing was tuned on. Each taps three times on the
-simulated device, which plays the nominal library; its own library is calibrated from them. Then all libraries are
-played in that hand by equations of their own (`played/motion.py`), and compared with two truths: the tap that the
-real object gives this very hand, integrated by the same equations, and the recorded tap, of the hand of the scene.
-Beside them stands who knows the hand: the optimum for its true parameters, from its own recorded taps for the one
-truth, from those of the library for the other.
+Hands are drawn from the built-in population, with a seed on which nothing was tuned. Each taps three times on the
+simulated device, which plays the nominal library, and a library is calibrated from these taps. Then all libraries are
+played in that hand by independent equations (`played/motion.py`) and compared with two references: the tap of this
+hand on the real object, by the same equations, and the recorded tap of the scene's hand. The baseline is the optimum
+for the hand's true parameters, from its own recorded taps for the first reference, and from those of the library for
+the second.
 
-It fails where a calibrated library is further from who knows the hand than 4 points of tap error or 2 of felt error
-in the mean over the entries of a hand.
+It fails if a calibrated library exceeds this baseline by more than 4 points of tap error or 2 of felt error in the
+mean over the entries of a hand.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,9 +58,9 @@ from transopt.scene.population import Population, load_population
 from transopt.scene.scene import Scene
 
 SCENE, SAMPLES = "wood_on_foam", 8
-MOST_TAP, MOST_FELT = 0.04, 0.02  # that calibrated may be further off than who knows the hand, in the mean of a hand
-OTHERS = 2  # one hand in so many is met under every further condition
-DRIVE_OFF = 0.03  # every parameter of the drive, at most
+MOST_TAP, MOST_FELT = 0.04, 0.02  # largest excess of calibrated errors over the known hand's, mean over a hand
+OTHERS = 2  # every so many hands are tested under the further conditions
+DRIVE_OFF = 0.03  # largest relative error of the drive's parameters
 STRAIGHT = MovingHand("straight")
 OWN, RECORDED = "in this hand", "as recorded"  # the two truths
 NOMINAL, MEAN, WORST = "nominal", "robust, mean", "robust, worst"
@@ -73,14 +73,14 @@ Found = dict[str, dict[str, FloatArray]]
 
 @dataclass(frozen=True)
 class Condition:
-    """How a hand is met.
+    """The condition under which a hand is calibrated.
 
     Attributes
     ----------
-    wider : factor on the population's deviations when hands are drawn; the prior stays.
-    taps : that are taken, of the three.
-    drive_off : part by which every parameter of the drive is off.
-    tremor_m : amplitude at 10 Hz while the hand is calibrated.
+    wider : factor on the population's deviations when hands are drawn; the prior does not change.
+    taps : number of taps used, of the three.
+    drive_off : largest relative error of the drive's parameters.
+    tremor_m : amplitude of a tremor at 10 Hz during calibration.
     """
 
     wider: float = 1.0
@@ -99,7 +99,7 @@ CONDITIONS = {
 
 
 class Trembling(SimulatedHand):
-    """The hand of a condition, which may tremble while it taps."""
+    """The simulated hand of a condition, with its tremor."""
 
     def __init__(self, device: TrueDevice, seed: int, tremor_m: float) -> None:
         super().__init__(device, Imperfections(), seed)
@@ -113,7 +113,7 @@ class Trembling(SimulatedHand):
 
 @lru_cache(maxsize=1)
 def designed() -> tuple[Scene, Population, dict[str, Library]]:
-    """Scene and population, and the libraries that are the same for every hand."""
+    """Scene, population, and the libraries that do not depend on the hand."""
     scene, population = to.load_scene(SCENE), load_population(POPULATION)
     recordings = to.recordings_of(scene)
     libraries = {NOMINAL: to.solve(scene, recordings)}
@@ -124,7 +124,7 @@ def designed() -> tuple[Scene, Population, dict[str, Library]]:
 
 
 def true_device(scene: Scene, condition: Condition, seed: int) -> TrueDevice:
-    """The device in the hand of a scene, its drive as a condition has it."""
+    """The device in the hand of a scene, with the drive of a condition."""
     own = device_of(scene)
     if not condition.drive_off:
         return own
@@ -140,7 +140,7 @@ def true_device(scene: Scene, condition: Condition, seed: int) -> TrueDevice:
 def by_taps(
     library: Library, device: TrueDevice, population: Population, condition: Condition, seed: int
 ) -> Calibration:
-    """The hand as the command finds it, from taps over the simulated link."""
+    """The hand as calibrated by the command, from taps over the simulated link."""
     hand = Trembling(device, seed, condition.tremor_m)
     given = payload_of(library)
     bench, hand.hand = simulated_bench(given, device, (), tapped=hand.tapped)
@@ -153,7 +153,7 @@ def by_taps(
 
 
 def libraries_of(hand: HandSection, condition: Condition, seed: int) -> tuple[dict[str, Library], TrueDevice]:
-    """All libraries that are compared in a hand, and the device in it."""
+    """All libraries to compare in a hand, and the device in it."""
     scene, population, known = designed()
     truth, nominal = scene.in_hand(hand), known[NOMINAL]
     device = true_device(truth, condition, seed)
@@ -172,7 +172,7 @@ def libraries_of(hand: HandSection, condition: Condition, seed: int) -> tuple[di
 
 
 def played(libraries: dict[str, Library], device: TrueDevice) -> Found:
-    """Tap error and felt error of all entries of all libraries, beside both truths."""
+    """Tap error and felt error of all entries of all libraries, relative to both references."""
     scene, _, known = designed()
     nominal, grid, target = known[NOMINAL], scene.time_grid(), scene.recordings.simulated
     assert target is not None
@@ -203,7 +203,7 @@ def played(libraries: dict[str, Library], device: TrueDevice) -> Found:
 
 
 def met(hands: int, seed: int, condition: Condition, tell: Callable[[str], None] = lambda _: None) -> list[Found]:
-    """All hands of a condition."""
+    """Results of all hands under a condition."""
     scene, population, _ = designed()
     drawn = population.drawn(hands, seed, scene.grid.grips_N, condition.wider)
     found = []
@@ -226,7 +226,7 @@ def worth(found: Sequence[Found], truth: str) -> list[str]:
 
 
 def behind(found: Sequence[Found], truth: str) -> FloatArray:
-    """(hands, entries, 2) by how much calibrated is further off than who knows the hand."""
+    """(hands, entries, 2) excess of the calibrated library's errors over those of the known hand."""
     ours, theirs = PAIRS[truth]
     return np.array([one[truth][ours] - one[truth][theirs] for one in found])
 
@@ -239,7 +239,7 @@ def behind_row(words: str, found: Sequence[Found], truth: str) -> list[str]:
 
 
 def users_figure(found: Sequence[Found]) -> Figure:
-    """Tap error and felt error of each hand, in the mean over its entries, beside what the object does in it."""
+    """Tap error and felt error of each hand, mean over its entries, relative to the object in that hand."""
     figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     order = np.argsort([one[OWN][NOMINAL][:, 1].mean() for one in found])
     # Okabe and Ito's colours, and a mark of its own for each library.

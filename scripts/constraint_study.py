@@ -1,4 +1,4 @@
-"""What constraints cost: `transopt study`, callable from a checkout.
+"""Constraint studies: `transopt study`, callable from a checkout.
 
     python scripts/constraint_study.py SCENE --vary KEY=V1,V2,... --out DIR
 

@@ -1,10 +1,10 @@
-"""Why a scene's weights and window are what they are: the front of errors over heat, and one change at a time.
+"""Justifies the default weights and window: errors over heat, and the effect of single changes.
 
     python scripts/defaults.py [--figure FILE.png] [--page docs/results/defaults.md]
 
-The figure has, for an entry of the default scene that no limit holds back, a line for each window: along it heat gets
-a price, so that no other command of that window is better at as little heat. The table changes one number at a time
-in every built-in scene of a hand, and says what that does to the means over its entries.
+The figure shows Pareto fronts of an entry without binding limits, one for each window: the price of heat varies along
+a line, so that no other command of that window has less error at the same heat. The table changes one number at a
+time in every built-in scene with a hand, and states the effect on the means over its entries.
 """
 
 from collections.abc import Mapping
@@ -29,8 +29,8 @@ from transopt.scene import strikes
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 
-ENTRY = {"grid.speeds_m_s": [0.3], "grid.grips_N": [3.0]}  # which no limit holds back
-WINDOWS_STAGES = (400, 600, 800, 1000)  # of 0.1 ms
+ENTRY = {"grid.speeds_m_s": [0.3], "grid.grips_N": [3.0]}  # an entry without binding limits
+WINDOWS_STAGES = (400, 600, 800, 1000)  # windows in stages of 0.1 ms
 PRICES = (0.0, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4)
 CORNERS_Hz, PLAIN = (10.0, 20.0, 30.0), (0.0, 0.03, 0.09, 0.25, 1.0)
 CHANGES: tuple[tuple[str, Mapping[str, Any]], ...] = (
@@ -59,7 +59,7 @@ class Means:
 
 
 def means(scene: Scene) -> Means:
-    """What the entries of a scene amount to.
+    """Means over the entries of a scene.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def means(scene: Scene) -> Means:
 
 
 def fronts() -> dict[str, list[Means]]:
-    """Line of the figure -> its points, the dearest heat last."""
+    """Line of the figure -> its points, in order of increasing price of heat."""
     scene, found = with_values(problems.load("wood_on_foam"), ENTRY), {}
     for stages in WINDOWS_STAGES:
         priced = [{"time.stages": stages, "weights.heat_price": price} for price in PRICES]
@@ -117,13 +117,13 @@ def front_figure(found: Mapping[str, list[Means]], default: Means) -> Figure:
 
 
 def changed(scene: Scene, values: Mapping[str, Any]) -> Scene:
-    """A scene with other numbers; its window is told as a share of what it is."""
+    """A scene with other numbers; a changed window is stated relative to the present one."""
     stages = {"time.stages": round(scene.stages * values["time.stages"])} if "time.stages" in values else {}
     return with_values(scene, {**values, **stages})
 
 
 def by_scene(change: Mapping[str, Any]) -> list[Means | None]:
-    """Means of every scene with a change; None where it cannot be made, as a window longer than between two taps."""
+    """Means of every scene with a change; None where the scene refuses it, as a window longer than the tap period."""
     found: list[Means | None] = []
     for name in SCENES:
         try:
@@ -134,7 +134,7 @@ def by_scene(change: Mapping[str, Any]) -> list[Means | None]:
 
 
 def change_table() -> list[str]:
-    """Change -> ratios to the scenes as they are: their median, least and largest."""
+    """Rows of the table: change, and the median, least and largest ratio to the unchanged scenes."""
     rows, first = [], by_scene({})
     for words, change in CHANGES[1:]:
         found = by_scene(change)

@@ -3,15 +3,15 @@
     python scripts/device_end_to_end.py [--library LIBRARY] [--rounds 4] [--out DIR] [--seed 0]
 
 The compiled device serves a pseudo-terminal in real time; its scripted hand taps at every speed and grip of the
-library's grid in turn, straight in and on. Motion and noise depend on the device's ticks alone, so the figures do not
-depend on the machine; a tap of which a busy machine loses records is left to the hand's next round. Each tap is
-recorded and compared with the library's prediction as `transopt-play tap` does it (`controller.record.played`): at
-the speed and the grip that the device reported, behind the accelerometer's own pole, from the moment at which the
-recorded encoder would have met the surface until the hand can answer.
+library's grid in turn, in straight motion. Motion and noise depend on the device's ticks only, so the figures do not
+depend on the machine. If a busy machine loses records of a tap, the hand repeats it in its next round. Each tap is
+recorded and compared with the library's prediction as by `transopt-play tap` (`controller.record.played`): at the
+speed and grip that the device reported, through the accelerometer's pole, from the instant at which the recorded
+encoder would have met the surface until the hand can react.
 
-Twice: with the sensors as they are, where the accelerometer's noise is part of every recorded tap, and with an ideal
-accelerometer and grip sensor. Exit code 1 if a latency is above 20 us rms over a condition's taps, or the playback
-error after the one shift above 3 %: with ideal sensors of every tap, with real ones of the mean over the rounds.
+This is done twice: with the real sensors, whose noise is in every recorded tap, and with an ideal accelerometer and
+grip sensor. Exit code 1 if a latency exceeds 20 us rms over a condition's taps, or the playback error after the
+common shift exceeds 3 %: for every tap with ideal sensors, for the mean over the rounds with real ones.
 """
 
 import math
@@ -49,8 +49,8 @@ MOST_LATENCY_S, MOST_ERROR = 20e-6, 0.03
 IDEAL = Sensors(accelerometer_noise_g_rtHz=0.0, accelerometer_bandwidth_Hz=1e6, grip_hysteresis=0.0, grip_noise_N=0.0)
 FIRST_REST_S = 3.0  # the device is configured, loaded and armed in this time
 REST_S, STARTING_S, STRAIGHT_S, ONWARD_S, RETREAT_S = 0.1, 0.03, 0.25, 0.11, 0.3
-MOST_ROUNDS = 3  # of the hand, per round asked for, if a busy machine loses records
-LEASE_MS = 1000  # the machine may have more to do
+MOST_ROUNDS = 3  # rounds of the hand per requested round, if a busy machine loses records
+LEASE_MS = 1000  # a long lease, as the machine may be busy
 HEAD = (
     "m/s",
     "N",
@@ -67,15 +67,15 @@ Node = tuple[float, float]  # speed [m/s], grip [N]
 
 
 def eased(part: float) -> float:
-    """From 0 to 1 as hands move (Flash and Hogan 1985)."""
+    """Minimum-jerk transition from 0 to 1, as hands move (Flash and Hogan 1985)."""
     part = min(max(part, 0.0), 1.0)
     return part**3 * (10 - 15 * part + 6 * part**2)
 
 
 class StraightTaps:
-    """The given taps in turn after a rest, over and over; straight in, and straight on until the window is over.
+    """The given taps in turn after a rest, repeated; the hand moves straight until the window ends.
 
-    The hand moves straight for so long that what its start has set swinging is gone at the contact.
+    It moves straight long enough for the oscillations of its start to decay before contact.
     """
 
     CYCLE_S = REST_S + STARTING_S + STRAIGHT_S + ONWARD_S + RETREAT_S
@@ -132,7 +132,7 @@ class Condition:
 
     @property
     def tap_error(self) -> float:
-        """Against the recorded tap, mean over the taps."""
+        """Tap error relative to the recorded tap, mean over the taps."""
         return float(np.mean([tap.compared.tap_error for tap in self.taps]))
 
     def kept(self, noisy: bool) -> bool:
@@ -140,7 +140,7 @@ class Condition:
 
 
 def by_node(nodes: list[Node], contacts: list[Contact]) -> dict[Node, list[Contact]]:
-    """The contacts of which no record is lost, each under the speed and the grip that it was nearest to."""
+    """The contacts without lost records, each under the nearest speed and grip."""
     found: dict[Node, list[Contact]] = {node: [] for node in nodes}
     for contact in contacts:
         if contact.path is not None:
@@ -152,7 +152,7 @@ def by_node(nodes: list[Node], contacts: list[Contact]) -> dict[Node, list[Conta
 def recorded(
     library: Library, nodes: list[Node], sensors: Sensors, rounds: int, seed: int, folder: Path
 ) -> list[Condition]:
-    """Upload, arm, let the hand go round until each tap is recorded so often; each condition's taps.
+    """Upload, arm, and repeat the hand's rounds until each tap is recorded so many times; each condition's taps.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def recorded(
         device.listeners.append(recorder.take)
         device.configure(configuration_of(settings))
         device.upload(image_of(bank(library), dt_s, settings.lead_s, library.hand_over_samples))
-        # What `transopt-play check` finds out by hand needs no finding out here.
+        # The bring-up check of `transopt-play check` is not needed on a simulated device.
         device.set_telemetry(1)
         arm_at_rest(device, LEASE_MS, hand.period_s)
         for _ in range(MOST_ROUNDS * rounds + 1):
@@ -193,7 +193,7 @@ def recorded(
 
 
 def told(conditions: list[Condition], noisy: bool) -> bool:
-    """Print them; whether all is as asked."""
+    """Print the conditions; whether all meet the requirements."""
     rows = []
     for c in conditions:
         reported = np.mean([(tap.contact.speed_m_s, tap.contact.grip_N) for tap in c.taps], axis=0)

@@ -68,7 +68,7 @@ def dump_all(cases: Sequence[Case], folder: Path) -> list[str]:
 
 
 def measure_all(cases: Sequence[Case], methods: Sequence[Method], effort: Effort, *, periods: bool) -> list[Row]:
-    """Every row of every case, with a bar on a terminal and a line per case elsewhere."""
+    """All rows of all cases, with a progress bar on a terminal and a line per case elsewhere."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     watched = sys.stderr.isatty()
     steps = {case.name: 2 * sum(len(method.settings(case)) for method in methods) for case in cases}
@@ -91,7 +91,7 @@ def measure_all(cases: Sequence[Case], methods: Sequence[Method], effort: Effort
 
 
 def reading_ms(case: Case) -> float:
-    """What reading one problem's numbers from the CasADi statement takes, the best of a few."""
+    """Time to read one problem's numbers from the CasADi statement, the least of a few runs [ms]."""
 
     def read() -> None:
         shape = program.program_shape(case.small)

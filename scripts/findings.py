@@ -1,8 +1,8 @@
-"""What the named studies find, all of them, on the default scene.
+"""Runs all named studies on the default scene and writes their findings.
 
     python scripts/findings.py --out DIR [--figures DIR] [--page PAGE.md]
 
-The same as `transopt study --study all`, and the findings as the table of a page of results.
+It does the same as `transopt study --study all`, and writes the findings as a table of a page of results.
 """
 
 from pathlib import Path

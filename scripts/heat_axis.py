@@ -1,10 +1,10 @@
-"""What cool commands with less heat are worth on a warm coil, beside first ones that are scaled down.
+"""Benefit of cool commands on a warm coil, compared with first commands that are scaled down.
 
     python scripts/heat_axis.py [--minutes 20] [--blends 1000000] [--page docs/results/heat.md] [--figure FILE.png]
 
-Three parts, on the default scene: what each share of the heat leaves of a tap; whether random blends of the commands
-as a device stores them, over speed, grip and coil, keep the limits on current and command; and minutes of taps on a
-coil that begins 10 K below its limit, played with cool commands and without.
+There are three parts, on the default scene: the error of a tap for each share of the heat; whether random blends of
+the stored commands over speed, grip and coil temperature keep the limits on current and command; and minutes of taps
+on a coil that starts 10 K below its limit, with and without cool commands.
 """
 
 from collections import Counter
@@ -48,7 +48,7 @@ BLOCK = 4000  # blends at once
 
 @dataclass(frozen=True)
 class Left:
-    """What a share of the heat leaves of a tap, scaled and by the optimum."""
+    """A tap with a share of the heat, by scaling and by the optimum."""
 
     share: float
     grip_N: float
@@ -63,13 +63,13 @@ def cooled(share: float) -> Library:
 
 
 def cool_of(library: Library) -> Library:
-    """Give the cool commands of a library that was asked for them."""
+    """The cool commands of a library that has them."""
     assert library.cool is not None
     return library.cool
 
 
 def left(library: Library, share: float) -> list[Left]:
-    """What is left at a speed that no limit cuts but at the firmest grip."""
+    """Taps with a share of the heat, at a speed at which a limit binds at the firmest grip only."""
     iv = int(np.searchsorted(library.speeds_m_s, SPEED_M_S))
     found = []
     for ig, grip in enumerate(library.grips_N):
@@ -90,7 +90,7 @@ def shares_table(found: Sequence[Left]) -> list[str]:
 
 
 def shares_figure(found: Sequence[Left]) -> Figure:
-    """Felt error and level over the share of the heat, of both ways, grip by grip."""
+    """Felt error and level over the share of the heat, for both methods, grip by grip."""
     drawn = Figure(figsize=(8.0, 3.4), layout="constrained")
     error, level = drawn.subplots(1, 2)
     grips = sorted({each.grip_N for each in found})
@@ -117,13 +117,14 @@ def shares_figure(found: Sequence[Left]) -> Figure:
 
 @dataclass(frozen=True)
 class Blended:
-    """Random blends of what a device stores.
+    """Random blends of stored commands.
 
     Attributes
     ----------
-    bits : of a sample of a cool command.
-    blends : how many. over : how many leave a limit by more than one count.
-    current_A, command_A : the largest of all.
+    bits : resolution of a stored sample of a cool command.
+    blends : number of blends.
+    over : number of blends that exceed a limit by more than one count.
+    current_A, command_A : largest current and command of all blends.
     """
 
     bits: int
@@ -134,7 +135,7 @@ class Blended:
 
 
 def blended(library: Library, bits: int, blends: int, seed: int) -> Blended:
-    """Blend stored commands at random places of speed, grip and coil, and look at currents and commands."""
+    """Blend stored commands at random speeds, grips and coil temperatures, and evaluate currents and commands."""
     settings, random = Settings.of(library), np.random.default_rng(seed)
     amplifier, tail = library.amplifier(), library.hand_over_samples
     image = image_of(bank(library), library.dt_s, library.lead_s, tail, cool_bits=bits, amplifier=amplifier)
@@ -174,9 +175,10 @@ class Minutes:
 
     Attributes
     ----------
-    contacts : all. played : how many were played whole, blended, scaled or withheld.
-    mean_dB, worst_dB : level of what was played in the felt band, over the recorded one.
-    hottest_C : of a coil that is integrated apart from the guard's estimate.
+    contacts : number of contacts.
+    played : numbers of transients that were played whole, blended, scaled or withheld.
+    mean_dB, worst_dB : level of the played transients in the felt band, over the recorded one.
+    hottest_C : highest temperature of a coil that is integrated independently of the guard's estimate.
     """
 
     contacts: int
@@ -240,7 +242,7 @@ def _level_dB(heard: FloatArray, scale: float, second: float) -> float:
 
 
 def minutes_table(found: Sequence[tuple[str, Minutes]]) -> list[str]:
-    """Lines of a Markdown table: what became of the taps, with cool commands and without."""
+    """Lines of a Markdown table: how the taps were played, with cool commands and without."""
     head = ["taps at 90 C", "contacts", "whole", "blended", "scaled", "withheld", "felt dB: mean, least", "hottest C"]
     rows = [
         [

@@ -1,10 +1,10 @@
-"""How fast the page answers a hand: from the input event to the frame after the plots are drawn, in Chromium.
+"""Measures the page's response time in Chromium: from an input event to the frame after the plots are drawn.
 
     python scripts/page_speed.py
 
-Drags the slider of the current limit of `wood_on_foam`, of one tap alone and of all twelve: events that come one by
-one, and as fast as the browser takes them; and from opening the address to the first picture. It takes the extra
-`page`, playwright and a chromium. What is timed here is asserted in no test.
+It drags the slider of the current limit of `wood_on_foam`, with one tap and with all twelve: with single events, and
+with events as fast as the browser accepts them. It also measures the time from opening the address to the first
+picture. It needs the extra `page`, playwright and chromium. No test asserts these times.
 """
 
 import math
@@ -37,14 +37,14 @@ BOUNDS_MS = {1: 33, 12: 66}
 
 @dataclass(frozen=True)
 class Came:
-    """What one drag came to.
+    """Times of one drag.
 
     Attributes
     ----------
-    taps : in the scene.
-    first_ms : from opening the page to the frame with the first picture of all taps.
-    single_ms : from events that came one by one to the frame.
-    dragged_ms : the same of those that were answered while the slider never rested.
+    taps : number of taps in the scene.
+    first_ms : time from opening the page to the frame with the first picture of all taps.
+    single_ms : times from single events to the frame.
+    dragged_ms : the same for events answered during a continuous drag.
     per_s : answers drawn per second of that drag.
     """
 
@@ -56,7 +56,7 @@ class Came:
 
 
 def measured(tab: Tab, address: str, taps: int, events: int) -> Came:
-    """Open the page, drag its slider, and read what it has measured of itself."""
+    """Open the page, drag its slider, and read the times that the page measured."""
     tab.goto(address)
     expect(tab.locator("#state")).to_contain_text("replayed", timeout=SETTLED_MS)
     box = tab.locator(SLIDER).bounding_box()
@@ -81,7 +81,7 @@ def measured(tab: Tab, address: str, taps: int, events: int) -> Came:
         return [duration for _, duration in found], len(found) / lasted
 
     first = tab.evaluate(FIRST)
-    drag(30, 0.03)  # what is done for the first time is not what is measured
+    drag(30, 0.03)  # warm-up
     single, _ = drag(events, SINGLE_S)
     dragged, per_s = drag(4 * events, 0.008)
     return Came(taps, first, single, dragged, per_s)

@@ -1,16 +1,16 @@
-"""Libraries played against the real object: what the tables promise beside what a stylus does.
+"""Plays libraries and compares the stylus with the real object, and with the figures of the tables.
 
     python scripts/played_against_real.py [SCENE ...] [--hands] [--hard] [--page docs/results/played.md]
 
-Each scene is solved. A stylus in the hand of the recordings strikes the real object, and another one in the same hand
-taps on air while the device plays the library, both by equations of their own (`played/motion.py`): what they feel is
-compared. With --hands the library of the default scene is played in other hands than the one it was made for, each of
-which strikes the object as well, and libraries are made of what hands record that come with an acceleration; and what
-the recordings miss is taken apart. With --hard scenes far from everyday ones are played besides.
+Each scene is solved. By independent equations (`played/motion.py`) a stylus in the hand of the recordings strikes the
+real object, and a stylus in the same hand taps on air while the device plays the library; both motions are compared.
+With --hands the library of the default scene is also played in other hands, each of which strikes the object too;
+libraries are made from recordings of hands that approach with an acceleration; and the errors of the recordings are
+analysed. With --hard extreme scenes are played too.
 
-It fails where a played tap is further from the real one than the table says, in tap error or felt error, by more than
-half a point and what the recording itself misses of the real tap; and where it is that much apart from the table
-beside the recorded tap.
+It fails if the error of a played tap relative to the real one exceeds the table's, in tap error or felt error, by
+more than half a point plus the error of the recording itself. It also fails if the error relative to the recorded tap
+differs from the table's by more than that.
 """
 
 from collections.abc import Sequence

@@ -1,20 +1,19 @@
-"""Run the commands that a page of results shows the output of, and put what they print back on the page.
+"""Runs the commands whose output a page of results shows, and writes their output to the page.
 
     python scripts/results.py docs/results/PAGE.md [--only WORD]
 
-Scripts that only print have their place on a page between two marks, the first of which has the whole command:
+The output of a script that only prints is written between two marks, the first of which contains the whole command:
 
     <!-- output of: python scripts/NAME.py ... -->
     <!-- end -->
 
-Between them stands what the command printed, without pytest's progress and summary, with a stamp below. A campaign of
-the tests writes the tables that belong on a page into a file of their own, where it is asked to, and they are put on
-the page as they are:
+Pytest's progress and summary are left out, and a stamp is added below. A campaign of the tests writes the tables for
+a page to a separate file, and they are copied to the page unchanged:
 
     <!-- tables of: python -m pytest -m long -n 0 tests/campaigns/test_NAME.py -->
     <!-- end -->
 
-Scripts that make tables of their own write them themselves, by `--page`.
+Scripts with the option `--page` write their tables themselves.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""What an arm with three motors costs and brings: solver beside PIQP, blends, and the full arm beside the linear one.
+"""Measures an arm with three motors: solver against PIQP, blends against optima, full arm against the linear one.
 
 python scripts/several_motors.py [--page docs/results/several_motors.md]
 """

@@ -1,4 +1,4 @@
-"""Published sheets of actuators with each of their numbers left out in turn, and what the others make of it.
+"""Tests the completion of datasheets: each number of published sheets is left out and estimated from the others.
 
 python scripts/sheets.py [--page docs/plants/sheets.md]
 """
@@ -19,11 +19,11 @@ from transopt.scene.rated import TOLERANCE, UNKNOWN, WORDS, Rating, completed, p
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A number of a sheet beside what the others make of it, in SI.
+    """A number of a datasheet and its estimate from the others, in SI.
 
     Attributes
     ----------
-    note : what the others contradict each other in; empty where they agree.
+    note : contradiction among the others; empty if they agree.
     """
 
     key: str
@@ -33,7 +33,7 @@ class LeftOut:
 
     @property
     def off(self) -> float:
-        """Relative difference to what is stated."""
+        """Relative difference between estimate and stated number."""
         return self.found / self.stated - 1
 
 
@@ -44,7 +44,7 @@ def sheets() -> Iterator[Mapping[str, Any]]:
 
 
 def left_out(sheet: Mapping[str, Any]) -> Iterator[LeftOut]:
-    """Every number of a sheet that the others can tell, left out in turn."""
+    """Every number of a datasheet that the others determine, left out in turn."""
     rating = Rating(sheet.get("case_mass_kg"), sheet.get("L_H", 0.0), sheet.get("rms_V"), sheet.get("rms_A"))
     for key in (key for key in TOLERANCE if key in sheet):
         rest = completed({name: value for name, value in sheet.items() if name != key}, rating)

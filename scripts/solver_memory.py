@@ -1,12 +1,12 @@
-"""The interior point and the recursions in C under AddressSanitizer, UndefinedBehaviorSanitizer and valgrind.
+"""Runs the C interior-point solver and recursions under AddressSanitizer, UndefinedBehaviorSanitizer and valgrind.
 
     python scripts/solver_memory.py
 
-Problems of the built-in scenes (saturated, with temperature, with taps that repeat, over a wall, at a rail, ideal,
-for several devices), their limits taken away, horizons of one stage, limits that nothing meets and numbers that are
-none are solved by `solver_memory.c`, whose arrays have their exact sizes, in every width of registers that the method
-is compiled for. Every run has to be clean and to give what the installed extension gives. The recursions are held to
-sums written out in `recursions_memory.c`. Exit code 3: a tool is missing, and which is said.
+`solver_memory.c` solves problems of the built-in scenes (saturated, with temperature, with repeating taps, over a
+wall, at a rail, with an ideal amplifier, for several devices), the same without limits, horizons of one stage,
+infeasible limits, and problems with NaN. Its arrays have exact sizes, and all compiled vector widths are tested.
+Every run has to be free of errors and to agree with the installed extension. `recursions_memory.c` compares the
+recursions with explicit sums. Exit code 3: a tool is missing; the message names it.
 """
 
 import shutil
@@ -93,8 +93,8 @@ def cases() -> Iterator[Stages]:
         yield stage_data.stages(shortened(plain, stages))
         yield without_limits(shortened(plain, stages))
     tight = stage_data.stages(found["walled"])
-    yield moved(tight, 2.0, 2.0)  # away from rest, where all hand-overs end: nothing meets them
-    yield moved(tight, 0.0, -2.0)  # the upper ones below the lower ones: no limits
+    yield moved(tight, 2.0, 2.0)  # infeasible: the limits exclude zero, where every hand-over ends
+    yield moved(tight, 0.0, -2.0)  # infeasible: upper limits below the lower ones
     # At the last instant, which no command moves any more, the limits of the one before.
     yield replace(tight, arrays=tight.arrays | {name: at_the_end(tight.arrays[name]) for name in ("lower", "upper")})
     given = stage_data.stages(plain)
@@ -105,7 +105,7 @@ def cases() -> Iterator[Stages]:
 
 
 def written(stages: Stages) -> bytes:
-    """A problem as `solver_memory.c` reads it."""
+    """A problem in the format of `solver_memory.c`."""
     names = [name for name, kind in extension.PROBLEM_FIELDS if kind is extension.DOUBLES]
     integers = [stages.sizes[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_int]
     numbers = [stages.numbers[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_double]
@@ -116,13 +116,13 @@ def written(stages: Stages) -> bytes:
 
 
 def solving(given: Sequence[Stages]) -> str:
-    """The flag that compiles the sizes of these problems only; most of the time goes into the others."""
+    """The flag that compiles the sizes of these problems only, which saves most of the compilation time."""
     sizes = sorted({(stages.sizes["states"], stages.sizes["nodes"]) for stages in given})
     return "-DSOLVES(n,t)=(" + "||".join(f"((n)=={states}&&(t)=={nodes})" for states, nodes in sizes) + ")"
 
 
 def expected(stages: Stages) -> list[list[float]]:
-    """What the installed extension says of a problem, as the driver prints it."""
+    """The installed extension's result for a problem, in the driver's format."""
     try:
         (answer,) = extension.interior_points([stages], tolerance=1e-9, max_iterations=60)
     except InputError:
@@ -139,7 +139,7 @@ def expected(stages: Stages) -> list[list[float]]:
 
 
 def proved(stages: Stages, answer: extension.Answer, *, bare: bool) -> list[float]:
-    """What the installed extension proves of an answer; `bare`, without multipliers of the rows."""
+    """The installed extension's certificate of an answer; with `bare`, without multipliers of the rows."""
     N, rule = stages.sizes["stages"], -answer.gradient[stages.sizes["free_stages"] :]
     own = np.ascontiguousarray([stages.arrays[name].reshape(N + 1, -1)[:N] for name in ("lower", "upper")])
     stages = replace(stages, limits=replace(stages.limits, asked=own)) if stages.sizes["rows"] else stages
@@ -152,11 +152,11 @@ def proved(stages: Stages, answer: extension.Answer, *, bare: bool) -> list[floa
 def sanitized_or_traced(
     name: str, sources: Sequence[Path], flags: Sequence[str], given: Sequence[Path], folder: Path
 ) -> str:
-    """What a driver prints, compiled with these flags; empty where it ran unclean, which is printed.
+    """Output of a driver compiled with these flags; empty if a tool reported an error, which is printed.
 
     Parameters
     ----------
-    name : of the run; `valgrind` is run under it.
+    name : name of the run; the run `valgrind` is executed under valgrind.
     """
     driver = str(folder / f"{sources[0].stem}, {name}")
     compiler = shutil.which("gcc") or shutil.which("cc") or ""
@@ -170,9 +170,9 @@ def sanitized_or_traced(
 
 
 def agrees(said: str, wanted: Sequence[Sequence[float]]) -> bool:
-    """Whether a driver has found what the installed extension finds.
+    """Whether a driver's output agrees with the installed extension's.
 
-    Where rounding ends a search, it also says after how many steps.
+    Where rounding ends a search, the number of steps may differ and is not compared.
     """
     found = np.array([[float(word) for word in line.split()[1:]] for line in said.splitlines()])
     expected = np.array(wanted)

@@ -1,4 +1,4 @@
-"""The test suite as other processors, other orders and other numbers of threads would run it: is it green anywhere?
+"""Runs the test suite as on other processors, in other orders and with other numbers of threads.
 
     python scripts/suite_anywhere.py [NAME ...] [--list] [--tests FILE ...] [--write FILE]
     python scripts/suite_anywhere.py [NAME ...] --stress CASES

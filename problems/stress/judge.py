@@ -111,7 +111,7 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
         if problem.thermal is not None and not (np.isfinite(run.winding_C) and np.isfinite(run.housing_C)):
             return Outcome("bad: NaN", "temperature of a certified answer", nothing, nothing, 0.0)
         attained = designed.attained
-        # With a temperature limit or a wall the energy may jump over the required one.
+        # If there is a temperature limit or a wall, the energy may jump over the required one.
         smooth = problem.thermal is None and problem.wall is None
         if attained is not None and smooth and attained.is_stray:
             return Outcome("bad: intensity", attained.sentence, nothing, nothing, 0.0)

@@ -1,1 +1,1 @@
-"""What several scripts share."""
+"""Code shared by several scripts."""

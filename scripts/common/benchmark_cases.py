@@ -1,4 +1,4 @@
-"""The peers and cases of `benchmark.py`: what is timed, and what its answer is worth."""
+"""The peers and cases of `benchmark.py`: what is timed, and how its answer is judged."""
 
 import re
 import subprocess
@@ -111,7 +111,7 @@ def entry(scene: Scene, speed_m_s: float, grip_N: float) -> TransientProblem:
 
 @dataclass(frozen=True)
 class Peer:
-    """A method ready to be timed: what one run does, what preparing it took, and what its answer is worth."""
+    """A method ready to be timed: one run, its set-up time, and the gap and violation of its answer."""
 
     name: str
     options: str
@@ -122,7 +122,7 @@ class Peer:
 
 
 def reused(name: str, options: str, method: Callable[[], Solution], problem: TransientProblem) -> Peer:
-    """A method of the project; set-up is what a first call with nothing cached takes longer."""
+    """A method of the project; its set-up time is the excess of a first call without caches."""
     forget()
     first, second = (elapsed_ms(method) for _ in range(2))
     solution = method()
@@ -132,7 +132,7 @@ def reused(name: str, options: str, method: Callable[[], Solution], problem: Tra
 
 
 def designed_entry(name: str, scene: Scene, speed_m_s: float, grip_N: float, after_s: float) -> Peer:
-    """A library's entry from its reference to its prices, looked at so long after the window."""
+    """The design of a library's entry, from its reference to its prices, with a tail of so many seconds."""
     weights = scene.weights.model_copy(update={"after_s": after_s})
     scene = scene.model_copy(update={"weights": weights})
     wanted, options = references_of(scene, recordings(scene)).at(speed_m_s, grip_N), SolverOptions()
@@ -157,7 +157,7 @@ def unlimited_solver(
 
 
 def direct_piqp(problem: TransientProblem) -> Peer:
-    """PIQP's own interface in this process, on a QP that has been stated and set up."""
+    """PIQP called directly, on a QP that is already set up."""
     start = time.perf_counter()
     qp = quadratic_program("saturated", problem)
     run = piqp_multistage(qp, Setting("", SolverOptions().tolerance))
@@ -169,7 +169,7 @@ def direct_piqp(problem: TransientProblem) -> Peer:
 
 
 def side_by_side(problem: TransientProblem) -> Peer:
-    """The own method on eight entries at once."""
+    """The project's method on eight entries at once."""
     several = [problem] * BESIDE
 
     def run() -> list[Solution]:
@@ -183,7 +183,7 @@ def side_by_side(problem: TransientProblem) -> Peer:
 
 
 def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
-    """The usual way of writing it, with IPOPT's defaults."""
+    """The problem in CasADi's Opti, solved by IPOPT with its defaults."""
     start = time.perf_counter()
     opti, commands = commonly_written(problem)
     opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
@@ -211,7 +211,7 @@ class Case:
 
 
 def compare(runs: int, *cases: Case) -> list[Row]:
-    """Rows of cases that take turns."""
+    """Rows of the cases, whose runs take turns."""
     times = timed(runs, **{f"{case.name} {case.peer.name}": case.peer.run for case in cases})
     found = []
     for case in cases:
@@ -290,7 +290,7 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
 
 
 def anew(library: Library) -> list[Row]:
-    """`library.online`: random speeds, grips and temperatures, certificates included; second row near the limit."""
+    """Rows of `library.online` at random speeds, grips and temperatures, with certificates; second near the limit."""
     solver, coil = Online(library, scene_of(library).plant), library.coil()
     assert coil is not None
     found = []
@@ -312,7 +312,7 @@ def anew(library: Library) -> list[Row]:
 
 @dataclass(frozen=True)
 class Iterations:
-    """What an iteration of the own method takes beside a linear pass, all in C [ms].
+    """Times of an iteration of the project's method and of a linear pass, both in C [ms].
 
     Attributes
     ----------
@@ -342,7 +342,7 @@ def iterations(problem: TransientProblem, runs: int) -> Iterations:
 
 
 def servo_and_simulator(library: Library, runs: int) -> Row:
-    """A virtual second of random taps: servo, plant, sensors, hand; other taps in every run, so none is known."""
+    """A simulated second of random taps (servo, plant, sensors, hand), new in every run, so that none is cached."""
     settings, table = Settings.of(library), bank(library)
     device, ticks = device_of(scene_of(library)), round(1 / settings.dt_s)
     seeds = iter(range(runs + 1))
@@ -363,5 +363,5 @@ def servo_and_simulator(library: Library, runs: int) -> Row:
 
 
 def own(case: str, problem: TransientProblem) -> list[Case]:
-    """The project's own method, where it is built."""
+    """The project's compiled method, if it is built."""
     return [Case(case, problem.grid.stages, project_solver(problem, "riccati"))] if riccati.available else []

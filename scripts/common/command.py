@@ -1,4 +1,4 @@
-"""How the scripts are called: a function's parameters are the options, and errors end in one line."""
+"""Command-line interface of the scripts: a function's parameters are the options, and errors end in one line."""
 
 import json
 import sys
@@ -17,17 +17,17 @@ JsonFile = Annotated[Path | None, typer.Option("--json", help="also write the fi
 
 
 def at_least(least: float, words: str = "") -> Any:
-    """An option that is a number from `least` on; `words` say what it is."""
+    """An option that is a number of at least `least`; `words` is its help."""
     return typer.Option(min=least, help=words)
 
 
 def run(script: Callable[..., int | None]) -> None:
-    """Run a script: its docstring is the help, what it returns the exit code.
+    """Run a script: its docstring is the help, its return value the exit code.
 
-    An `InputError` is told in one line with exit code 2, as by every command of the project.
+    An `InputError` ends in one line with exit code 2, as in every command of the project.
     """
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    # Lines stay as they are written: without the mark, paragraphs would be filled anew.
+    # The mark keeps the line breaks of the docstring; otherwise paragraphs would be refilled.
     words = (sys.modules[script.__module__].__doc__ or "").strip().split("\n\n")
     app.command(help="\n\n".join(f"\b\n{paragraph}" for paragraph in words))(script)
     terminal.run(app)
@@ -38,7 +38,7 @@ def write_json(value: Any, path: Path) -> None:
 
     Raises
     ------
-    InputError : the place cannot be written.
+    InputError : the path cannot be written.
     """
     with whole_file(path) as file:
         file.write(json.dumps(value, indent=1).encode())

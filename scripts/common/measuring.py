@@ -1,4 +1,4 @@
-"""How the benchmarks measure: methods in turns, on one thread, on a machine that is told."""
+"""Timing for the benchmarks: methods take turns, on one thread."""
 
 import os
 import sys
@@ -13,14 +13,14 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 def on_one_thread() -> None:
-    """Start the script anew unless linear algebra has one thread, which its libraries read when they are loaded."""
+    """Restart the script with one thread for linear algebra, which its libraries read only when they are loaded."""
     one = dict.fromkeys(THREAD_VARIABLES, "1")
     if any(os.environ.get(name) != "1" for name in one):
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **one})
 
 
 def forget() -> None:
-    """Empty every cache of the project's, so that the next set-up is a first one."""
+    """Clear all caches of the project, so that the next set-up starts cold."""
     for name, module in list(sys.modules.items()):
         if name.startswith("transopt."):
             for value in list(vars(module).values()):
@@ -39,7 +39,7 @@ def take_turns(
 ) -> dict[str, FloatArray]:
     """(runs of it,) wall times [ms] of each method.
 
-    The methods take turns, so that a machine whose speed drifts changes no ratio between them.
+    The methods take turns, so that a drift of the machine's speed does not change their ratios.
 
     Parameters
     ----------
@@ -55,13 +55,13 @@ def take_turns(
 
 
 def timed(runs: int, **methods: Callable[[], object]) -> dict[str, FloatArray]:
-    """(runs,) wall times [ms] of each method, taking turns, after one run that is not counted."""
+    """(runs,) wall times [ms] of each method in turns, after one warm-up run."""
     for run in methods.values():
         run()
     return take_turns(methods, dict.fromkeys(methods, runs))
 
 
 def threads() -> int:
-    """Threads that linear algebra may use, as its libraries were told when they were loaded."""
+    """Number of threads of the linear algebra, as set when its libraries were loaded."""
     stated = [os.environ.get(name, "") for name in THREAD_VARIABLES[:2]]
     return max((int(value) if value.isdigit() else os.cpu_count() or 1) for value in stated)

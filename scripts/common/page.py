@@ -1,10 +1,10 @@
-"""The part of a page of results that a script writes: between two marks on the page, with a stamp below it.
+"""Writes the generated part of a page of results, between two marks, with a stamp below it.
 
     <!-- written by scripts/NAME.py -->
     ...
     <!-- end -->
 
-What stands around the marks a person writes. The stamp says when, where and by which command the figures came about.
+The text around the marks is written by hand. The stamp states date, machine and command of the figures.
 """
 
 import platform
@@ -52,13 +52,13 @@ def _git(*words: str) -> str:
 
 
 def commit() -> str:
-    """The commit that is checked out, and whether what is measured has changed since; without git the version."""
+    """The checked-out commit, and whether measured code has uncommitted changes; without git the version."""
     found = _git("rev-parse", "--short", "HEAD")
     changed = _git("status", "--porcelain", "--", *MEASURED)
     return f"commit {found}{', with changes' if changed else ''}" if found else "of no commit"
 
 
-COMMIT = commit()  # asked for when a script starts: what it imports is what was there then
+COMMIT = commit()  # determined at the start, when the measured code is imported
 
 
 def stamp(command: str) -> str:
@@ -71,7 +71,7 @@ def stamp(command: str) -> str:
 
 
 def called() -> str:
-    """The command by which the script that runs was called; where the page and the results lie is left open."""
+    """The command line of the running script, without the paths of page and results."""
     said = sys.argv[1:]
     words = [word for word, before in zip(said, ["", *said], strict=False) if "--page" not in (word, before)]
     words = ["DIR" if Path(word).is_absolute() else word for word in words]
@@ -79,7 +79,7 @@ def called() -> str:
 
 
 def write_part(page: Path | None, lines: Sequence[str]) -> None:
-    """Put lines and a stamp between the marks of the script that runs; nothing without a page.
+    """Write lines and a stamp between the marks of the running script; nothing without a page.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The usual way of writing the problem, for comparison: CasADi's Opti with IPOPT."""
+"""The problem as it is commonly written in CasADi's Opti with IPOPT, for comparison."""
 
 import casadi as ca
 import numpy as np
@@ -29,11 +29,10 @@ def filtered_stage(problem: TransientProblem) -> tuple[FloatArray, FloatArray, F
 def commonly_written(problem: TransientProblem) -> tuple[ca.Opti, ca.MX]:
     """The program without a solver yet, and its commands (1, N) [A].
 
-    As CasADi's own multiple-shooting examples do it: a stage Function called in a loop, every limit through
-    subject_to, SI units. States are plant, current, the filters of the error's terms and the previous command, input
-    its movement, as in the project's own statement; what happens after the window is a cost of the last state, as the
-    free motion that follows from it is linear; where the temperature is limited, the rises of winding and housing
-    too, with the absolute value of the current as it stands in the seed's Eq. 7.
+    It follows CasADi's multiple-shooting examples: a stage Function called in a loop, every limit by subject_to, SI
+    units. As in the project's statement, the states are plant, current, error filters and previous command, and the
+    input is the command's movement; the tail is a cost of the last state. With a temperature limit the rises of
+    winding and housing are states too, with the absolute value of the current as in the seed's Eq. 7.
     """
     stage, limits, N = problem.stage, problem.limits, problem.grid.stages
     range_A = limits["command"].stated

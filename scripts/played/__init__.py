@@ -1,1 +1,1 @@
-"""What a library does on the real object: taps by equations of their own, their figures, and tables."""
+"""Plays libraries by independent equations of motion, for `played_against_real.py`: taps, figures, tables."""

@@ -1,6 +1,6 @@
-"""The figures of a played tap beside the real one, written down anew from their definitions.
+"""The figures of a played tap relative to the real one, implemented independently from their definitions.
 
-`transopt.problem.objective.figures` has the project's own; what stands here shares no line with it.
+This file shares no code with `transopt.problem.objective.figures`.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from transopt.base.signals import FloatArray
 RECORDED_Hz = 1000.0  # low-pass of a recording, second order, forwards and backwards
 FELT_Hz, BUMP_Hz = (120.0, 620.0), (10.0, 60.0)
 GRAVITY_M_S2 = 9.80665
-STILL_S = 5e-3  # of rest put before a tap, for its low-pass
+STILL_S = 5e-3  # time at rest inserted before a tap, for its low-pass
 
 
 @dataclass(frozen=True)

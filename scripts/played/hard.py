@@ -1,4 +1,4 @@
-"""Scenes far from everyday ones, each the default scene with other numbers."""
+"""Extreme scenes, each the default scene with other numbers."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -104,7 +104,7 @@ HARD: dict[str, dict[str, Any]] = {
 
 
 def hard() -> Iterator[tuple[str, Scene]]:
-    """Every hard scene by its name, one tap of each node recorded without noise."""
+    """All extreme scenes by name, with one noise-free recording at each node."""
     clean = {
         "recordings.simulated.noise_g_rtHz": 0.0,
         "recordings.simulated.speed_spread": 0.0,

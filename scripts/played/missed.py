@@ -1,4 +1,4 @@
-"""What recorded taps miss of the real ones: noise, spread of the repeats, and the instant at which contact is put."""
+"""Errors of recorded taps relative to the real ones: noise, spread of the repeats, and the estimated onset."""
 
 from typing import Any
 
@@ -17,8 +17,8 @@ from transopt.scene.keys import with_values
 from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 
-MOST_LATE_S = 3e-4  # by which contact is looked for beside where the product puts it
-SCENES = ("hard_metal", "soft_rubber", "free_stylus")  # whose recordings miss most
+MOST_LATE_S = 3e-4  # largest shift of the contact that is searched around the estimated onset
+SCENES = ("hard_metal", "soft_rubber", "free_stylus")  # scenes whose recordings have the largest errors
 KINDS: dict[str, dict[str, Any]] = {
     "as they are": {},
     "without noise": {"recordings.simulated.noise_g_rtHz": 0.0},
@@ -31,7 +31,7 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 def missed() -> list[str]:
-    """Table of kinds of recordings: their errors beside the real tap, and what is left with contact at its place."""
+    """Table of kinds of recordings: errors relative to the real tap, as they are and shifted to the true onset."""
     rows = []
     for name in SCENES:
         scene = problems.load(name)

@@ -1,10 +1,10 @@
-"""Taps by equations of their own, integrated by `scipy.integrate.solve_ivp`: on a real object, and on a library.
+"""Taps by independent equations of motion, integrated by `scipy.integrate.solve_ivp`: on a real object or a library.
 
-Nothing here is the design's or the simulator's but the numbers of the device: masses, springs and dampers of the
-chain, force per ampere, the amplifier's pole. Masses have absolute positions along the surface normal, outwards
-positive, and the hand's intention moves the far end of the last spring. Between two instants at which a command
-changes, a sample is taken, the encoder is read or the hand changes its mind, everything is smooth; each such stretch
-is integrated anew.
+Only the device's numbers are shared with design and simulator: masses, springs and dampers of the chain, force per
+ampere, the amplifier's pole. Masses have absolute positions along the surface normal, positive outwards, and the
+hand's intended motion drives the far end of the last spring. The equations are smooth between instants at which a
+command changes, a sample is taken, the encoder is read or the law of the hand changes; each such interval is
+integrated separately.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ from transopt.plant.intention import Yielding
 from transopt.recordings.settings import SimulatedTaps
 
 RELATIVE, ABSOLUTE = 1e-9, 1e-11  # tolerances of the integration, in SI units
-ROUNDING_S = 1e-10  # instants nearer than this are one
-CHANGE_S = 60e-3  # in which a hand brakes to rest, or turns to its speed outwards, evenly
+ROUNDING_S = 1e-10  # instants nearer than this count as one
+CHANGE_S = 60e-3  # time in which a hand brakes to rest, or reverses its speed, at constant acceleration
 DECAY_S = 30e-3  # time constant of a hand whose speed decays
 
 

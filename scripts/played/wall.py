@@ -1,8 +1,8 @@
-"""The virtual wall as a device renders it, written down anew from its statement (seed Eq. 9).
+"""The virtual wall of a device, implemented independently from its statement (seed Eq. 9).
 
-Below the surface a spring and a damper push with the encoder's position of some ticks ago, and never pull. What they
-ask for is a current; the command that makes the amplifier reach it within a tick is sent. `transopt.plant.wall` has
-the project's own wall; what stands here shares no line with it.
+Below the surface a spring and a damper push, by the encoder's position of some ticks ago, and never pull. Their force
+is converted to a current, and the command is the one with which the amplifier reaches that current within a tick.
+This file shares no code with `transopt.plant.wall`.
 """
 
 import numpy as np

@@ -1,1 +1,1 @@
-"""Parts of `error_against_runtime.py`."""
+"""Modules of `error_against_runtime.py`."""

@@ -1,4 +1,4 @@
-"""Stage models by the usual one-step methods, beside the exact one (Hairer & Wanner, Solving ODEs II, IV.3 and IV.5).
+"""Stage models by common one-step methods, to compare with the exact one (Hairer & Wanner, ODEs II, IV.3 and IV.5).
 
 A Runge-Kutta method turns dx/dt = F x + G c, c held, into x+ = A x + B c with [A B; 0 1] = R(h [F G; 0 0]), R its
 stability function: a rational approximation of the exponential.

@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class _Late(BaseException):
-    """No Exception, which a user's code may well catch by the dozen."""
+    """The time limit, not a subclass of Exception, so that a user's `except Exception` does not catch it."""
 
 
 def within(limit_s: float, work: Callable[[], T]) -> T:

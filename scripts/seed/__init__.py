@@ -1,1 +1,1 @@
-"""Parts of `seed_figures.py`."""
+"""Modules of `seed_figures.py`."""
