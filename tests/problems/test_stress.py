@@ -193,7 +193,7 @@ class TestJudge:
         refused = replace(
             designed,
             solution=replace(designed.solution, status=Status.INFEASIBLE),
-            remarks=["current 0.5 A over its 0.3 A at 1.0 ms at the least; 0.8 A would do"],
+            remarks=["current 0.5 A over its limit 0.3 A at 1.0 ms at the least; 0.8 A would do"],
         )
         outcome = judge_design(refused, played(designed.problem, designed.solution.command))
         assert outcome.kind == "bad: feasible after all"
@@ -227,7 +227,7 @@ class TestJudge:
         assert "to spare" in admits_a_command(walled, ignoring_heat=True).way_out
         found = optimum(walled, SolverOptions())
         kinds = {}
-        for limit in ("current 0.5 A over its 0.3 A", "coil 0.5 K over its 100 C"):
+        for limit in ("current 0.5 A over its limit 0.3 A", "coil 0.5 K over its limit 100 C"):
             refused = replace(found.solution, status=Status.INFEASIBLE)
             claim = replace(found, solution=refused, remarks=[f"{limit} at 1.0 ms at the least; 0.8 would do, raise"])
             kinds[limit[:4]] = judge_design(claim, played(found.problem, found.solution.command)).kind

@@ -174,6 +174,6 @@ def _sentence(problem: TransientProblem, limit: Limit, command: FloatArray) -> s
     worst, by = _worst(problem, limit, command)
     time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess))] * 1e3
     return (
-        f"{limit.label} {by:.3g} {limit.step_unit} over its {limit.stated:.8g} {limit.unit} at {time_ms:.1f} ms at "
-        "the least"
+        f"{limit.label} {by:.3g} {limit.step_unit} over its limit {limit.stated:.8g} {limit.unit} at "
+        f"{time_ms:.1f} ms at the least"
     )

@@ -102,7 +102,7 @@ class StateSpace:
             if matrix.shape != shape:
                 raise InputError(f"plant matrix {name} has shape {matrix.shape}, expected {shape}")
             if not np.all(np.isfinite(matrix)):
-                raise InputError(f"plant matrix {name} contains NaN or an infinite number")
+                raise InputError(f"plant matrix {name} holds a number that is not finite")
 
     @property
     def order(self) -> int:

@@ -187,7 +187,7 @@ def _checked(matrices: Mapping[str, FloatArray], stated: Mapping[str, Any]) -> d
                 f"output, for A with {n} states"
             )
         if not np.all(np.isfinite(matrix)):
-            raise InputError(f"{name}: contains NaN or an infinite number; correct it")
+            raise InputError(f"{name}: holds a number that is not finite; correct it")
         if name.startswith(OUTPUT):
             found["outputs"][name.removeprefix(OUTPUT)] = matrix.ravel().tolist()
         elif name != "A":

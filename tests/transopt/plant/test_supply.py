@@ -201,7 +201,7 @@ class TestInfeasible:
         problem = cut(entry(supply_V=0.02), 30)
         (reason,) = infeasibility(problem, SHORT)
         assert reason.startswith("supply ")
-        assert " V over its 0.02 V at " in reason
+        assert " V over its limit 0.02 V at " in reason
         assert reason.endswith(" ms at the least")
         least = 0.02 + float(reason.split(" ")[1])
         for limit, status in ((1.02 * least, True), (0.98 * least, False)):

@@ -103,7 +103,7 @@ def test_a_row_of_the_scene_stands_beside_those_of_the_file(tmp_path: Path) -> N
         ({"B": np.ones((10, 2))}, "", r"B: of shape \(10, 2\), must have 10 numbers, one input and one output"),
         ({"C": np.ones(9)}, "", r"C: of shape \(1, 9\), must have 10 numbers"),
         ({"D": np.ones(2)}, "", r"D: of shape \(1, 2\), must have 1 number, one input"),
-        ({"B": np.full(10, np.nan)}, "", "B: contains NaN or an infinite number"),
+        ({"B": np.full(10, np.nan)}, "", "B: holds a number that is not finite"),
         ({"A": np.array(["a"])}, "", "A: must be a matrix of real numbers"),
         ({"B": None}, "", "no B: a plant file holds the matrices A, B, C, D .* it has A, C, D"),
         ({"input": "force"}, "", "input = 'force': must be current or voltage"),

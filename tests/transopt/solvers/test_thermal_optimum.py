@@ -161,7 +161,7 @@ class TestHotStart:
         assert designed.solution.status is not Status.OPTIMAL
         assert not designed.certificate.accepted
         (reason,) = [remark for remark in designed.remarks if "coil" in remark]
-        assert " K over its 100 C at " in reason
+        assert " K over its limit 100 C at " in reason
         assert " ms" in reason
         assert designed.solution.status is Status.INFEASIBLE
 

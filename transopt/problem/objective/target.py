@@ -92,7 +92,7 @@ class Target:
         for name, array in named.items():
             said = "reference_m_s2" if name == "window" else f"reference_{name}_m_s2"
             if not np.isfinite(array).all():
-                return f"{said} contains NaN or an infinite number"
+                return f"{said} holds a number that is not finite"
             largest = float(np.abs(array).max(initial=0.0))
             if largest > LARGEST_M_S2:
                 return (
