@@ -31,8 +31,8 @@ REMARKS = {
     Status.HAND_OVER: r"hand-over: .*\d.* A.* limit ",
     Status.PRECISION: r"precision: the gap of .*",
     Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick, with feedback",
-    Status.UNRESOLVED: r"(coil|supply|stroke|velocity|coil current) \d.* (K|V|m|m/s|A) over its limit .*: "
-    r"lower time.dt_s = \d",
+    Status.UNRESOLVED: r"(coil|supply|stroke|velocity|coil current) \d.* (K|V|m|m/s|A) over its limit .* "
+    r"at time.dt_s = \d",
     Status.NOT_GLOBAL: r"J lies .*% above the convex lower bound",
 }
 # A field, its value, and what it must be.

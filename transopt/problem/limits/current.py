@@ -151,6 +151,6 @@ class FollowingCurrentLimit(Limit):
         if max(self.bends) <= self.kept_back:
             return ""
         return (
-            f"{self.label} {peak - self.limit:.3g} A over its limit {self.limit:g} A between two switching instants: "
-            f"lower time.dt_s = {problem.grid.dt_s:g} s"
+            f"{self.label} {peak - self.limit:.3g} A over its limit {self.limit:g} A between two switching instants "
+            f"at time.dt_s = {problem.grid.dt_s:g} s"
         )

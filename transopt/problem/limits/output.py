@@ -160,7 +160,7 @@ class OutputLimit(Limit):
             return ""
         return (
             f"{self.label} {peak - self.limit:.3g} {self.unit} over its limit {self.limit:g} {self.unit} between two "
-            f"switching instants, despite a margin of {MOST_KEPT:.0%}: lower time.dt_s = {problem.grid.dt_s:g} s"
+            f"switching instants, despite a margin of {MOST_KEPT:.0%} at time.dt_s = {problem.grid.dt_s:g} s"
         )
 
     def replayed(self, peak: float) -> str:

@@ -199,5 +199,5 @@ class SupplyLimit(Limit):
             return ""
         return (
             f"supply {peak - self.limit_V:.3g} V over its limit {self.limit_V:g} V within a servo period, by the "
-            f"back-EMF's swing: lower time.dt_s = {problem.grid.dt_s:g} s"
+            f"back-EMF's swing at time.dt_s = {problem.grid.dt_s:g} s"
         )

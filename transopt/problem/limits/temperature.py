@@ -210,7 +210,7 @@ class TemperatureLimit(Limit):
         warming_K = power_W * self.coil.R_wh_K_W / self.coil.tau_w_s * dt_s
         if peak - hottest <= warming_K:
             may = f"in which it may warm by {warming_K:.3g} K"
-            return f"{over} within a servo period, {may}: lower time.dt_s = {dt_s:g} s"
+            return f"{over} within a servo period, {may} at time.dt_s = {dt_s:g} s"
         if problem.stage.amplifier is None:
             return ""
         # The recursion uses |mean of i| for the mean of |i|: too little where the current changes its sign.
@@ -221,7 +221,7 @@ class TemperatureLimit(Limit):
             return ""
         return (
             f"{over}: a current that changes its sign within a servo period heats more than the problem states, here "
-            f"by {truly - hottest:.3g} K: lower time.dt_s = {dt_s:g} s"
+            f"by {truly - hottest:.3g} K at time.dt_s = {dt_s:g} s"
         )
 
 
