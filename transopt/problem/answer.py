@@ -228,8 +228,8 @@ class Certificate:
             over = ", ".join(f"{by:.3g} {unit}" for unit, by in self.stated_violations.items() if not by <= 0)
             return f"not certified: a limit is exceeded by {over}"
         if not self.is_stationary:
-            gap, limit = f"relative duality gap {self.relative_gap:.1e}", f"{self.GAP_TOLERANCE:.0e}"
-            return f"not certified: no stationary point, {gap}, limit {limit}"
+            gap, limit = f"{self.relative_gap:.1e} above the optimum", f"{self.GAP_TOLERANCE:.0e}"
+            return f"not certified: no stationary point, may lie {gap}, limit {limit}"
         if self.relative_bound > self.BOUND_TOLERANCE:
             return f"J lies {self.relative_bound:.1%} above the convex lower bound, limit {self.BOUND_TOLERANCE:.0%}"
         return f"not certified: its lower bound {self.lower_bound:.8g} lies above it, at {self.merit:.8g}"
