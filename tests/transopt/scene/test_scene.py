@@ -169,7 +169,7 @@ def test_a_description_is_no_duty(tmp_path: Path) -> None:
             "current_A = 11.0",
             r"limits.current_A = 11: above .* i_peak_A = 10 A: lower it to 10 or less",
         ),
-        ("[recordings]", '[recordings]\nfiles = ["a.csv"]', r"recordings: give files or a simulated table or a simulated table"),
+        ("[recordings]", '[recordings]\nfiles = ["a.csv"]', r"recordings: give either files or a simulated table"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:

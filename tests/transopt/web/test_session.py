@@ -176,7 +176,7 @@ def test_dropped_taps_are_designed_for_and_the_scenes_own_come_back(window: Wind
     ("name", "content", "words"),
     [
         ("tap.csv", b"nothing of a tap\n", "tap.csv"),
-        ("tap.exe", b"MZ", "no recording"),
+        ("tap.exe", b"MZ", "not a recording"),
         ("tap.wav", b"RIFF", "tap.wav"),
         ("tap.npz", b"PK\x03\x04", "tap.npz"),
     ],
@@ -247,7 +247,7 @@ def test_names_are_made_safe_and_stay_apart() -> None:
     assert safe_name("a/b.CSV", []) == "a_b.csv"
     assert safe_name("a.b.csv", ["a_b.csv"]) == "a_b_.csv"
     assert safe_name(".csv", []) == "tap.csv"
-    with pytest.raises(InputError, match="no recording"):
+    with pytest.raises(InputError, match="not a recording"):
         safe_name("tap", [])
     with pytest.raises(InputError, match="load the page again"):
         parted(b"\xff\xff\xff\xff")
