@@ -6,7 +6,7 @@ python scripts/several_motors.py [--page docs/results/several_motors.md]
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import piqp
@@ -17,10 +17,10 @@ from common.page import PageFile, write_part
 
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent, table
-from transopt.design.arm import ArmContext, solve_arm
-from transopt.design.context import wanted_of
+from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.library.arm import ArmLibrary
+from transopt.design.solve import solve
+from transopt.library.library import Library
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.proof.arm_replay import replay_on_arm
@@ -28,7 +28,7 @@ from transopt.proof.certify import certify
 from transopt.proof.several import replay_several
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import with_values
-from transopt.scene.recordings import recordings_of, references_of
+from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
 from transopt.solvers import several
 from transopt.solvers.options import SolverOptions
@@ -45,7 +45,8 @@ ROUNDED = 1e-6  # of a limit: what a certificate tolerates
 
 def saturated(scene: Scene) -> TransientProblem:
     """The fastest tap at the first grip, normal and posture."""
-    return ArmContext(scene, references_of(scene, recordings_of(scene))).problems(0, 0, 0)[-1]
+    context = Context.recorded(scene, recordings_of(scene))
+    return context.posed(scene.grid.speeds_m_s[-1], scene.grid.grips_N[0], place=(1, 1)).problem
 
 
 def multistage(problem: TransientProblem) -> tuple[piqp.SparseSolver, FloatArray]:
@@ -113,25 +114,25 @@ def in_turns(runs: int, **methods: Callable[[], object]) -> dict[str, FloatArray
     return {name: np.array(values) for name, values in times.items()}
 
 
-def blends(library: ArmLibrary, count: int, seed: int) -> tuple[float, float]:
+def blends(library: Library, count: int, seed: int) -> tuple[float, float]:
     """Largest current over its limit and largest command over its own, of random blends [shares of the limits]."""
-    lot, stage = np.random.default_rng(seed), library.stage(0, 0, 0)
-    asked, amplifier = library.posing.asked, library.posing.amplifier
+    lot, stage = np.random.default_rng(seed), library.stage(0)
+    limit, amplifier = library.input_limit, library.amplifier()
     assert amplifier is not None
     current = command = 0.0
     for first in range(0, count, 1000):
-        taps = [library.blended(*place).command for place in places(library, lot, min(1000, count - first))]
+        taps = [library.at(*place).command for place in places(library, lot, min(1000, count - first))]
         made = np.stack(taps)
         # The currents follow from the commands alone, whichever node's device they are rolled out on.
-        current = max(current, float(np.abs(stage.motion(made).plant_input).max()) / asked["current_A"])
+        current = max(current, float(np.abs(stage.motion(made).plant_input).max()) / limit)
         command = max(command, float(np.abs(made).max()) / amplifier.command_limit)
     return current, command
 
 
-def places(library: ArmLibrary, lot: np.random.Generator, count: int) -> Iterator[tuple[float, float, float, float]]:
+def places(library: Library, lot: np.random.Generator, count: int) -> Iterator[tuple[float, float, float, float]]:
     """Random places within the grid."""
-    v, g, o, q = library.arrays["speeds_m_s"], library.arrays["grips_N"], *library.command.shape[2:4]
-    low, high = (v[0], g[0], 0.0, 0.0), (v[-1], g[-1], o - 1.0, q - 1.0)
+    v, g, (_, *most) = library.speeds_m_s, library.grips_N, library.axes.sizes
+    low, high = (v[0], g[0], 1.0, 1.0), (v[-1], g[-1], *most)
     for place in lot.uniform(low, high, (count, 4)).tolist():
         yield tuple(place)
 
@@ -144,53 +145,37 @@ class Between:
     optimum: float
 
 
-def between(scene: Scene, library: ArmLibrary, count: int, seed: int, along: tuple[int, ...]) -> list[Between]:
+def between(scene: Scene, library: Library, count: int, seed: int, along: tuple[int, ...]) -> list[Between]:
     """Tap errors of blends and optima at random places between the nodes of some axes; the others stay at a node.
 
     Parameters
     ----------
     along : 0 speed, 1 grip, 2 normal, 3 posture.
     """
-    lot, arm, posing = np.random.default_rng(seed), scene.arm(), scene.arm_posing()
-    references = references_of(scene, recordings_of(scene))
-    nodes = [library.arrays["speeds_m_s"], library.arrays["grips_N"], *map(np.arange, library.command.shape[2:4])]
+    lot, context = np.random.default_rng(seed), Context.recorded(scene, recordings_of(scene))
+    numbered = (np.arange(1.0, size + 1) for size in library.axes.sizes[1:])
+    nodes = [library.speeds_m_s, library.grips_N, *numbered]
     found = []
     for place in places(library, lot, count):
         at = [x if axis in along else float(lot.choice(nodes[axis])) for axis, x in enumerate(place)]
-        device = arm.plant_at(at[1], place_between(arm, at[2], at[3]))
-        problem = posing.problem(wanted_of(references.at(at[0], at[1])), posing.stage(device))
+        problem = context.posed(at[0], at[1], place=(at[2], at[3])).problem
         best = optimum(problem, SolverOptions()).solution.command
-        commands = np.stack([library.blended(*at).command, best])
+        commands = np.stack([library.at(*at).command, best])
         found.append(Between(*(played.figures.tap_error for played in replay_several([problem] * 2, commands))))
     return found
 
 
-def place_between(arm: Any, normal: float, posture: float) -> Any:
-    """The place part of the way from one normal and posture of an arm to the next."""
-
-    def blend(nodes: list[list[float]], at: float) -> FloatArray:
-        first = min(int(at), len(nodes) - 1)
-        after = min(first + 1, len(nodes) - 1)
-        return (1 - (at - first)) * np.array(nodes[first]) + (at - first) * np.array(nodes[after])
-
-    moved = {
-        "normals": [blend(arm.normals, normal).tolist()],
-        "postures_deg": [blend(arm.postures_deg, posture).tolist()],
-    }
-    return arm.model_copy(update=moved).place()
-
-
 def linearised(scene: Scene) -> Iterator[list[str]]:
     """Every speed: how far the full arm is from the linear one over the intention, and what that does to errors."""
-    context = ArmContext(scene, references_of(scene, recordings_of(scene)))
+    context = Context.recorded(scene, recordings_of(scene))
     arm, grid = scene.arm(), scene.time_grid()
-    for iv, speed in enumerate(scene.grid.speeds_m_s):
+    grip = scene.grid.grips_N[0]
+    for speed in scene.grid.speeds_m_s:
         worst = [0.0] * 4
-        for io, iq in np.ndindex(*context.shape[2:]):
-            problem = context.problems(0, io, iq)[iv]
+        for at in arm.places:
+            problem = context.posed(speed, grip, place=at).problem
             command = optimum(problem, SolverOptions()).solution.command
-            place, grip = arm.place(iq, io), scene.grid.grips_N[0]
-            full = replay_on_arm(arm, place, grip, speed, grid, problem.stage.amplifier, command)
+            full = replay_on_arm(arm, arm.place(*at), grip, speed, grid, problem.stage.amplifier, command)
             linear = problem.accelerations(command)
             tau = grid.switching_times_s
             first = np.flatnonzero((tau >= 0) & (tau < problem.intention_s))
@@ -239,7 +224,7 @@ def main(
         ),
         "",
     ]
-    library = solve_arm(scene)
+    library = solve(scene)
     current, command = blends(library, count, seed)
     over = max(current, command) > 1 + ROUNDED
     lines += [

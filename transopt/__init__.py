@@ -23,12 +23,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from transopt.base.errors import InputError
-    from transopt.design.arm import ArmBuild, build_arm, solve_arm, verify_arm
     from transopt.design.build import Build
     from transopt.design.entry import Entry
     from transopt.design.solve import build, certify, design_nonlinear, solve
     from transopt.design.verify import verify_library as verify
-    from transopt.library.arm import ArmLibrary, load_arm_library
     from transopt.library.drive_files import export_drive
     from transopt.library.export import export_library
     from transopt.library.file import load_library
@@ -58,8 +56,6 @@ if TYPE_CHECKING:
     from transopt.web.serve import page
 
 __all__ = [
-    "ArmBuild",
-    "ArmLibrary",
     "Build",
     "Certificate",
     "Entry",
@@ -83,12 +79,10 @@ __all__ = [
     "TransientProblem",
     "Waveform",
     "build",
-    "build_arm",
     "certify",
     "design_nonlinear",
     "export_drive",
     "export_library",
-    "load_arm_library",
     "load_library",
     "load_scene",
     "own_limit",
@@ -100,11 +94,9 @@ __all__ = [
     "replay",
     "scene_names",
     "solve",
-    "solve_arm",
     "solve_problem",
     "trade_figures",
     "verify",
-    "verify_arm",
     "with_model",
     "with_plant",
     "with_values",
@@ -113,8 +105,6 @@ __all__ = [
 
 # Name -> the room that has it, and what it is called there where that is another name.
 _HOME = {
-    "ArmBuild": "design.arm",
-    "ArmLibrary": "library.arm",
     "Build": "design.build",
     "Certificate": "problem.answer",
     "Entry": "design.entry",
@@ -138,12 +128,10 @@ _HOME = {
     "TransientProblem": "problem.problem",
     "Waveform": "library.place",
     "build": "design.solve",
-    "build_arm": "design.arm",
     "certify": "design.solve",
     "export_drive": "library.drive_files",
     "design_nonlinear": "design.solve",
     "export_library": "library.export",
-    "load_arm_library": "library.arm",
     "load_library": "library.file",
     "load_scene": "scene.builtin",
     "own_limit": "solvers.own",
@@ -155,11 +143,9 @@ _HOME = {
     "replay": "proof.replay",
     "scene_names": "scene.builtin",
     "solve": "design.solve",
-    "solve_arm": "design.arm",
     "solve_problem": "solvers.choose:solve",
     "trade_figures": "library.trade",
     "verify": "design.verify:verify_library",
-    "verify_arm": "design.arm",
     "with_model": "scene.file",
     "with_plant": "scene.file",
     "with_values": "scene.keys",

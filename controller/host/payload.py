@@ -41,7 +41,7 @@ def load_playable(path: str | Path) -> Library:
     InputError : what `load_proven` refuses; a library of voltages or of named targets.
     """
     library = load_proven(path)
-    if library.axes.targets or library.driven_by.unit != "A":
+    if library.axes.targets or library.axes.places or library.driven_by.unit != "A":
         raise InputError(
             f"{path}: has {library.axes.said} and commands in {library.driven_by.unit}; a stylus on a motor plays "
             "currents over speeds and grips: `transopt export` writes the waveforms of this one"

@@ -1,4 +1,4 @@
-"""What the entries of a library are for: incoming speeds and grips, or named targets."""
+"""What the entries of a library are for: incoming speeds and devices, which grip and place tell, or named targets."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,35 @@ class Axes:
     Attributes
     ----------
     speeds_m_s : (nv,) rising; zeros where the rows are named targets.
-    grips_N : (ng,) rising; 0 alone where nobody holds the device.
+    grips_N : (ng,) of each device, rising; 0 alone where nobody holds it. Of an arm each grip stands there once for
+        each place.
     targets : (nv,) names; none where the rows are speeds.
+    places : (ng,) normal and posture of each device, by number from 1; none where every device stands alike.
     """
 
     speeds_m_s: tuple[float, ...]
     grips_N: tuple[float, ...]
     targets: tuple[str, ...] = ()
+    places: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def devices(self) -> tuple[tuple[float, tuple[float, float] | None], ...]:
+        """Grip and place of each column: the place is None where every device stands alike."""
+        return tuple(zip(self.grips_N, self.places or (None,) * len(self.grips_N), strict=True))
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """How many different grips, normals and postures the columns are made of, the grips outermost."""
+        normals, postures = zip(*self.places, strict=True) if self.places else ((1,), (1,))
+        return len(set(self.grips_N)), int(max(normals)), int(max(postures))
+
+    @property
+    def by_grip(self) -> dict[float, list[int]]:
+        """Grip -> its columns, one for each place."""
+        found: dict[float, list[int]] = {}
+        for ig, grip in enumerate(self.grips_N):
+            found.setdefault(grip, []).append(ig)
+        return found
 
     @property
     def rows(self) -> tuple[tuple[float, str], ...]:
@@ -36,17 +58,33 @@ class Axes:
         if self.targets:
             shown = ", ".join(self.targets[:3]) + (", ..." if len(self.targets) > 3 else "")
             return f"{len(self.targets)} target{'s' if len(self.targets) > 1 else ''} {cut(shown)}"
-        return f"{span(self.speeds_m_s, 'm/s', 'speed')}, {span(self.grips_N, 'N', 'grip')}"
+        _, normals, postures = self.sizes
+        at = (
+            f", {normals} normal{'s' * (normals > 1)}, {postures} posture{'s' * (postures > 1)}"
+            if self.places
+            else ""
+        )
+        return f"{span(self.speeds_m_s, 'm/s', 'speed')}, {span(tuple(self.by_grip), 'N', 'grip')}{at}"
 
     @property
     def columns(self) -> list[str]:
         """Heads of the columns that say which entry a row of a table is."""
-        return ["target"] if self.targets else ["speed m/s", "grip N"]
+        return (
+            ["target"] if self.targets else ["speed m/s", "grip N", *(("normal", "posture") if self.places else ())]
+        )
 
     def cells(self, iv: int, ig: int) -> list[str]:
         """Cells of one entry, one for each of these columns."""
-        return [self.targets[iv]] if self.targets else [f"{self.speeds_m_s[iv]:g}", f"{self.grips_N[ig]:g}"]
+        if self.targets:
+            return [self.targets[iv]]
+        at = self.places[ig] if self.places else ()
+        return [f"{each:g}" for each in (self.speeds_m_s[iv], self.grips_N[ig], *at)]
 
     def place(self, iv: int, ig: int) -> str:
-        """One entry in a sentence: "0.3 m/s, 3 N", or the name of its target."""
-        return self.targets[iv] if self.targets else f"{self.speeds_m_s[iv]:g} m/s, {self.grips_N[ig]:g} N"
+        """One entry in a sentence: "0.3 m/s, 3 N", with its place on an arm, or the name of its target."""
+        return self.targets[iv] if self.targets else f"{self.speeds_m_s[iv]:g} m/s, {self.device(ig)}"
+
+    def device(self, ig: int) -> str:
+        """One device in a sentence: "3 N", or "3 N, normal 1, posture 2"."""
+        at = ", normal {:g}, posture {:g}".format(*self.places[ig]) if self.places else ""
+        return f"{self.grips_N[ig]:g} N{at}"

@@ -40,16 +40,7 @@ def export(
 
     Exit 1: as an entry leaves, it is beyond a limit of its scene by over 0.1 %; the files are written all the same.
     """
-    from transopt.library.arm import is_arm_library
-
     asked = {RATE: rate_Hz, BITS: bits, FULL_SCALE: full_scale, TARGET: target, SPEED: speed, GRIP: grip}
-    if is_arm_library(library):
-        from transopt.cli.arm import export_arm_library
-
-        if drive or any(value is not None for value in asked.values()):
-            raise InputError("--drive and its options: a library of an arm has several motors: leave them out")
-        export_arm_library(library, file)
-        return
     if not drive:
         from transopt.library.export import export_library, sounds
 

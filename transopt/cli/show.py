@@ -18,15 +18,9 @@ def show(
     unproven: Unproven = False,
 ) -> None:
     """Print a first look at a library, in detail with --table; optionally draw its transients."""
-    from transopt.library.arm import is_arm_library
     from transopt.report.first import Look, lines, next_commands
     from transopt.report.tables import certificate_table, cool_summary, entry_table
 
-    if is_arm_library(library):
-        from transopt.cli.arm import show_arm_library
-
-        show_arm_library(library, figure, table=table)
-        return
     loaded = opened(library, unproven=unproven)
     if figure is not None and figure.suffix.lower() != ".png":
         raise InputError(f"--figure {figure}: figures are written as .png")

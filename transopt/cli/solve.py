@@ -95,15 +95,8 @@ def solve(
     loaded = _load(scene, recordings, model, accept)
     unfit = _unfit(loaded, accept_unfit_model)
     folder = Path("out") / loaded.name if out is None else out
-    if loaded.model.kind == "arm":
-        from transopt.cli.arm import solve_arm_scene
-
-        if grid_tolerance is not None or full or report:
-            raise InputError(
-                "--grid-tolerance, --full, --report: model.kind = arm cannot have them yet: leave them out"
-            )
-        solve_arm_scene(loaded, options, folder, figures=figures, table=table)
-        return
+    if full:
+        loaded.check_one_motor("--full")
     wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures, full, table, report)
     if loaded.nonlinear:
         loaded.nonlinear_plant()  # what no nonlinear plant can have is refused before there is a folder

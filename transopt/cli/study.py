@@ -176,8 +176,8 @@ def run(request: Request, scene: str) -> int:
     loaded = apply_settings(builtin.load_scene(scene, accept=request.accept), request.settings, files)
     jobs = (os.cpu_count() or 1) if request.jobs is None else request.jobs
     with closing(executor_pool(request.executor or "processes", jobs)) as pool:
-        if loaded.model.kind == "arm" and request.name not in OF_AN_ARM:
-            loaded.posing()  # says what an arm cannot have yet, before there is a folder
+        if request.name not in OF_AN_ARM:
+            loaded.check_one_motor(f"study: {loaded.name}")
         if request.name and loaded.targets:
             raise InputError(
                 f"--study {request.name}: asks about speeds and grips, {loaded.name} has named targets: --vary"

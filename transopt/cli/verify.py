@@ -17,16 +17,10 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
 
     from transopt.base.errors import InputError
     from transopt.design.verify import verify_library
-    from transopt.library.arm import is_arm_library
     from transopt.library.file import BROKEN, load_library
     from transopt.library.statements import misstatements
     from transopt.report.tables import verify_table
 
-    if is_arm_library(library):
-        from transopt.cli.arm import verify_arm_library
-
-        verify_arm_library(library)
-        return
     loaded = load_library(library)
     try:
         with terminal.progress() as bar:

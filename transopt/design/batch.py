@@ -8,12 +8,13 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import CoilModel
-from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.baselines import clipped_optimum, input_bounds, seed_inversion
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.proof.continuous import Accurate, accurate
 from transopt.proof.designed import Designed
 from transopt.proof.replay import Replay, figures_of, replay, replayed_figures
+from transopt.proof.several import replay_several
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,10 @@ class Batch:
     def rivals(self) -> list[Baselines]:
         """Figures of the two other methods, of each answer; they know no wall."""
         first = self.designed[0]
+        if self._several:
+            problems = [each.problem for each in self.designed] * 4
+            figures = [played.figures for played in replay_several(problems, self._rival_commands)]
+            return [Baselines(*figures[m :: len(self.designed)]) for m in range(len(self.designed))]
         if first.nonlinear is not None:
             return [Baselines(*self._figures_on_nonlinear_plant(each)) for each in self.designed]
         yardstick, targets, M = first.problem.yardstick, [*self.told] * 4, len(self.designed)
@@ -81,7 +86,12 @@ class Batch:
     @property
     def _share(self) -> bool:
         """Whether one simulation plays answers and rivals: the rivals know no wall."""
-        return self._with_rivals and self.designed[0].problem.wall is None
+        return self._with_rivals and self.designed[0].problem.wall is None and not self._several
+
+    @property
+    def _several(self) -> bool:
+        """Whether each command is for several motors."""
+        return self.designed[0].problem.stage.motors > 1
 
     @cached_property
     def _together(self) -> Accurate:
@@ -100,6 +110,8 @@ class Batch:
 
     def _replayed(self, simulated: Accurate | None) -> list[Replay]:
         problems = [d.problem for d in self.designed]
+        if self._several:
+            return replay_several(problems, self._transients)
         budgets = [p.thermal.budget for p in problems if p.thermal is not None]
         walls = [p.wall for p in problems if p.wall is not None]
         return replay(
@@ -145,6 +157,8 @@ class Batch:
 
 def _rivals_of(designed: Sequence[Designed], steady_input: float) -> FloatArray:
     first = designed[0].problem
+    if first.stage.motors > 1:
+        return _rivals_of_motors(designed, steady_input)
     references = np.stack([d.problem.reference_m_s2 for d in designed])
     free = np.stack([d.unlimited_command for d in designed])
     # Both limits at once: what is clipped at them is the same.
@@ -153,3 +167,18 @@ def _rivals_of(designed: Sequence[Designed], steady_input: float) -> FloatArray:
     seed = seed_inversion(first.stage, first.grid, references, limits, first.hand_over_samples)
     clipped = clipped_optimum(first.stage, first.grid, free, limits)
     return np.stack([seed, clipped], axis=1).reshape(-1, first.grid.stages)  # limit, method, answer
+
+
+def _rivals_of_motors(designed: Sequence[Designed], steady_input: float) -> FloatArray:
+    """(4 M, m, N) the same of several motors, each cut at what it has of the limit."""
+    found = []
+    for limit in (1.0, steady_input / designed[0].problem.limits.input_limit):
+        posed = [(d, limit * input_bounds(d.problem)) for d in designed]
+        found += [
+            seed_inversion(p.stage, p.grid, p.reference_m_s2, bounds, p.hand_over_samples)
+            for p, bounds in ((d.problem, bounds) for d, bounds in posed)
+        ]
+        found += [
+            clipped_optimum(d.problem.stage, d.problem.grid, d.unlimited_command, bounds) for d, bounds in posed
+        ]
+    return np.stack(found)

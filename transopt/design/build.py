@@ -21,12 +21,13 @@ from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinemen
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.columns import FIGURES, EntryTable
-from transopt.library.derived import derived
+from transopt.library.derived import derived, places
 from transopt.library.library import Library
 from transopt.library.meta import SCHEMA, heat_is_in, most_parts, shared_left_out
 from transopt.library.multipliers import ARRAYS, further_arrays, multiplier_arrays
 from transopt.library.posed import PLANT
 from transopt.plant.state_space import POSITION, VELOCITY
+from transopt.problem.objective.target import along_normal
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import COURSES, Reference
 from transopt.recordings.references import References
@@ -127,6 +128,7 @@ class Build:
         grid = self.scene.grid
         if self.scene.targets:
             raise InputError("between_nodes: named targets have nothing between them: ask for a scene with speeds")
+        self.scene.check_one_motor("between_nodes")
         asked = list(points)
         for name, values, nodes, unit in (
             ("speed", [speed for speed, _ in asked], grid.speeds_m_s, "m/s"),
@@ -211,11 +213,13 @@ def build_library(
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
         context = context.varied(scene)
-    rows, grips = scene.axes.rows, scene.grid.grips_N
+    rows, devices = scene.axes.rows, scene.axes.devices
     columns: list[list[Entry]] = []
     some = max(SOLVED_TOGETHER // len(rows), 1)
-    for first in range(0, len(grips), some):
-        posed = [context.posed(v, grip, target) for grip in grips[first : first + some] for v, target in rows]
+    for first in range(0, len(devices), some):
+        posed = [
+            context.posed(v, grip, target, at) for grip, at in devices[first : first + some] for v, target in rows
+        ]
         designed = design(posed, options=options)
         for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
             # An entry is replayed here, before its progress is told.
@@ -275,10 +279,12 @@ def assemble(
         others = [[getattr(plant, name) for plant in devices] for devices in spreads]
         return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
 
-    cells = [[context.reference(v, grip, target) for grip in scene.grid.grips_N] for v, target in scene.axes.rows]
+    axes, p = scene.axes, entries[0][0].problem.stage.tracked
+    cells = [[context.reference(v, grip, target) for grip in axes.grips_N] for v, target in axes.rows]
 
     def of_cells(name: str) -> FloatArray:
-        return np.array([[getattr(cell, name) for cell in row] for row in cells])
+        found = np.array([[getattr(cell, name) for cell in row] for row in cells])
+        return along_normal(found, p) if ARRAYS[name].is_directed and p > 1 else found
 
     at_ticks = of_cells("nominal_position_at_ticks_m")
     meta = {**_meta(context, cells, entries, options), "grid_refinement": _refined(refinement)}
@@ -292,12 +298,13 @@ def assemble(
         "speeds_m_s": np.asarray(scene.axes.speeds_m_s),
         "targets": np.array([target for _, target in scene.axes.rows], dtype=np.str_),
         "target_ends_s": np.array([row[0].ends_s if row[0].name else 0.0 for row in cells]),
-        "grips_N": np.asarray(scene.grid.grips_N),
+        "grips_N": np.asarray(axes.grips_N),
+        **places(scene),
         **{name: of_cells(name) for name in CELLS},
         "nominal_position_at_ticks_m": at_ticks[..., : scene.stages],
         "nominal_after_at_ticks_m": at_ticks[..., scene.stages :],
         **_of_entries(entries, further),
-        "correction_m_s2": np.zeros((len(cells), len(plants), scene.stages)),
+        "correction_m_s2": np.zeros((len(cells), len(plants), *entries[0][0].problem.reference_m_s2.shape)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
     }

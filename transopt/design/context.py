@@ -26,6 +26,7 @@ KEPT_STAGES, KEPT_BETWEEN = 64, 32
 # What a stage model depends on, beside the outputs that the limits look at.
 OF_A_STAGE = ("model", "motor", "transmission", "tip", "amplifier", "time", "feedback")
 T = TypeVar("T")
+Spot = tuple[float, float] | None  # normal and posture of an arm, by number from 1, or between two
 
 
 class Kept(Generic[T]):
@@ -58,6 +59,7 @@ class Posed:
     ----------
     problem : what a command has to meet; of a nonlinear plant that of the plant at rest.
     speed_m_s, grip_N, target : where the entry stands in a library; speed and grip are 0 for a named target.
+    place : normal and posture of an arm, by number from 1; None for any other plant.
     objective : "waveform" minimises J, "intensity" asks for the energy of the tap too.
     coil : of the motor, for the replay; None where nothing is known of it.
     steady_input : what the actuator stands for ever [A or V], at which the other methods are looked at.
@@ -79,6 +81,7 @@ class Posed:
     plant: NonlinearCoil | None = None
     warmer: Designed | None = None
     cool_share: float = 1.0
+    place: Spot = None
 
 
 class Context:
@@ -100,7 +103,7 @@ class Context:
         self.scene, self._given = scene, references
         self.stages: Kept[StageModel] = Kept(KEPT_STAGES) if stages is None else stages
         self._between: Kept[Reference] = Kept(KEPT_BETWEEN)
-        self._devices: dict[float, tuple[StageModel, tuple[StageModel, ...]]] = {}
+        self._devices: dict[tuple[float, Spot], tuple[StageModel, tuple[StageModel, ...]]] = {}
 
     @classmethod
     def recorded(cls, scene: Scene, recordings: Sequence[Recording]) -> "Context":
@@ -154,41 +157,40 @@ class Context:
         """The nonlinear plant; None for a linear one."""
         return self.scene.nonlinear_plant() if self.scene.nonlinear else None
 
-    def stage(self, grip_N: float) -> StageModel:
-        """The device of one grip as the scene's problem needs it."""
-        return self._of_grip(grip_N)[0]
+    def stage(self, grip_N: float, place: Spot = None) -> StageModel:
+        """The device of one grip, and of an arm at one place, as the scene's problem needs it."""
+        return self._device(grip_N, place)[0]
 
     def spread(self, grip_N: float) -> tuple[StageModel, ...]:
         """Further devices that the commands of one grip shall serve."""
-        return self._of_grip(grip_N)[1]
+        return self._device(grip_N, None)[1]
 
-    def _of_grip(self, grip_N: float) -> tuple[StageModel, tuple[StageModel, ...]]:
-        if grip_N not in self._devices:
-            own = self._stage(self._linear, grip_N)
-            self._devices[grip_N] = own, tuple(self._stage(of, grip) for of, grip in self._linear.spread(grip_N))
-        return self._devices[grip_N]
+    def _device(self, grip_N: float, place: Spot) -> tuple[StageModel, tuple[StageModel, ...]]:
+        at = grip_N, place
+        if at not in self._devices:
+            own = self._stage(self._linear, grip_N, place)
+            self._devices[at] = own, tuple(self._stage(of, grip) for of, grip in self._linear.spread(grip_N))
+        return self._devices[at]
 
-    def _stage(self, of: Scene, grip_N: float) -> StageModel:
+    def _stage(self, of: Scene, grip_N: float, place: Spot = None) -> StageModel:
         posing = self.posing
         outputs = sorted(posing.watched)
-        key = f"{grip_N!r} {outputs} {as_text(of, *OF_A_STAGE)}"
-        return self.stages.get(key, lambda: posing.stage(of.plant(grip_N)))
+        key = f"{grip_N!r} {place} {outputs} {as_text(of, *OF_A_STAGE)}"
+        return self.stages.get(key, lambda: posing.stage(of.plant(grip_N, place)))
 
-    def posed(self, speed_m_s: float, grip_N: float, target: str = "") -> Posed:
+    def posed(self, speed_m_s: float, grip_N: float, target: str = "", place: Spot = None) -> Posed:
         """One entry of the scene.
 
         Raises
         ------
         InputError : numbers that make no problem, recordings that cannot serve.
         """
-        return self.posed_as(self.reference(speed_m_s, grip_N, target), grip_N)
+        return self.posed_as(self.reference(speed_m_s, grip_N, target), grip_N, place)
 
-    def posed_as(self, reference: Reference, grip_N: float) -> Posed:
-        """The entry of a grip that a reference asks for."""
-        scene, problem = (
-            self.scene,
-            self.posing.problem(wanted_of(reference), self.stage(grip_N), self.spread(grip_N)),
-        )
+    def posed_as(self, reference: Reference, grip_N: float, place: Spot = None) -> Posed:
+        """The entry of a device that a reference asks for."""
+        scene, device = self.scene, self._device(grip_N, place)
+        problem = self.posing.problem(wanted_of(reference), *device)
         return Posed(
             problem=problem,
             speed_m_s=reference.speed_m_s,
@@ -199,6 +201,7 @@ class Context:
             steady_input=scene.limits.steady_input,
             repeatability=reference.repeatability,
             plant=self.plant,
+            place=place,
         )
 
 

@@ -52,8 +52,9 @@ def design(
         batch = Batch([solved[n] for n in numbers], first.coil, first.steady_input, told, with_rivals=rivals)
         for index, n in enumerate(numbers):
             posed = problems[n]
-            place = (posed.speed_m_s, posed.grip_N, posed.target)
-            entries[n] = Entry(*place, solved[n], batch, index, posed.repeatability, options, posed.objective)
+            tap = (posed.speed_m_s, posed.grip_N, posed.target)
+            told_by = (posed.repeatability, options, posed.objective)
+            entries[n] = Entry(*tap, solved[n], batch, index, *told_by, spot=posed.place)
     return [entries[number] for number in sorted(entries)]
 
 

@@ -13,6 +13,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.base.writing import percent
 from transopt.design.batch import Baselines, Batch
+from transopt.design.context import Spot
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.price import Price, binding, prices
@@ -21,7 +22,7 @@ from transopt.library.columns import COLUMNS, NAN, PAIR, EntryTable
 from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Multipliers, Status, verdict
 from transopt.problem.limits import kinds_of
-from transopt.problem.objective.bands import Levels, levels
+from transopt.problem.objective.bands import Levels, normal_levels
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
@@ -78,6 +79,7 @@ class Entry(Answered):
     repeatability : trial-to-mean error of the recordings; NaN if unknown.
     options : by which further optima are solved.
     objective : "waveform" or "intensity", as the scene asks.
+    spot : normal and posture of an arm, by number from 1; None for any other plant.
     """
 
     speed_m_s: float
@@ -89,6 +91,7 @@ class Entry(Answered):
     repeatability: float
     options: SolverOptions
     objective: str
+    spot: Spot = None
 
     def stating(self, **values: Any) -> "Entry":
         """Give the entry again with some of what is said of it stated, by name, in place of being made."""
@@ -235,6 +238,11 @@ class Entry(Answered):
         return self._axes.place(0, 0)
 
     @property
+    def device(self) -> str:
+        """Which device it is for, in a sentence."""
+        return self._axes.device(0)
+
+    @property
     def cells(self) -> list[str]:
         """Which entry it is, in the columns of a table (`Axes.columns`)."""
         return self._axes.cells(0, 0)
@@ -246,7 +254,8 @@ class Entry(Answered):
 
     @property
     def _axes(self) -> Axes:
-        return Axes((self.speed_m_s,), (self.grip_N,), (self.target,) if self.target else ())
+        targets = (self.target,) if self.target else ()
+        return Axes((self.speed_m_s,), (self.grip_N,), targets, () if self.spot is None else (self.spot,))
 
     def value(self, column: str) -> Any:
         """What the entry has in a column of `transopt.library.columns.COLUMNS`."""
@@ -286,6 +295,11 @@ class Entry(Answered):
         return None if self.solved is None else size(self.solved)
 
     @property
+    def made_m_s2(self) -> FloatArray:
+        """(N,) y'' by which figures are told, that of the replay."""
+        return self.played.acceleration_m_s2
+
+    @property
     def figures(self) -> Figures:
         """How near the played tap comes to the recorded one."""
         return self.played.figures
@@ -316,9 +330,7 @@ class Entry(Answered):
     @cached_property
     def levels(self) -> Levels:
         """Energies of the predicted acceleration over those of r: broadband, as felt, band by band."""
-        target = self.problem.target
-        free, recorded = (target.of_window(each) for each in (target.free_m_s2, target.recorded_m_s2))
-        return levels(self.predicted_m_s2 + free, recorded, self.problem.grid.dt_s)
+        return normal_levels(self.problem.target, self.predicted_m_s2, self.problem.grid.dt_s)
 
     @property
     def verdict(self) -> str:
@@ -329,7 +341,8 @@ class Entry(Answered):
             return "zero reference"
         floor = self.floor if self.designed.nonlinear is None else NAN
         named = bool(self.target)
-        least = float(self.plant_input.min()), self.unit
+        # Of several motors none pulls by itself.
+        least = None if self.problem.stage.motors > 1 else (float(self.plant_input.min()), self.unit)
         return verdict(
             self.figures, floor, self.repeatability, self.levels, self.binding, named=named, least_input=least
         )

@@ -329,6 +329,7 @@ def check_tolerance(scene: Scene, tolerance: float, cap: int) -> None:
     ------
     InputError : tolerance or cap that cannot be, a scene of named targets.
     """
+    scene.check_one_motor("--grid-tolerance")
     if not 0 < tolerance < 1:
         raise InputError(f"--grid-tolerance {tolerance:g}: must be between 0 and 1 (0.02: two percentage points)")
     if scene.targets:

@@ -99,7 +99,7 @@ def _with(
     """The library with the entries of some places, by the corrections that they were solved for."""
     further = library.further
     arrays = {name: np.array(library.array(name)) for name in (*_of_entries(library), "correction_m_s2")}
-    nv, ng, _ = library.command.shape
+    nv, ng = library.command.shape[:2]
     left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
     for (iv, ig), course in taken.items():
         entry = entries[iv, ig]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from transopt.design.context import Context, Posed
+from transopt.design.context import Context, Posed, Spot
 from transopt.design.entry import Entry
 from transopt.design.explain import Change, Remedy, what_would_do
 from transopt.design.remedy import MOST_WORK, MOTOR, STAGES, Values, Work, does, remedies
@@ -28,6 +28,7 @@ class SceneEntry:
     context: Context
     grip_N: float
     reference: Reference
+    spot: Spot = None
 
     @property
     def scene(self) -> Scene:
@@ -62,7 +63,7 @@ class SceneEntry:
         context, reference = self.context.varied(with_values(scene, values)), self.reference
         if context.scene.time_grid() != self.scene.time_grid():
             reference = context.reference(reference.speed_m_s, self.grip_N, reference.name)
-        return context.posed_as(reference, self.grip_N)
+        return context.posed_as(reference, self.grip_N, self.spot)
 
 
 def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions) -> list[list[Entry]]:
@@ -82,7 +83,8 @@ def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options:
         if not library.left:
             said = "not tried what would do: the trials for other entries took all the work that a library may"
             return entry.stating(shortfalls=[*entry.shortfalls, said])
-        posed = SceneEntry(context, entry.grip_N, context.reference(entry.speed_m_s, entry.grip_N, entry.target))
+        reference = context.reference(entry.speed_m_s, entry.grip_N, entry.target)
+        posed = SceneEntry(context, entry.grip_N, reference, entry.spot)
         own = [remedy for remedy in found.values() if does_too(posed, entry, remedy)]
         if not own:
             work = Work(min(MOST_WORK, library.left))

@@ -47,7 +47,7 @@ def verify_library(library: Library, progress: Callable[[int], None] = lambda do
 
 
 def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
-    nv, ng, _ = library.command.shape
+    nv, ng = library.command.shape[:2]
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
     options, checked = SolverOptions(), dict[tuple[int, int], Entry]()
 

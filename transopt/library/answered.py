@@ -65,7 +65,7 @@ class Answered:
     @property
     def after_m_s2(self) -> FloatArray:
         """(M,) y'' after the last command."""
-        return self.designed.effect.lasting.acceleration_m_s2[self.problem.grid.stages :]
+        return self.designed.effect.lasting.acceleration_m_s2[..., self.problem.grid.stages :]
 
     @property
     def plant_input(self) -> FloatArray:
@@ -87,11 +87,26 @@ class Answered:
 
     @cached_property
     def heat_A2_s(self) -> float:
-        """Integral of i^2 through the window and after it [A^2 s]; NaN where a voltage drives the plant."""
+        """Integral of i^2, of all motors, through the window and after it [A^2 s]; NaN where a voltage drives."""
         if self.unit != "A":
             return NAN
         current = self.designed.effect.lasting.plant_input
-        return self.problem.grid.dt_s * float(current @ current)
+        return self.problem.grid.dt_s * float(np.vdot(current, current))
+
+    @property
+    def made_m_s2(self) -> FloatArray:
+        """(N,) y'' by which figures are told."""
+        return self.predicted_m_s2
+
+    @property
+    def tangential_error(self) -> float:
+        """Acceleration across the normal over the intention, over |r|; NaN of a plant with one direction."""
+        return self.problem.yardstick.across(self.told, self.made_m_s2)[0] if self.problem.directions else NAN
+
+    @property
+    def direction_rad(self) -> float:
+        """Angle by which the acceleration is off the normal; NaN of a plant with one direction."""
+        return self.problem.yardstick.across(self.told, self.made_m_s2)[1] if self.problem.directions else NAN
 
     @property
     def energy_dB(self) -> float:
@@ -178,13 +193,13 @@ def answer_of(
     accepted = Status.OPTIMAL if plant is None else Status.STATIONARY
     status = Status.OPTIMAL if claimed == accepted.value else Status.NOT_CERTIFIED
     answer = Solution(status, command, multipliers, "", claimed, 0, float(library.solve_time_s[iv, ig]))
-    free = np.zeros(problem.grid.stages)
+    free = problem.rest
     if not problem.reference_is_zero:
         found = unlimited(problem.without_intensity())
         free = np.full_like(free, NAN) if found is None else found
     with np.errstate(invalid="ignore"):
         motion = problem.stage.motion(free)
-    floor = problem.yardstick.tap_error(problem.target, motion.acceleration_m_s2)
+    floor = problem.tap_error(motion.acceleration_m_s2)
     peak = float(np.abs(motion.plant_input).max())
 
     def designed(answer: Solution, proof: Certificate, effect: Effect) -> Designed:

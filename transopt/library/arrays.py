@@ -5,7 +5,7 @@ declarations, so that an array is added or changed in one place.
 """
 
 import hashlib
-from collections.abc import Callable, Set
+from collections.abc import Callable, Container, Set
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 HASH_FIELD = "content_sha256"
+SEVERAL = "mp"  # letters of motors and directions, which arrays have where there are several
 
 
 @dataclass(frozen=True)
@@ -24,15 +25,17 @@ class Array:
     ----------
     shape : one letter for each dimension: v speeds, g grips, N stages, M samples after them, L instants before them
         that no command can reach, h samples of the hand-over, n states of the plant, s further devices of a robust
-        entry; a digit is that size.
+        entry, i inputs and o tracked accelerations of the plant; a digit is that size. m motors and p directions are
+        there in a library of several motors alone.
     unit : SI, with C for degrees Celsius; empty for what has none.
     meaning : what it holds.
     is_text : words and not double-precision numbers.
     may_be_nan : NaN stands for what is not known; every other number is finite.
     needs : what has to be stated for the array to stand in the file: a key of the scene's `limits`, `spread`, `worst`
-        (as what is minimised over the spread), `nonlinear`, named `targets`, `intensity` as the objective, or a
-        `refinement` or `instants_within` in `meta` (`transopt.library.meta.stated`); empty for an array that is
-        always there. Without it the array is zero or empty, or of no device.
+        (as what is minimised over the spread), `nonlinear`, `one motor` or `several motors`, named `targets`,
+        `intensity` as the objective, or a `refinement` or `instants_within` in `meta`
+        (`transopt.library.meta.stated`); empty for an array that is always there. Without it the array is zero or
+        empty, or of no device.
     made : its value for one entry (`transopt.design.entry.Entry`), from which a library is assembled and by which an
         entry that is solved again takes its place; None for what is not of single entries.
     replayed : whether `verify` makes it again to compare, from the problem and a replay of the file's own command.
@@ -46,6 +49,15 @@ class Array:
     needs: str = ""
     made: Callable[[Any], Any] | None = None
     replayed: bool = False
+
+    @property
+    def is_directed(self) -> bool:
+        """Whether it has every direction of a plant that has several."""
+        return "p" in self.shape
+
+    def letters(self, known: Container[str]) -> list[str]:
+        """Letters of its dimensions; those of motors and directions only where their numbers are known."""
+        return [letter for letter in self.shape if letter not in SEVERAL or letter in known]
 
     @property
     def type_word(self) -> str:

@@ -76,8 +76,8 @@ def c_header(library: Library) -> str:
     ------
     InputError : two nodes of an axis are the same number in single precision.
     """
-    speeds = _single_precision("speeds_m_s", library.speeds_m_s)
-    grips = _single_precision("grips_N", library.grips_N)
+    speeds = single_precision("speeds_m_s", library.speeds_m_s)
+    grips = single_precision("grips_N", library.grips_N)
     counts, scale_A = _quantise(library.transient_command)
     digest = library.content_sha256
     # The guard names the content: two different libraries in one program must collide, not hide each other.
@@ -110,7 +110,13 @@ def _second(library: Library) -> list[str]:
     return [scale, _waveforms(counts, "cool_"), function]
 
 
-def _single_precision(name: str, nodes: FloatArray) -> NDArray[np.float32]:
+def single_precision(name: str, nodes: FloatArray) -> NDArray[np.float32]:
+    """Nodes of an axis as the header has them.
+
+    Raises
+    ------
+    InputError : two of them are the same number there.
+    """
     rounded = nodes.astype(np.float32)
     same = np.flatnonzero(np.diff(rounded) <= 0)
     if same.size:

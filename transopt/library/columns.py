@@ -119,6 +119,18 @@ COLUMNS = {
         "change of the stylus' speed beside the recorded one: 1 is as hard, below 0 the surface pulls",
         array="speed_change",
     ),
+    "across": Column(
+        "across %",
+        percent,
+        "acceleration across the normal over the intention, over |r|",
+        array="tangential_error",
+    ),
+    "angle": Column(
+        "off normal deg",
+        lambda rad: fixed(rad, 1, 180 / np.pi),
+        "angle of the acceleration to the normal, by the sizes of both",
+        array="direction_rad",
+    ),
     "bump": Column(
         "bump g",
         lambda m_s2: fixed(m_s2, 2, 1 / STANDARD_GRAVITY_M_S2),
@@ -178,7 +190,20 @@ COLUMNS = {
 }
 
 FIGURES = ("tap", "felt", "felt_dB", "speed", "bump", "heat")  # what is told of an entry wherever it is shown
-FULL = ("tap", "floor", *FIGURES[1:], "after", "after_peak", "repeats", "peak", "ms", "binding", "verdict")
+OF_DIRECTIONS = ("across", "angle")  # of an arm alone
+FULL = (
+    "tap",
+    "floor",
+    *FIGURES[1:],
+    *OF_DIRECTIONS,
+    "after",
+    "after_peak",
+    "repeats",
+    "peak",
+    "ms",
+    "binding",
+    "verdict",
+)
 RIVALS = ("seed", "clipped")  # what other methods reach, with the full report
 
 

@@ -5,8 +5,11 @@ numbers again and refuses a file that states others.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from transopt.base.signals import FloatArray
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.limit import Limit
@@ -19,7 +22,17 @@ from transopt.problem.objective.weighting import bandpass
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 
+if TYPE_CHECKING:  # which loads pydantic
+    from transopt.scene.scene import Scene
+
 WHOLE = (CurrentLimit, VoltageLimit, CommandLimit, SlewLimit)  # limits of which these numbers say all
+
+
+def places(scene: "Scene") -> dict[str, FloatArray]:
+    """Array -> (g, 3) normal and angles of each device of an arm; of no device for any other plant."""
+    of = [scene.arm().place(*at) for at in scene.axes.places]
+    found = {"normals": [each.normal for each in of], "postures_rad": [each.posture_rad for each in of]}
+    return {name: np.array(each).reshape(-1, 3) for name, each in found.items()}
 
 
 def derived(posing: Posing, problems: Sequence[TransientProblem], *, warm: bool) -> dict[str, Any]:
@@ -35,6 +48,7 @@ def derived(posing: Posing, problems: Sequence[TransientProblem], *, warm: bool)
     grid, amplifier, limits = problem.grid, problem.stage.amplifier, problem.limits
     slew = next((limit for limit in limits if isinstance(limit, SlewLimit)), None)
     alone = problem.wall is None and not problem.spread and posing.objective == "waveform"
+    alone = alone and problem.stage.motors == 1
     return {
         "dt_s": grid.dt_s,
         "lead_s": grid.lead_s,

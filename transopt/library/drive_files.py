@@ -81,6 +81,7 @@ def export_drive(
     ------
     InputError : an option out of its range, a suffix that names no format, a file that cannot be written.
     """
+    library.scene().check_one_motor("export --drive")
     path = Path(path)
     refuse_descriptions(path)
     suffix = path.suffix.lower()

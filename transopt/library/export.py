@@ -70,19 +70,24 @@ def csv_file(library: Library) -> bytes:
     grid, meta = library.time_grid(), library.meta
     named, drive = library.axes.targets, library.driven_by
     taps = {"speed_m_s": library.speeds_m_s[:, None, None], "grip_N": library.grips_N[:, None]}
+    if library.axes.places:
+        taps |= {
+            name: at[:, None]
+            for name, at in zip(("normal", "posture"), np.transpose(library.axes.places), strict=True)
+        }
     columns: dict[str, NDArray[np.generic]] = {
         **({"target": library.targets[:, None, None]} if named else taps),
         "k": np.arange(grid.stages),
         "issue_time_s": grid.issue_times_s,
         "switching_time_s": grid.switching_times_s,
-        f"command_{drive.unit}": library.command,
-        f"transient_command_{drive.unit}": library.transient_command,
-        f"{drive.name}_{drive.unit}": library.plant_input,
-        "acceleration_m_s2": library.acceleration_m_s2,
+        **_each("motor", f"command_{drive.unit}", library.command),
+        **_each("motor", f"transient_command_{drive.unit}", library.transient_command),
+        **_each("motor", f"{drive.name}_{drive.unit}", library.plant_input),
+        **_each("direction", "acceleration_m_s2", library.acceleration_m_s2),
         **({} if library.cool is None else _second_columns(library.cool)),
-        "recorded_m_s2": library.recorded_m_s2,
-        "free_m_s2": library.free_m_s2,
-        "target_m_s2": library.target_m_s2,
+        **_each("direction", "recorded_m_s2", library.recorded_m_s2),
+        **_each("direction", "free_m_s2", library.free_m_s2),
+        **_each("direction", "target_m_s2", library.target_m_s2),
     }
     comments = [
         # JSON keeps the name on one line, whatever is in it.
@@ -99,13 +104,21 @@ def csv_file(library: Library) -> bytes:
         f"lead_s: {grid.lead_s!r}",
         f"delay_s: {grid.delay_s!r}",
     ]
-    flat = [np.broadcast_to(column, library.command.shape).ravel().tolist() for column in columns.values()]
+    shape = (*library.command.shape[:2], grid.stages)
+    flat = [np.broadcast_to(column, shape).ravel().tolist() for column in columns.values()]
     lines = [
         *(f"# {comment}" for comment in comments),
         ",".join(columns),
         *(",".join(map(_cell, row)) for row in zip(*flat, strict=True)),
     ]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _each(what: str, name: str, courses: FloatArray) -> dict[str, FloatArray]:
+    """One column, or one for each of several motors or directions."""
+    if courses.ndim == 3:
+        return {name: courses}
+    return {f"{what}_{j + 1}_{name}": courses[:, :, j] for j in range(courses.shape[2])}
 
 
 def _second_columns(cool: Library) -> dict[str, FloatArray]:
@@ -130,6 +143,7 @@ def wav_file(library: Library) -> bytes:
     library's transient limit, then the library's own command; 0.3 s of silence after each. One scale for the whole
     file, its peak at -1 dBFS, so that loudness compares.
     """
+    library.scene().check_one_motor("export as .wav")
     grid = library.time_grid()
     limit, taper = library.input_limit, library.hand_over_samples
     stages = [library.stage(ig) for ig in range(library.grips_N.size)]
@@ -183,4 +197,9 @@ def header_file(library: Library) -> bytes:
             f"{library.axes.said} and commands in {library.driven_by.unit}: add --drive, which writes one array for "
             "each entry"
         )
+    if library.axes.places:
+        # Only a library of an arm needs this import.
+        from transopt.library.arm_header import arm_header
+
+        return arm_header(library).encode("ascii")
     return c_header(library).encode("ascii")

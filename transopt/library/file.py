@@ -7,7 +7,7 @@ optimal and keep their limits is another question, which `transopt.library.prove
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,14 @@ from transopt.base.sizes import (
     MOST_STATES,
 )
 from transopt.base.units import beyond, largest
-from transopt.library.arm import SCHEMA as ARM_SCHEMA
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import COOL, Library
 from transopt.library.meta import SCHEMA, lacking, most_parts, stated
 from transopt.library.multipliers import ARRAYS, further_arrays, is_of_entries
 from transopt.library.posed import posing_of, scene_in
+
+if TYPE_CHECKING:  # which loads pydantic
+    from transopt.scene.scene import Scene
 
 ADVICE = "give a library.npz written by `transopt solve`"
 TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of meta, from which nothing is computed
@@ -61,11 +63,6 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise InputError(f"{path}: meta is not JSON: damaged; solve the scene again") from None
     schema = meta.get("schema") if isinstance(meta, dict) else None
-    if schema == ARM_SCHEMA:
-        raise InputError(
-            f"{path}: a library of an arm with several motors, which this does not take yet: `transopt show`, verify "
-            "and export do, and transopt.load_arm_library"
-        )
     if not isinstance(meta, dict) or isinstance(schema, bool) or schema != SCHEMA:
         raise InputError(
             f"{path}: schema {cut(repr(schema))}, this version reads schema {SCHEMA} alone; solve the scene again"
@@ -97,11 +94,10 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, 
         if name not in arrays or (prefix and not is_of_entries(declared)):
             continue
         array = arrays[name]
-        if array.ndim != len(declaration.shape):
-            raise InputError(
-                f"{path}: {name} has {array.ndim} dimensions, expected {len(declaration.shape)}; solve it again"
-            )
-        pairs = zip(declaration.shape, array.shape, strict=True)
+        letters = declaration.letters(sizes)
+        if array.ndim != len(letters):
+            raise InputError(f"{path}: {name} has {array.ndim} dimensions, expected {len(letters)}; solve it again")
+        pairs = zip(letters, array.shape, strict=True)
         expected = tuple(sizes.setdefault(letter, size) for letter, size in pairs)
         if array.shape != expected:
             raise InputError(f"{path}: {name} has shape {array.shape}, expected {expected}; solve it again")
@@ -124,13 +120,15 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, 
         ("stages", sizes["N"], MOST_STAGES),
         ("states", sizes["n"], MOST_STATES),
         ("further devices", sizes["s"], MOST_DEVICES),
-        ("commands", sizes["v"] * sizes["g"] * sizes["N"], MOST_COMMANDS),
+        ("commands", sizes["v"] * sizes["g"] * sizes["N"] * sizes["i"], MOST_COMMANDS),
     ):
         if size > most:
             raise InputError(f"{path}: {size} {what}, at most {most}; solve a smaller scene")
     named = "targets" in arrays
     for name in ("grips_N",) if named else ("speeds_m_s", "grips_N"):
-        if arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0):
+        # Each grip of an arm stands there once for each of its places.
+        nodes = np.array([*dict.fromkeys(arrays[name].tolist())]) if sizes["i"] > 1 else arrays[name]
+        if nodes.size == 0 or np.any(np.diff(nodes) <= 0):
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 
@@ -192,6 +190,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
         "M": grid.after_stages,
         "L": grid.before_times_s.size,
         "h": posing.hand_over_samples,
+        **_several(scene),
         **({} if scene.robust else {"s": 0}),
     }
     _check_arrays(path, arrays, sizes)
@@ -202,7 +201,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
         found = {name: arrays[prefix + name] for name in names if prefix + name in arrays}
         _check_multipliers(path, prefix, {name: found[name] for name in further}, sizes)
         for name in optional[prefix]:
-            shape = [sizes[letter] for letter in ARRAYS[name].shape]
+            shape = [sizes[letter] for letter in ARRAYS[name].letters(sizes)]
             found[name] = np.zeros(shape, dtype=np.str_ if ARRAYS[name].is_text else float)
         return found
 
@@ -215,6 +214,13 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     return library
 
 
+def _several(scene: "Scene") -> dict[str, int]:
+    """Letter -> size of inputs and tracked accelerations, of which an arm has several."""
+    if not scene.axes.places:
+        return {"i": 1, "o": 1}
+    return {**dict.fromkeys("imop", len(scene.arm().motor_shares)), "g": len(scene.axes.grips_N)}
+
+
 def _left_out_of(path: Path, cool: Any) -> Any:
     """What `meta.cool` says of parts that are left out."""
     if not (isinstance(cool, dict) and set(cool) == {"left_out"}):
@@ -224,7 +230,7 @@ def _left_out_of(path: Path, cool: Any) -> Any:
 
 def _check_words(path: Path, library: Library) -> None:
     """What `meta` says of the entries has the shape of the grid, and its words are words."""
-    meta, (nv, ng, _) = library.meta, library.command.shape
+    meta, (nv, ng) = library.meta, library.command.shape[:2]
     left_out = meta["left_out"]
     fit = {
         "repeatability": _is_table(meta["repeatability"], nv, ng, _is_spread),
@@ -261,6 +267,9 @@ def _check_problem(path: Path, library: Library) -> None:
     """The file must make a problem; only the first entry's is tried."""
     if not ((library.axes.targets or library.speeds_m_s[0] > 0) and library.grips_N[0] >= 0):
         raise InputError(f"{path}: speeds_m_s must be > 0 and grips_N >= 0; solve the scene again")
+    scene = library.scene()
+    if scene.axes.places and library.grips_N.tolist() != [*scene.axes.grips_N]:
+        raise InputError(f"{path}: grips_N is not that of the scene in meta; solve the scene again")
     try:
         library.problem(0, 0)
         if library.nonlinear:

@@ -20,29 +20,34 @@ class Held:
     speeds_m_s: FloatArray = kept("v", "m/s", "incoming speeds of the grid, rising; 0 for named targets")
     targets: NDArray[np.str_] = kept("v", "", "names of the targets, in place of speeds", is_text=True,
         needs="targets")
-    grips_N: FloatArray = kept("g", "N", "grip forces of the grid, rising; the only one is 0 for a free device")
-    command: FloatArray = kept("vgN", INPUT, "total command c_k, issued at -lead + k dt and held", "solution.command")
-    transient_command: FloatArray = kept("vgN", INPUT, "the command without the wall's predicted feedback",
+    grips_N: FloatArray = kept("g", "N",
+        "grip forces of the grid, rising; the only one is 0 for a free device; of an arm once for each place")
+    normals: FloatArray = kept("g3", "", "normal of the surface of each device, in the frame of an arm's base",
+        needs="several motors")
+    postures_rad: FloatArray = kept("g3", "rad", "angles of the arm in each device", needs="several motors")
+    command: FloatArray = kept("vgmN", INPUT, "total command c_k, issued at -lead + k dt and held",
+        "solution.command")
+    transient_command: FloatArray = kept("vgmN", INPUT, "the command without the wall's predicted feedback",
         "transient_command")
-    plant_input: FloatArray = kept("vgN", INPUT, "what drives the plant at the switching instants", "plant_input")
-    acceleration_m_s2: FloatArray = kept("vgN", "m/s^2", "y'' of the stylus there, as predicted", "predicted_m_s2")
-    acceleration_after_m_s2: FloatArray = kept("vgM", "m/s^2", "y'' after the last command, as predicted",
+    plant_input: FloatArray = kept("vgmN", INPUT, "what drives the plant at the switching instants", "plant_input")
+    acceleration_m_s2: FloatArray = kept("vgpN", "m/s^2", "y'' of the stylus there, as predicted", "predicted_m_s2")
+    acceleration_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "y'' after the last command, as predicted",
         "after_m_s2", replayed=True)
-    recorded_before_m_s2: FloatArray = kept("vgL", "m/s^2",
+    recorded_before_m_s2: FloatArray = kept("vgpL", "m/s^2",
         "r, the recorded acceleration, from contact to the first command that acts")
-    recorded_m_s2: FloatArray = kept("vgN", "m/s^2", "r at the switching instants")
-    recorded_after_m_s2: FloatArray = kept("vgM", "m/s^2",
+    recorded_m_s2: FloatArray = kept("vgpN", "m/s^2", "r at the switching instants")
+    recorded_after_m_s2: FloatArray = kept("vgpM", "m/s^2",
         "r after the last command, 0 where the recording has ended")
-    free_before_m_s2: FloatArray = kept("vgL", "m/s^2",
+    free_before_m_s2: FloatArray = kept("vgpL", "m/s^2",
         "a_free, how the stylus accelerates without a command, before the first")
-    free_m_s2: FloatArray = kept("vgN", "m/s^2", "a_free at the switching instants")
-    free_after_m_s2: FloatArray = kept("vgM", "m/s^2", "a_free after the last command")
-    target_before_m_s2: FloatArray = kept("vgL", "m/s^2",
+    free_m_s2: FloatArray = kept("vgpN", "m/s^2", "a_free at the switching instants")
+    free_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "a_free after the last command")
+    target_before_m_s2: FloatArray = kept("vgpL", "m/s^2",
         "what J asks of y'' where no command can reach it, r - a_free", "problem.target.before_m_s2")
-    target_m_s2: FloatArray = kept("vgN", "m/s^2",
+    target_m_s2: FloatArray = kept("vgpN", "m/s^2",
         "what J asks of y'' at the switching instants, r - a_free and the correction of a refined library",
         "problem.target.window_m_s2")
-    target_after_m_s2: FloatArray = kept("vgM", "m/s^2", "what J asks of y'' after the last command, r - a_free",
+    target_after_m_s2: FloatArray = kept("vgpM", "m/s^2", "what J asks of y'' after the last command, r - a_free",
         "problem.target.after_m_s2")
     target_ends_s: FloatArray = kept("v", "s", "when a named target is over, from its beginning on", needs="targets")
     nominal_position_m: FloatArray = kept("vgN", "m",
@@ -80,6 +85,10 @@ class Held:
         needs="intensity")
     energy_dB: FloatArray = kept("vg", "dB", "energy of y'' in the window over that of the target",
         lambda entry: entry.energy_dB if entry.objective == "intensity" else 0.0, needs="intensity")
+    tangential_error: FloatArray = kept("vg", "", "acceleration across the normal over the intention, over |r|",
+        "tangential_error", replayed=True, needs="several motors")
+    direction_rad: FloatArray = kept("vg", "rad", "angle by which the acceleration is off the normal, by its norms",
+        "direction_rad", replayed=True, needs="several motors")
     floor: FloatArray = kept("vg", "", "tap error of the optimum without limits", "floor")
     linear_command: FloatArray = kept("vgN", INPUT, "command of the design for the plant as it is at rest",
         lambda entry: np.zeros(entry.problem.grid.stages) if entry.linear_command is None else entry.linear_command,
@@ -111,19 +120,19 @@ class Held:
     binding: NDArray[np.str_] = kept("vg", "", "the limits that bind, and when", "binding", is_text=True)
     current_sign: FloatArray = kept("vgN", "", "slope of |mean i| over each period, by which ripple heats",
         "solution.multipliers.slope", needs="temperature_C")
-    mu_end: FloatArray = kept("vgh", "1/A", "multiplier of the hand-over, of either sign",
+    mu_end: FloatArray = kept("vgmh", "1/A", "multiplier of the hand-over, of either sign",
         "solution.multipliers.hand_over")
     plant_A: FloatArray = kept("gnn", "", "dx/dt = A x + B i of the device at each grip")
-    plant_B: FloatArray = kept("gn1", "", "its B")
-    plant_C: FloatArray = kept("g1n", "", "y'' = C x + D i")
-    plant_D: FloatArray = kept("g11", "", "its D")
+    plant_B: FloatArray = kept("gni", "", "its B")
+    plant_C: FloatArray = kept("gon", "", "y'' = C x + D i")
+    plant_D: FloatArray = kept("goi", "", "its D")
     plant_Ce: FloatArray = kept("g1n", "", "encoder position = Ce x")
-    correction_m_s2: FloatArray = kept("vgN", "m/s^2",
+    correction_m_s2: FloatArray = kept("vgpN", "m/s^2",
         "added to the target where the device's own taps have been learnt from", needs="refinement")
     spread_A: FloatArray = kept("gsnn", "", "A of further devices that a robust entry serves", needs="spread")
-    spread_B: FloatArray = kept("gsn1", "", "their B", needs="spread")
-    spread_C: FloatArray = kept("gs1n", "", "their C", needs="spread")
-    spread_D: FloatArray = kept("gs11", "", "their D", needs="spread")
+    spread_B: FloatArray = kept("gsni", "", "their B", needs="spread")
+    spread_C: FloatArray = kept("gson", "", "their C", needs="spread")
+    spread_D: FloatArray = kept("gsoi", "", "their D", needs="spread")
     spread_Ce: FloatArray = kept("gs1n", "", "their Ce", needs="spread")
     spread_share: FloatArray = kept("vgs", "",
         "their shares in J, of the worst device's saddle point; the rest is the own",

@@ -14,13 +14,13 @@ from transopt.base.files import whole_file
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.columns import COLUMNS, FIGURES, NAN, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FIGURES, NAN, OF_DIRECTIONS, EntryTable, TableRow
 from transopt.library.meta import most_parts, stated
 from transopt.library.multipliers import ARRAYS, MULTIPLIERS, further_arrays, is_of_entries
 from transopt.library.place import Place, Waveform, finite, interpolation_weights
 from transopt.library.posed import Posed
 from transopt.problem.answer import OBJECTIVE_SCALE, verdict
-from transopt.problem.objective.bands import levels
+from transopt.problem.objective.bands import normal_levels
 from transopt.problem.objective.figures import Figures
 
 if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor pydantic for it
@@ -74,7 +74,7 @@ class Library(Posed):
         return replace(self, cool=Library.of({**shared, **arrays}, meta))
 
     def __repr__(self) -> str:
-        stages, dt_s = self.command.shape[2], self.dt_s
+        stages, dt_s = self.command.shape[-1], self.dt_s
         errors = f"tap error {percent(self.tap_error.min())} to {percent(self.tap_error.max())} %"
         return wrapped(
             f"Library({cut(self.meta['scene']['name'])}: {self.axes.said}, {stages} commands of {1e3 * dt_s:g} ms, "
@@ -89,7 +89,7 @@ class Library(Posed):
 
     def table(self, names: Sequence[str]) -> EntryTable:
         """All entries, speeds outermost, in columns of `transopt.library.columns.COLUMNS`."""
-        nv, ng, _ = self.command.shape
+        nv, ng = self.command.shape[:2]
         rows = [self.row(iv, ig) for iv in range(nv) for ig in range(ng)]
         limits = (self.input_limit, self.steady_input)
         return EntryTable(self.axes.columns, names, rows, self.driven_by.unit, limits).known
@@ -102,8 +102,13 @@ class Library(Posed):
             "gap": self.duality_gap[iv, ig] / max(self.objective[iv, ig], OBJECTIVE_SCALE),
             "verdict": self.verdict(iv, ig),
         }
+        unknown = () if self.command.ndim > 3 else [COLUMNS[name].array for name in OF_DIRECTIONS]
         for name, column in COLUMNS.items():
-            if column.array and not (column.after and self.time_grid().after_stages == 0):
+            if (
+                column.array
+                and not (column.after and self.time_grid().after_stages == 0)
+                and column.array not in unknown
+            ):
                 found[name] = getattr(self, column.array)[iv, ig]
         return TableRow(self.axes.cells(iv, ig), found)
 
@@ -112,16 +117,16 @@ class Library(Posed):
 
         The floor of a library whose plant is nonlinear is that of another plant, the one at rest, and is no measure.
         """
-        target = self.told(iv, ig)
-        free, recorded = (target.of_window(each) for each in (target.free_m_s2, target.recorded_m_s2))
+        several = self.command.ndim > 3
         return verdict(
             self.figures(iv, ig),
             NAN if self.nonlinear else float(self.floor[iv, ig]),
             self._repeatability(iv, ig),
-            levels(self.acceleration_m_s2[iv, ig] + free, recorded, self.dt_s),
+            normal_levels(self.told(iv, ig), self.acceleration_m_s2[iv, ig], self.dt_s),
             str(self.binding[iv, ig]),
             named=bool(self.axes.targets),
-            least_input=(float(self.plant_input[iv, ig].min()), self.driven_by.unit),
+            # Of several motors none pulls by itself.
+            least_input=None if several else (float(self.plant_input[iv, ig].min()), self.driven_by.unit),
         )
 
     def figures(self, iv: int, ig: int) -> Figures:
@@ -144,26 +149,29 @@ class Library(Posed):
 
         return library_figure(self)
 
-    def at(self, speed_m_s: float, grip_N: float) -> Waveform:
-        """Bilinear blend at any speed and grip; outside the grid the nearest edge is taken and reported.
+    def at(self, speed_m_s: float, grip_N: float, normal: float = 1.0, posture: float = 1.0) -> Waveform:
+        """Linear blend at any speed and grip; outside the grid the nearest edge is taken and reported.
 
         A convex combination of feasible currents is feasible, so every limit on the current holds between the nodes
         too; with a wall as far as the device's own feedback is the predicted one.
+        Of an arm it is linear in the places along the lists of normals and postures too: 1.5 lies half-way between
+        the first and the second (`Arm.normal_along`, `Arm.posture_along`). All limits of an arm are boxes on each
+        motor's current and command, the same at every node, so that every blend is admissible there as well.
         Below `grip_min_N` the command is zero, since a free stylus would be thrown; a library of the free
         device (its only grip is 0) has no such bound. A stylus that does not come in (speed <= 0) taps nothing.
 
         Raises
         ------
-        InputError : speed or grip is not a finite number.
+        InputError : speed, grip or place is not a finite number.
         """
-        return self.blend(self.located(speed_m_s, grip_N))
+        return self.blend(self.located(speed_m_s, grip_N, normal, posture))
 
-    def located(self, speed_m_s: float, grip_N: float) -> Place:
+    def located(self, speed_m_s: float, grip_N: float, normal: float = 1.0, posture: float = 1.0) -> Place:
         """Locate a measured tap on the grid.
 
         Raises
         ------
-        InputError : speed or grip is not a finite number.
+        InputError : speed, grip or place is not a finite number.
         """
         if self.axes.targets:
             raise InputError(f"this library has no speeds but targets: ask for one of {', '.join(self.axes.targets)}")
@@ -171,14 +179,23 @@ class Library(Posed):
         speed = min(max(float(speed_m_s), float(self.speeds_m_s[0])), float(self.speeds_m_s[-1]))
         grip = min(max(float(grip_N), float(self.grips_N[0])), float(self.grips_N[-1]))
         silent = speed_m_s <= 0 or (self.grips_N[0] > 0 and grip_N < self.grip_min_N)
-        return Place(speed, grip, speed != speed_m_s, grip != grip_N, bool(silent))
+        found = Place(speed, grip, speed != speed_m_s, grip != grip_N, bool(silent))
+        asked = finite("normal", normal, ""), finite("posture", posture, "")
+        if asked == (1.0, 1.0):
+            return found
+        _, *most = self.axes.sizes
+        at = [min(max(each, 1.0), float(last)) for each, last in zip(asked, most, strict=True)]
+        return replace(found, normal=at[0], posture=at[1], place_clamped=at != [*asked])
 
     def blend(self, place: Place) -> Waveform:
         """The nodes' commands at a place; zero where it is silent."""
         by_speed = interpolation_weights(self.speeds_m_s, place.speed_m_s)
-        by_grip = interpolation_weights(self.grips_N, place.grip_N)
+        axes, by_device = self.axes, np.ones(1)
+        numbered = [(np.arange(1.0, size + 1), at) for size, at in zip(axes.sizes[1:], place.at, strict=True)]
+        for nodes, at in ((np.array([*axes.by_grip]), place.grip_N), *numbered):
+            by_device = np.outer(by_device, interpolation_weights(nodes, at)).ravel()
         command, transient = (
-            np.tensordot(np.outer(by_speed, by_grip), waveforms, 2) * (0.0 if place.silent else 1.0)
+            np.tensordot(np.outer(by_speed, by_device), waveforms, 2) * (0.0 if place.silent else 1.0)
             for waveforms in (self.command, self.transient_command)
         )
         return Waveform(**vars(place), command=command, transient_command=transient)

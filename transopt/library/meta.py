@@ -93,7 +93,10 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
 
     The temperature is among it where it is a constraint of at least one entry, and not shown to be none of all.
     """
+    several = scene.model.kind == "arm"
     said = {
+        "several motors": several,
+        "one motor": not several,
         "targets": bool(scene.targets),
         "spread": scene.robust is not None,
         "worst": scene.robust is not None and scene.robust.minimise == "worst",
@@ -106,7 +109,8 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
         and scene.limits.current_A is not None
         and FollowingCurrentLimit.suits(scene.circuit()),
     }
-    limits = {key for key, value in scene.limits.asked().items() if value is not None}
+    # Of several motors each has multipliers of its own.
+    limits = {key for key, value in scene.limits.asked().items() if value is not None and not several}
     return {name for name, has in said.items() if has} | (limits - {TemperatureLimit.key})
 
 

@@ -10,7 +10,8 @@ from transopt.library.arrays import Array, declared
 from transopt.library.held import Held
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import KINDS, OF_OUTPUTS, kinds_for
-from transopt.problem.limits.limit import SIDES, device_row
+from transopt.problem.limits.input import SHARES
+from transopt.problem.limits.limit import SIDES, device_row, motor_row
 from transopt.problem.limits.output import row_within
 from transopt.problem.limits.own import OwnLimit, follows_motion
 from transopt.problem.posing import Posing
@@ -24,7 +25,7 @@ def _multiplier_arrays() -> dict[str, tuple[str, Array]]:
             unit = f"1/{kind.step_unit}"
             if name in found and (before := found[name][1].unit) != unit:
                 unit = f"{before} or {unit}"  # of the same limit on an input of the other unit
-            found[name] = row, Array("vgN", unit, meaning, needs=kind.stored_with(row))
+            found[name] = row, Array("vgN", unit, meaning, needs=kind.stored_with(row) or "one motor")
     return found
 
 
@@ -68,8 +69,8 @@ def row_of(array: str) -> str:
 def further_arrays(posing: Posing, spread: int, parts: int) -> list[str]:
     """Names of the multipliers that not every library has, from its limits and its input.
 
-    They are those of a user's own limits, those of limits on outputs within the servo periods and, for each further
-    device of a spread, those of the limits on the motion.
+    They are those of each of several motors, those of a user's own limits, those of limits on outputs within the
+    servo periods and, for each further device of a spread, those of the limits on the motion.
 
     Parameters
     ----------
@@ -79,8 +80,11 @@ def further_arrays(posing: Posing, spread: int, parts: int) -> list[str]:
     own, kinds = limits.get(OwnLimit.key) or [], kinds_for(drive, posing.circuit)
     of_each = [kind for kind in kinds if kind.of_each_device and limits.get(kind.key) is not None]
     inside = [row_within(kind.name, share) for kind in OF_OUTPUTS if kind in of_each for share in kind.shares(parts)]
+    of_motor = [kind for kind in kinds if kind.of_each_motor and (kind.in_every_file or limits.get(kind.key))]
+    numbers = range(len(limits.get(SHARES) or ()))
+    motors = [motor_row(row, j) for j in numbers for kind in of_motor for row in kind.row_names]
     rows = [*(row for kind in of_each for row in kind.row_names), *inside]
     rows += [table["name"] for table in own if follows_motion(table["outputs"], drive)]
-    found = [*(table["name"] for table in own), *inside]
+    found = [*motors, *(table["name"] for table in own), *inside]
     found += [device_row(row, device) for device in range(1, spread + 1) for row in dict.fromkeys(rows)]
     return [f"mu_{row}_{side}" for row in found for side in SIDES]

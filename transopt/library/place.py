@@ -1,6 +1,6 @@
 """Locates a measured tap on the grid of a library, and gives the waveform for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ class Place:
     speed_m_s, grip_N : after clamping to the grid.
     speed_clamped, grip_clamped : whether the wanted point lay outside the grid.
     silent : no transient is played, for want of speed or grip.
+    normal, posture : of an arm, places along their lists from 1, after clamping. place_clamped : whether they were.
     """
 
     speed_m_s: float
@@ -26,6 +27,14 @@ class Place:
     speed_clamped: bool
     grip_clamped: bool
     silent: bool
+    normal: float = 1.0
+    posture: float = 1.0
+    place_clamped: bool = False
+
+    @property
+    def at(self) -> tuple[float, float]:
+        """Places along the lists of normals and postures."""
+        return self.normal, self.posture
 
 
 @dataclass(frozen=True)
@@ -34,12 +43,12 @@ class Waveform(Place):
 
     Attributes
     ----------
-    command : (N,) total command c_k, issued at -lead + k dt and held [A].
+    command : (N,), or (m, N) of several motors, total command c_k, issued at -lead + k dt and held [A].
     transient_command : (N,) what a device with the library's wall plays on top of its feedback [A].
     """
 
-    command: FloatArray
-    transient_command: FloatArray
+    command: FloatArray = field(kw_only=True)
+    transient_command: FloatArray = field(kw_only=True)
 
     __repr__ = brief
 

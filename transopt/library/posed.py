@@ -62,12 +62,13 @@ class Posed(Held):
         return NONLINEAR_CLAIM if self.nonlinear else ""
 
     def check_linear(self, what: str) -> None:
-        """Refuse what only a linear plant allows.
+        """Refuse what only a linear plant with one motor allows.
 
         Raises
         ------
-        InputError : a nonlinear plant.
+        InputError : a nonlinear plant, or one with several motors.
         """
+        self.scene().check_one_motor(what)
         if self.nonlinear:
             raise InputError(
                 f"{what}: this library's plant is nonlinear, and this is done with linear plants alone: verify, "
@@ -78,7 +79,8 @@ class Posed(Held):
     def axes(self) -> Axes:
         """What its entries are for: speeds and grips, or named targets."""
         names = tuple(map(str, self.targets)) if self.scene().targets else ()
-        return Axes(tuple(self.speeds_m_s.tolist()), tuple(self.grips_N.tolist()), names)
+        places = self.scene().axes.places
+        return Axes(tuple(self.speeds_m_s.tolist()), tuple(self.grips_N.tolist()), names, places)
 
     @property
     def dt_s(self) -> float:
@@ -200,7 +202,7 @@ class Posed(Held):
             problem,
             intensity=float(self.intensity[iv, ig]),
             heat_price=float(self.heat_price[iv, ig]),
-            shares=self._shares(iv, ig),
+            shares=self._shares(iv, ig) if self.posing().worst else problem.shares,
         )
         problem = problem.within(self.parts(iv, ig))
         if problem.wall is None:
@@ -220,10 +222,8 @@ class Posed(Held):
             raise InputError(f"instants_within = {max(stated):g}: more than meta.instants_within")
         return found
 
-    def _shares(self, iv: int, ig: int) -> FloatArray | None:
-        """(S,) shares of the devices in J, the own first; None where all have the same."""
-        if not self.posing().worst:
-            return None
+    def _shares(self, iv: int, ig: int) -> FloatArray:
+        """(S,) shares of the devices in the worst one's J, the own first."""
         others = self.spread_share[iv, ig]
         return np.append(max(1.0 - others.sum(), 0.0), others)
 
@@ -272,7 +272,7 @@ class Posed(Held):
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""
-        stages, pairs = self.command.shape[2], {}
+        stages, pairs = self.command.shape[-1], {}
         for row in dict.fromkeys(row_of(name) for name in self.multipliers_of):
             lower, upper = (self.multipliers_of.get(f"mu_{row}_{side}") for side in SIDES)
             if lower is not None or upper is not None:

@@ -132,6 +132,12 @@ def _boundable(problem: TransientProblem) -> bool:
 
 def _unlimited(problem: TransientProblem) -> FloatArray | None:
     """(N,) the optimum of J without limits by the compiled pass; None without it, or where it loses digits."""
+    if problem.stage.motors > 1:
+        # Only a library of several motors needs this import.
+        from transopt.solvers import several
+
+        free = several.unlimited(problem)
+        return None if free is None else free.command
     given = without_limits(problem)
     if not available or given.sizes["states"] > MOST_STATES:
         return None
@@ -175,6 +181,8 @@ WITHIN: dict[str, Callable[[Answered, Any], float]] = {
     "heat_price": lambda again, value: SAME * value,
     "heat_A2_s": lambda again, value: FIGURE * value + ROUNDING,
     "tap_error": lambda again, value: FIGURE * value + SAME,
+    "tangential_error": lambda again, value: FIGURE * value + SAME,
+    "direction_rad": lambda again, value: FIGURE * value + SAME,
     "felt_error": lambda again, value: FIGURE * value + SAME,
     "felt_dB": lambda again, value: LEVEL_dB,
     "speed_change": lambda again, value: FIGURE * abs(value) + SAME,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.signals import FloatArray, integral
-from transopt.library.derived import derived
+from transopt.library.derived import derived, places
 from transopt.library.library import Library
 from transopt.library.meta import heat_is_in
 from transopt.library.posed import PLANT
@@ -49,19 +49,23 @@ def _against_scene(library: Library) -> Iterator[str]:
         stray = [node for node in getattr(library, name) if not np.isclose(node, nodes, rtol=SAME, atol=0).any()]
         if stray:
             yield f"{name}: {stray[0]:g} is no node of its scene"
-    for ig, grip in enumerate(library.grips_N):
-        plant = at_rest.plant(float(grip))
+    for name, own_places in places(scene).items():
+        yield from _different(name, getattr(library, name), own_places)
+    for ig, device in enumerate(library.axes.devices):
+        plant, grip = at_rest.plant(*device), library.axes.device(ig)
         for name in PLANT:
             stored, value = getattr(library, f"plant_{name}")[ig], getattr(plant, name)
             if stored.shape != value.shape or not np.abs(stored - value).max() <= SAME * np.abs(value).max():
-                yield f"plant_{name} at {grip:g} N is not the device of its scene"
+                yield f"plant_{name} at {grip} is not the device of its scene"
         for name, output in library.plant(ig).outputs.items():
-            yield from _different(f"output {name} at {grip:g} N", output, plant.outputs.get(name))
+            yield from _different(f"output {name} at {grip}", output, plant.outputs.get(name))
 
 
 def _nominal(library: Library) -> Iterator[str]:
     """Nominal motions that are not the integrals of a_free, from minus the speed and the surface on."""
     grid, free, after = library.time_grid(), library.free_m_s2, library.free_after_m_s2
+    if free.ndim > 3:  # the hand moves along the normal
+        free, after = free[..., 0, :], after[..., 0, :]
     times = grid.switching_times_s
     for iv, ig in np.ndindex(free.shape[:2]):
         speed, where = float(library.speeds_m_s[iv]), library.axes.place(iv, ig)
@@ -87,7 +91,7 @@ def _targets(library: Library) -> Iterator[str]:
     for part, correction in (("before_", 0.0), ("", library.correction_m_s2), ("after_", 0.0)):
         target, recorded, free = (getattr(library, f"{of}_{part}m_s2") for of in ("target", "recorded", "free"))
         size = max(float(np.abs(course).max(initial=0.0)) for course in (target, recorded, free))
-        off = np.abs(target - (recorded - free + correction)).max(axis=2, initial=0.0)
+        off = np.abs(target - (recorded - free + correction)).max(axis=tuple(range(2, target.ndim)), initial=0.0)
         for iv, ig in np.argwhere(~(off <= SAME * size)):
             yield f"entry {library.axes.place(iv, ig)}: target_{part}m_s2 is not what was recorded less a_free"
 

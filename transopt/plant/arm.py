@@ -14,6 +14,7 @@ three points is the linear plant. Its outputs are the accelerations of the stylu
 tangents.
 """
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal, Self
@@ -176,10 +177,26 @@ class Arm(PlantKind):
                 )
         return self
 
-    def place(self, posture: int = 0, normal: int = 0) -> Place:
-        """The place of a posture and a normal, each by its index."""
-        direction = np.array(self.normals[normal])
-        return Place(np.radians(self.postures_deg[posture]), direction / np.linalg.norm(direction))
+    @property
+    def places(self) -> tuple[tuple[int, int], ...]:
+        """Every normal with every posture, by number from 1, the normals outermost."""
+        normals, postures = (range(1, len(each) + 1) for each in (self.normals, self.postures_deg))
+        return tuple(itertools.product(normals, postures))
+
+    def place(self, normal: float = 1, posture: float = 1) -> Place:
+        """A normal and a posture, by number from 1; 1.5 lies half-way between the first and the second."""
+        direction = _at(self.normals, normal)
+        return Place(np.radians(_at(self.postures_deg, posture)), direction / np.linalg.norm(direction))
+
+    def normal_along(self, normal: FloatArray) -> float:
+        """Place along the list of normals, from 1, that is nearest to a direction (3,)."""
+        nodes = np.array([self.place(j + 1).normal for j in range(len(self.normals))])
+        direction = np.asarray(normal, dtype=float)
+        return _along(nodes, direction / np.linalg.norm(direction))
+
+    def posture_along(self, posture_rad: FloatArray) -> float:
+        """Place along the list of postures, from 1, that is nearest to the angles (3,) [rad]."""
+        return _along(np.radians(self.postures_deg), np.asarray(posture_rad, dtype=float))
 
     def torques_Nm_A(self) -> FloatArray:
         """(3,) torque at each joint per ampere."""
@@ -264,3 +281,22 @@ class Arm(PlantKind):
         drive = np.zeros((18, 3))
         drive[points[0]] = np.linalg.solve(mass, force)
         return StateSpace(A, drive, A[points[1]].copy(), np.zeros((3, 3)))
+
+
+def _at(nodes: list[list[float]], number: float) -> FloatArray:
+    """(3,) point of a list, by number from 1, or between two of them."""
+    first = int(number)
+    share, start = number - first, np.array(nodes[first - 1])
+    return start if share == 0 else start + share * (np.array(nodes[first]) - start)
+
+
+def _along(nodes: FloatArray, wanted: FloatArray) -> float:
+    """Place on the line through nodes (k, 3), by number from 1, that is nearest to a point (3,)."""
+    best, found = np.inf, 1.0
+    for j, (start, end) in enumerate(itertools.pairwise(nodes), start=1):
+        way = end - start
+        share = float(np.clip((wanted - start) @ way / (way @ way), 0.0, 1.0))
+        off = float(np.linalg.norm(start + share * way - wanted))
+        if off < best:
+            best, found = off, j + share
+    return found

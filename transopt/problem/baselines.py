@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from transopt.base.signals import FloatArray, fast_length, splined
 from transopt.plant.amplifier import prefilter
 from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.problem.problem import TransientProblem
 
 PADDING = 2  # the record is zero-padded to this multiple of its length
 REST_S = 2e-3  # span before contact over which the mean of the wanted current is set to zero
@@ -82,6 +83,11 @@ def clipped_optimum(
     # c_k drives the current from tau_k to tau_(k+1); the last command is zero, as in every waveform.
     after = _play(stage, grid, wanted[..., 1:])
     return np.concatenate([after, np.zeros((*after.shape[:-1], 1))], axis=-1)
+
+
+def input_bounds(problem: TransientProblem) -> FloatArray:
+    """(m, 1) largest size that the plant's input may have at each motor."""
+    return np.array([[float(np.max(row.upper))] for row in problem.limits.input.rows(problem)])
 
 
 def _play(stage: StageModel, grid: TimeGrid, wanted: FloatArray) -> FloatArray:

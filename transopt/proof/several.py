@@ -62,7 +62,7 @@ def replay_several(problems: Sequence[TransientProblem], commands: FloatArray) -
             Replay(
                 acceleration_m_s2=acceleration[m] if first.directions else acceleration[m, 0],
                 plant_input=at,
-                figures=first.yardstick.figures(problem.target.normal, instants[m, 0]),
+                figures=first.yardstick.figures(problem.target, instants[m]),
                 after_m_s2=later[m] if first.directions else later[m, 0],
                 peak_input=float(np.abs(inputs[m]).max()),
                 peak_command=float(np.abs(commands[m]).max()),

@@ -97,15 +97,18 @@ class Comparison:
 
 def _instants(library: Library) -> tuple[float, float, int]:
     """Servo period [s], how long before contact the first command is issued [s], and how many commands there are."""
-    return library.dt_s, library.lead_s, library.command.shape[2]
+    return library.dt_s, library.lead_s, library.command.shape[-1]
 
 
 def _entries(library: Library) -> dict[Node, tuple[int, int]]:
     """Node -> where its entry stands in the library."""
-    names, (nv, ng, _) = library.axes.targets, library.command.shape
+    axes, (nv, ng) = library.axes, library.command.shape[:2]
 
     def node(iv: int, ig: int) -> Node:
-        return (names[iv],) if names else (f"{library.speeds_m_s[iv]:.9g}", f"{library.grips_N[ig]:.9g}")
+        if axes.targets:
+            return (axes.targets[iv],)
+        at = axes.places[ig] if axes.places else ()
+        return (f"{library.speeds_m_s[iv]:.9g}", f"{library.grips_N[ig]:.9g}", *map(str, at))
 
     return {node(iv, ig): (iv, ig) for iv in range(nv) for ig in range(ng)}
 

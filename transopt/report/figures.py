@@ -101,7 +101,7 @@ def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> N
     elif build.scene.targets:
         labels = ["\n".join([*e.target.split(), *_refused(e)]) for e in entries]
     else:
-        labels = ["\n".join([f"{e.grip_N:g} N", *_refused(e)]) for e in entries]
+        labels = ["\n".join([*e.device.split(", "), *_refused(e)]) for e in entries]
         below = axes.secondary_xaxis("bottom")
         below.set_xticks(_middles(build), [f"{group[0].speed_m_s:g} m/s" for group in build.entries])
         lines = 1 + max(label.count("\n") for label in labels)

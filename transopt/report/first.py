@@ -4,6 +4,7 @@ Detail stands in the tables (`transopt.report.tables`). Everything here is read 
 entries, and from the prices that the report has anyway.
 """
 
+import re
 import shlex
 from collections import Counter
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ from transopt.scene.scene import Scene
 POOR = 0.5  # tap error: half of the tap is missing
 MOST_ROWS = 8  # of the matrix; of more, those between are left to --table
 HELD, BAD, REFUSED = "*", "!", "x"  # marks behind a number, and in the place of one
+OF_A_MOTOR = re.compile(r" of motor \d+")  # the same limit of several motors is told once
 LONGEST_TARGET = 28
 MOST_LIMITS = 3  # named in one line
 
@@ -60,7 +62,7 @@ class Look:
     @classmethod
     def of_library(cls, library: Library, *, proven: bool) -> "Look":
         """From a library. `proven`: whether its certificates were made again when it was read."""
-        nv, ng, _ = library.command.shape
+        nv, ng = library.command.shape[:2]
         rows = [[library.row(iv, ig) for ig in range(ng)] for iv in range(nv)]
         what = "stationary" if library.nonlinear else "optimal"
         proof = f"proven {what}" if proven else f"said to be {what}, which was not checked here"
@@ -128,7 +130,7 @@ def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
 
 def stated_limit(binding: str) -> str:
     """A limit and its bound: "4 A current" of "current +4 A at 1.2 to 3.1 ms"."""
-    name, *rest = END_OF_LIMIT_NAME.split(binding, maxsplit=1)
+    name, *rest = END_OF_LIMIT_NAME.split(OF_A_MOTOR.sub("", binding), maxsplit=1)
     bound = rest[0].split(" at ")[0].split(" with ")[0].lstrip("+-") if rest else ""
     return f"{bound} {name}".strip()
 
@@ -178,19 +180,25 @@ def matrix(look: Look, width: int) -> list[str]:
         rows, columns = [cut(name, LONGEST_TARGET) for name in axes.targets], ["error %"]
     else:
         rows = [f"{speed:g} m/s" for speed in axes.speeds_m_s]
-        columns = ["free" if grip == 0 else f"{grip:g} N" for grip in axes.grips_N]
+        columns = ["free" if grip == 0 else f"{grip:g} N" for grip in axes.by_grip]
     turned = len(columns) == 1 and not axes.targets  # one grip: the speeds stand side by side
     if turned:
         rows, columns = columns, rows
     corner = "" if axes.targets else "tap error %"
-    found = [[_cell(look, *((j, i) if turned else (i, j))) for j in range(len(columns))] for i in range(len(rows))]
+    # Of the places of an arm each cell has the worst.
+    groups = [[ig] for ig in range(len(axes.grips_N))] if axes.targets else [*axes.by_grip.values()]
+    cells_of = [[_cell(look, iv, group) for group in groups] for iv in range(len(look.rows))]
+    found = [list(each) for each in zip(*cells_of, strict=True)] if turned else cells_of
     room = max(len(mark) for cells in found for _, mark in cells)
     columns = [name + " " * room for name in columns]
     cells = [[f"{number}{mark:<{room}}" for number, mark in each] for each in found]
     label = max(map(len, [corner, *rows]))
     size = max(len(text) for texts in [columns, *cells] for text in texts) + 2
     worst = look.worst
-    must = (None, None) if worst is None else worst[::-1] if turned else worst
+    must: tuple[int | None, int | None] = (None, None)
+    if worst is not None:
+        place = worst[0], next(j for j, group in enumerate(groups) if worst[1] in group)
+        must = place[::-1] if turned else place
     down = chosen(len(rows), MOST_ROWS, must[0])
     across = chosen(len(columns), max((width - label) // size, 1), must[1])
 
@@ -199,18 +207,20 @@ def matrix(look: Look, width: int) -> list[str]:
 
     lines = [line(corner, [columns[j] for j in across])]
     lines += [line(rows[i], [cells[i][j] for j in across]) for i in down]
-    if len(down) * len(across) < errors.size:
+    if axes.places:
+        lines.append(f"(each the worst of {len(groups[0])} places; --table has all)")
+    elif len(down) * len(across) < errors.size:
         shown = f"{len(down) * len(across)} of {errors.size} {look.what}s, the worst among them"
         lines.append(f"({shown}; --table has all)")
     return lines
 
 
-def _cell(look: Look, iv: int, ig: int) -> tuple[str, str]:
-    """A number and its marks, or the mark of a refused entry."""
-    if look.rows[iv][ig].refusal:
+def _cell(look: Look, iv: int, group: Sequence[int]) -> tuple[str, str]:
+    """The largest of some entries' numbers and their marks, or the mark where one is refused."""
+    if any(look.rows[iv][ig].refusal for ig in group):
         return "", REFUSED
-    mark = (HELD if look.held(iv, ig) else "") + (BAD if (iv, ig) in look.poor else "")
-    return percent(look.errors[iv, ig]), mark
+    held, poor = any(look.held(iv, ig) for ig in group), any((iv, ig) in look.poor for ig in group)
+    return percent(max(look.errors[iv, ig] for ig in group)), HELD * held + BAD * poor
 
 
 def marks(look: Look) -> list[str]:
@@ -293,5 +303,7 @@ def next_commands(library: Path, scene: Scene) -> list[str]:
     heard = f"transopt-play tap {file} --simulate"
     if scene.targets:
         heard = f"transopt export {file} drive.wav --drive"
-    last = "verify" if scene.nonlinear else "page"  # which is for linear plants
+    if scene.axes.places:
+        heard = f"transopt export {file} arm.h"
+    last = "verify" if scene.nonlinear or scene.axes.places else "page"  # which is for linear plants with one motor
     return [f"transopt show {file} --table", heard, f"transopt {last} {file}"]

@@ -345,6 +345,14 @@ def _certificate_row(certificate: Certificate) -> dict[str, Any]:
     return row | {"relative_gap": certificate.relative_gap, "relative_bound": certificate.relative_bound}
 
 
+def _which(entry: Entry) -> dict[str, Any]:
+    """Which entry it is."""
+    if entry.target:
+        return {"target": entry.target}
+    at = {} if entry.spot is None else dict(zip(("normal", "posture"), entry.spot, strict=True))
+    return {"speed_m_s": entry.speed_m_s, "grip_N": entry.grip_N, **at}
+
+
 def build_json(build: Build, *, full: bool = True) -> str:
     """The text of report.json: the report's numbers, with units in their names; NaN becomes null.
 
@@ -356,12 +364,13 @@ def build_json(build: Build, *, full: bool = True) -> str:
     peak = f"peak_{build.scene.driven_by.name}_{build.scene.driven_by.unit}"
     rows = [
         {
-            **({"target": e.target} if e.target else {"speed_m_s": e.speed_m_s, "grip_N": e.grip_N}),
+            **_which(e),
             "status": e.status.value,
             "shortfalls": e.shortfalls,
             "remedies": [asdict(remedy) for remedy in e.remedies],
             "verdict": e.verdict,
             **asdict(e.figures),
+            **({} if e.spot is None else {"tangential_error": e.tangential_error, "direction_rad": e.direction_rad}),
             "heat_A2_s": e.heat_A2_s,
             "floor": e.floor,
             "baselines": asdict(e.baselines),
@@ -390,7 +399,7 @@ def build_json(build: Build, *, full: bool = True) -> str:
     ]
     cool = [
         {
-            **({"target": e.target} if e.target else {"speed_m_s": e.speed_m_s, "grip_N": e.grip_N}),
+            **_which(e),
             **asdict(e.figures),
             "heat_A2_s": e.heat_A2_s,
             "heat_price": e.problem.heat_price,

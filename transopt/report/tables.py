@@ -12,7 +12,7 @@ from transopt.base.writing import percent
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
-from transopt.library.columns import COLUMNS, FIGURES, EntryTable, TableRow
+from transopt.library.columns import COLUMNS, FIGURES, OF_DIRECTIONS, EntryTable, TableRow
 from transopt.library.library import Library
 from transopt.problem.answer import Status
 from transopt.scene.plausible import implausible
@@ -71,10 +71,12 @@ def entry_table(source: Build | Library, title: str) -> tuple[Table, str]:
     """Every entry with its figures, and what the columns mean; on a nonlinear plant the linear design's too."""
     scene = source.scene if isinstance(source, Build) else source.scene()
     linear = ("linear",) if scene.nonlinear else ()
-    shown = source.table((*FIGURES[:1], "floor", *FIGURES[1:], *linear, "peak", "winding", "binding", "verdict"))
+    shown = source.table(
+        (*FIGURES[:1], "floor", *FIGURES[1:], *OF_DIRECTIONS, *linear, "peak", "winding", "binding", "verdict")
+    )
     caption = source.claim or None if isinstance(source, Library) else None
     striking = ["red" if row.refusal else None for row in shown.rows]
-    table = printed(shown, title, caption=caption, striking=striking, columns=len(scene.grid.grips_N))
+    table = printed(shown, title, caption=caption, striking=striking, columns=len(scene.axes.grips_N))
     return table, legend(shown, scene)
 
 

@@ -24,13 +24,15 @@ from transopt.library.library import Library
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.state_space import Input
 from transopt.problem.answer import Status
-from transopt.problem.limits.limit import SIDES
+from transopt.problem.baselines import input_bounds
+from transopt.problem.limits.limit import SIDES, motor_row
 from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
 if TYPE_CHECKING:  # a library that draws itself loads nothing of what solved it
     from transopt.design.entry import Entry
 
 MARKERS = "os^Dv<>P"
+OTHER_MOTORS = ("--", ":")  # lines of those beside the first
 BINDING = "0.86"
 END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": "-."}  # of the waveform
 
@@ -108,9 +110,9 @@ class Transients:
     axes : speeds and grips, or named targets.
     driven_by : what the input is.
     target_m_s2 : (nv, ng, N + M) what is asked of y'' at the switching instants, through the window and after it.
-    acceleration_m_s2, plant_input : (nv, ng, N + M) there.
-    limit : of the input.
-    input_multiplier : (nv, ng, N) the larger one of the limit's two sides.
+    acceleration_m_s2, plant_input : (nv, ng, N + M) there; of an arm (nv, ng, p, N + M) and (nv, ng, m, N + M).
+    limit : of the input. bounds : (m, 1) of each of several motors; None where the limit is that of all.
+    input_multiplier : (nv, ng, N), or (nv, ng, m, N), the larger one of the limit's two sides.
     nonlinear : whether they are stationary points on a nonlinear plant.
     """
 
@@ -124,13 +126,16 @@ class Transients:
     input_multiplier: FloatArray
     hand_over_samples: int
     nonlinear: bool = False
+    bounds: FloatArray | None = None
 
     @property
     def limit_binds(self) -> NDArray[np.bool_]:
-        """(nv, ng, N) where the limit on the input binds, as in `certify.binding_limits`."""
+        """(nv, ng, N) where the limit on the input of any motor binds, as in `certify.binding_limits`."""
         within = self.plant_input[..., : self.grid.stages]
-        at_limit = np.abs(np.abs(within) - self.limit) < BINDING_SLACK * self.limit
-        return np.asarray(at_limit & (self.input_multiplier > BINDING_MULTIPLIER))
+        limit = self.limit if self.bounds is None else self.bounds
+        at_limit = np.abs(np.abs(within) - limit) < BINDING_SLACK * limit
+        binds = at_limit & (self.input_multiplier > BINDING_MULTIPLIER)
+        return np.asarray(binds if self.bounds is None else binds.any(axis=2))
 
     def binding_spans_ms(self, ig: int) -> list[tuple[float, float]]:
         """When the limit binds at a grip, for at least one speed."""
@@ -145,45 +150,64 @@ class Transients:
 
 def library_figure(library: Library) -> Figure:
     """Every waveform of a library, see `transients_figure`."""
-    grid, (nv, ng, _) = library.time_grid(), library.command.shape
-    acceleration = np.full((nv, ng, grid.stages + grid.after_stages), np.nan)
-    current = acceleration.copy()
-    acceleration[..., : grid.stages], current[..., : grid.stages] = library.acceleration_m_s2, library.plant_input
+    grid, (nv, ng) = library.time_grid(), library.command.shape[:2]
+    tail = [(0, 0)] * (library.command.ndim - 1) + [(0, grid.after_stages)]
+    acceleration, current = (
+        np.pad(each, tail, constant_values=np.nan) for each in (library.acceleration_m_s2, library.plant_input)
+    )
     if grid.after_stages:  # what comes after the window is not in the file, and only made for what is drawn
         for iv, ig in itertools.product(_some(nv, MOST_SPEEDS), _some(ng, MOST_GRIPS)):
             lasting = library.lasting(iv, ig)
-            acceleration[iv, ig, grid.stages :], current[iv, ig, grid.stages :] = (x[grid.stages :] for x in lasting)
+            acceleration[iv, ig, ..., grid.stages :], current[iv, ig, ..., grid.stages :] = (
+                x[..., grid.stages :] for x in lasting
+            )
     return transients_figure(
         Transients(
             grid=grid,
             axes=library.axes,
             driven_by=library.driven_by,
-            target_m_s2=np.append(library.target_m_s2 - library.correction_m_s2, library.target_after_m_s2, axis=2),
+            target_m_s2=_normal(
+                np.append(library.target_m_s2 - library.correction_m_s2, library.target_after_m_s2, axis=-1)
+            ),
             acceleration_m_s2=acceleration,
             plant_input=current,
             limit=library.input_limit,
-            input_multiplier=np.maximum(*(library.array(f"mu_{library.driven_by.name}_{side}") for side in SIDES)),
+            input_multiplier=_multiplier(library),
             hand_over_samples=library.hand_over_samples,
             nonlinear=library.nonlinear,
+            bounds=input_bounds(library.problem(0, 0)) if library.axes.places else None,
         )
     )
+
+
+def _normal(courses: FloatArray) -> FloatArray:
+    """(nv, ng, N) courses along the normal."""
+    return courses if courses.ndim == 3 else courses[:, :, 0]
+
+
+def _multiplier(library: Library) -> FloatArray:
+    """The larger multiplier of the two sides of the input's limit, of each motor."""
+    name, (nv, ng, *motors, N) = library.driven_by.name, library.command.shape
+    rows = [motor_row(name, j) for j in range(*motors)] if motors else [name]
+    found = [np.maximum(*(library.array(f"mu_{row}_{side}") for side in SIDES)) for row in rows]
+    return np.stack(found, axis=2).reshape(nv, ng, *motors, N)
 
 
 def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
     """Waveforms of entries (nv, ng), speeds outermost; of a refused one, which has no waveform, the reference."""
     first = entries[0][0].problem
-    (bound,) = first.limits.input.row_names
+    several, rows = first.stage.motors > 1, first.limits.input.rows(first)
 
     def drawn(entry: "Entry") -> tuple[FloatArray, FloatArray, FloatArray]:
         """(N + M,) acceleration and input, and (N,) the multiplier of the input's limit."""
         N, M = first.grid.stages, first.grid.after_stages
         if entry.status is not Status.OPTIMAL:
-            nothing = np.full(N + M, np.nan)
-            return nothing, nothing, np.zeros(N)
+            nothing, p = np.full((*first.rest.shape[:-1], N + M), np.nan), first.directions
+            return np.full((*p, N + M), np.nan), nothing, np.zeros_like(first.rest)
         multipliers = entry.solution.multipliers
-        pushed = np.maximum(multipliers.lower(bound), multipliers.upper(bound))
+        pushed = np.stack([np.maximum(multipliers.lower(row.name), multipliers.upper(row.name)) for row in rows])
         acceleration, current = entry.problem.stage.rollout(entry.problem.continued(entry.solution.command))
-        return acceleration, current, pushed
+        return acceleration, current, pushed.reshape(first.rest.shape)
 
     cells = [[drawn(entry) for entry in row] for row in entries]
     acceleration, current, multiplier = (np.array([[cell[j] for cell in row] for row in cells]) for j in range(3))
@@ -194,14 +218,16 @@ def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
                 tuple(row[0].speed_m_s for row in entries),
                 tuple(entry.grip_N for entry in entries[0]),
                 tuple(row[0].target for row in entries if row[0].target),
+                tuple(entry.spot for entry in entries[0] if entry.spot is not None),
             ),
             driven_by=first.driven_by,
-            target_m_s2=np.array([[entry.told.continued_m_s2 for entry in row] for row in entries]),
+            target_m_s2=np.array([[entry.told.normal.continued_m_s2 for entry in row] for row in entries]),
             acceleration_m_s2=acceleration,
             plant_input=current,
             limit=first.limits.input_limit,
             input_multiplier=multiplier,
             hand_over_samples=first.hand_over_samples,
+            bounds=input_bounds(first) if several else None,
         )
     )
 
@@ -260,14 +286,21 @@ def transients_figure(drawn: Transients) -> Figure:
                 "markersize": 3.5,
                 "markevery": part.spread(times_ms, (line + 0.5) / len(shown_speeds)),
             }
-            above.plot(times_ms, drawn.acceleration_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2, linewidth=2.0, **line_style)
-            below.plot(times_ms, drawn.plant_input[iv, ig], linewidth=1.3, **line_style)
+            normal, *aside = np.atleast_2d(drawn.acceleration_m_s2[iv, ig]) / STANDARD_GRAVITY_M_S2
+            above.plot(times_ms, normal, linewidth=2.0, **line_style)
+            for across in aside:
+                above.plot(times_ms, across, color=shades[line], linewidth=0.7)
+            current, *others = np.atleast_2d(drawn.plant_input[iv, ig])
+            below.plot(times_ms, current, linewidth=1.3, **line_style)
+            for j, motor in enumerate(others):
+                below.plot(times_ms, motor, color=shades[line], linewidth=1.0, linestyle=OTHER_MOTORS[j % 2])
         for target in drawn.target_m_s2[shown_speeds, ig]:
             above.plot(times_ms, target / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
         for sign in (1, -1):
             below.axhline(sign * limit, color=DARK, linewidth=1.0, linestyle=":")
         if not named and at == 0:
-            above.set_title(grip_label(grips[ig]), fontsize=LABEL_PT, x=0.5 / part.share)
+            where = "\nnormal {:g}, posture {:g}".format(*drawn.axes.places[ig]) if drawn.axes.places else ""
+            above.set_title(f"{grip_label(grips[ig])}{where}", fontsize=LABEL_PT, x=0.5 / part.share)
     for axes, part in zip(panels[0, 0], parts, strict=True):
         beyond_ms = MARGIN / part.share * (part.end_ms - part.start_ms)
         axes.set_xlim(part.start_ms - beyond_ms * (part is parts[0]), part.end_ms + beyond_ms * (part is parts[-1]))
@@ -279,7 +312,12 @@ def transients_figure(drawn: Transients) -> Figure:
     parted = f"narrow panels: from {parts[1].start_ms:g} ms on; " if len(parts) > 1 else ""
     whole = len(shown_speeds) == len(speeds) and len(shown_grips) == len(grips)
     rows_of = f"{len(shown_speeds)} of {len(speeds)} {'targets' if named else 'speeds'}"
-    some = "" if whole else f"; {rows_of}, {len(shown_grips)} of {len(grips)} grips"
+    some = (
+        ""
+        if whole
+        else f"; {rows_of}, {len(shown_grips)} of {len(grips)} {'grips and places' if drawn.axes.places else 'grips'}"
+    )
+    some += "\nthin: across the normal; second and third motor dashed and dotted" if drawn.axes.places else ""
     some += "\nnonlinear plant: certified stationary points" if drawn.nonlinear else ""
     label = f"time {'' if named else 'after contact '}[ms]\n{parted}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
@@ -291,8 +329,14 @@ def transients_figure(drawn: Transients) -> Figure:
         *([Patch(color=BINDING, label="limit binds")] if binds else []),
         *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
-    above_in = legend_above(figure, handles, entry_in=1.15) + (0.0 if named else TITLE_IN)
+    above_in = legend_above(figure, handles, entry_in=1.15) + (
+        0.0 if named else TITLE_IN * (2 if drawn.axes.places else 1)
+    )
     leave_room(
-        figure, left_in=0.72, right_in=0.08, below_in=0.66 + LEGEND_ROW_IN * drawn.nonlinear, above_in=above_in
+        figure,
+        left_in=0.72,
+        right_in=0.08,
+        below_in=0.66 + LEGEND_ROW_IN * (drawn.nonlinear or bool(drawn.axes.places)),
+        above_in=above_in,
     )
     return figure

@@ -103,7 +103,11 @@ class Scene(Section):
     def axes(self) -> Axes:
         """The axes of its library: speeds and grips, or named targets."""
         names = tuple(target.name for target in self.targets)
-        return Axes(tuple(self.grid.speeds_m_s) or (0.0,) * len(names), tuple(self.grid.grips_N), names)
+        speeds, grips = tuple(self.grid.speeds_m_s) or (0.0,) * len(names), tuple(self.grid.grips_N)
+        if not isinstance(self.model, Arm):
+            return Axes(speeds, grips, names)
+        places = self.model.places
+        return Axes(speeds, tuple(grip for grip in grips for _ in places), names, places * len(grips))
 
     @property
     def driven_by(self) -> Input:
@@ -139,16 +143,19 @@ class Scene(Section):
             return self.tip
         return at_the_tip(self.motor, self.transmission)
 
-    def plant(self, grip_N: float, *, struck: bool = False) -> StateSpace:
-        """The model from the plant's input to the tracked acceleration at one grip.
+    def plant(self, grip_N: float, place: tuple[float, float] | None = None, *, struck: bool = False) -> StateSpace:
+        """Model from motor current to stylus acceleration at one grip.
 
-        With `struck` the input is a force on the stylus [N]: the same device, not driven, tapping a real object.
+        With `struck` the input is a force on the stylus [N] instead: the same device tapping a real object. `place`
+        is the normal and the posture of an arm, by number from 1; by default the first ones.
 
         Raises
         ------
         InputError : parameters that are not passive at this grip.
         """
         try:
+            if isinstance(self.model, Arm) and place is not None:
+                return self.model.plant_at(grip_N, self.model.place(*place))
             return self._chain(grip_N, struck)
         except InputError as error:
             raise InputError(f"{self.name}, grip {grip_N:g} N: {error}") from None
@@ -260,19 +267,31 @@ class Scene(Section):
 
         Raises
         ------
-        InputError : a nonlinear plant, or one with several motors.
+        InputError : a nonlinear plant, which no linear problem has.
         """
         if self.nonlinear:
             raise InputError(
                 f"{self.name}: model.nonlinear: this needs a linear plant; `transopt solve` and transopt.build "
                 "design for a nonlinear one, for all else leave the table out"
             )
+        posing = self._posing()
+        if not isinstance(self.model, Arm):
+            return posing
+        asked = {**posing.asked, MOTOR_SHARES: self.model.motor_shares}
+        return replace(posing, asked=asked, tangential=self.weights.tangential)
+
+    def check_one_motor(self, what: str) -> None:
+        """Refuse what only a device with one motor can have.
+
+        Raises
+        ------
+        InputError : an arm.
+        """
         if isinstance(self.model, Arm):
             raise InputError(
-                f"{self.name}: model.kind = arm has several motors, and this needs one; `transopt solve`, show, "
-                "verify and export accept an arm, as do transopt.solve_arm and `transopt study --study direction`"
+                f"{what}: model.kind = arm has several motors, and this is done with one: `transopt solve`, show, "
+                "verify, compare and export take it, and `transopt study --study direction`"
             )
-        return self._posing()
 
     def arm(self) -> Arm:
         """The scene's arm with several motors.
@@ -283,20 +302,9 @@ class Scene(Section):
         """
         if not isinstance(self.model, Arm):
             raise InputError(
-                f"{self.name}: model.kind = {self.model.kind} has one motor: take a scene of an arm, as stylus_3d, "
-                "or transopt.solve"
+                f"{self.name}: model.kind = {self.model.kind} has one motor: take a scene of an arm, as stylus_3d"
             )
         return self.model
-
-    def arm_posing(self) -> Posing:
-        """The data that the problems of all taps of an arm share.
-
-        Raises
-        ------
-        InputError : a scene of another plant.
-        """
-        shares, posing = self.arm().motor_shares, self._posing()
-        return replace(posing, asked={**posing.asked, MOTOR_SHARES: shares}, tangential=self.weights.tangential)
 
     def _posing(self) -> Posing:
         grid = self.time_grid()

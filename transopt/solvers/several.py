@@ -15,7 +15,6 @@ from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
 from transopt.proof.farkas import is_infeasible
-from transopt.solvers import sparse_kkt
 from transopt.solvers.bounds import check_bounds
 from transopt.solvers.modes import MOST_CONDITION
 from transopt.solvers.native.motors import (
@@ -75,8 +74,8 @@ def solve(problem: TransientProblem, options: SolverOptions, *, modal: bool = Tr
     return Solution(status, command, multipliers, "riccati", message, answer.iterations, spent)
 
 
-def unlimited(problem: TransientProblem) -> Solution:
-    """Minimise J subject to dynamics and hand-over only, as `unlimited.solve` does for one motor."""
+def unlimited(problem: TransientProblem) -> Solution | None:
+    """Minimise J subject to dynamics and hand-over only, as `unlimited.solve`; None where the method cannot."""
     start = time.perf_counter()
     if can_solve(problem):
         by = Numbers.of(problem, linear_stage(problem), [], modal=True)
@@ -87,7 +86,7 @@ def unlimited(problem: TransientProblem) -> Solution:
             return Solution(
                 Status.OPTIMAL, command, by.multipliers(answer), "unlimited", "Riccati pass", answer.iterations, spent
             )
-    return sparse_kkt.solve(problem)
+    return None
 
 
 @dataclass(frozen=True)

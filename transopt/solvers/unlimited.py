@@ -36,7 +36,9 @@ def solve(problems: Sequence[TransientProblem]) -> list[Solution]:
 
 def _beside(problem: TransientProblem) -> Solution:
     """Answer to a problem that the compiled pass of one motor does not take, or not far enough."""
-    return several.unlimited(problem) if problem.stage.motors > 1 else solve_apart(problem)
+    return (
+        several.unlimited(problem) or sparse_kkt.solve(problem) if problem.stage.motors > 1 else solve_apart(problem)
+    )
 
 
 def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | None]:

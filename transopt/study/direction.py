@@ -14,12 +14,12 @@ from matplotlib.lines import Line2D
 from transopt.base.plotting import CLIPPED, LABEL_PT, SEED, colours, style
 from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
-from transopt.design.arm import ArmContext, across
+from transopt.design.context import Context
 from transopt.design.optimum import optimum
-from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.baselines import clipped_optimum, input_bounds, seed_inversion
 from transopt.problem.problem import TransientProblem
 from transopt.proof.several import replay_several
-from transopt.scene.recordings import recordings_of, references_of
+from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 from transopt.study.figures import legend_above, percent_axis
@@ -70,18 +70,17 @@ def direction(scene: Scene) -> tuple[list[Traded], list[Proven]]:
     ------
     InputError : a scene of another plant than an arm.
     """
-    scene.arm()
-    context = ArmContext(scene, references_of(scene, recordings_of(scene)))
+    arm, context = scene.arm(), Context.recorded(scene, recordings_of(scene))
     found, proven = list[Traded](), list[Proven]()
-    for io, iq in np.ndindex(*context.shape[2:]):
-        problem = context.problems(0, io, iq)[-1]
-        place = (scene.grid.speeds_m_s[-1], scene.grid.grips_N[0], io + 1, iq + 1)
-        _, force_N_A = scene.arm().at_tip(scene.arm().place(iq, io))
+    tap = (scene.grid.speeds_m_s[-1], scene.grid.grips_N[0])
+    for at in arm.places:
+        problem, place = context.posed(*tap, place=at).problem, (*tap, *at)
+        _, force_N_A = arm.at_tip(arm.place(*at))
         methods = list(_commands(problem, place, proven))
         free = methods[0][2]
         replays = replay_several([problem] * len(methods), np.stack([command for _, _, command in methods]))
         for (method, weight, command), played in list(zip(methods, replays, strict=True))[1:]:
-            tangential, angle = across(problem, played.acceleration_m_s2)
+            tangential, angle = problem.yardstick.across(problem.target, played.acceleration_m_s2)
             figures = played.figures
             angles = _angles(problem, force_N_A, free, command)
             errors = (figures.tap_error, figures.felt_error, figures.felt_dB, tangential, float(np.degrees(angle)))
@@ -93,7 +92,7 @@ def _commands(
     problem: TransientProblem, place: tuple[float, float, int, int], proven: list[Proven]
 ) -> Iterator[tuple[str, float, FloatArray]]:
     """Method, weight and command (m, N): the unlimited optimum first, by which the others are told."""
-    options, limits = SolverOptions(), _limits(problem)
+    options, limits = SolverOptions(), input_bounds(problem)
     usual = optimum(replace(problem, shares=_shares(problem, USUAL)), options)
     yield "unlimited", USUAL, usual.unlimited_command
     yield CUT, np.nan, clipped_optimum(problem.stage, problem.grid, usual.unlimited_command, limits)
@@ -112,18 +111,12 @@ def _shares(problem: TransientProblem, tangential: float) -> FloatArray:
     return np.array([1.0, *[tangential] * (problem.stage.tracked - 1)])
 
 
-def _limits(problem: TransientProblem) -> FloatArray:
-    """(m, 1) limit on the current of each motor."""
-    rows = problem.limits.input.rows(problem)
-    return np.array([[float(np.max(row.upper))] for row in rows])
-
-
 def _angles(
     problem: TransientProblem, force_N_A: FloatArray, free: FloatArray, command: FloatArray
 ) -> tuple[float, float]:
     """Median and 90th percentile of the angle between the forces where the free command exceeds a limit [deg]."""
     wanted, played = (problem.stage.rollout(each)[1] for each in (free, command))
-    beyond = (np.abs(wanted) > _limits(problem)).any(axis=0)
+    beyond = (np.abs(wanted) > input_bounds(problem)).any(axis=0)
     forces = [force_N_A @ each for each in (wanted, played)]
     sizes = [np.linalg.norm(each, axis=0) for each in forces]
     loud = (sizes[0] > LOUD * sizes[0].max()) & (sizes[1] > 0)

@@ -97,6 +97,7 @@ class Service:
         self.winding_C: float | None = None
         self._known = {key.path for key in keys(scene) if key.path.split(".", 1)[0] in TABLES} - set(DEVICE)
         scene.posing()  # a nonlinear plant is refused here, by name
+        scene.check_one_motor(f"page: {scene.name}")
         if library is not None:
             self._references = (self._axis(scene), references_of_library(library))
         self.scene = scene

@@ -1,13 +1,16 @@
 """Commands with an arm that has several motors: what they do, and what they refuse in one line."""
 
+import json
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 from tests.benches.commands import Run, assert_refused
-from transopt.library.arm import load_arm_library
+from transopt.library.file import load_library
 from transopt.scene.builtin import SCENES
 
 ONE_MOTOR = "model.kind = arm has several motors, and this needs one"
@@ -30,10 +33,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def library(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from transopt.design.arm import solve_arm
+    from transopt.design.solve import solve
 
     path = tmp_path_factory.mktemp("solved") / "library.npz"
-    solve_arm(scene).save(path)
+    solve(scene).save(path)
     return path
 
 
@@ -50,19 +53,24 @@ def test_solve_writes_a_library_that_verifies(run: Run, scene: Path) -> None:
     outcome = run("solve", scene, "--out", "solved", "--table")
     assert outcome.code == 0
     assert "4 taps, all proven optimal and replayed." in outcome.out
-    assert sorted(path.name for path in Path("solved").iterdir()) == ["library.npz", "report.md", "transients.png"]
-    assert "normal 2, posture 2" in Path("solved/report.md").read_text(encoding="utf-8")
+    drawn = ["methods.png", "transients.png"]
+    written = sorted(path.name for path in Path("solved").iterdir())
+    assert written == ["library.npz", drawn[0], "report.json", "report.md", drawn[1]]
+    assert "| 0.2 | 2 | 2 | 2 |" in Path("solved/report.md").read_text(encoding="utf-8")
+    rows = json.loads(Path("solved/report.json").read_text(encoding="utf-8"))["entries"]
+    assert [(row["normal"], row["posture"]) for row in rows] == [(1, 1), (1, 2), (2, 1), (2, 2)]
+    assert all(row["tangential_error"] > 0 for row in rows)
     verified = run("verify", "solved/library.npz")
     assert verified.code == 0
     assert "4 of 4 entries certified and replayed clean" in verified.out
 
 
 def test_the_first_look_is_short_and_detail_is_asked_for(run: Run, library: Path) -> None:
-    loaded = load_arm_library(library)
+    loaded = load_library(library)
     first = run("show", library).out
     assert len(first.splitlines()) <= 14
-    assert f"{100 * loaded.arrays['tap_error'].max():.1f} % (felt " in first
-    level = f"{loaded.arrays['felt_dB'][0, 0, 0, 0]:.2f}"
+    assert f"{100 * loaded.tap_error.max():.1f} % (felt " in first
+    level = f"{loaded.felt_dB[0, 0]:.2f}"
     assert level not in first
     assert level in run("show", library, "--table").out
 
@@ -75,31 +83,42 @@ def test_show_draws(run: Run, library: Path) -> None:
 
 
 def test_verify_fails_on_a_library_that_claims_too_much(run: Run, library: Path) -> None:
-    loaded = load_arm_library(library)
+    loaded = load_library(library)
     command = loaded.command.copy()
-    command[0, 0, 1, 0, 2, 20] += 0.05
-    type(loaded)({**loaded.arrays, "command": command}, loaded.multipliers, loaded.meta).save("forged.npz")
+    command[0, loaded.axes.places.index((2, 1)), 2, 20] += 0.05
+    replace(loaded, command=command).save("forged.npz")
     outcome = run("verify", "forged.npz")
     assert outcome.code == 1
     assert "3 of 4 entries certified" in outcome.out
     assert_refused(run("export", "forged.npz", "arm.h"), "forged.npz", "normal 2, posture 1", "not certified")
+    assert_refused(run("show", "forged.npz"), "forged.npz", "normal 2, posture 1", "not certified")
 
 
 def test_export(run: Run, library: Path) -> None:
     assert run("export", library, "arm.h").code == 0
     assert "transopt_command" in Path("arm.h").read_text(encoding="ascii")
-    assert run("export", library, "copy.npz").code == 0
-    np.testing.assert_array_equal(load_arm_library("copy.npz").command, load_arm_library(library).command)
-    assert_refused(run("export", library, "arm.wav"), "arm.wav: a library of an arm is written as .h or .npz")
-    assert_refused(run("export", library, "arm.h", "--drive"), "--drive and its options", "several motors")
-    assert_refused(run("export", library, "arm.h", "--speed", "0.2"), "--drive and its options")
+    loaded = load_library(library)
+    assert run("export", library, "arm.csv").code == 0
+    text = [line for line in Path("arm.csv").read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    heads, *rows = (line.split(",") for line in text)
+    for j in range(3):
+        column = np.array([float(row[heads.index(f"motor_{j + 1}_command_A")]) for row in rows])
+        np.testing.assert_allclose(column, loaded.command[:, :, j].ravel(), rtol=1e-15, atol=0)
+    assert run("export", library, "arm.mat").code == 0
+    np.testing.assert_allclose(loadmat("arm.mat")["command"], loaded.command, rtol=1e-15, atol=0)
+    for name, *options in (["arm.wav"], ["arm.h", "--drive"]):
+        assert_refused(run("export", library, name, *options), ONE_MOTOR)
+
+
+def test_compare_reads_every_place(run: Run, library: Path) -> None:
+    outcome = run("compare", library, library)
+    assert outcome.code == 0
+    assert "4 entries; A and B hold the same content" in " ".join(outcome.out.split())
 
 
 def test_commands_for_one_motor_refuse_the_library(run: Run, library: Path) -> None:
-    said = "a library of an arm with several motors"
-    assert_refused(run("compare", library, library), str(library), said)
     if find_spec("starlette") is not None:  # the extra of the page
-        assert_refused(run("page", library), str(library), said)
+        assert_refused(run("page", library), ONE_MOTOR)
 
 
 def test_commands_for_one_motor_refuse_the_scene(run: Run, scene: Path) -> None:
@@ -114,9 +133,8 @@ def test_commands_for_one_motor_refuse_the_scene(run: Run, scene: Path) -> None:
 
 
 def test_options_for_one_motor_are_refused(run: Run, scene: Path) -> None:
-    said = "model.kind = arm cannot have them yet"
-    assert_refused(run("solve", scene, "--out", "x", "--grid-tolerance", "0.02"), said)
-    assert_refused(run("solve", scene, "--out", "x", "--full"), said)
+    assert_refused(run("solve", scene, "--out", "x", "--grid-tolerance", "0.02"), f"--grid-tolerance: {ONE_MOTOR}")
+    assert_refused(run("solve", scene, "--out", "x", "--full"), f"--full: {ONE_MOTOR}")
 
 
 @pytest.mark.parametrize(

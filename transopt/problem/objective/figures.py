@@ -83,18 +83,39 @@ class Yardstick:
         return slice(begins, ends)
 
     def tap_error(self, target: Target, acceleration_m_s2: FloatArray) -> float:
-        """`Figures.tap_error` alone, for y'' (K,) from tau_0 on with K at least the samples of the window."""
+        """`Figures.tap_error` alone, of y'' (K,) from tau_0 on, K at least the samples of the window.
+
+        Of a plant with several directions, y'' (p, K), it is that along the normal.
+        """
+        target, acceleration_m_s2 = _normal(target, acceleration_m_s2)
         recorded, lost = target.recorded_m_s2, target.before_m_s2.size
         first = self._intention(lost, recorded.size)
         made = np.append(np.zeros(lost), acceleration_m_s2)
         made = np.append(made, np.zeros(max(recorded.size - made.size, 0)))[: recorded.size] + target.free_m_s2
         return _over(float(np.linalg.norm((made - recorded)[first])), float(np.linalg.norm(recorded[first])))
 
+    def across(self, target: Target, acceleration_m_s2: FloatArray) -> tuple[float, float]:
+        """What goes across the normal over the intention, over |r|, and the angle of the whole to the normal [rad].
+
+        Parameters
+        ----------
+        acceleration_m_s2 : (p, K) y'' from tau_0 on, the normal first, K at least the samples of the window.
+        """
+        N, lost = self.grid.stages, target.lost
+        first = self._intention(lost, lost + N)
+        made = target.free_m_s2[:, : lost + N].copy()
+        made[:, lost:] += acceleration_m_s2[:, :N]
+        normal, *others = (float(np.linalg.norm(each[first])) for each in made)
+        aside = float(np.linalg.norm(others))
+        return _over(aside, float(np.linalg.norm(target.recorded_m_s2[0, first]))), float(np.arctan2(aside, normal))
+
     def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
         """Figures of y'' (K,) from tau_0 on, with K at least the samples of the target's window and tail.
 
-        For a tap of zero the errors are 0 without motion, else infinite.
+        Of a tap that is zero the errors are 0 where nothing moves, else infinite. Of a plant with several directions,
+        y'' (p, K), they are those along the normal.
         """
+        target, acceleration_m_s2 = _normal(target, acceleration_m_s2)
         lost = target.before_m_s2.size
         free, recorded = target.free_m_s2, target.recorded_m_s2
         made = free.copy()
@@ -120,6 +141,10 @@ class Yardstick:
             error_after=_over(float(np.linalg.norm(tail)), size),
             peak_after_m_s2=float(np.abs(tail).max(initial=0.0)),
         )
+
+
+def _normal(target: Target, acceleration_m_s2: FloatArray) -> tuple[Target, FloatArray]:
+    return target.normal, acceleration_m_s2[0] if acceleration_m_s2.ndim > 1 else acceleration_m_s2
 
 
 def _felt(dt_s: float) -> tuple[ErrorFilter, ...]:

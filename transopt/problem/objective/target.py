@@ -16,6 +16,13 @@ def _none() -> FloatArray:
     return np.zeros(0)
 
 
+def along_normal(courses: FloatArray, directions: int) -> FloatArray:
+    """(..., p, N) courses (..., N) along the normal, the first of p directions; zero along the others."""
+    found = np.zeros((*courses.shape[:-1], directions, courses.shape[-1]))
+    found[..., 0, :] = courses
+    return found
+
+
 @dataclass(frozen=True)
 class Target:
     """The target of y'', the acceleration that the current adds: the recorded tap r minus a_free.
@@ -70,15 +77,13 @@ class Target:
         )
 
     def along_normal(self, directions: int) -> "Target":
-        """The target for p directions: this one along the normal, the first direction, zero along the others."""
-
-        def first(course: FloatArray) -> FloatArray:
-            others = np.zeros((directions - 1, course.size))
-            return np.concatenate([course[None], others]) if course.ndim == 1 else course
-
+        """One course as the target along the normal, the first of p directions; along the others it is zero."""
+        if self.window_m_s2.ndim > 1:
+            return self
         courses = (self.window_m_s2, self.after_m_s2, self.before_m_s2)
         frees = (self.free_window_m_s2, self.free_after_m_s2, self.free_before_m_s2)
-        return Target(*map(first, courses), *(map(first, frees) if self.free_window_m_s2.size else frees))
+        moved = frees if self.free_window_m_s2.size else ()
+        return Target(*(along_normal(each, directions) for each in (*courses, *moved)))
 
     @property
     def lost(self) -> int:
