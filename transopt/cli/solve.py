@@ -184,7 +184,8 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
                 options=wanted.options,
                 progress=tell,
             )
-        tell("entries", 0, scene.axes.entries if refinement is None else refinement.entries)
+        of_places = max(len(scene.axes.places), 1)
+        tell("entries", 0, scene.axes.entries if refinement is None else refinement.entries * of_places)
         build = build_library(
             scene,
             taps,

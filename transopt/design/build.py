@@ -17,7 +17,8 @@ from transopt.base.writing import percent
 from transopt.design.context import Context
 from transopt.design.design import design
 from transopt.design.entry import Entry
-from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
+from transopt.design.nodes import Nodes, Point
+from transopt.design.refine_grid import Errors, OffNode, Refinement
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.columns import FIGURES, EntryTable

@@ -20,11 +20,14 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.design.context import Context
+from transopt.design.context import Context, Spot
 from transopt.design.design import design
 from transopt.design.entry import Entry
+from transopt.design.nodes import Interval, Nodes, Point, shares, spots
 from transopt.problem.answer import Certificate, Status
+from transopt.problem.objective.target import normal
 from transopt.proof.replay import replayed_figures
+from transopt.proof.several import replay_several
 from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Grid
@@ -43,8 +46,6 @@ CLOSER_LOOK = MARGIN / 2
 TINY = 1e-30  # of an energy, below which nothing is played
 REPLAYED_TOGETHER = 20  # points; bounds the memory of their fine trajectories
 
-Point = tuple[float, float]  # speed [m/s], grip [N]
-Interval = tuple[float, float]  # two neighbouring nodes, or one node twice
 Progress = Callable[[str, int, int], None]
 
 
@@ -57,6 +58,7 @@ class OffNode:
     optimum : tap error of the optimum solved exactly there.
     before, after : tap error of the blend of the recorded grid's commands and of the refined grid's.
     before_dB, after_dB : energy of both within the window over that of the optimum there, as predicted.
+    spot : normal and posture at which it is worth least, of an arm; None for any other plant.
     """
 
     speed_m_s: float
@@ -66,6 +68,7 @@ class OffNode:
     after: float
     before_dB: float = 0.0
     after_dB: float = 0.0
+    spot: Spot = None
 
     @property
     def excess_before(self) -> float:
@@ -125,83 +128,29 @@ class Refinement:
         return [p for p in self.points if p.speed_m_s not in grid.speeds_m_s or p.grip_N not in grid.grips_N]
 
 
-def _bracket(nodes: Sequence[float], value: float) -> Interval:
-    """The interval of the nodes that holds a value; a node stands for itself."""
-    if value in nodes:
-        return value, value
-    j = int(np.searchsorted(nodes, value))
-    return nodes[j - 1], nodes[j]
-
-
-def _intervals(nodes: Sequence[float]) -> list[Interval]:
-    """Neighbouring nodes; a single one is its own interval."""
-    return list(itertools.pairwise(nodes)) or [(nodes[0], nodes[0])]
-
-
-def _middle(interval: Interval) -> float:
-    # Twelve digits: 0.1 and 0.2 have 0.15 between them, not 0.15000000000000002.
-    return float(f"{sum(interval) / 2:.12g}")
-
-
-def _halved(nodes: Iterable[float]) -> list[float]:
-    """Nodes and the midpoints between them."""
-    ordered = sorted(set(nodes))
-    return sorted({*ordered, *map(_middle, itertools.pairwise(ordered))})
-
-
-def _shares(interval: Interval, value: float) -> list[tuple[float, float]]:
-    """Nodes and their weights in linear interpolation."""
-    low, high = interval
-    if low == high:
-        return [(low, 1.0)]
-    w = (value - low) / (high - low)
-    return [(low, 1 - w), (high, w)]
-
-
-@dataclass(frozen=True)
-class Nodes:
-    speeds: tuple[float, ...]
-    grips: tuple[float, ...]
-
-    @property
-    def entries(self) -> int:
-        return len(self.speeds) * len(self.grips)
-
-    def cell(self, point: Point) -> tuple[Interval, Interval]:
-        return _bracket(self.speeds, point[0]), _bracket(self.grips, point[1])
-
-    def midpoints(self) -> list[Point]:
-        """Nodes and midpoints of each axis against those of the other."""
-        return list(itertools.product(_halved(self.speeds), _halved(self.grips)))
-
-    def quarters(self, excess: dict[Point, float], above: float) -> list[Point]:
-        """Nodes, midpoints and quarter points of every cell that has an excess above a bound at a midpoint."""
-        points: dict[Point, None] = {}
-        for speeds, grips in itertools.product(_intervals(self.speeds), _intervals(self.grips)):
-            halves = itertools.product(_halved(speeds), _halved(grips))
-            if any(not excess[point] <= above for point in halves):
-                points.update(dict.fromkeys(itertools.product(_halved(_halved(speeds)), _halved(_halved(grips)))))
-        return list(points)
-
-    def split(self, axis: int, interval: Interval) -> "Nodes":
-        if axis == 0:
-            return Nodes(tuple(sorted({*self.speeds, _middle(interval)})), self.grips)
-        return Nodes(self.speeds, tuple(sorted({*self.grips, _middle(interval)})))
-
-
 class Errors:
-    """The excess at any point of any grid; optima and results are kept for re-use."""
+    """The excess at any point of any grid; optima and results are kept for re-use.
+
+    Of an arm a point is looked at in every place of the scene, and at the end half-way between its normals and
+    postures too, and has the largest excess of all.
+    """
 
     def __init__(self, context: Context, options: SolverOptions) -> None:
         self.context, self._options = context, options
-        self._optima: dict[Point, Entry] = {}
+        self._spots = spots(context.scene)
+        self._optima: dict[tuple[Point, Spot], Entry] = {}
         self._excess: dict[tuple[Point, tuple[Interval, Interval]], float] = {}
 
-    def optimum(self, point: Point) -> Entry:
+    @property
+    def places(self) -> list[Spot]:
+        """Places of the scene; none but None for one motor."""
+        return [spot for spot, corners in self._spots.items() if len(corners) == 1]
+
+    def optimum(self, point: Point, spot: Spot = None) -> Entry:
         """Raises InputError where no solver's answer can be proven: an excess over it would mean nothing."""
-        if point not in self._optima:
+        if (point, spot) not in self._optima:
             speed, grip = point
-            (found,) = design([self.context.posed(speed, grip)], options=self._options)
+            (found,) = design([self.context.posed(speed, grip, place=spot)], options=self._options)
             solution, proof = found.solution, found.certificate
             if solution.status is not Status.OPTIMAL or not proof.accepted:
                 raise InputError(
@@ -209,79 +158,94 @@ class Errors:
                     f"{proof.relative_gap:.0e}, {solution.status.value}): leave it out to see what the grid's own "
                     "entries lack"
                 )
-            self._optima[point] = found
-        return self._optima[point]
+            self._optima[point, spot] = found
+        return self._optima[point, spot]
 
     @property
     def proofs(self) -> dict[Point, tuple[Status, Certificate]]:
         """How every optimum so far was found and proven."""
-        return {point: (found.solution.status, found.certificate) for point, found in self._optima.items()}
+        return {point: (found.solution.status, found.certificate) for (point, _), found in self._optima.items()}
 
     def solve(self, nodes: Nodes, points: Iterable[Point], progress: Callable[[int, int], None]) -> None:
         """All optima that the excess at some points takes, those of the nodes around them included."""
         corners = itertools.chain.from_iterable(itertools.product(*nodes.cell(point)) for point in points)
-        wanted = dict.fromkeys([*corners, *points])
-        missing = [point for point in wanted if point not in self._optima]
-        for done, point in enumerate(missing):
+        wanted = itertools.product(dict.fromkeys([*corners, *points]), self.places)
+        missing = [each for each in wanted if each not in self._optima]
+        for done, each in enumerate(missing):
             progress(done, len(missing))
-            self.optimum(point)
+            self.optimum(*each)
 
-    def _predicted_tap_error(self, point: Point) -> float:
+    def _predicted_tap_error(self, point: Point, spot: Spot) -> float:
         """Tap error of the optimum at a point, by the stage model."""
-        found = self.optimum(point)
+        found = self.optimum(point, spot)
         return self.context.yardstick.tap_error(found.told, found.predicted_m_s2)
 
     def _energy(self, acceleration_m_s2: FloatArray) -> float:
-        """Energy of an acceleration (N,) through the filter of the scene's rapid term."""
-        of = self.context.posing.rapid
+        """Energy of an acceleration (N,), or along the normal (p, N), through the filter of the rapid term."""
+        of, acceleration_m_s2 = self.context.posing.rapid, normal(acceleration_m_s2)
         heard = of.apply(acceleration_m_s2) if of else acceleration_m_s2
         return float(heard @ heard)
 
-    def dB(self, point: Point, acceleration_m_s2: FloatArray) -> float:
+    def dB(self, point: Point, acceleration_m_s2: FloatArray, spot: Spot = None) -> float:
         """Energy of (N,) over that of the optimum at a point; 0 where that has none."""
-        best = self._energy(self.optimum(point).predicted_m_s2)
+        best = self._energy(self.optimum(point, spot).predicted_m_s2)
         return 10 * float(np.log10(max(self._energy(acceleration_m_s2) / best, TINY))) if best > 0 else 0.0
 
-    def blend(self, nodes: Nodes, point: Point) -> FloatArray:
-        """(N,) bilinear blend of the node commands, as `Library.at` makes it."""
-        by_speed, by_grip = (_shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
-        blended = np.zeros(self.context.scene.stages)
-        for (v, a), (F, b) in itertools.product(by_speed, by_grip):
-            blended += a * b * self.optimum((v, F)).solution.command
+    def blend(self, nodes: Nodes, point: Point, spot: Spot = None) -> FloatArray:
+        """(N,) linear blend of the node commands, as `Library.at` makes it."""
+        by_speed, by_grip = (shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
+        blended = np.zeros_like(self.optimum(point, spot).solution.command)
+        for (v, a), (F, b), (at, c) in itertools.product(by_speed, by_grip, self._spots[spot]):
+            blended += a * b * c * self.optimum((v, F), at).solution.command
         return blended
 
     def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
         """Excess of the blends over the optima, by the stage model, which is exact at the instants; kept by cell."""
         keys = {point: (point, nodes.cell(point)) for point in points}
-        for grip, group in _by_grip(p for p, key in keys.items() if key not in self._excess):
-            blended = np.stack([self.blend(nodes, point) for point in group])
-            played, _ = self.context.stage(grip).rollout(blended)
+        missing = [point for point, key in keys.items() if key not in self._excess]
+        for spot, (grip, group) in itertools.product(self.places, _by_grip(missing)):
+            blended = np.stack([self.blend(nodes, point, spot) for point in group])
+            played, _ = self.context.stage(grip, spot).rollout(blended)
             for point, acceleration in zip(group, played, strict=True):
                 error = self.context.yardstick.tap_error(self.context.reference(*point).target, acceleration)
-                short = lacking(self.dB(point, acceleration))
-                self._excess[keys[point]] = max(error - self._predicted_tap_error(point), short)
+                short = lacking(self.dB(point, acceleration, spot))
+                worst = max(error - self._predicted_tap_error(point, spot), short)
+                self._excess[keys[point]] = max(worst, self._excess.get(keys[point], -np.inf))
         return {point: self._excess[key] for point, key in keys.items()}
 
     def replayed(self, points: Sequence[Point], before: Nodes, after: Nodes) -> list[OffNode]:
         """The final word, by the independent replay: optimum and both blends at every point."""
-        found = []
-        for grip, group in _by_grip(points):
+        found = dict[Point, OffNode]()
+        for spot, (grip, group) in itertools.product(self._spots, _by_grip(points)):
             for part in (group[j : j + REPLAYED_TOGETHER] for j in range(0, len(group), REPLAYED_TOGETHER)):
-                commands = [
-                    c
-                    for p in part
-                    for c in (self.optimum(p).solution.command, self.blend(before, p), self.blend(after, p))
-                ]
-                wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
-                # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
-                yardstick, device = self.context.yardstick, self.context.stage(grip)
-                told = replayed_figures(device, yardstick, np.stack(commands), wanted)
-                played = [each.tap_error for each in told]
-                moved, _ = self.context.stage(grip).rollout(np.stack(commands))
-                for j, point in enumerate(part):
-                    dB = (self.dB(point, moved[3 * j + 1]), self.dB(point, moved[3 * j + 2]))
-                    optimum, *blended = played[3 * j : 3 * j + 3]
-                    found.append(OffNode(*point, optimum, blended[0], blended[1], *dB))
+                for point, each in zip(part, self._replayed(part, grip, spot, before, after), strict=True):
+                    if point not in found or each.excess_after > found[point].excess_after:
+                        found[point] = each
+        return [*found.values()]
+
+    def _replayed(self, part: list[Point], grip: float, spot: Spot, before: Nodes, after: Nodes) -> list[OffNode]:
+        """Points of one device: optimum and both blends."""
+        entries = [self.optimum(point, spot) for point in part]
+        commands = np.stack(
+            [
+                command
+                for point, own in zip(part, entries, strict=True)
+                for command in (own.solution.command, *(self.blend(nodes, point, spot) for nodes in (before, after)))
+            ]
+        )
+        device, problems = self.context.stage(grip, spot), [own.problem for own in entries for _ in range(3)]
+        if device.motors > 1:
+            told = [played.figures for played in replay_several(problems, commands)]
+        else:
+            # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
+            wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
+            told = replayed_figures(device, self.context.yardstick, commands, wanted)
+        moved, _ = device.rollout(commands)
+        found = []
+        for j, point in enumerate(part):
+            optimum, *blended = (each.tap_error for each in told[3 * j : 3 * j + 3])
+            dB = [self.dB(point, each, spot) for each in moved[3 * j + 1 : 3 * j + 3]]
+            found.append(OffNode(*point, optimum, blended[0], blended[1], dB[0], dB[1], spot))
         return found
 
 
@@ -329,7 +293,6 @@ def check_tolerance(scene: Scene, tolerance: float, cap: int) -> None:
     ------
     InputError : tolerance or cap that cannot be, a scene of named targets.
     """
-    scene.check_one_motor("--grid-tolerance")
     if not 0 < tolerance < 1:
         raise InputError(f"--grid-tolerance {tolerance:g}: must be between 0 and 1 (0.02: two percentage points)")
     if scene.targets:
@@ -384,7 +347,7 @@ def refine_grid(
         before = nodes
         for axis, interval in _blame(errors, nodes, {p: e for p, e in found.items() if not e <= MARGIN * tolerance}):
             finer = nodes.split(axis, interval)
-            nodes = finer if finer.entries <= cap else nodes
+            nodes = finer if finer.entries * len(errors.places) <= cap else nodes
         if nodes == before:
             break
         rounds += 1
@@ -396,14 +359,20 @@ def refine_grid(
         grid=Grid(speeds_m_s=list(nodes.speeds), grips_N=list(nodes.grips), grip_min_N=scene.grid.grip_min_N),
         points=points,
         rounds=rounds,
-        shortfall="" if worst.excess_after <= tolerance else _shortfall(worst, nodes, tolerance, cap),
+        shortfall="" if worst.excess_after <= tolerance else _shortfall(worst, nodes, tolerance, cap, errors.places),
         elapsed_s=time.perf_counter() - start,
     )
 
 
-def _shortfall(worst: OffNode, nodes: Nodes, tolerance: float, cap: int) -> str:
+def _shortfall(worst: OffNode, nodes: Nodes, tolerance: float, cap: int, places: Sequence[Spot]) -> str:
+    at, remedy = f"{worst.speed_m_s:.4g} m/s, {worst.grip_N:.4g} N", "raise --grid-cap or --grid-tolerance"
+    if worst.spot is not None:
+        at += ", normal {:g}, posture {:g}".format(*worst.spot)
+        if worst.spot not in places:
+            remedy = "add one to model.normals or model.postures_deg there, or raise --grid-tolerance"
+    times = f" x {len(places)} places" if len(places) > 1 else ""
     return (
-        f"grid tolerance {100 * tolerance:g} % not met with {nodes.entries} entries ({len(nodes.speeds)} speeds x "
-        f"{len(nodes.grips)} grips, --grid-cap {cap}): worst remaining excess {100 * worst.excess_after:.2f} % at "
-        f"{worst.speed_m_s:.4g} m/s, {worst.grip_N:.4g} N: raise --grid-cap or --grid-tolerance"
+        f"grid tolerance {100 * tolerance:g} % not met with {nodes.entries * len(places)} entries "
+        f"({len(nodes.speeds)} speeds x {len(nodes.grips)} grips{times}, --grid-cap {cap}): worst remaining excess "
+        f"{100 * worst.excess_after:.2f} % at {at}: {remedy}"
     )

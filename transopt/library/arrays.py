@@ -26,7 +26,7 @@ class Array:
     shape : one letter for each dimension: v speeds, g grips, N stages, M samples after them, L instants before them
         that no command can reach, h samples of the hand-over, n states of the plant, s further devices of a robust
         entry, i inputs and o tracked accelerations of the plant; a digit is that size. m motors and p directions are
-        there in a library of several motors alone.
+        there in a library of several motors alone, whose q devices have a place each.
     unit : SI, with C for degrees Celsius; empty for what has none.
     meaning : what it holds.
     is_text : words and not double-precision numbers.

@@ -217,8 +217,8 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
 def _several(scene: "Scene") -> dict[str, int]:
     """Letter -> size of inputs and tracked accelerations, of which an arm has several."""
     if not scene.axes.places:
-        return {"i": 1, "o": 1}
-    return {**dict.fromkeys("imop", len(scene.arm().motor_shares)), "g": len(scene.axes.grips_N)}
+        return {"i": 1, "o": 1, "q": 0}
+    return {**dict.fromkeys("imop", len(scene.arm().motor_shares)), **dict.fromkeys("gq", len(scene.axes.grips_N))}
 
 
 def _left_out_of(path: Path, cool: Any) -> Any:

@@ -22,9 +22,9 @@ class Held:
         needs="targets")
     grips_N: FloatArray = kept("g", "N",
         "grip forces of the grid, rising; the only one is 0 for a free device; of an arm once for each place")
-    normals: FloatArray = kept("g3", "", "normal of the surface of each device, in the frame of an arm's base",
+    normals: FloatArray = kept("q3", "", "normal of the surface of each device, in the frame of an arm's base",
         needs="several motors")
-    postures_rad: FloatArray = kept("g3", "rad", "angles of the arm in each device", needs="several motors")
+    postures_rad: FloatArray = kept("q3", "rad", "angles of the arm in each device", needs="several motors")
     command: FloatArray = kept("vgmN", INPUT, "total command c_k, issued at -lead + k dt and held",
         "solution.command")
     transient_command: FloatArray = kept("vgmN", INPUT, "the command without the wall's predicted feedback",

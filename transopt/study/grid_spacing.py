@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, style
-from transopt.design.refine_grid import Nodes
+from transopt.design.nodes import Nodes
 from transopt.plant.drive import Drive
 from transopt.plant.hand import LinearParameter
 from transopt.scene.scene import Scene

@@ -133,7 +133,6 @@ def test_commands_for_one_motor_refuse_the_scene(run: Run, scene: Path) -> None:
 
 
 def test_options_for_one_motor_are_refused(run: Run, scene: Path) -> None:
-    assert_refused(run("solve", scene, "--out", "x", "--grid-tolerance", "0.02"), f"--grid-tolerance: {ONE_MOTOR}")
     assert_refused(run("solve", scene, "--out", "x", "--full"), f"--full: {ONE_MOTOR}")
 
 

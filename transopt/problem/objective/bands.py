@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from transopt.base.signals import FloatArray, fast_length
-from transopt.problem.objective.target import Target
+from transopt.problem.objective.target import Target, normal
 from transopt.problem.objective.weighting import PACINIAN_Hz, pacinian
 
 # IEC 61260-1: base-ten third octaves, midband 1000 Hz 10^(x/10), edges a factor 10^(1/20) below and above.
@@ -126,9 +126,8 @@ def levels(made_m_s2: FloatArray, wanted_m_s2: FloatArray, dt_s: float) -> Level
 def normal_levels(target: Target, acceleration_m_s2: FloatArray, dt_s: float) -> Levels:
     """Levels of y'' (N,), or of (p, N) along the normal, with a_free, beside what was recorded."""
     target = target.normal
-    normal = acceleration_m_s2[0] if acceleration_m_s2.ndim > 1 else acceleration_m_s2
     free, recorded = (target.of_window(each) for each in (target.free_m_s2, target.recorded_m_s2))
-    return levels(normal + free, recorded, dt_s)
+    return levels(normal(acceleration_m_s2) + free, recorded, dt_s)
 
 
 def _dB(made: float, wanted: float) -> float:

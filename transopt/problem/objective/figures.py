@@ -13,7 +13,7 @@ import numpy as np
 from transopt.base.signals import FloatArray, samples_before
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.intention import INTENTION_S
-from transopt.problem.objective.target import Target
+from transopt.problem.objective.target import Target, normal
 from transopt.problem.objective.weighting import ErrorFilter, bandpass
 
 NAN = float("nan")
@@ -87,7 +87,7 @@ class Yardstick:
 
         Of a plant with several directions, y'' (p, K), it is that along the normal.
         """
-        target, acceleration_m_s2 = _normal(target, acceleration_m_s2)
+        target, acceleration_m_s2 = target.normal, normal(acceleration_m_s2)
         recorded, lost = target.recorded_m_s2, target.before_m_s2.size
         first = self._intention(lost, recorded.size)
         made = np.append(np.zeros(lost), acceleration_m_s2)
@@ -105,9 +105,9 @@ class Yardstick:
         first = self._intention(lost, lost + N)
         made = target.free_m_s2[:, : lost + N].copy()
         made[:, lost:] += acceleration_m_s2[:, :N]
-        normal, *others = (float(np.linalg.norm(each[first])) for each in made)
+        straight, *others = (float(np.linalg.norm(each[first])) for each in made)
         aside = float(np.linalg.norm(others))
-        return _over(aside, float(np.linalg.norm(target.recorded_m_s2[0, first]))), float(np.arctan2(aside, normal))
+        return _over(aside, float(np.linalg.norm(target.recorded_m_s2[0, first]))), float(np.arctan2(aside, straight))
 
     def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
         """Figures of y'' (K,) from tau_0 on, with K at least the samples of the target's window and tail.
@@ -115,7 +115,7 @@ class Yardstick:
         Of a tap that is zero the errors are 0 where nothing moves, else infinite. Of a plant with several directions,
         y'' (p, K), they are those along the normal.
         """
-        target, acceleration_m_s2 = _normal(target, acceleration_m_s2)
+        target, acceleration_m_s2 = target.normal, normal(acceleration_m_s2)
         lost = target.before_m_s2.size
         free, recorded = target.free_m_s2, target.recorded_m_s2
         made = free.copy()
@@ -141,10 +141,6 @@ class Yardstick:
             error_after=_over(float(np.linalg.norm(tail)), size),
             peak_after_m_s2=float(np.abs(tail).max(initial=0.0)),
         )
-
-
-def _normal(target: Target, acceleration_m_s2: FloatArray) -> tuple[Target, FloatArray]:
-    return target.normal, acceleration_m_s2[0] if acceleration_m_s2.ndim > 1 else acceleration_m_s2
 
 
 def _felt(dt_s: float) -> tuple[ErrorFilter, ...]:

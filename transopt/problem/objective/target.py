@@ -23,6 +23,11 @@ def along_normal(courses: FloatArray, directions: int) -> FloatArray:
     return found
 
 
+def normal(course: FloatArray) -> FloatArray:
+    """(N,) course along the normal, of (N,) or of (p, N) in all directions."""
+    return course[0] if course.ndim > 1 else course
+
+
 @dataclass(frozen=True)
 class Target:
     """The target of y'', the acceleration that the current adds: the recorded tap r minus a_free.
