@@ -285,7 +285,7 @@ def assemble(
 
     def of_cells(name: str) -> FloatArray:
         found = np.array([[getattr(cell, name) for cell in row] for row in cells])
-        return along_normal(found, p) if ARRAYS[name].is_directed and p > 1 else found
+        return along_normal(found, p) if ARRAYS[name].is_directed and found.ndim == 3 and p > 1 else found
 
     at_ticks = of_cells("nominal_position_at_ticks_m")
     meta = {**_meta(context, cells, entries, options), "grid_refinement": _refined(refinement)}

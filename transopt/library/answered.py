@@ -100,12 +100,12 @@ class Answered:
 
     @property
     def tangential_error(self) -> float:
-        """Acceleration across the normal over the intention, over |r|; NaN of a plant with one direction."""
+        """Error across the normal over the intention, over |r| along it; NaN of a plant with one direction."""
         return self.problem.yardstick.across(self.told, self.made_m_s2)[0] if self.problem.directions else NAN
 
     @property
     def direction_rad(self) -> float:
-        """Angle by which the acceleration is off the normal; NaN of a plant with one direction."""
+        """Angle by which that error turns the acceleration; NaN of a plant with one direction."""
         return self.problem.yardstick.across(self.told, self.made_m_s2)[1] if self.problem.directions else NAN
 
     @property

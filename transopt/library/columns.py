@@ -122,13 +122,13 @@ COLUMNS = {
     "across": Column(
         "across %",
         percent,
-        "acceleration across the normal over the intention, over |r|",
+        "error across the normal over the intention, over |r| along it",
         array="tangential_error",
     ),
     "angle": Column(
         "off normal deg",
         lambda rad: fixed(rad, 1, 180 / np.pi),
-        "angle of the acceleration to the normal, by the sizes of both",
+        "angle by which that error turns the acceleration, by the sizes of both",
         array="direction_rad",
     ),
     "bump": Column(

@@ -85,10 +85,11 @@ class Held:
         needs="intensity")
     energy_dB: FloatArray = kept("vg", "dB", "energy of y'' in the window over that of the target",
         lambda entry: entry.energy_dB if entry.objective == "intensity" else 0.0, needs="intensity")
-    tangential_error: FloatArray = kept("vg", "", "acceleration across the normal over the intention, over |r|",
+    tangential_error: FloatArray = kept("vg", "", "error across the normal over the intention, over |r| along it",
         "tangential_error", replayed=True, needs="several motors")
-    direction_rad: FloatArray = kept("vg", "rad", "angle by which the acceleration is off the normal, by its norms",
-        "direction_rad", replayed=True, needs="several motors")
+    direction_rad: FloatArray = kept("vg", "rad",
+        "angle by which that error turns the acceleration, by the sizes of both", "direction_rad", replayed=True,
+        needs="several motors")
     floor: FloatArray = kept("vg", "", "tap error of the optimum without limits", "floor")
     linear_command: FloatArray = kept("vgN", INPUT, "command of the design for the plant as it is at rest",
         lambda entry: np.zeros(entry.problem.grid.stages) if entry.linear_command is None else entry.linear_command,

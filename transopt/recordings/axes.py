@@ -12,6 +12,7 @@ APPROACH_S, RINGING_S = 0.03, 0.1  # before and after a tap, which tell nothing 
 LOUD = 0.1  # of the largest deviation from rest: a tap, or what rings behind it
 FIELD = 0.1  # of its size, that a sensor at rest may read the earth's field off
 TURNED_DEG = 2.0  # less is a sensor's noise
+ALL = "all"  # the way to join axes that keeps what lies across the main direction beside it
 STRONG = 0.5  # of the largest deviation from rest: samples of at least so much show the direction of a tap
 
 
@@ -71,6 +72,8 @@ def joined(axes: Mapping[str, FloatArray], way: str) -> tuple[FloatArray, str]:
     """
     names, table = list(axes), np.array(list(axes.values()))
     listed = ", ".join(names)
+    if way == ALL:
+        way = "main"
     if way in axes:
         return axes[way], f"axis {way} of {listed} is used alone"
     moved = table - np.median(table, axis=1, keepdims=True)
@@ -83,10 +86,8 @@ def joined(axes: Mapping[str, FloatArray], way: str) -> tuple[FloatArray, str]:
         raise InputError(
             f"--axis {way} (in a scene recordings.axis): the file has {listed}; choose one of them or main"
         )
-    size = np.linalg.norm(moved, axis=0)
-    direction = np.linalg.svd(moved[:, size >= STRONG * size.max()], full_matrices=False)[0][:, 0]
+    direction = _main(moved)
     nearest = int(np.argmax(np.abs(direction)))
-    direction = direction * np.sign(direction[nearest])
     along, whole = float(np.sum((direction @ moved) ** 2)), float(np.sum(moved**2))
     across = 0.0 if whole == 0 else 1 - along / whole
     off = np.degrees(np.arccos(min(direction[nearest], 1.0)))
@@ -94,3 +95,35 @@ def joined(axes: Mapping[str, FloatArray], way: str) -> tuple[FloatArray, str]:
         f"axes {listed} are joined along the tap's main direction, {off:.0f} degrees off {names[nearest]}; "
         f"{100 * across:.1f} % of the energy lies across it"
     )
+
+
+def _main(moved: FloatArray) -> FloatArray:
+    """(a,) direction in which a tap (a, n) is strongest, positive along the axis that is nearest to it."""
+    size = np.linalg.norm(moved, axis=0)
+    direction = np.linalg.svd(moved[:, size >= STRONG * size.max()], full_matrices=False)[0][:, 0]
+    return np.asarray(direction * np.sign(direction[np.argmax(np.abs(direction))]))
+
+
+def across(axes: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """What lies across a tap's main direction (`joined`): (n,) along two tangents [m/s^2].
+
+    The sensor is turned by the smallest angle that takes its axis nearest to the main direction onto it. The other
+    two, in the order x, y, z, x, are the tangents then, so that the three are right-handed.
+
+    Raises
+    ------
+    InputError : other than three axes.
+    """
+    if len(axes) != len("xyz"):
+        listed = ", ".join(axes)
+        raise InputError(
+            f"--axis {ALL} (in a scene recordings.axis): needs three axes, the file has {listed}: choose main"
+        )
+    table = np.array([axes[name] for name in sorted(axes)])
+    normal = _main(table - np.median(table, axis=1, keepdims=True))
+    nearest = int(np.argmax(normal))
+    start = np.eye(3)[nearest]
+    half = start + normal  # half a turn about `start` and half a turn about this is the smallest turn
+    turned = (2 * np.outer(half, half) / (half @ half) - np.eye(3)) @ (2 * np.outer(start, start) - np.eye(3))
+    first, second = (turned @ np.eye(3)[(nearest + step) % 3] for step in (1, 2))
+    return np.asarray(first @ table), np.asarray(second @ table)

@@ -54,6 +54,7 @@ class Recording:
     position : along the surface normal, positive out of the object [m].
     force : surface force [N].
     current : motor current [A].
+    across_1, across_2 : acceleration along two tangents, where all directions are asked for [m/s^2].
     speed_m_s : incoming speed if the recording states it, > 0.
     grip_N : grip force if the recording states it, >= 0.
     notes : what a user should know about how it was read, one sentence each.
@@ -70,6 +71,8 @@ class Recording:
     position: Signal | None = None
     force: Signal | None = None
     current: Signal | None = None
+    across_1: Signal | None = None
+    across_2: Signal | None = None
     speed_m_s: float | None = None
     grip_N: float | None = None
     notes: tuple[str, ...] = ()

@@ -8,6 +8,7 @@ z_nom: where the stylus would be without the motor. All is sampled at the switch
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, fast_length, integral, nrmse, splined
 from transopt.plant.discretise import TimeGrid
-from transopt.problem.objective.target import Target
+from transopt.problem.objective.target import Target, along_normal
 from transopt.recordings.tap import PreparedTap
 
 # From speed [m/s], grip [N] and a0 [m/s^2] to a_free over time, how the hand of a recording moves without current.
@@ -48,7 +49,8 @@ class Reference:
     grip_N : grip force of the hand.
     recorded_m_s2, recorded_before_m_s2, recorded_after_m_s2 : (N,), (L,), (M,) r, the recorded acceleration, at the
         switching instants of the window, at those from contact on that come before tau_0 and no command can reach,
-        and at those after the window; zero where the recording has ended.
+        and at those after the window; zero where the recording has ended. Where all directions were asked for it is
+        (3, N) and so on, along the normal and two tangents.
     free_m_s2, free_before_m_s2, free_after_m_s2 : (N,), (L,), (M,) a_free, how the stylus accelerates without
         current.
     nominal_position_m : (N,) z_nom.
@@ -96,14 +98,13 @@ class Reference:
     @property
     def target(self) -> Target:
         """What the device has to do at this speed."""
-        return Target(
-            self.recorded_m_s2 - self.free_m_s2,
-            self.recorded_after_m_s2 - self.free_after_m_s2,
-            self.recorded_before_m_s2 - self.free_before_m_s2,
-            self.free_m_s2,
-            self.free_after_m_s2,
-            self.free_before_m_s2,
-        )
+        recorded = self.recorded_m_s2, self.recorded_after_m_s2, self.recorded_before_m_s2
+        free = self.free_m_s2, self.free_after_m_s2, self.free_before_m_s2
+        if recorded[0].ndim > free[0].ndim:  # the hand moves along the normal
+            now, after, before = (along_normal(each, len(recorded[0])) for each in free)
+            free = now, after, before
+        window, tail, lost = (of - by for of, by in zip(recorded, free, strict=True))
+        return Target(window, tail, lost, *free)
 
     @property
     def said(self) -> str:
@@ -196,10 +197,11 @@ def build_reference(
     compared, count = (contact + math.ceil(max(end_s, 0.0) / step_s) + 2 for end_s in ends_s)
     times = np.asarray(step_s * np.arange(-contact, count - contact), dtype=float)
 
-    def scaled(shifts_s: FloatArray, count: int) -> FloatArray:
+    def scaled(shifts_s: FloatArray, count: int, tangent: int | None = None) -> FloatArray:
         found = np.empty((len(taps), count))
         for course, factor, tap, by in zip(found, factors, taps, shifts_s.tolist(), strict=True):
-            np.multiply(tap.acceleration.evenly(by - step_s * contact, step_s, count), factor, out=course)
+            x = tap.acceleration if tangent is None else tap.across[tangent]
+            np.multiply(x.evenly(by - step_s * contact, step_s, count), factor, out=course)
         return found
 
     shifts, unaligned = np.zeros(len(taps)), float("nan")
@@ -212,26 +214,31 @@ def build_reference(
     end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
     ended = int(np.searchsorted(times, end_s, side="right"))
     recorded = repeats.mean(axis=0)
-    recorded[ended:] = 0.0
+    tangents = range(min(len(tap.across) for tap in taps))
+    across = [scaled(shifts, count, tangent).mean(axis=0) for tangent in tangents]
+    for course in (recorded, *across):
+        course[ended:] = 0.0
     incoming = float(np.mean([f * tap.incoming_acceleration_m_s2 for f, tap in zip(factors, taps, strict=True)]))
     by_itself = free(speed_m_s, grip_N, incoming)(times)
     velocity = integral(by_itself, step_s)
     velocity += -speed_m_s - velocity[contact]
     position = integral(velocity, step_s)
     position -= position[contact]
-    courses = np.stack([recorded, by_itself, position, velocity], axis=1).T  # in memory as a spline takes them
+    # In memory as a spline takes them.
+    courses = np.stack([recorded, by_itself, position, velocity, *across], axis=1).T
 
     # One spline through it all for all instants, which are told apart again afterwards.
     instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)
     sampled_at = _pieces(times, courses, ended, np.concatenate(instants))
     window, after, before, ticks = np.split(sampled_at, np.cumsum([each.size for each in instants])[:-1], axis=1)
+    directed: Any = [0, *range(4, 4 + len(across))] if across else 0
     return Reference(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
         slow_part_known=all(tap.slow_part_known for tap in taps),
-        recorded_m_s2=window[0],
-        recorded_before_m_s2=before[0],
-        recorded_after_m_s2=after[0],
+        recorded_m_s2=window[directed],
+        recorded_before_m_s2=before[directed],
+        recorded_after_m_s2=after[directed],
         free_m_s2=window[1],
         free_before_m_s2=before[1],
         free_after_m_s2=after[1],

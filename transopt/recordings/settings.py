@@ -60,7 +60,8 @@ class Recordings(Section):
     full_scale_m_s2 : acceleration of full scale in a WAV file.
     channel : channel of a WAV file that is the accelerometer, from 1.
     rate_Hz : sample rate of files that state no times.
-    axis : which signal is taken of three axes: the strongest direction, one axis, or DFT321.
+    axis : which signal is taken of three axes: the strongest direction, one axis, or DFT321; `all` has what lies
+        across the strongest direction as well, for an arm with several motors.
     taps_by_file : which taps of a file with several are used.
     speed_m_s : incoming speed of all files that state none.
     speed_by_file_m_s : incoming speed by file or tap.
@@ -85,7 +86,7 @@ class Recordings(Section):
     full_scale_m_s2: Positive | None = None
     channel: Annotated[int, Field(ge=1, le=MOST_COLUMNS)] | None = None
     rate_Hz: Annotated[float, Field(ge=20, le=1e9)] | None = None
-    axis: Literal["main", "x", "y", "z", "dft321"] | None = None
+    axis: Literal["main", "x", "y", "z", "dft321", "all"] | None = None
     taps_by_file: Annotated[dict[str, list[Annotated[int, Field(ge=1)]]], Field(max_length=MOST_FILES)] = Field(
         default_factory=dict
     )

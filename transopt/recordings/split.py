@@ -22,6 +22,7 @@ LEAST_SHARE = 0.15  # of the highest peak: taps of 0.1 and 0.4 m/s differ by a f
 LEAST_TO_NOISE = 10.0  # times its rms: the highest of a million samples of noise is five times as large
 START_S = 2e-3
 SLOWEST_HZ = 8.0  # below it the hand moves and turns the sensor in the earth's field
+SIGNALS = ("acceleration", "position", "force", "current", "across_1", "across_2")  # of a recording
 
 
 def bounds(x: Signal) -> list[tuple[int, int]]:
@@ -93,7 +94,7 @@ def split(recording: Recording, wanted: Mapping[str, Sequence[int]]) -> list[Rec
     numbers = chosen(recording.name, len(pieces), times_s, wanted)
     if len(pieces) == 1:
         return [recording]
-    signals = {name: getattr(recording, name) for name in ("acceleration", "position", "force", "current")}
+    signals = {name: getattr(recording, name) for name in SIGNALS}
     found = []
     for number in numbers:
         first, end = pieces[number - 1]

@@ -18,7 +18,7 @@ from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.signals import FloatArray, Signal
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.axes import joined, without_turning
+from transopt.recordings.axes import ALL, across, joined, without_turning
 from transopt.recordings.containers import guarded
 from transopt.recordings.formats import read_raw
 from transopt.recordings.names import Layout, Vocabulary, axis_of, quote
@@ -147,6 +147,8 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
         step_s = float(np.median(np.diff(si["time"])))
         axes, turned = without_turning(axes, step_s) if step_s > 0 else (axes, "")
         si["acceleration"], said = joined(axes, way or "main")
+        if way == ALL:
+            si["across_1"], si["across_2"] = across(axes)
         joining += [said, *([turned] if turned else [])]
     elif way:
         raise InputError(f"--axis {way} (in a scene recordings.axis): the file has one acceleration; leave it out")

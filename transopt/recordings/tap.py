@@ -128,6 +128,7 @@ class PreparedTap:
     clipped_samples : samples that sit at the sensor's end stop.
     notes : what a user should know about this recording, one sentence each.
     implausible : why it cannot be a tap in the units that are stated; empty if it can, and where it was simulated.
+    across : the same as `acceleration` along two tangents, from rest; none where one direction was asked for.
     """
 
     recording: Recording
@@ -145,6 +146,7 @@ class PreparedTap:
     clipped_samples: int
     notes: tuple[str, ...]
     implausible: str
+    across: tuple[Signal, ...] = ()
 
     __repr__ = brief
 
@@ -379,7 +381,26 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
         clipped,
         (*recording.notes, *notes, *more),
         doubtful,
+        _across(recording, settings, onset, polarity, factor),
     )
+
+
+def _across(
+    recording: Recording, settings: Recordings, onset_s: float, polarity: int, factor: float
+) -> tuple[Signal, ...]:
+    """What was recorded along two tangents, as the tap itself is made ready.
+
+    It is told from its mean before contact. A sensor that is upside down is turned about its first tangent.
+    """
+    if recording.across_1 is None or recording.across_2 is None:
+        return ()
+    stretch, found = settings.time_scale, []
+    for x, sign in ((recording.across_1, 1), (recording.across_2, polarity)):
+        quiet = x.values[: x.before(onset_s - GUARD_S)]
+        rest = float(quiet.mean()) if quiet.size else median(x.values)
+        smooth = lowpass(replace(x, values=sign * (x.values - rest)), stretch * settings.lowpass_Hz)
+        found.append(Signal((x.start_s - onset_s) * stretch, x.dt_s * stretch, factor * smooth.values))
+    return tuple(found)
 
 
 def check_speed(tap: PreparedTap) -> None:

@@ -13,6 +13,7 @@ from transopt.plant.fourth_order import FourthOrder
 from transopt.plant.kind import PlantKind
 from transopt.plant.moving_coil import MovingCoil
 from transopt.problem.limits import kinds_of
+from transopt.recordings.axes import ALL
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import StateSpaceDevice
 from transopt.scene.sections import OF_A_CURRENT, AmplifierSection, Robust, Thermal, Weights
@@ -118,8 +119,7 @@ def _check_arm(scene: "Scene", arm: Arm) -> None:
             "recordings.simulated: an arm does not strike: give recorded files, or a [striker] that moves along the "
             "normal, as that of stylus_3d"
         )
-    nodes = len(arm.postures_deg) * len(arm.normals)
-    commands = scene.axes.entries * nodes * MOTORS * scene.stages
+    commands = scene.axes.entries * MOTORS * scene.stages
     if commands > MOST_COMMANDS:
         raise ValueError(
             f"grid, model.postures_deg and model.normals: {commands} commands, at most {MOST_COMMANDS}: fewer nodes "
@@ -128,12 +128,12 @@ def _check_arm(scene: "Scene", arm: Arm) -> None:
 
 
 def _check_what_is_wanted(scene: "Scene") -> None:
-    """Check that the scene states either speeds with recordings of taps, or named targets.
-
-    Raises
-    ------
-    ValueError : both or neither, or keys of the other kind.
-    """
+    """Speeds with recordings of taps, or named targets: one of the two."""
+    if scene.recordings.axis == ALL and not isinstance(scene.model, Arm):
+        raise ValueError(
+            f'recordings.axis: "{ALL}" is for several motors, model.kind = {scene.model.kind} has one direction: '
+            'leave it out, or take "main" or "dft321"'
+        )
     names = [target.name for target in scene.targets]
     if not names:
         if scene.weights.calm != 1:

@@ -95,7 +95,7 @@ class Yardstick:
         return _over(float(np.linalg.norm((made - recorded)[first])), float(np.linalg.norm(recorded[first])))
 
     def across(self, target: Target, acceleration_m_s2: FloatArray) -> tuple[float, float]:
-        """What goes across the normal over the intention, over |r|, and the angle of the whole to the normal [rad].
+        """Error across the normal over the intention, over |r| along it, and the angle by which that turns y'' [rad].
 
         Parameters
         ----------
@@ -105,9 +105,9 @@ class Yardstick:
         first = self._intention(lost, lost + N)
         made = target.free_m_s2[:, : lost + N].copy()
         made[:, lost:] += acceleration_m_s2[:, :N]
-        straight, *others = (float(np.linalg.norm(each[first])) for each in made)
-        aside = float(np.linalg.norm(others))
-        return _over(aside, float(np.linalg.norm(target.recorded_m_s2[0, first]))), float(np.arctan2(aside, straight))
+        recorded = target.recorded_m_s2[:, first]
+        aside, straight = (float(np.linalg.norm(x)) for x in (made[1:, first] - recorded[1:], made[0, first]))
+        return _over(aside, float(np.linalg.norm(recorded[0]))), float(np.arctan2(aside, straight))
 
     def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
         """Figures of y'' (K,) from tau_0 on, with K at least the samples of the target's window and tail.
