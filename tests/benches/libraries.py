@@ -25,7 +25,7 @@ def resized(library: Library, speeds: int, grips: int) -> Library:
     arrays = {}
     for name, stated in ARRAYS.items():
         array = library.array(name)
-        for axis, letter in enumerate(stated.shape):
+        for axis, letter in enumerate(stated.letters(())):
             array = np.take(array, nodes[letter], axis=axis) if letter in nodes else array
         arrays[name] = array
     arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, speeds), np.linspace(1.0, 5.0, grips)
@@ -37,7 +37,7 @@ def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Li
     arrays = {}
     for name, stated in ARRAYS.items():
         array = library.array(name)
-        for axis, letter in enumerate(stated.shape):
+        for axis, letter in enumerate(stated.letters(())):
             array = np.take(array, {"v": speeds, "g": grips}.get(letter, range(array.shape[axis])), axis=axis)
         arrays[name] = array
     left_out = {

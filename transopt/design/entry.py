@@ -18,7 +18,7 @@ from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.price import Price, binding, prices
 from transopt.library.answered import Answered
-from transopt.library.columns import COLUMNS, NAN, PAIR, EntryTable
+from transopt.library.columns import COLUMNS, NAN, OF_DIRECTIONS, PAIR, EntryTable
 from transopt.library.multipliers import ARRAYS
 from transopt.problem.answer import Multipliers, Status, verdict
 from transopt.problem.limits import kinds_of
@@ -260,6 +260,8 @@ class Entry(Answered):
     def value(self, column: str) -> Any:
         """What the entry has in a column of `transopt.library.columns.COLUMNS`."""
         stored = COLUMNS[column].array
+        if column in OF_DIRECTIONS and not self.problem.directions:
+            return NAN
         if not stored:
             return VALUES[column](self)
         array = ARRAYS[stored]

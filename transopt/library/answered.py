@@ -100,13 +100,13 @@ class Answered:
 
     @property
     def tangential_error(self) -> float:
-        """Error across the normal over the intention, over |r| along it; NaN of a plant with one direction."""
-        return self.problem.yardstick.across(self.told, self.made_m_s2)[0] if self.problem.directions else NAN
+        """Error across the normal over the intention, over |r| along it; 0 of a plant with one direction."""
+        return self.problem.yardstick.across(self.told, self.made_m_s2)[0] if self.problem.directions else 0.0
 
     @property
     def direction_rad(self) -> float:
-        """Angle by which that error turns the acceleration; NaN of a plant with one direction."""
-        return self.problem.yardstick.across(self.told, self.made_m_s2)[1] if self.problem.directions else NAN
+        """Angle by which that error turns the acceleration; 0 of a plant with one direction."""
+        return self.problem.yardstick.across(self.told, self.made_m_s2)[1] if self.problem.directions else 0.0
 
     @property
     def energy_dB(self) -> float:

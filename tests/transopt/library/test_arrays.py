@@ -37,7 +37,7 @@ def test_a_unit_in_the_name_is_the_unit_declared() -> None:
 
 def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
     for name, array in ARRAYS.items():
-        assert set(array.shape) <= set("vgNMLhns123"), name
+        assert set(array.shape) <= set("vgNMLhnsiompq123"), name
         assert array.meaning, name
         assert array.needs in (
             "",
@@ -46,6 +46,8 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
             "worst",
             "refinement",
             "nonlinear",
+            "one motor",
+            "several motors",
             "intensity",
             "instants_within",
             *(kind.stored_with(row) for kind in KINDS for row in kind.row_names),
