@@ -120,12 +120,21 @@ class Refinement:
         return len(self.grid.speeds_m_s) * len(self.grid.grips_N)
 
     @property
+    def is_one_point(self) -> bool:
+        """Whether nothing lies between its nodes."""
+        return self.entries == 1 and all(point.spot is None for point in self.points)
+
+    @property
     def recorded_entries(self) -> int:
         return len(self.recorded.speeds_m_s) * len(self.recorded.grips_N)
 
     def off(self, grid: Grid) -> list[OffNode]:
-        """The points without the nodes of one of the grids, where there is nothing to blend."""
-        return [p for p in self.points if p.speed_m_s not in grid.speeds_m_s or p.grip_N not in grid.grips_N]
+        """The points without the nodes of one of the grids, where there is nothing to blend, but between places."""
+        return [
+            p
+            for p in self.points
+            if p.speed_m_s not in grid.speeds_m_s or p.grip_N not in grid.grips_N or p.spot is not None
+        ]
 
 
 class Errors:

@@ -42,7 +42,7 @@ CERTIFICATE_LEGEND = (
 def _between_lines(refinement: Refinement) -> list[str]:
     """The section on what the blend between the nodes loses."""
     lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
-    if refinement.entries == 1:
+    if refinement.is_one_point:
         return lines
     lines += [
         "| grid | speeds | grips | entries | worst excess % | at m/s, N | tap error / optimum % | median excess % | "

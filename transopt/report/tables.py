@@ -190,7 +190,7 @@ def _span(shares: FloatArray) -> str:
 
 def refinement_summary(refinement: Refinement) -> str:
     """One line: what the blend between the nodes loses against the optimum, before and after; or what is missing."""
-    if refinement.entries == 1:
+    if refinement.is_one_point:
         return "grid: one speed and one grip, nothing lies between the nodes"
     if refinement.shortfall:
         return refinement.shortfall

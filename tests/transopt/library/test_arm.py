@@ -12,6 +12,7 @@ import transopt as to
 from controller.host.payload import load_playable
 from transopt.base.errors import InputError
 from transopt.design.build import Build
+from transopt.design.refine_grid import refine_grid
 from transopt.design.verify import verify_library
 from transopt.library.arm_header import arm_header
 from transopt.library.arrays import HASH_FIELD, content_hash
@@ -19,6 +20,9 @@ from transopt.library.library import Library
 from transopt.library.proven import doubts
 from transopt.library.statements import misstatements
 from transopt.proof.several import replay_several
+from transopt.report.markdown import build_markdown
+from transopt.report.tables import refinement_summary
+from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
 
 
@@ -236,3 +240,24 @@ def test_replay_of_a_blend_is_between_its_nodes(library: Library) -> None:
 def test_meta_holds_the_scene(library: Library) -> None:
     assert json.loads(json.dumps(library.meta)) == library.meta
     assert library.scene() == short_scene()
+
+
+def test_the_grid_says_between_which_places_it_lacks() -> None:
+    scene = short_scene(grid={"speeds_m_s": [0.3], "grips_N": [1.0]})
+    found = refine_grid(scene, recordings_of(scene), 1e-4)
+    (worst,) = found.points
+    assert worst.spot is not None
+    assert worst.spot not in scene.axes.places
+    assert "4 entries (1 speeds x 1 grips x 4 places" in found.shortfall
+    assert "add one to model.normals or model.postures_deg there" in found.shortfall
+    assert refinement_summary(found) == found.shortfall
+    assert "## Between the nodes" in build_markdown(to.build(scene, grid_tolerance=1e-4), full=False)
+
+
+def test_speeds_are_added_for_the_worst_place() -> None:
+    scene = short_scene(grid={"speeds_m_s": [0.1, 0.3], "grips_N": [1.0]})
+    taps = recordings_of(scene)
+    assert refine_grid(scene, taps, 0.5).grid.speeds_m_s == [0.1, 0.3]
+    found = refine_grid(scene, taps, 0.02, cap=12)
+    assert found.grid.speeds_m_s == [0.1, 0.2, 0.3]
+    assert max(p.excess_before for p in found.points) > 0.02
