@@ -343,7 +343,7 @@ class Entry(Answered):
             return "zero reference"
         floor = self.floor if self.designed.nonlinear is None else NAN
         named = bool(self.target)
-        # Of several motors none pulls by itself.
+        # No motor of several pulls by itself.
         least = None if self.problem.stage.motors > 1 else (float(self.plant_input.min()), self.unit)
         return verdict(
             self.figures, floor, self.repeatability, self.levels, self.binding, named=named, least_input=least

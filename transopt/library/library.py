@@ -125,7 +125,7 @@ class Library(Posed):
             normal_levels(self.told(iv, ig), self.acceleration_m_s2[iv, ig], self.dt_s),
             str(self.binding[iv, ig]),
             named=bool(self.axes.targets),
-            # Of several motors none pulls by itself.
+            # No motor of several pulls by itself.
             least_input=None if several else (float(self.plant_input[iv, ig].min()), self.driven_by.unit),
         )
 

@@ -109,7 +109,7 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
         and scene.limits.current_A is not None
         and FollowingCurrentLimit.suits(scene.circuit()),
     }
-    # Of several motors each has multipliers of its own.
+    # Each of several motors has multipliers of its own.
     limits = {key for key, value in scene.limits.asked().items() if value is not None and not several}
     return {name for name, has in said.items() if has} | (limits - {TemperatureLimit.key})
 

@@ -185,7 +185,7 @@ def matrix(look: Look, width: int) -> list[str]:
     if turned:
         rows, columns = columns, rows
     corner = "" if axes.targets else "tap error %"
-    # Of the places of an arm each cell has the worst.
+    # Each cell has the worst of an arm's places.
     groups = [[ig] for ig in range(len(axes.grips_N))] if axes.targets else [*axes.by_grip.values()]
     cells_of = [[_cell(look, iv, group) for group in groups] for iv in range(len(look.rows))]
     found = [list(each) for each in zip(*cells_of, strict=True)] if turned else cells_of
