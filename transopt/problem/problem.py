@@ -315,12 +315,12 @@ class TransientProblem:
         return np.stack([device.rollout(lasting)[0] for device in self.devices])
 
     def figures(self, accelerations_m_s2: FloatArray) -> Figures:
-        """Figures of y'' (N + M,), or of (p, N + M) in the first direction, beside the problem's target."""
-        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+        """Figures of y'' (N + M,), or of the first direction of (p, N + M), relative to the problem's target."""
+        with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
             return self.yardstick.figures(self.target, accelerations_m_s2)
 
     def tap_error(self, accelerations_m_s2: FloatArray) -> float:
-        """`Figures.tap_error` alone, of y'' (K,) or (p, K) from tau_0 on, K at least the samples of the window."""
+        """`Figures.tap_error` alone, for y'' (K,) or (p, K) from tau_0 on, K at least the samples of the window."""
         return self.yardstick.tap_error(self.target, accelerations_m_s2)
 
     def objective(

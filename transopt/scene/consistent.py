@@ -128,7 +128,12 @@ def _check_arm(scene: "Scene", arm: Arm) -> None:
 
 
 def _check_what_is_wanted(scene: "Scene") -> None:
-    """Speeds with recordings of taps, or named targets: one of the two."""
+    """Check that the scene states either speeds with recordings of taps, or named targets.
+
+    Raises
+    ------
+    ValueError : both or neither, or keys of the other kind.
+    """
     if scene.recordings.axis == ALL and not isinstance(scene.model, Arm):
         raise ValueError(
             f'recordings.axis: "{ALL}" is for several motors, model.kind = {scene.model.kind} has one direction: '

@@ -144,10 +144,10 @@ class Scene(Section):
         return at_the_tip(self.motor, self.transmission)
 
     def plant(self, grip_N: float, place: tuple[float, float] | None = None, *, struck: bool = False) -> StateSpace:
-        """Model from motor current to stylus acceleration at one grip.
+        """The model from the plant's input to the tracked acceleration at one grip.
 
-        With `struck` the input is a force on the stylus [N] instead: the same device tapping a real object. `place`
-        is the normal and the posture of an arm, by number from 1; by default the first ones.
+        With `struck` the input is a force on the stylus [N]: the same device, not driven, tapping a real object.
+        `place` is the normal and the posture of an arm, by number from 1; by default the first ones.
 
         Raises
         ------
@@ -289,8 +289,8 @@ class Scene(Section):
         """
         if isinstance(self.model, Arm):
             raise InputError(
-                f"{what}: model.kind = arm has several motors, and this is done with one: `transopt solve`, show, "
-                "verify, compare and export take it, and `transopt study --study direction`"
+                f"{what}: model.kind = arm has several motors, and this needs one; `transopt solve`, show, verify, "
+                "compare and export accept an arm, as does `transopt study --study direction`"
             )
 
     def arm(self) -> Arm:

@@ -177,7 +177,7 @@ def test_nodes_and_plants_of_another_scene_are_doubted(file: Path, library: Libr
 
 
 def test_what_is_for_one_motor_refuses_it(library: Library, file: Path) -> None:
-    said = "has several motors, and this is done with one"
+    said = "has several motors, and this needs one"
     for asked in (lambda: to.Online(library), lambda: to.export_library(library, file.with_name("arm.wav"))):
         with pytest.raises(InputError, match=said):
             asked()

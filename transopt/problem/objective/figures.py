@@ -83,7 +83,7 @@ class Yardstick:
         return slice(begins, ends)
 
     def tap_error(self, target: Target, acceleration_m_s2: FloatArray) -> float:
-        """`Figures.tap_error` alone, of y'' (K,) from tau_0 on, K at least the samples of the window.
+        """`Figures.tap_error` alone, for y'' (K,) from tau_0 on with K at least the samples of the window.
 
         Of a plant with several directions, y'' (p, K), it is that along the normal.
         """
@@ -112,8 +112,8 @@ class Yardstick:
     def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
         """Figures of y'' (K,) from tau_0 on, with K at least the samples of the target's window and tail.
 
-        Of a tap that is zero the errors are 0 where nothing moves, else infinite. Of a plant with several directions,
-        y'' (p, K), they are those along the normal.
+        For a tap of zero the errors are 0 without motion, else infinite. For a plant with several directions, y''
+        (p, K), they are those along the normal.
         """
         target, acceleration_m_s2 = target.normal, normal(acceleration_m_s2)
         lost = target.before_m_s2.size

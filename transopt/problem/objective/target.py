@@ -82,7 +82,7 @@ class Target:
         )
 
     def along_normal(self, directions: int) -> "Target":
-        """One course as the target along the normal, the first of p directions; along the others it is zero."""
+        """The target for p directions: this one along the normal, the first direction, zero along the others."""
         if self.window_m_s2.ndim > 1:
             return self
         courses = (self.window_m_s2, self.after_m_s2, self.before_m_s2)
