@@ -1,33 +1,24 @@
 """What was recorded on a device to identify it: signals of one run, and what its file states about it."""
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.base.signals import Signal
 from transopt.recordings.names import Layout, Scalar, Vocabulary
 from transopt.recordings.split import bounds, chosen, peak_times
 from transopt.recordings.table import read_table
 
 WORDS = Vocabulary(
-    columns={
-        "time_s": ("time", 1.0),
-        "time_ms": ("time", 1e-3),
-        "command_A": ("command", 1.0),
-        "current_A": ("current", 1.0),
-        "voltage_V": ("voltage", 1.0),
-        "acceleration_m_s2": ("acceleration", 1.0),
-        "acceleration_g": ("acceleration", STANDARD_GRAVITY_M_S2),
-        "position_m": ("position", 1.0),
-        "position_mm": ("position", 1e-3),
-        "force_N": ("force", 1.0),
-        "winding_C": ("winding", 1.0),
-        "housing_C": ("housing", 1.0),
-        "ambient_C": ("ambient", 1.0),
-    },
+    columns=(
+        *("time_s", "time_ms"),
+        *("command_A", "current_A", "voltage_V"),
+        *("acceleration_m_s2", "acceleration_g"),
+        *("position_m", "position_mm", "force_N"),
+        *("winding_C", "housing_C", "ambient_C"),
+    ),
     header={
         "speed_m_s": Scalar("speed", 1.0, "m/s"),
         "grip_N": Scalar("grip", 1.0, "N", zero=True),
@@ -37,7 +28,6 @@ WORDS = Vocabulary(
     },
     required=("time",),
     step_s=(1e-7, 60.0),  # up to a logger's one reading a minute: heating takes half an hour
-    unit_suffix=re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s|m?V|C|k?Hz)$", re.IGNORECASE),
 )
 
 

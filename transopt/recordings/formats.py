@@ -166,9 +166,7 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTa
         if step_s is not None:
             return _from_variables(found, layout, without_times(words)).timed(step_s, start_s)
     chosen = layout.columns or [
-        name
-        for name in candidates
-        if words.unit_suffix.search(name) or apart(name)[1] or stated_for(name, words, units)
+        name for name in candidates if words.is_meant(name) or apart(name)[1] or stated_for(name, words, units)
     ]
     if not layout.columns and not all(quantity_of(name, words) is not None for name in chosen):
         vectors = numeric(reads)

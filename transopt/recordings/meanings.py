@@ -60,12 +60,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
     quantity = quantity_of(name, words)
     assert quantity is not None
     user, label = stated_unit(name, quantity, units), apart(name)[1] or ""
-    own: Unit | None
-    if name in words.columns:
-        own = Unit(words.columns[name][1])
-        label = label if called_quantity(name, words) else name  # a name of the project's own, which has its unit
-    else:
-        own = read_unit(label, quantity)
+    own = read_unit(label, quantity) if label or name not in words.columns else Unit(1.0)
     if user is None and own is not None:
         return Meaning(quantity, own.factor, own.per, label, slopes=own.slopes)
     stated = with_input(user, label) if user else label
@@ -112,7 +107,7 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearErro
 
 def _untimed(names: Sequence[str], words: Vocabulary) -> UnclearError:
     """The question for the sample rate of a file that has no times."""
-    choice = " or ".join(name for name, (of, _) in words.columns.items() if of == "time")
+    choice = " or ".join(words.names_of("time"))
     problem = f"0 time columns in {quote(', '.join(names))}: must be 1; name one {choice}, or state the sample rate"
     return UnclearError(problem, [{"rate_Hz": rate} for rate in RATES_HZ])
 
@@ -164,7 +159,7 @@ def meanings(
     for quantity in lacking({quantity_of(name, words) for name in used}, words):
         if quantity == "time":
             raise _untimed(found or names, words)
-        choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
+        choice = " or ".join(words.names_of(quantity))
         problem = f"0 {quantity} columns in {present}: must be 1; name one {choice}"
         others = {name: values for name, values in seen().items() if name not in used} if found else {}
         if answers := guesses(others, likely_units(quantity), is_named=True, needs_time=False):

@@ -15,6 +15,7 @@ A unit is never guessed: 9.81 lies between the two that are usual for an acceler
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 from transopt.base.errors import InputError
@@ -22,8 +23,7 @@ from transopt.recordings.units import RATIOS, is_electrical, is_unit, read_unit
 
 SKIPPED = "-"
 MOST_CHOICES = 8  # among columns of one quantity
-# An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
-UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
+SMALLEST = "min"  # behind a name not the minutes, but the least of something
 # A unit behind a name: in brackets, behind a stroke, or behind "in". A number in brackets is an element's place.
 _WITH_UNIT = (
     re.compile(r"(?P<base>[^\[\](){}]+?)\s*[\[({](?!\d+[\])}])(?P<unit>([^\[\](){}]|\([^()]*\))*)[\])}]"),
@@ -68,6 +68,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "current": ("i", "strom"),
     "command": ("cmd",),
     "voltage": ("u", "v"),
+    **dict.fromkeys(("winding", "housing", "ambient"), ()),
     "frequency": ("freq", "f", "frequenz"),
     "magnitude": ("mag", "abs", "amplitude", "gain", "betrag"),
     "real": ("re", "realteil"),
@@ -121,19 +122,17 @@ class Vocabulary:
 
     Attributes
     ----------
-    columns : name in the file -> (quantity, factor to SI); "time" is one of the quantities.
+    columns : names of the project's own, quantity and unit in one word; one that has no unit is in SI.
     header : name in the file -> scalar.
     required : quantities that every file has.
     step_s : shortest and longest median time step [s].
-    unit_suffix : how names end that are meant for a quantity, known or misspelt; others are the user's own.
     called : name of a column without its unit -> quantity, as a user states it.
     """
 
-    columns: Mapping[str, tuple[str, float]]
+    columns: Sequence[str]
     header: Mapping[str, Scalar]
     required: tuple[str, ...]
     step_s: tuple[float, float]
-    unit_suffix: re.Pattern[str] = UNIT_SUFFIX
     called: Mapping[str, str] = field(default_factory=dict)
 
     def knowing(self, units: Mapping[str, str]) -> "Vocabulary":
@@ -159,10 +158,25 @@ class Vocabulary:
                 called[base] = spoken[0]
         return replace(self, called={**self.called, **called}) if called else self
 
-    @property
+    @cached_property
     def quantities(self) -> tuple[str, ...]:
         """Every quantity that a column may have, once."""
-        return tuple(dict.fromkeys(of for of, _ in self.columns.values()))
+        return tuple(
+            dict.fromkeys(filter(None, (_quantity_called(apart(name)[0], ALIASES) for name in self.columns)))
+        )
+
+    def names_of(self, quantity: str) -> list[str]:
+        """The project's own names of a quantity."""
+        return [name for name in self.columns if quantity_of(name, self) == quantity]
+
+    def is_meant(self, name: str) -> bool:
+        """Whether a name ends in a unit, as that of a quantity, known or misspelt; others are the user's own."""
+        tails = [name[at + 1 :] for at, mark in enumerate(name) if mark == "_"]
+        known = {own.rpartition("_")[2] for own in self.header}
+        return name in self.columns or any(
+            tail in known or (tail != SMALLEST and any(read_unit(tail, of) for of in self.quantities))
+            for tail in tails
+        )
 
 
 @dataclass(frozen=True)
@@ -240,14 +254,16 @@ def called_quantity(base: str, words: Vocabulary) -> str | None:
     """The quantity that a name without unit means, None if none."""
     if base in words.called:
         return words.called[base]
+    return _quantity_called(base, words.quantities)
+
+
+def _quantity_called(base: str, quantities: Iterable[str]) -> str | None:
     spelt = {base.strip().lower().replace("_", " "), _small(base)}
-    return next((of for of in words.quantities if spelt & {of, *ALIASES.get(of, ())}), None)
+    return next((of for of in quantities if spelt & {of, *ALIASES[of]}), None)
 
 
 def quantity_of(name: str, words: Vocabulary) -> str | None:
     """The quantity that a column means by its name, with or without a unit; None if none."""
-    if name in words.columns:
-        return words.columns[name][0]
     base, unit = apart(name)
     initial = INITIALS.get(base.lower()) if unit and not is_electrical(unit) else None
     return initial if initial in words.quantities else called_quantity(base, words)
@@ -271,7 +287,7 @@ def spared(names: Sequence[str], words: Vocabulary, said: list[str]) -> list[str
     ----------
     said : takes a sentence that names what is left out.
     """
-    idle = [name for name in names if quantity_of(name, words) is None and not words.unit_suffix.search(name)]
+    idle = [name for name in names if quantity_of(name, words) is None and not words.is_meant(name)]
     idle = [name for name in idle if name != SKIPPED]
     if not idle or lacking({quantity_of(name, words) for name in names}, words):
         return list(names)

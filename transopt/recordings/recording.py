@@ -12,23 +12,19 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.base.signals import Signal
 from transopt.recordings.names import Layout, Scalar, Vocabulary
 from transopt.recordings.table import read_table
 
 VOCABULARY = Vocabulary(
-    columns={
-        "time_s": ("time", 1.0),
-        "time_ms": ("time", 1e-3),
-        "acceleration_m_s2": ("acceleration", 1.0),
-        "acceleration_g": ("acceleration", STANDARD_GRAVITY_M_S2),
-        "velocity_m_s": ("velocity", 1.0),  # of a vibrometer, whose slope is the acceleration
-        "position_m": ("position", 1.0),
-        "position_mm": ("position", 1e-3),
-        "force_N": ("force", 1.0),
-        "current_A": ("current", 1.0),
-        "command_A": ("command", 1.0),  # as the simulator records it; a tap on a real object has none
-    },
+    columns=(
+        *("time_s", "time_ms"),
+        *("acceleration_m_s2", "acceleration_g"),
+        "velocity_m_s",  # of a vibrometer, whose slope is the acceleration
+        *("position_m", "position_mm"),
+        *("force_N", "current_A"),
+        "command_A",  # as the simulator records it; a tap on a real object has none
+    ),
     header={
         "speed_m_s": Scalar("speed", 1.0, "m/s"),
         "speed_mm_s": Scalar("speed", 1e-3, "mm/s"),

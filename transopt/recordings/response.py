@@ -6,7 +6,6 @@ instruments write them (`transopt.recordings.names`). A universal file holds the
 """
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,33 +15,25 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.shown import brief
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
 from transopt.recordings.formats import UNIVERSAL, read_raw, refuse_idle
 from transopt.recordings.names import Layout, Meaning, Vocabulary, quote
 from transopt.recordings.raw_table import MIN_SAMPLES, RawTable
 from transopt.recordings.unclear import located
-from transopt.recordings.units import INPUTS, LEVEL, RATIOS, parts
+from transopt.recordings.units import INPUTS, RATIOS, parts
 
 LARGEST = 1e9  # m/s^2 per A or V: far above every actuator, and its square still fits
 WORDS = Vocabulary(
-    columns={
-        "frequency_Hz": ("frequency", 1.0),
-        "frequency_kHz": ("frequency", 1e3),
-        "magnitude": ("magnitude", 1.0),
-        "magnitude_m_s2": ("magnitude", 1.0),
-        "magnitude_g": ("magnitude", STANDARD_GRAVITY_M_S2),
-        "magnitude_dB": ("magnitude", LEVEL),
-        "phase_deg": ("phase", math.pi / 180),
-        "phase_rad": ("phase", 1.0),
-        "real": ("real", 1.0),
-        "imaginary": ("imaginary", 1.0),
-        "imag": ("imaginary", 1.0),
-    },
+    columns=(
+        *("frequency_Hz", "frequency_kHz"),
+        *("magnitude", "magnitude_m_s2", "magnitude_g", "magnitude_dB"),
+        *("phase_deg", "phase_rad"),
+        *("real", "imaginary", "imag"),
+    ),
     header={},
     required=("frequency",),
     step_s=(0.0, 0.0),
-    unit_suffix=re.compile(r"(_(k?Hz|dB|deg|rad|m_s2|g)|^(magnitude|real|imag|imaginary))$"),
 )
 PAIRS = (("real", "imaginary"), ("magnitude", "phase"))
 

@@ -296,7 +296,7 @@ def _read_header_line(number: int, line: str, header: dict[str, object], words: 
         raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
     if key in words.header:
         header[key] = value
-    elif words.unit_suffix.search(key):
+    elif words.is_meant(key):
         known = f"known: {', '.join(words.header)}"
         raise InputError(f"row {number}: unknown header key {quote(key)}; {known}; correct or reword it")
 

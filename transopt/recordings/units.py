@@ -64,6 +64,7 @@ _SYMBOLS = {"sec": "s", "volt": "V", "amp": "A", "hertz": "Hz", "newton": "N", "
 _SPELT = {"gn": "g", "g_n": "g", "g0": "g"}
 _BRACKETS = re.compile(r"\(([^()]*)\)")
 _PER_SECOND_TWICE = re.compile(r"(/s/s|[ _]?s-2|_s2)$", re.IGNORECASE)
+_PER_SECOND = re.compile(r"_s$", re.IGNORECASE)
 
 
 class Unit(NamedTuple):
@@ -96,7 +97,7 @@ def _symbol(word: re.Match[str]) -> str:
 def _plain(unit: str) -> str:
     """One spelling of a unit's many: no superscripts, words or signs that keyboards lack."""
     plain = " ".join(_BRACKETS.sub(r"\1", unit).replace("**", "").translate(_SIGNS).split())
-    return _PER_SECOND_TWICE.sub("/s2", _WORD.sub(_symbol, plain))
+    return _PER_SECOND.sub("/s", _PER_SECOND_TWICE.sub("/s2", _WORD.sub(_symbol, plain)))
 
 
 _EXACT = {of: {_plain(unit): factor for unit, factor in table.items()} for of, table in UNITS.items()}
