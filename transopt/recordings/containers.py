@@ -110,7 +110,7 @@ def tdms_channels(data: bytes) -> Channels:
     log_manager.set_level(logging.CRITICAL)  # else it tells its own log of every damaged byte
     with guarded("not a readable TDMS file", "export it as CSV"):
         channels = [channel for group in nptdms.TdmsFile(io.BytesIO(data)).groups() for channel in group.channels()]
-        values = {_labelled(each.name, each.properties.get("unit_string")): each[:] for each in channels}
+        values = {labelled(each.name, each.properties.get("unit_string")): each[:] for each in channels}
         steps = {float(step) for each in channels if (step := each.properties.get("wf_increment"))}
         starts = {float(each.properties.get("wf_start_offset", 0.0)) for each in channels}
     # Channels of several rates have lengths of their own, which are refused where they are compared.
@@ -135,5 +135,6 @@ def hdf5_datasets(data: bytes) -> Channels:
     return Channels(archive)
 
 
-def _labelled(name: str, unit: object) -> str:
+def labelled(name: str, unit: object) -> str:
+    """A name with its unit in brackets, where a file states one."""
     return f"{name} [{unit}]" if isinstance(unit, str) and unit.strip() else name

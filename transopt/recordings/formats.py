@@ -6,6 +6,7 @@ checks and converts all of them alike.
 """
 
 import io
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
@@ -43,7 +44,7 @@ from transopt.recordings.raw_table import LARGEST, RawTable, check_size, without
 from transopt.recordings.text import read_text, text_columns, untimed
 from transopt.recordings.unclear import Answer, UnclearError, options
 from transopt.recordings.units import is_unit, known_units, read_unit
-from transopt.recordings.universal_file import read_universal_file
+from transopt.recordings.universal_file import universal_columns
 
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
@@ -76,12 +77,9 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
 
 
 def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
-    match suffix.lower():
-        case ".wav":
-            return _read_wav(data, layout)
-        case kind if kind in UNIVERSAL:
-            return read_universal_file(data, layout, words)
-    opened = _opened(suffix, data)
+    if suffix.lower() == ".wav":
+        return _read_wav(data, layout)
+    opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data)
     return read_text(opened, layout, words) if isinstance(opened, bytes) else _from_variables(opened, layout, words)
 
 
@@ -133,12 +131,16 @@ def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
     """
     kinds = {suffix.lower() for suffix in suffixes}
     of_sounds, of_others = kinds == {".wav"}, bool(kinds) and ".wav" not in kinds
+    with_channels = {".wav", *UNIVERSAL}
     idle = {
-        "columns": (of_sounds, "a WAV file has channels, no columns; leave it out and choose one, --channel 1"),
+        "columns": (
+            bool(kinds) and kinds <= with_channels,
+            "WAV and universal files have no columns; leave it out and choose one, --channel 1",
+        ),
         "units": (of_sounds, "a WAV file has no units; leave it out and state its full scale, --full-scale 490.3"),
         "rate_Hz": (of_sounds, "a WAV file states its own; leave it out, or correct the file's"),
         "channel": (
-            of_others and not kinds & set(UNIVERSAL),
+            bool(kinds) and not kinds & with_channels,
             "only WAV and universal files have channels; leave it out and choose columns, --columns time_s,-,acc_g",
         ),
         "full_scale_m_s2": (of_others, "only a WAV file has a full scale; leave it out, --units acceleration=g"),
@@ -172,7 +174,7 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTa
         vectors = numeric(reads)
         chosen = [name for name in chosen if quantity_of(name, words) is not None or name in vectors]
     if "magnitude" in words.quantities and not layout.columns:
-        _refuse_unstated(reads, [name for name in candidates if name not in chosen], units)
+        _refuse_unstated(reads, [name for name in candidates if name not in chosen], words, chosen)
     if chosen and not layout.columns and (absent := lacking({quantity_of(name, words) for name in chosen}, words)):
         chosen = [*chosen, *(name for name in numeric(reads) if quantity_of(name, words) in absent)]
     # Names that mean something are asked about where none has a unit.
@@ -184,6 +186,11 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTa
         values = _column(reads[name], name, is_complex=known[name].quantity == "magnitude")
         if np.iscomplexobj(values):
             means = known.pop(name)
+            if math.isnan(means.factor):
+                raise InputError(
+                    f"variable {name} is complex, and a level in dB has no phase; state its unit, "
+                    "--units magnitude=m/s^2/V"
+                )
             for part, of in (("real", values.real), ("imaginary", values.imag)):
                 columns[f"{name} ({part} part)"] = np.asarray(of)
                 known[f"{name} ({part} part)"] = means._replace(quantity=part)
@@ -215,21 +222,26 @@ def numeric(reads: Mapping[str, Callable[[], object]]) -> dict[str, FloatArray]:
 
 
 def _refuse_unstated(
-    reads: Mapping[str, Callable[[], object]], names: Sequence[str], units: Mapping[str, str]
+    reads: Mapping[str, Callable[[], object]], names: Sequence[str], words: Vocabulary, chosen: Sequence[str]
 ) -> None:
     """Ask for the unit of a complex array, which is a response if anything is.
 
+    Parameters
+    ----------
+    names : of the arrays whose unit nobody states. chosen : of the others.
+
     Raises
     ------
-    InputError : there is one.
+    UnclearError : there is one.
     """
+    is_known = any(quantity_of(name, words) == "frequency" for name in chosen)
     for name in names:
         with guarded(f"variable {name} is not readable", _SAVE_NPZ):
             found = np.iscomplexobj(np.asarray(reads[name]()))
         if found:
             raise UnclearError(
                 f"variable {name} is complex, as a response is, and nothing states its unit",
-                [{"units": {"frequency": "Hz", **units, name: unit}} for unit in known_units("real")],
+                [{"units": {**({} if is_known else {"frequency": "Hz"}), name: of}} for of in known_units("real")],
             )
 
 

@@ -19,7 +19,6 @@ from transopt.recordings.names import (
     Vocabulary,
     apart,
     axis_of,
-    called_quantity,
     keys_of,
     lacking,
     lacks_unit,
@@ -64,7 +63,8 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
     if user is None and own is not None:
         return Meaning(quantity, own.factor, own.per, label, slopes=own.slopes)
     stated = with_input(user, label) if user else label
-    if read_unit(stated, quantity) is None:
+    unit = read_unit(stated, quantity)
+    if unit is None:
         problem = f"column {quote(name)}: {quote(stated)} is no unit of {quantity}"
         if is_electrical(stated):
             answers = [{"units": {apart(name)[0]: each}} for each in sensed(stated)]
@@ -73,8 +73,12 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
         if user is None and not remedy_of(stated):  # a range as X (100g), or a unit as "g rms"
             raise UnclearError(problem, [{"units": {quantity: each}} for each in likely_units(quantity)])
         raise InputError(problem)
-    said = "" if is_sensed(stated, label) else label and f"column is {quote(name)}"
-    return settled(quantity, stated, own, said)
+    # A file that states an acceleration alone says nothing against any input.
+    compared = unit if own is None or own.per else read_unit(parts(stated)[0], quantity)
+    agrees = own is not None and compared is not None and compared.means(own)
+    note = f"the file's column is {quote(name)}, --units says {stated}, which is taken"
+    contradicts = bool(label) and not (agrees or is_sensed(stated, label))
+    return Meaning(quantity, unit.factor, unit.per, stated, note if contradicts else "", unit.slopes)
 
 
 def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearError:
@@ -110,23 +114,6 @@ def _untimed(names: Sequence[str], words: Vocabulary) -> UnclearError:
     choice = " or ".join(words.names_of("time"))
     problem = f"0 time columns in {quote(', '.join(names))}: must be 1; name one {choice}, or state the sample rate"
     return UnclearError(problem, [{"rate_Hz": rate} for rate in RATES_HZ])
-
-
-def settled(quantity: str, stated: str, own: Unit | None, said: str) -> Meaning:
-    """What a column means by the unit that a user states, and a note where the file states another.
-
-    Parameters
-    ----------
-    stated : a unit of the quantity.
-    own, said : the file's unit, None where it is not known, and what the file says; empty where it says nothing.
-    """
-    unit = read_unit(stated, quantity)
-    assert unit is not None
-    # A file that states an acceleration alone says nothing against any input.
-    compared = unit if own is None or own.per else read_unit(parts(stated)[0], quantity)
-    agrees = own is not None and compared is not None and compared.means(own)
-    note = f"the file's {said}, --units says {stated}, which is taken" if said and not agrees else ""
-    return Meaning(quantity, unit.factor, unit.per, stated, note, unit.slopes)
 
 
 def meanings(

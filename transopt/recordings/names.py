@@ -70,7 +70,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "voltage": ("u", "v"),
     **dict.fromkeys(("winding", "housing", "ambient"), ()),
     "frequency": ("freq", "f", "frequenz"),
-    "magnitude": ("mag", "abs", "amplitude", "gain", "betrag"),
+    "magnitude": ("mag", "abs", "amplitude", "gain", "betrag", "accelerance"),
     "real": ("re", "realteil"),
     "imaginary": ("imag", "im", "imaginaerteil"),
     "phase": ("angle", "arg"),

@@ -33,6 +33,19 @@ class RawTable:
     place: Callable[[int], str]
     notes: tuple[str, ...] = ()
 
+    def rows(self) -> int:
+        """Number of rows.
+
+        Raises
+        ------
+        InputError : columns of several lengths.
+        """
+        sizes = {name: values.size for name, values in self.columns.items()}
+        if len(set(sizes.values())) > 1:
+            listed = ", ".join(f"{name} {n}" for name, n in sizes.items())
+            raise InputError(f"columns differ in length ({listed} samples); save them equally long")
+        return next(iter(sizes.values()))
+
     def timed(self, step_s: float, start_s: float = 0.0, note: str = "") -> "RawTable":
         """The table with times of the rows, which the file does not have, before its other columns."""
         size = max((values.size for values in self.columns.values()), default=0)

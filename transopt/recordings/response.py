@@ -6,7 +6,7 @@ instruments write them (`transopt.recordings.names`). A universal file holds the
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from transopt.base.files import read_file
 from transopt.base.shown import brief
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.base.sizes import MOST_RECORD_BYTES
-from transopt.recordings.formats import UNIVERSAL, read_raw, refuse_idle
+from transopt.recordings.formats import read_raw, refuse_idle
 from transopt.recordings.names import Layout, Meaning, Vocabulary, quote
 from transopt.recordings.raw_table import MIN_SAMPLES, RawTable
 from transopt.recordings.unclear import located
@@ -77,7 +77,6 @@ def read_response(
     """
     data = read_file(path, MOST_RECORD_BYTES, "name a file with a measured frequency response")
     layout = layout or Layout()
-    is_universal = path.suffix.lower() in UNIVERSAL
     try:
         if not (math.isfinite(scale) and scale != 0):
             raise InputError(f"--scale {scale}: must be a number other than 0")
@@ -90,7 +89,7 @@ def read_response(
             raw = read_raw(path.suffix, data, layout, WORDS)
             frequencies_Hz, response, said = _of_table(raw)
             found = _checked(frequencies_Hz, scale * response)
-        _agreeing(said, ["magnitude"] if is_universal else [each.quantity for each in said.values()], driven_by)
+        _agreeing(said, driven_by)
     except InputError as error:
         raise located(error, path) from error
     notes = [each.note for each in raw.meanings.values()]
@@ -105,18 +104,19 @@ def read_response(
     return replace(found, driven_by=driven_by or per, notes=tuple(dict.fromkeys(filter(None, notes))))
 
 
-def _agreeing(said: Mapping[str, Meaning], keys: Sequence[str], driven_by: str) -> None:
+def _agreeing(said: Mapping[str, Meaning], driven_by: str) -> None:
     """Refuse a user's word about the input against the unit's.
 
     Parameters
     ----------
     said : what the columns mean that have a unit of the response.
-    keys : what their unit is stated for by --units.
     """
+    # The parts of a complex array have one unit.
+    keys = ["magnitude" if name.endswith(" part)") else each.quantity for name, each in said.items()]
     for each in said.values():
         if driven_by and each.per and each.per != driven_by:
             unit = f"{parts(each.stated)[0]}/{INPUTS[driven_by]}"
-            remedy = ",".join(f"{key}={unit}" for key in keys)
+            remedy = ",".join(f"{key}={unit}" for key in dict.fromkeys(keys))
             raise InputError(
                 f"--input {driven_by}: its unit {each.stated} says that the response is to a {each.per}; leave "
                 f"--input out, or state --units {remedy}"
@@ -146,10 +146,7 @@ def _checked(frequencies_Hz: FloatArray, response: ComplexArray) -> MeasuredResp
 def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Meaning]]:
     """Frequencies [Hz], response [m/s^2 per A or V], and what its columns with a unit of the response mean."""
     columns = {each.quantity: (raw.columns[name], each.factor) for name, each in raw.meanings.items()}
-    sizes = {name: values.size for name, values in raw.columns.items()}
-    if len(set(sizes.values())) > 1:
-        listed = ", ".join(f"{name} {n}" for name, n in sizes.items())
-        raise InputError(f"columns differ in length ({listed}); save them equally long")
+    raw.rows()
     pair = next((pair for pair in PAIRS if all(part in columns for part in pair)), None)
     if pair is None or sum(part in columns for other in PAIRS for part in other) > 2:
         raise InputError(

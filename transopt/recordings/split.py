@@ -4,22 +4,23 @@ A session is often recorded in one go. Taken as one tap it would be the tap of i
 be what rings behind it; so it is cut into its taps, each a record of its own with the name `FILE#2`.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
-import scipy
 
 from transopt.base.errors import InputError
 from transopt.base.filters import highpass
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import FloatArray, Signal, median
 from transopt.recordings.recording import Recording
 
 PAUSE_S = 0.1  # between two taps: a rebound comes sooner and belongs to its tap, no hand taps as fast
 LEAST_SHARE = 0.15  # of the highest peak: taps of 0.1 and 0.4 m/s differ by a factor of four
 LEAST_TO_NOISE = 10.0  # times its rms: the highest of a million samples of noise is five times as large
+NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
 START_S = 2e-3
 SLOWEST_HZ = 8.0  # below it the hand moves and turns the sensor in the earth's field
 SIGNALS = ("acceleration", "position", "force", "current", "across_1", "across_2")  # of a recording
@@ -40,15 +41,19 @@ def bounds(x: Signal) -> list[tuple[int, int]]:
     quick = highpass(replace(x, values=x.values - rest), SLOWEST_HZ).values
     # A force that is let go, or a stylus that is lifted, moves the other way than a tap.
     quick = quick * np.sign(quick[np.argmax(np.abs(quick))])
-    steps = np.diff(x.values)
-    noise = float(scipy.stats.median_abs_deviation(steps, scale="normal") / np.sqrt(2))
-    loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * noise))
+    loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * white_noise(x)))
     if loud.size == 0:
         return whole
     breaks = np.flatnonzero(np.diff(loud) > PAUSE_S / x.dt_s)
     ends, begins = loud[breaks], loud[breaks + 1]
     cuts = [int(max((end + begin) // 2, end + 1)) for end, begin in zip(ends, begins, strict=True)]
     return list(zip([0, *cuts], [*cuts, x.values.size], strict=True))
+
+
+def white_noise(x: Signal) -> float:
+    """Size (rms) of the white noise in a recording, from its steps: the tap itself is smooth and adds little."""
+    steps = x.values[1:] - x.values[:-1]
+    return median(np.abs(steps - median(steps))) / (NORMAL_QUARTILE * math.sqrt(2))
 
 
 def _cut(x: Signal, first: int, end: int) -> Signal:

@@ -124,11 +124,7 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
     way : how axes are joined, see `axes.joined`; empty for the default.
     joining : takes a sentence that says how they were.
     """
-    sizes = {name: values.size for name, values in table.columns.items()}
-    size = min(sizes.values())
-    if max(sizes.values()) != size:
-        listed = ", ".join(f"{name} {n}" for name, n in sizes.items())
-        raise InputError(f"columns differ in length ({listed} samples); save them equally long")
+    size = table.rows()
     if size < MIN_SAMPLES:
         raise InputError(f"{size} samples, at least {MIN_SAMPLES} are needed; record a longer piece")
     empty = np.any([np.isnan(values) for values in table.columns.values()], axis=0)

@@ -6,7 +6,6 @@ All of it is found in the recording, unless the scene states it.
 
 import glob
 import itertools
-import math
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -27,7 +26,7 @@ from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.second_hit import second_hit
 from transopt.recordings.settings import Recordings
 from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
-from transopt.recordings.split import SLOWEST_HZ, split
+from transopt.recordings.split import SLOWEST_HZ, split, white_noise
 from transopt.recordings.unclear import UnclearError
 
 AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
@@ -35,7 +34,6 @@ BASELINE_SAMPLES = 8  # fewer are no baseline
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
 CLIPPED_RUN = 3  # samples; two that are alike may be chance
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
-NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
 USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # that a hand taps with
 TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of the error: contact is then put where the pulse begins
 TOE_LEVEL = 5e-3  # of the peak, from which on it has begun; below it lies no energy to speak of
@@ -250,12 +248,6 @@ def _clipped(values: FloatArray, offset: float) -> int:
     return count
 
 
-def _noise(x: Signal) -> float:
-    """Size (rms) of the white noise in a recording, from its steps: the tap itself is smooth and adds little."""
-    steps = x.values[1:] - x.values[:-1]
-    return median(np.abs(steps - median(steps))) / (NORMAL_QUARTILE * math.sqrt(2))
-
-
 def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
     """What makes a recording an unlikely tap; none of it refuses the file."""
     notes = []
@@ -298,7 +290,7 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             f"{recording.name}: recordings.onset_s = {onset:g} s lies outside of the recording, {raw.start_s:g} to "
             f"{raw.end_s:g} s: state it in the file's own time, or leave it out and it is found"
         )
-    noise = _noise(raw)
+    noise = white_noise(raw)
     if settings.onset_s == "auto" and upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
         raise InputError(
             f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "

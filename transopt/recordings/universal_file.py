@@ -1,4 +1,4 @@
-"""Functions in dataset 58 of a universal file, over frequency or over time, read in SI by the labels of their axes.
+"""Functions in dataset 58 of a universal file, over frequency or over time, in the units that their labels state.
 
 SDRC, "Universal File Format", dataset 58: Function at Nodal DOF. Records 8 to 10 describe abscissa, ordinate and
 denominator: a type, three exponents, the axis' label and the label of its unit. Software for measurements writes a
@@ -15,20 +15,10 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
-from transopt.recordings.meanings import settled
-from transopt.recordings.names import MOST_CHOICES, Layout, Meaning, Vocabulary, quote
-from transopt.recordings.raw_table import RawTable
+from transopt.recordings.containers import Channels, labelled
+from transopt.recordings.names import MOST_CHOICES, Layout, Vocabulary, quantity_of, quote
 from transopt.recordings.unclear import UnclearError
-from transopt.recordings.units import (
-    UNITS,
-    input_unit,
-    is_electrical,
-    likely_units,
-    parts,
-    read_unit,
-    remedy_of,
-    sensed,
-)
+from transopt.recordings.units import UNITS, input_unit, parts
 
 TIME_RESPONSE, FREQUENCY_RESPONSE = 1, 4  # function types of record 6
 # Specific data types of records 8 to 10. Of a general quantity exponents of length, force and temperature are stated.
@@ -52,7 +42,6 @@ TYPES = {
     20: "an order",
 }
 MAY_ACCELERATE = ("", TYPES[ACCELERATION], "length^1 force^0 temperature^0")
-SI, EXAMPLE = "m/s^2", "--units magnitude=g/V"
 MARK = b"    -1"
 # Ordinate type of record 7 -> parts of a number, and type in a binary dataset; single or double precision.
 ORDINATES = {2: (1, "f4"), 4: (1, "f8"), 5: (2, "f4"), 6: (2, "f8")}
@@ -74,54 +63,39 @@ class _Dataset(NamedTuple):
     order: str = "<"
 
 
-def read_universal_file(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
-    """One function among the datasets 58 of a universal file, in ASCII or binary, by the labels of its axes.
+def universal_columns(data: bytes, layout: Layout, words: Vocabulary) -> Channels:
+    """One function among the datasets 58 of a universal file, in ASCII or binary, named by the labels of its axes.
 
-    Where frequencies are looked for it is a frequency response, in columns frequency, real and imaginary; else what
-    was recorded over time, in columns time and acceleration.
+    Where frequencies are looked for it is a frequency response, in columns frequency and accelerance; else what was
+    recorded over time, in columns time and acceleration.
 
     Parameters
     ----------
-    layout : `units` of the columns go before the labels in the file; `channel` is which of several functions.
+    layout : `channel` is which of several functions; the types of the file count where `units` states no other.
 
     Raises
     ------
-    InputError : a file that holds none, or units that are not known; an option that says nothing about such a file.
-    UnclearError : several functions, or an axis without a label.
+    InputError : a file that holds none; a function that is no acceleration by its types and labels.
+    UnclearError : several functions; a response whose label states its input alone.
     """
     is_response = "frequency" in words.required
-    abscissa, ordinate = ("frequency", "magnitude") if is_response else ("time", "acceleration")
-    units = dict(layout.units or {})
-    if layout.columns:
-        raise InputError("--columns: a universal file has no columns; leave it out")
-    if other := [name for name in units if name not in (abscissa, ordinate)]:
-        a_unit = "magnitude=g/V,frequency=Hz" if is_response else "acceleration=g,time=s"
-        raise InputError(
-            f"--units {other[0]}={units[other[0]]}: a universal file has here {abscissa} and {ordinate}; write "
-            f"--units {a_unit}"
-        )
+    abscissa, ordinate = ("frequency", "accelerance") if is_response else ("time", "acceleration")
     datasets = _datasets(data)
     unit = next((_unit_of_164(each) for each in datasets if each.kind == "164"), "")
-    chosen = _chosen(
-        [each for each in datasets if each.kind in ("58", "58b")], layout.channel, is_response=is_response
-    )
-    of_abscissa = _abscissa(chosen.lines, units.get(abscissa, ""), abscissa, is_stated=bool(unit))
-    of_ordinate = _ordinate(chosen.lines, units.get(ordinate, ""), unit, is_response=is_response)
-    if of_abscissa is None or of_ordinate is None:
-        below = _axis(chosen.lines, 9, "denominator")[1] if is_response else ""
-        likely = [f"{unit}/{below}" for unit in ("m/s^2", "g", "mm/s^2")] if below else likely_units(ordinate)
-        known = {} if of_abscissa else {abscissa: "Hz" if is_response else "s"}
-        raise UnclearError(
-            f"dataset 58: no label says the unit of its {abscissa if of_ordinate else ordinate}",
-            [{"units": {**known, ordinate: unit}} for unit in likely] if of_ordinate is None else [{"units": known}],
-        )
-    parts_of = {"real": of_ordinate, "imaginary": of_ordinate._replace(quantity="imaginary")}
-    named = {abscissa: of_abscissa, **(parts_of if is_response else {ordinate: of_ordinate})}
-    cells = _numbers(chosen, len(named) - 1)
-    columns = {name: cells[:, at] for at, name in enumerate(named)}
-    if layout.rate_Hz:  # goes before what the file says of its times
-        del columns["time"], named["time"]
-    return RawTable(columns, named, {}, lambda k: f"point {k + 1}")
+    functions = [each for each in datasets if each.kind in ("58", "58b")]
+    chosen = _chosen(functions, layout.channel, is_response=is_response)
+    kind, along, _ = _axis(chosen.lines, 7, "abscissa")
+    if kind not in (UNKNOWN, FREQUENCY if is_response else TIME):
+        raise InputError(f"dataset 58: its abscissa is no {abscissa}; export a function of {abscissa}")
+    if unit and not along:
+        along = "Hz" if is_response else "s"
+    units = layout.units or {}
+    is_stated = any(key in units for key in (ordinate, quantity_of(ordinate, words)))
+    label = _label(chosen.lines, unit, is_response=is_response, is_stated=is_stated)
+    cells = _numbers(chosen, 2 if is_response else 1)
+    values = cells[:, 1] + 1j * cells[:, 2] if is_response else cells[:, 1]
+    named = {labelled(abscissa, along): cells[:, 0], labelled(ordinate, label): values}
+    return Channels(named, place=lambda k: f"point {k + 1}")
 
 
 def _unit_of_164(dataset: _Dataset) -> str:
@@ -257,69 +231,39 @@ def _axis(block: Sequence[str], line: int, what: str) -> tuple[int, str, str]:
     return kind, "" if label.upper() in NOT_STATED else label, meaning
 
 
-def _abscissa(block: Sequence[str], user: str, quantity: str, *, is_stated: bool) -> Meaning | None:
-    """What the abscissa means, by the user's word or by its label; None where nothing says it."""
-    kind, label, _ = _axis(block, 7, "abscissa")
-    if kind not in (UNKNOWN, FREQUENCY if quantity == "frequency" else TIME):
-        raise InputError(f"dataset 58: its abscissa is no {quantity}; export a function of {quantity}")
-    stated = user or label or ({"frequency": "Hz", "time": "s"}[quantity] if is_stated else "")
-    if not stated:
-        return None
-    if read_unit(stated, quantity) is None:
-        unit = f"{quantity}={'Hz' if quantity == 'frequency' else 's'}"
-        raise InputError(
-            f"dataset 58: its abscissa is in {quote(stated)}, which is not known; state it by --units {unit}"
-        )
-    said = f"label says {label} for the abscissa" if label else ""
-    return settled(quantity, stated, read_unit(label, quantity), said)
-
-
-def _ordinate(block: Sequence[str], user: str, unit: str, *, is_response: bool) -> Meaning | None:
-    """What ordinate over denominator means: the user's word goes before the labels, and these before the types.
+def _label(block: Sequence[str], unit: str, *, is_response: bool, is_stated: bool) -> str:
+    """The unit of the ordinate over its denominator: labels go before types, which may refuse the function.
 
     Parameters
     ----------
     unit : of accelerations, as a dataset 164 states it; empty where none does.
-
-    Returns
-    -------
-    None where nothing says the unit.
+    is_stated : whether the user says what the function is.
 
     Raises
     ------
-    InputError : units that are not known, an ordinate that is no acceleration, or a denominator that is no input.
-    UnclearError : volts without the sensitivity of their sensor.
+    InputError : an ordinate that is no acceleration, or a denominator that is no input.
+    UnclearError : a denominator's label without one of the ordinate.
     """
     kind, above, ordinate = _axis(block, 8, "ordinate")
     _, below, denominator = _axis(block, 9, "denominator") if is_response else (UNKNOWN, "", "")
-    acceleration, of_input = (user, "") if not is_response else (parts(user)[0] or parts(above)[0], "")
-    if is_response:
-        of_input = parts(user)[1] or parts(above)[1] or below
-    acceleration = acceleration or above
-    is_known = kind in (UNKNOWN, GENERAL, ACCELERATION) and (acceleration or ordinate in MAY_ACCELERATE)
-    if not (is_known or user):
+    may_accelerate = kind in (UNKNOWN, GENERAL, ACCELERATION) and (above or ordinate in MAY_ACCELERATE)
+    if not (may_accelerate or is_stated):
         raise InputError(f"dataset 58: its ordinate is {ordinate}, no acceleration (type 12); export the accelerance")
-    acceleration = acceleration or unit
-    quantity = "real" if is_response else "acceleration"
-    if acceleration and read_unit(acceleration, quantity) is None:
-        if not is_response and is_electrical(acceleration):
-            raise UnclearError(
-                f"dataset 58: its ordinate is in {quote(acceleration)}, and the sensor's sensitivity is not stated",
-                [{"units": {"acceleration": each}} for each in sensed(acceleration)],
-            )
-        remedy = remedy_of(acceleration) or f"; state it by {EXAMPLE if is_response else '--units acceleration=g'}"
-        raise InputError(f"dataset 58: its ordinate is in {quote(acceleration)}, which is not known{remedy}")
-    if is_response and input_unit(of_input) is None and (of_input or denominator):
-        found = f"in {quote(of_input)}" if of_input else f"{denominator} by its type"
+    if parts(above)[1]:
+        return above
+    if (below or denominator) and input_unit(below) is None and not is_stated:
+        found = f"in {quote(below)}" if below else f"{denominator} by its type"
         raise InputError(
             f"dataset 58: its denominator is {found}, neither a current nor a voltage; export the acceleration over "
-            f"the command, or state what it is by {EXAMPLE}"
+            "the command, or state what it is by --units magnitude=g/V"
         )
-    if not acceleration:
-        return None
-    label = f"{above or unit or SI}/{below}" if below and not parts(above)[1] else above
-    stated = f"{acceleration}/{of_input}" if of_input else acceleration
-    return settled(quantity, stated, read_unit(label, quantity), f"labels say {label}" if label and user else "")
+    above = above or unit
+    if below and not above and not is_stated:
+        raise UnclearError(
+            "dataset 58: no label says the unit of its magnitude",
+            [{"units": {"magnitude": f"{of}/{below}"}} for of in ("m/s^2", "g", "mm/s^2")],
+        )
+    return f"{above}/{below}" if below and above else above
 
 
 def _cells(lines: Sequence[str], widths: Sequence[int], wanted: int) -> FloatArray:

@@ -164,7 +164,7 @@ def test_the_users_units_go_before_the_labels_and_the_contradiction_is_named(tmp
     found = read_response(tmp_path / "r.uff", Layout(units={"magnitude": "g/A"}))
     np.testing.assert_allclose(found.response, G, rtol=1e-10)
     assert found.driven_by == "current"
-    assert found.notes == ("the file's labels say m/s^2/V, --units says g/A, which is taken",)
+    assert found.notes == ("the file's column is 'accelerance [m/s^2/V]', --units says g/A, which is taken",)
 
 
 @pytest.mark.parametrize(
@@ -173,21 +173,29 @@ def test_the_users_units_go_before_the_labels_and_the_contradiction_is_named(tmp
         (
             ("Hz", "furlong", "V"),
             Layout(),
-            "its ordinate is in 'furlong', which is not known; state it by --un",
+            "'furlong/V' is no unit of magnitude; known: m/s.* state it, for example --units 'magnitude=m/s",
         ),
         (
             ("rpm", "g", "V"),
             Layout(),
-            "its abscissa is in 'rpm', which is not known; state it by",
+            "'rpm' is no unit of frequency; known: Hz, kHz, rad/s; state it, for example --units frequency=Hz",
         ),
         (("Hz", "g", "N"), Layout(), "its denominator is in 'N', neither a current nor a voltage"),
-        (("Hz", "g", "V"), Layout(("a", "b")), "--columns: a universal file has no columns; leave it out"),
+        (
+            ("Hz", "g", "V"),
+            Layout(("a", "b")),
+            "--columns a,b .*: WAV and universal files have no columns; leave it out and choose one",
+        ),
         (
             ("Hz", "g", "V"),
             Layout(units={"acc": "g"}),
-            "--units acc=g: a universal file has here frequency and magnitude; write",
+            r"--units acc: no column of that name; the file has 'frequency \[Hz\], accelerance \[g/V\]'",
         ),
-        (("Hz", "g", "V"), Layout(units={"magnitude": "dB"}), "its ordinate is in 'dB', which is not known"),
+        (
+            ("Hz", "g", "V"),
+            Layout(units={"magnitude": "dB"}),
+            "is complex, and a level in dB has no phase; state its unit, --units magnitude=m/s",
+        ),
     ],
 )
 def test_what_says_nothing_of_a_universal_file_is_refused(
