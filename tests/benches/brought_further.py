@@ -315,6 +315,11 @@ def _boards() -> None:
         "time[us]\tA_X [mg]\tA_Y [mg]\tA_Z [mg]\n"
         + rows(US, 1e3 * X_G, 1e3 * Y_G, 1e3 * Z_G, mark="\t", form="{:.10g}"),
     )
+    _add("load.csv", "Time [s],Load [g]\n" + rows(TIMES_S, IN_G), "units", units={"Load": "g"})
+    _add("load_beside.csv", "Time [s],Load Cell [g],CH2 [g]\n" + rows(TIMES_S, 30 + 0 * X, IN_G))
+    statistics = "\nStatistics\nMinimum,-0.01\nMaximum,13.6\nStop time,2024-03-05 14:11:03\n"
+    _add("statistics.csv", "time [s],acc [g]\n" + rows(TIMES_S, IN_G) + statistics)
+    _add("killed.txt", "Zeit [s];Beschleunigung [g]\n" + rows(TIMES_S, IN_G, mark=";").replace(".", ",") + "0,30")
     _add("bare_a.csv", "time [s],a,b\n" + rows(TIMES_S, 0.01 * X, IN_G), "units", units={"b": "g"})
     _add("inches.csv", "time [s],acc\n" + rows(TIMES_S, TAP_M_S2 / G), "units", units={"acc": "g"})
 

@@ -19,6 +19,7 @@ from transopt.recordings.names import (
     Vocabulary,
     apart,
     axis_of,
+    is_weighed,
     keys_of,
     lacking,
     lacks_unit,
@@ -93,10 +94,14 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearErro
             problem, [{"units": {base: each}} for base, unit in electrical.items() for each in sensed(unit)]
         )
     present = {quantity_of(name, words) for name in names}
+    absent = lacking(present, words)
+    weighed = [apart(name) for name in unknown if is_weighed(name)]
+    if weighed and acceleration and "acceleration" in absent:
+        problem = f"column {quote(weighed[0][0])} may hold grams of a load cell, and no other is an acceleration's"
+        return UnclearError(problem, [{"units": {base: unit}} for base, unit in weighed])
     problem = (
         f"unknown column {quote(unknown[0])}; known: {', '.join(words.columns)}, or time [s], acc [g] and the like"
     )
-    absent = lacking(present, words)
     if not absent:
         return UnclearError(problem, [{"columns": [SKIPPED if name in unknown else name for name in names]}])
     if acceleration:

@@ -43,6 +43,10 @@ NAMED_UNITS = {
 }
 STEMS = ("linear acceleration", "acceleration", "accelerometer", "accel", "acc", "a", "gf")
 INITIALS = {"a": "acceleration"}  # that mean a quantity only beside a unit: a channel A, in volts too, is any
+# Words of names whose column in g is sooner a weight in grams than an acceleration.
+WEIGHED = frozenset(
+    ("load", "loadcell", "cell", "weight", "mass", "scale", "balance", "gram", "grams", "force", "thrust", "hx")
+) | frozenset(("last", "gewicht", "masse", "waage", "kraft", "gramm"))
 # One of three axes, as in accel_x or ay; an underscore is read as a blank.
 AXES = tuple(f"{stem}{mark}{axis}" for stem in STEMS for mark in ("", " ") for axis in "xyz")
 # Quantity -> what else it is called, in small letters.
@@ -150,7 +154,7 @@ class Vocabulary:
     def labelled(self, names: Sequence[str]) -> "Vocabulary":
         """The words, and names of a required quantity that no other has: by their unit, or by one of their words."""
         absent = lacking({quantity_of(name, self) for name in names}, self)
-        own = [apart(name) for name in names if quantity_of(name, self) is None]
+        own = [apart(name) for name in names if quantity_of(name, self) is None and not is_weighed(name)]
         called = {base: of for of in absent for base, unit in own if unit and read_unit(unit, of)}
         for base, unit in own:
             spoken = [of for of in absent if _words(base) & {of, *ALIASES[of]}]
@@ -219,6 +223,13 @@ def _small(base: str) -> str:
 def _words(base: str) -> set[str]:
     """The words of a name, in small letters."""
     return set(map(str.lower, _WORD.findall(base)))
+
+
+def is_weighed(name: str) -> bool:
+    """Whether a column in g may hold grams by its name."""
+    base, unit = apart(name)
+    said = _words(base)
+    return unit in ("g", "mg") and not WEIGHED.isdisjoint(said) and said.isdisjoint(STEMS)
 
 
 def stated_units(text: str) -> dict[str, str]:

@@ -34,7 +34,7 @@ def text_columns(data: bytes, words: Vocabulary) -> dict[str, FloatArray]:
 
 def read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     """Remarks, at most one row of names and one of units, rows of numbers; counted as an editor counts them."""
-    rows, numbers, found, header, head, told = parted_text(data, words, len(layout.columns))
+    rows, numbers, found, header, head, told, footer = parted_text(data, words, len(layout.columns))
     if not rows and not (layout.columns or found):
         raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
     if not (layout.columns or found):
@@ -53,6 +53,8 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
         raw = read_text(data, replace(layout, rate_Hz=1 / rate.step_s), without_times(words))
         return raw.timed(rate.step_s, rate.start_s, rate.note)
     said = list[str]()
+    if footer:
+        said.append(f"what stands below the numbers from {quote(footer[0])} on is left out")
     if not layout.columns:
         names = one_clock(names, words, units, lambda k: _column(rows, k), said)
         names = spared(names, words, said)

@@ -28,6 +28,7 @@ _UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
 _METADATA = re.compile(r"([A-Za-z]\w*)\s*[:=,;\t]\s*(.*)")
 _NOTE = re.compile(r"[#*%/;\"\s]*([A-Za-z][\w -]*?)[\s\":]*[:=,;\t]+\s*(.*)")
 _QUOTED = re.compile(r'"([^"]*)"')
+MOST_BELOW = 50  # lines below the numbers; of more nobody knows what they are
 _LAST_ROWS = 20  # of a file, which show how its rows are divided
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # in a row that has decimal points
@@ -36,6 +37,7 @@ _EITHER = re.compile(r"[-+]?[1-9]\d{0,2}\.\d{3}")  # 1.069, which is 1069 beside
 _POINT = re.compile(r"(?<![\d.:])\d+\.\d+(?![\d.])")  # of a number, not of a date or a time of day
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
+_WORTH = re.compile(r"\d|nan|inf", re.IGNORECASE)  # a stamp of strokes alone has none of it
 _STATED = re.compile(r"[A-Za-z]\w*\s*=\s*[-+.\d]\S*")
 _LABELLED = re.compile(r"([A-Za-z]\w*)\s*[:=]\s*([-+.\d][^\s,;]*)")
 _SERIAL_STAMP = re.compile(r"\d+:\d+:\d+[.,]\d+ -> ")  # that the serial monitor of Arduino puts before a line
@@ -50,7 +52,8 @@ class Text(NamedTuple):
     rows, numbers : lines of numbers, and where each stands in the file.
     names : of the columns with their units, as the file has them; empty where it has none.
     header : what remarks state.
-    head, told : lines above the numbers; what cells beside names and numbers state.
+    head, told : lines above and below the numbers; what cells beside names and numbers state.
+    footer : lines below the numbers, which are left out.
     """
 
     rows: list[str]
@@ -59,6 +62,7 @@ class Text(NamedTuple):
     header: dict[str, object]
     head: list[str]
     told: list[str]
+    footer: list[str]
 
 
 def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
@@ -72,6 +76,7 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
     rows, numbers, remark = _lines(data, header, words)
     if not rows:
         raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
+    footer = _below(rows, numbers)
     names, told = _labelled(rows), _beside(rows)
     start = _first_of_numbers(rows)
     above, first = rows[:start], rows[min(start, len(rows) - 1)]
@@ -96,7 +101,36 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
             names = []
     names = with_axes(described(names, width, [*head, *told]))
     del rows[:start], numbers[:start]
-    return Text(rows, numbers, names, header, head, told)
+    return Text(rows, numbers, names, header, [*head, *footer], told, footer)
+
+
+def _below(rows: list[str], numbers: "array[int]") -> list[str]:
+    """What a logger writes below its numbers: a mark of the end, statistics, or a row that was cut short.
+
+    Parameters
+    ----------
+    rows, numbers : lose these lines.
+    """
+
+    usual = rows[len(rows) // 2]
+    mark = delimiter_of(usual)
+
+    def is_of_numbers(row: str) -> bool:
+        first = row.split(mark, 1)[0].strip()
+        return not first or bool(_STAMP.fullmatch(first) and _WORTH.search(first))
+
+    if not is_of_numbers(usual):
+        return []
+    last = range(len(rows), max(len(rows) - MOST_BELOW, len(rows) // 2), -1)
+    end = next((at for at in last if is_of_numbers(rows[at - 1])), len(rows))
+    *before, cut = (cells_of(row) for row in rows[max(end - _LAST_ROWS, 0) : end])
+    if len(before) >= MIN_SAMPLES and all(map(all, before)):
+        width = len(before[-1])
+        is_short = len(cut) < width or (len(cut) == width and not all(cut))
+        end -= int(is_short)
+    footer = rows[end:]
+    del rows[end:], numbers[end:]
+    return footer
 
 
 def _labelled(rows: list[str]) -> list[str]:

@@ -74,6 +74,46 @@ def test_csv_dialects(tmp_path: Path, content: str) -> None:
     np.testing.assert_allclose(load(tmp_path, content).acceleration.values, TAP_M_S2, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "footer",
+    [
+        "End of data\n",
+        "\n\nEOF,,\n",
+        "Mean,0.12\nMax,8.2\n",
+        "\nStatistics\nmin,-3.1\nrms,0.3\nStop time,2026-11-01 10:00:03\n",
+        "-----\n200 rows\n",
+        "\x1a",
+        "0.02",
+        "0.02,",
+    ],
+)
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_what_stands_below_the_numbers_is_left_out_and_named(tmp_path: Path, footer: str, mark: str) -> None:
+    recording = load(tmp_path, (csv() + footer).replace(",", mark))
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    first = footer.strip().splitlines()[0].replace(",", mark)
+    assert [note for note in recording.notes if "below the numbers" in note and "is left out" in note]
+    assert repr(" ".join(first.split()))[1:5] in recording.notes[0]
+
+
+@pytest.mark.parametrize("rows", ["1,2\nx\n1,2\n", "x\n" * 60, "0.02,1,2\n"])
+def test_what_stands_among_the_numbers_or_is_long_is_refused(tmp_path: Path, rows: str) -> None:
+    assert "row 20" in refusal(tmp_path, csv() + rows)
+
+
+def test_a_slow_channel_that_ends_in_a_blank_keeps_its_rows(tmp_path: Path) -> None:
+    forces = ["1" if k % 2 == 0 else "" for k in range(TIMES_S.size)]
+    slow = "".join(f"{t:.4f},{a:.12g},{f}\n" for t, a, f in zip(TIMES_S, TAP_M_S2, forces, strict=True))
+    recording = load(tmp_path, "time_s,acceleration_m_s2,force_N\n" + slow)
+    assert not any("below the numbers" in note for note in recording.notes)
+    assert recording.acceleration.values.size == TIMES_S.size - 1
+
+
+def test_a_rate_below_the_numbers_counts(tmp_path: Path) -> None:
+    recording = load(tmp_path, "acc [m/s^2]\n" + text(TAP_M_S2) + "Sample rate: 5 kHz\n")
+    assert recording.acceleration.rate_Hz == pytest.approx(5000.0)
+
+
 def test_columns_replace_the_csv_header_and_skip(tmp_path: Path) -> None:
     pairs = zip(TIMES_S, TAP_M_S2, strict=True)
     rows = "".join(f"{a:.12g},10:15:{t:.4f},{t:.12g}\n" for t, a in pairs)
