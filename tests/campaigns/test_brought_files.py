@@ -24,8 +24,8 @@ import pytest
 from tests.benches.brought_files import FILES
 from tests.benches.commands import Outcome, Run, captured
 from tests.benches.tap_formats import ONSET_S, SPEED_M_S, Brought
-from tests.campaigns.harness import PartFile, long_form
-from transopt.base.writing import table, write_text
+from tests.campaigns.harness import PartFile, long_form, write_part
+from transopt.base.writing import table
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, prepare, read_recordings
 from transopt.recordings.unclear import joined
@@ -108,8 +108,7 @@ def main(kinds: str = "", part: PartFile = None) -> int:
     count = {how: sum(each.how == how for each in found) for how in ("read", "asked")}
     lines.append(f"{len(found)} files: {count['read']} read, {count['asked']} asked once and then read")
     print("\n".join(lines))
-    if part is not None:
-        write_text(part, "\n".join(lines) + "\n")
+    write_part(part, lines)
     return int(sum(count.values()) != len(found))
 
 

@@ -22,6 +22,7 @@ from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.sizes import MOST_ROWS, MOST_UNPACKED_BYTES, megabytes
 from transopt.recordings.names import quote
+from transopt.recordings.rates import Rate
 
 HDF5_TIME_S = 8.0  # the largest file that is sound, 268 MB, took 1.3 s
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -35,13 +36,12 @@ class Channels:
     Attributes
     ----------
     values : name, with its unit in brackets where the file states it -> array, read when it is asked for.
-    step_s, start_s : of the samples, where the file states them.
+    rate : of the samples, where the file states it.
     place : where a user finds the sample of an index.
     """
 
     values: Mapping[str, Any]
-    step_s: float | None = None
-    start_s: float = 0.0
+    rate: Rate | None = None
     place: Callable[[int], str] = "sample {}".format
 
 
@@ -114,7 +114,7 @@ def tdms_channels(data: bytes) -> Channels:
         steps = {float(step) for each in channels if (step := each.properties.get("wf_increment"))}
         starts = {float(each.properties.get("wf_start_offset", 0.0)) for each in channels}
     # Channels of several rates have lengths of their own, which are refused where they are compared.
-    return Channels(values, min(steps, default=None), min(starts, default=0.0))
+    return Channels(values, Rate(min(steps), min(starts, default=0.0)) if steps else None)
 
 
 def hdf5_datasets(data: bytes) -> Channels:

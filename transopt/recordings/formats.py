@@ -39,9 +39,9 @@ from transopt.recordings.names import (
     stated_for,
     with_axes,
 )
-from transopt.recordings.rates import rate_of
+from transopt.recordings.rates import Rate, rate_of
 from transopt.recordings.raw_table import LARGEST, RawTable, check_size, without_times
-from transopt.recordings.text import read_text, text_columns, untimed
+from transopt.recordings.text import is_untimed, read_text, text_columns, untimed
 from transopt.recordings.unclear import Answer, UnclearError, options
 from transopt.recordings.units import is_unit, known_units, read_unit
 from transopt.recordings.universal_file import universal_columns
@@ -71,16 +71,17 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
     InputError : an unknown format or column, or content that is not of the format.
     """
     words = words.knowing(layout.units or {})
-    if layout.rate_Hz is None:
-        return _read(suffix, data, layout, words)
-    return _read(suffix, data, layout, without_times(words)).timed(1 / layout.rate_Hz)
-
-
-def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
+    stated = None if layout.rate_Hz is None else Rate(1 / layout.rate_Hz)
+    if stated is not None:
+        words = without_times(words)
     if suffix.lower() == ".wav":
-        return _read_wav(data, layout)
-    opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data)
-    return read_text(opened, layout, words) if isinstance(opened, bytes) else _from_variables(opened, layout, words)
+        raw, rate = _read_wav(data, layout)
+    else:
+        opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data)
+        is_text = isinstance(opened, bytes)
+        raw, rate = read_text(opened, layout, words) if is_text else _from_variables(opened, layout, words)
+    rate = stated or rate
+    return raw if rate is None else raw.timed(rate)
 
 
 def _opened(suffix: str, data: bytes) -> bytes | Channels:
@@ -150,23 +151,23 @@ def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
             raise InputError(f"{options({key: value})} (in a scene recordings.{key}): {why}")
 
 
-def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTable:
-    """The chosen columns among the variables; without a choice, all whose names end in a unit or are given one."""
+def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple[RawTable, Rate | None]:
+    """The chosen columns among the variables; without a choice, all whose names end in a unit or are given one.
+
+    Returns
+    -------
+    The columns, and the rate that the file states in place of times.
+    """
     units, reads = layout.units or {}, _parted(found.values, words)
     if words.lacks(reads):
         words = words.labelled(list(numeric(reads)))
     candidates = [name for name in reads if name not in words.header]
-    if (
-        "time" in words.required
-        and layout.rate_Hz is None
-        and not any(quantity_of(name, words) == "time" for name in reads)
-    ):
-        step_s, start_s = found.step_s, found.start_s
-        if step_s is None:
-            lines = [f"{apart(name)[0]} = {value:.17g}" for name, value in _scalars(reads).items()]
-            step_s, start_s, _ = rate_of([], lines) or (None, 0.0, "")
-        if step_s is not None:
-            return _from_variables(found, layout, without_times(words)).timed(step_s, start_s)
+    rate = None
+    if is_untimed(reads, words):
+        lines = [f"{apart(name)[0]} = {value:.17g}" for name, value in _scalars(reads).items()]
+        rate = found.rate or rate_of([], lines)
+        if rate is not None:
+            words = without_times(words)
     chosen = layout.columns or [
         name for name in candidates if words.is_meant(name) or apart(name)[1] or stated_for(name, words, units)
     ]
@@ -197,7 +198,7 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> RawTa
         else:
             columns[name] = values
     header = {name: _column(reads[name], name) for name in words.header if name in reads}
-    return RawTable(columns, known, header, found.place)
+    return RawTable(columns, known, header, found.place), rate
 
 
 def _scalars(reads: Mapping[str, Callable[[], object]]) -> dict[str, float]:
@@ -287,7 +288,8 @@ def full_scales() -> list[Answer]:
     return [{"full_scale_m_s2": float(f"{g * STANDARD_GRAVITY_M_S2:.4g}")} for g in FULL_SCALES_G]
 
 
-def _read_wav(data: bytes, layout: Layout) -> RawTable:
+def _read_wav(data: bytes, layout: Layout) -> tuple[RawTable, Rate]:
+    """One channel of a sound, and its rate."""
     full_scale_m_s2, channel = layout.full_scale_m_s2, layout.channel
     if full_scale_m_s2 is None:
         raise UnclearError("the acceleration of a WAV file's full scale is not stated, in m/s^2", full_scales())
@@ -305,7 +307,7 @@ def _read_wav(data: bytes, layout: Layout) -> RawTable:
     values = values[:, (channel or 1) - 1]
     known = {"acceleration_m_s2": Meaning("acceleration", 1.0)}
     raw = RawTable({"acceleration_m_s2": full_scale_m_s2 * values}, known, {}, lambda k: f"sample {k}")
-    return raw.timed(float(np.divide(1.0, rate_Hz)))
+    return raw, Rate(float(np.divide(1.0, rate_Hz)))
 
 
 def _sound(data: bytes) -> tuple[float, FloatArray]:

@@ -176,7 +176,7 @@ class Vocabulary:
     def is_meant(self, name: str) -> bool:
         """Whether a name ends in a unit, as that of a quantity, known or misspelt; others are the user's own."""
         tails = [name[at + 1 :] for at, mark in enumerate(name) if mark == "_"]
-        known = {own.rpartition("_")[2] for own in self.header}
+        known = {scalar.unit for scalar in self.header.values() if scalar.unit}
         return name in self.columns or any(
             tail in known or (tail != SMALLEST and any(read_unit(tail, of) for of in self.quantities))
             for tail in tails

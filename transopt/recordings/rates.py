@@ -30,16 +30,18 @@ class Rate(NamedTuple):
     Attributes
     ----------
     step_s, start_s : of the samples.
-    line : that states the rate.
+    line : of a text that states the rate; empty for a user's word, or a format that has a field for it.
     """
 
     step_s: float
-    start_s: float
-    line: str
+    start_s: float = 0.0
+    line: str = ""
 
     @property
     def note(self) -> str:
-        """A sentence that says where the times of the rows come from."""
+        """A sentence that says where the times of the rows come from; empty where that goes without saying."""
+        if not self.line:
+            return ""
         rate = f"the sample rate of {1 / self.step_s:g} Hz is that of the file's line {quote(self.line)}"
         return f"no column of times; {rate}"
 

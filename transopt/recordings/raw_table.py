@@ -9,6 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.base.sizes import MOST_ROWS
 from transopt.recordings.names import Meaning, Vocabulary
+from transopt.recordings.rates import Rate
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
 MIN_SAMPLES = 8
@@ -46,13 +47,13 @@ class RawTable:
             raise InputError(f"columns differ in length ({listed} samples); save them equally long")
         return next(iter(sizes.values()))
 
-    def timed(self, step_s: float, start_s: float = 0.0, note: str = "") -> "RawTable":
+    def timed(self, rate: Rate) -> "RawTable":
         """The table with times of the rows, which the file does not have, before its other columns."""
         size = max((values.size for values in self.columns.values()), default=0)
-        times_s = np.asarray(start_s + step_s * np.arange(size), dtype=float)
+        times_s = np.asarray(rate.start_s + rate.step_s * np.arange(size), dtype=float)
         meanings = {"time_s": Meaning("time", 1.0), **self.meanings}
         columns = {"time_s": times_s, **self.columns}
-        return replace(self, columns=columns, meanings=meanings, notes=(*filter(None, [note]), *self.notes))
+        return replace(self, columns=columns, meanings=meanings, notes=(*filter(None, [rate.note]), *self.notes))
 
 
 def without_times(words: Vocabulary) -> Vocabulary:

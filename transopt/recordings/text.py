@@ -3,9 +3,8 @@
 import math
 import re
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -14,7 +13,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.recordings.meanings import meanings, one_clock
 from transopt.recordings.names import SKIPPED, Layout, Vocabulary, apart, quantity_of, quote, spared, with_axes
-from transopt.recordings.rates import rate_of
+from transopt.recordings.rates import Rate, rate_of
 from transopt.recordings.raw_table import MIN_SAMPLES, RawTable, without_times
 from transopt.recordings.text_rows import cells_of, delimiter_of, parted_text, with_points
 from transopt.recordings.unclear import UnclearError, guesses
@@ -32,8 +31,13 @@ def text_columns(data: bytes, words: Vocabulary) -> dict[str, FloatArray]:
     return _seen(text.rows, text.names or [f"column {at + 1}" for at in range(width)])
 
 
-def read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
-    """Remarks, at most one row of names and one of units, rows of numbers; counted as an editor counts them."""
+def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable, Rate | None]:
+    """Remarks, at most one row of names and one of units, rows of numbers; counted as an editor counts them.
+
+    Returns
+    -------
+    The columns, and the rate that the file states in place of a column of times.
+    """
     rows, numbers, found, header, head, told, footer = parted_text(data, words, len(layout.columns))
     if not rows and not (layout.columns or found):
         raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
@@ -48,10 +52,9 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     at, clock = _clock_of(rows, names, layout, words)
     if clock is not None:
         names[at] = "time_s"  # whatever a user or the file says of a time of day
-    is_timed = any(quantity_of(name, words) == "time" for name in names)
-    if layout.rate_Hz is None and "time" in words.required and not is_timed and (rate := rate_of(head, told)):
-        raw = read_text(data, replace(layout, rate_Hz=1 / rate.step_s), without_times(words))
-        return raw.timed(rate.step_s, rate.start_s, rate.note)
+    rate = rate_of(head, told) if is_untimed(names, words) else None
+    if rate is not None:
+        words = without_times(words)
     said = list[str]()
     if footer:
         said.append(f"what stands below the numbers from {quote(footer[0])} on is left out")
@@ -68,7 +71,7 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
         columns = {"time_s": clock, **columns}
     for name, stride in _fill(columns, blanks, numbers).items():
         said.append(f"{name} stands in one row of {stride} only, and is interpolated between them")
-    return RawTable(columns, known, header, lambda k: f"row {numbers[k]}", tuple(said))
+    return RawTable(columns, known, header, lambda k: f"row {numbers[k]}", tuple(said)), rate
 
 
 def _nameless(rows: Sequence[str], numbers: Sequence[int], words: Vocabulary) -> UnclearError:
@@ -140,6 +143,11 @@ def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> 
         f"{name} [{unit}]" if unit and quantity_of(name, words) is not None and not apart(name)[1] else name
         for name, unit in zip(columns, units, strict=True)
     ]
+
+
+def is_untimed(names: Collection[str], words: Vocabulary) -> bool:
+    """Whether times are needed, and none of the names means them."""
+    return "time" in words.required and not any(quantity_of(name, words) == "time" for name in names)
 
 
 def untimed(names: Sequence[str], layout: Layout, words: Vocabulary) -> list[str]:
