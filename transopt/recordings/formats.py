@@ -74,14 +74,17 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
     stated = None if layout.rate_Hz is None else Rate(1 / layout.rate_Hz)
     if stated is not None:
         words = without_times(words)
-    if suffix.lower() == ".wav":
-        raw, rate = _read_wav(data, layout)
-    else:
-        opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data)
-        is_text = isinstance(opened, bytes)
-        raw, rate = read_text(opened, layout, words) if is_text else _from_variables(opened, layout, words)
+    raw, rate = _read(suffix, data, layout, words)
     rate = stated or rate
     return raw if rate is None else raw.timed(rate)
+
+
+def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable, Rate | None]:
+    """The columns of a file, and the rate that it states in place of times."""
+    if suffix.lower() == ".wav":
+        return _read_wav(data, layout)
+    opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data)
+    return read_text(opened, layout, words) if isinstance(opened, bytes) else _from_variables(opened, layout, words)
 
 
 def _opened(suffix: str, data: bytes) -> bytes | Channels:

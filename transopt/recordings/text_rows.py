@@ -123,10 +123,10 @@ def _below(rows: list[str], numbers: "array[int]") -> list[str]:
         return []
     last = range(len(rows), max(len(rows) - MOST_BELOW, len(rows) // 2), -1)
     end = next((at for at in last if is_of_numbers(rows[at - 1])), len(rows))
-    *before, cut = (cells_of(row) for row in rows[max(end - _LAST_ROWS, 0) : end])
-    if len(before) >= MIN_SAMPLES and all(map(all, before)):
+    *before, cut = (row.split(mark) for row in rows[max(end - _LAST_ROWS, 0) : end])
+    if len(before) >= MIN_SAMPLES and all(cell.strip() for cells in before for cell in cells):
         width = len(before[-1])
-        is_short = len(cut) < width or (len(cut) == width and not all(cut))
+        is_short = len(cut) < width or (len(cut) == width and not all(cell.strip() for cell in cut))
         end -= int(is_short)
     footer = rows[end:]
     del rows[end:], numbers[end:]

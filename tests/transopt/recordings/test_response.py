@@ -173,7 +173,7 @@ def test_the_users_units_go_before_the_labels_and_the_contradiction_is_named(tmp
         (
             ("Hz", "furlong", "V"),
             Layout(),
-            "'furlong/V' is no unit of magnitude; known: m/s.* state it, for example --units 'magnitude=m/s",
+            r"'furlong/V' is no unit of magnitude; known: m/s.* state it, for example --units 'magnitude=m/s\^2/V",
         ),
         (
             ("rpm", "g", "V"),
