@@ -111,7 +111,6 @@ def _below(rows: list[str], numbers: "array[int]") -> list[str]:
     ----------
     rows, numbers : lose these lines.
     """
-
     usual = rows[len(rows) // 2]
     mark = delimiter_of(usual)
 
@@ -126,7 +125,7 @@ def _below(rows: list[str], numbers: "array[int]") -> list[str]:
     *before, cut = (row.split(mark) for row in rows[max(end - _LAST_ROWS, 0) : end])
     if len(before) >= MIN_SAMPLES and all(cell.strip() for cells in before for cell in cells):
         width = len(before[-1])
-        is_short = len(cut) < width or (len(cut) == width and not all(cell.strip() for cell in cut))
+        is_short = len(cut) < width or not all(cell.strip() for cell in cut[:width])
         end -= int(is_short)
     footer = rows[end:]
     del rows[end:], numbers[end:]
