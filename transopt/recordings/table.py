@@ -23,7 +23,8 @@ from transopt.recordings.containers import guarded
 from transopt.recordings.formats import read_raw
 from transopt.recordings.names import Layout, Vocabulary, axis_of, quote
 from transopt.recordings.raw_table import LARGEST, MIN_SAMPLES, RawTable
-from transopt.recordings.unclear import TIMES, UnclearError, located
+from transopt.recordings.unclear import UnclearError, located
+from transopt.recordings.units import likely_units
 
 _UNIFORM = 0.01  # steps: stamps nearer than that to the uniform grid are taken as on it
 _ASTRAY = 0.45  # steps: a stamp farther off the grid than this says nothing; its sample counts as missing
@@ -219,7 +220,9 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     low, high = step_range_s
     if not low <= median <= high:
         limit = f"must be {low:g} to {high:g} s: check the unit of the time"
-        raise UnclearError(f"median time step {median:g} s: {limit}", [{"units": {"time": unit}} for unit in TIMES])
+        raise UnclearError(
+            f"median time step {median:g} s: {limit}", [{"units": {"time": unit}} for unit in likely_units("time")]
+        )
     periods = _periods(times, median)
     at = int(np.argmax(periods > 1 + _IN_A_ROW))
     if periods[at] > 1 + _IN_A_ROW:

@@ -15,6 +15,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.recordings.units import UNITS, likely_units
 
 Answer = Mapping[str, Any]
 # Key of an answer -> option of a command line, where its name is not the key's.
@@ -28,7 +29,6 @@ OPTIONS = {
 RATES_HZ = (10_000.0, 1000.0, 3200.0, 44_100.0, 48_000.0, 25_600.0, 51_200.0, 100_000.0, 1e6)
 STEPS_S = (1e-7, 0.02)  # of a column that may hold the times of a tap
 STEADY = 0.5  # of the median step: the most that a step of such a column differs in the mean
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LEAST_COUNTS = 50  # that a tap makes in a converter; a few whole numbers may be anything
 MOST_COLUMNS = 3  # that may be the acceleration, the one with the highest peak first
 
@@ -163,7 +163,7 @@ def usual_first(units: Sequence[str], values: FloatArray) -> list[str]:
 def times_in(values: FloatArray) -> list[str]:
     """Units in which a column (n,) may hold the times of a tap."""
     step = float(np.median(np.diff(values))) if values.size > 1 else 0.0
-    return [unit for unit, by in TIMES.items() if STEPS_S[0] <= by * step <= STEPS_S[1]]
+    return [unit for unit in likely_units("time") if STEPS_S[0] <= UNITS["time"][unit] * step <= STEPS_S[1]]
 
 
 def _rises(values: FloatArray) -> bool:
