@@ -79,6 +79,7 @@ CASES = {
         Refused("a.csv", BESIDE, "5.000 stands beside", mended=BESIDE.replace(".", ","))
     ],
     "`2 acceleration columns in ...`": [Refused("a.csv", _of("two_sensors.csv"), "", proposed)],
+    "`may hold grams of a load cell`": [Refused("a.csv", _of("load.csv"), "", proposed)],
     "`is what a sensor gives`": [Refused("a.csv", _of("picoscope.csv"), "", proposed)],
     "`2 channels`, `2 time responses`, `and which is ... is not stated`": [
         Refused(
