@@ -164,54 +164,58 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
     units, reads = layout.units or {}, _parted(found.values, words)
     if words.lacks(reads):
         words = words.labelled(list(numeric(reads)))
-    candidates = [name for name in reads if name not in words.header]
     rate = None
-    if is_untimed(reads, words):
-        lines = [f"{apart(name)[0]} = {value:.17g}" for name, value in _scalars(reads).items()]
-        rate = found.rate or rate_of([], lines)
-        if rate is not None:
-            words = without_times(words)
-    chosen = layout.columns or [
-        name for name in candidates if words.is_meant(name) or apart(name)[1] or stated_for(name, words, units)
-    ]
-    if not layout.columns and not all(quantity_of(name, words) is not None for name in chosen):
-        vectors = numeric(reads)
-        chosen = [name for name in chosen if quantity_of(name, words) is not None or name in vectors]
-    if "magnitude" in words.quantities and not layout.columns:
-        _refuse_unstated(reads, [name for name in candidates if name not in chosen], words, chosen)
-    if chosen and not layout.columns and (absent := lacking({quantity_of(name, words) for name in chosen}, words)):
-        chosen = [*chosen, *(name for name in numeric(reads) if quantity_of(name, words) in absent)]
-    # Names that mean something are asked about where none has a unit.
-    chosen = chosen or [name for name in candidates if quantity_of(name, words) is not None] or candidates
+    if is_untimed(reads, words) and (rate := found.rate or rate_of([], _scalars(reads))):
+        words = without_times(words)
+    chosen = layout.columns or _chosen(reads, words, units)
     wanted = [name for name in untimed(chosen, layout, words) if name != SKIPPED]
     known = meanings(wanted, words, units, list(reads), lambda: numeric(reads))
     columns = dict[str, FloatArray]()
     for name in wanted:
         values = _column(reads[name], name, is_complex=known[name].quantity == "magnitude")
-        if np.iscomplexobj(values):
-            means = known.pop(name)
-            if math.isnan(means.factor):
-                raise InputError(
-                    f"variable {name} is complex, and a level in dB has no phase; state its unit, "
-                    "--units magnitude=m/s^2/V"
-                )
-            for part, of in (("real", values.real), ("imaginary", values.imag)):
-                columns[f"{name} ({part} part)"] = np.asarray(of)
-                known[f"{name} ({part} part)"] = means._replace(quantity=part)
-        else:
+        if not np.iscomplexobj(values):
             columns[name] = values
+            continue
+        means = known.pop(name)
+        if math.isnan(means.factor):
+            problem = f"variable {name} is complex, and a level in dB has no phase"
+            raise InputError(f"{problem}; state its unit, --units magnitude=m/s^2/V")
+        for part, of in (("real", values.real), ("imaginary", values.imag)):
+            columns[f"{name} ({part} part)"] = np.asarray(of)
+            known[f"{name} ({part} part)"] = means._replace(quantity=part)
     header = {name: _column(reads[name], name) for name in words.header if name in reads}
     return RawTable(columns, known, header, found.place), rate
 
 
-def _scalars(reads: Mapping[str, Callable[[], object]]) -> dict[str, float]:
-    """The variables that are one number."""
-    found = dict[str, float]()
+def _chosen(reads: Mapping[str, Callable[[], object]], words: Vocabulary, units: Mapping[str, str]) -> list[str]:
+    """The variables that are columns: all whose names end in a unit or are given one, and what else is needed.
+
+    Raises
+    ------
+    UnclearError : a response whose unit nobody states.
+    """
+    candidates = [name for name in reads if name not in words.header]
+    known = [name for name in candidates if quantity_of(name, words) is not None]
+    chosen = [name for name in candidates if words.is_meant(name) or apart(name)[1] or stated_for(name, words, units)]
+    if not set(chosen) <= set(known):
+        vectors = numeric(reads)
+        chosen = [name for name in chosen if name in known or name in vectors]
+    if "magnitude" in words.quantities:
+        _refuse_unstated(reads, [name for name in candidates if name not in chosen], words, chosen)
+    if chosen and (absent := lacking({quantity_of(name, words) for name in chosen}, words)):
+        chosen += [name for name in numeric(reads) if quantity_of(name, words) in absent]
+    # Names that mean something are asked about where none has a unit.
+    return chosen or known or candidates
+
+
+def _scalars(reads: Mapping[str, Callable[[], object]]) -> list[str]:
+    """The variables that are one number, as lines of a text would state them."""
+    found = list[str]()
     for name in reads:
         with suppress(InputError):
             values = _column(reads[name], name).real
             if values.size == 1:
-                found[name] = float(values[0])
+                found.append(f"{apart(name)[0]} = {values[0]:.17g}")
     return found
 
 
