@@ -105,8 +105,8 @@ def of_kind(kind: str, count: int, first: int, seed: int) -> Tally:
 def main(
     flips: int = 500,
     altered: int = 500,
-    recorded: Annotated[int, typer.Option("--recordings")] = 300,
-    absurd: Annotated[int, typer.Option("--scenes")] = 100,
+    recordings: int = 300,
+    scenes: int = 100,
     seed: Annotated[int | None, typer.Option(help="of the cases; a new one every time without it")] = None,
 ) -> int:
     seed = secrets.randbelow(2**31) if seed is None else seed
@@ -114,7 +114,7 @@ def main(
     wrong = 0
     # The memory of a case is that of its command only where a process forks that has loaded nothing else.
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        counts = (flips, altered, recorded, absurd)
+        counts = (flips, altered, recordings, scenes)
         found = pool.map(of_kind, KINDS, counts, accumulate((0, *counts[:-1])), [seed] * len(KINDS))
         for kind, tally in zip(KINDS, found, strict=True):
             print(
@@ -136,7 +136,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="the campaign forks, 
 
 def test_in_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
-    code = main(flips=3, altered=8, recorded=10, absurd=6)
+    code = main(flips=3, altered=8, recordings=10, scenes=6)
     said = capsys.readouterr().out
     assert code == 0, said
     assert list(tmp_path.iterdir()) == [], "something was left behind"
