@@ -12,12 +12,12 @@ from scipy.stats import qmc
 
 from transopt.base.axes import Axes
 from transopt.base.errors import InputError
-from transopt.design.sweep import Item, Task
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 from transopt.study.axes import Axis, label
 from transopt.study.recordings import StudyRecordings
+from transopt.study.tasks import Item, Task
 
 TOGETHER = 16  # entries of a task: replaying 16 together takes 1.5 times as long as replaying one
 MOST_POINTS = 10_000_000

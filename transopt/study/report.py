@@ -10,14 +10,13 @@ from transopt.base.machine import machine, versions
 from transopt.base.tables import Table
 from transopt.base.units import unit_of
 from transopt.base.writing import percent, table
-from transopt.design.sweep import MULTIPLIER_COLUMNS, REFUSED
 from transopt.library.columns import EntryTable, TableRow
 from transopt.problem.answer import AT_FLOOR
 from transopt.scene.scene import Scene
 from transopt.study.axes import label
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, VIOLATIONS, Row, entry_name, number
+from transopt.study.rows import MULTIPLIER_COLUMNS, OPTIMAL, REFUSED, VIOLATIONS, Row, entry_name, number
 from transopt.study.rows import entry_cells as place_cells
 from transopt.study.store import LIBRARIES
 

@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 
 from transopt.base.errors import InputError
-from transopt.design.sweep import Outcome, Task, run_task
 from transopt.study.executors import Pool
+from transopt.study.rows import Outcome
+from transopt.study.tasks import Task, run_task
 
 AHEAD = 3  # tasks under way or waiting per worker: none idles while results are written, and memory stays flat
 MOST_DEATHS = 3  # of workers without a finished task in between

@@ -4,17 +4,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from transopt.base import terminal
-from transopt.design.sweep import Outcome
 from transopt.study.executors import Pool
 from transopt.study.inverse import Answer, Question, answer, plan_at
 from transopt.study.plan import TOGETHER, Plan
 from transopt.study.recordings import StudyRecordings
-from transopt.study.rows import Row, row_of
+from transopt.study.rows import Outcome, Row, row_of
 from transopt.study.run import execute
 from transopt.study.store import Store
 
@@ -103,7 +102,7 @@ def run_plan(
         with _stop_said(store, plan.entries), progress(name, plan.entries, store.done) as advance:
 
             def write(outcomes: list[Outcome]) -> None:
-                points = [plan.point_of(outcome.index) for outcome in outcomes]
+                points = [plan.point_of(outcome["index"]) for outcome in outcomes]
                 advance(store.add([row_of(o, p, plan.labels(p)) for o, p in zip(outcomes, points, strict=True)]))
                 watch(store.done)
 
@@ -144,9 +143,8 @@ def run_question(plan: Plan, question: Question, folder: Path, pool: Pool) -> An
                 def write(outcomes: list[Outcome]) -> None:
                     found = []
                     for outcome in outcomes:
-                        labels = own.labels(own.point_of(outcome.index))
-                        moved = replace(outcome, index=outcome.index + first)
-                        found.append(row_of(moved, moved.index // per_value, labels))
+                        labels, index = own.labels(own.point_of(outcome["index"])), outcome["index"] + first
+                        found.append(row_of({**outcome, "index": index}, index // per_value, labels))
                     advance(store.add(found))
 
                 execute(pool, own.tasks(lambda index: store.has(index + first), recorded), write)

@@ -21,7 +21,7 @@ from transopt.base.errors import InputError
 from transopt.base.files import ctrl_c_waits, without_nan
 from transopt.base.machine import versions
 from transopt.base.writing import csv_text, write_text
-from transopt.study.rows import OUTCOME, Row
+from transopt.study.rows import COLUMNS, Row
 
 SCHEMA = 2
 LIBRARIES = ("transopt", "casadi", "numpy", "scipy")  # whose versions may move the last digits of a row
@@ -68,9 +68,9 @@ class Store:
         most : rows that the study can come to.
         """
         self.folder, self.path = folder, folder / "study.sqlite"
-        self.columns = ["index", "point", *keys, *OUTCOME]
+        self.columns = ["index", "point", *keys, *COLUMNS]
         self._there = np.zeros(most, dtype=bool)
-        content = {"schema": SCHEMA, "versions": versions(*LIBRARIES), "columns": OUTCOME, **definition}
+        content = {"schema": SCHEMA, "versions": versions(*LIBRARIES), "columns": list(COLUMNS), **definition}
         self._definition: dict[str, Any] = json.loads(json.dumps(without_nan(content)))
 
     def __enter__(self) -> Self:
