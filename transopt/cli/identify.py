@@ -42,6 +42,7 @@ def identify_amplifier(
     from transopt.identify.amplifier import fit_amplifier, trials_of
     from transopt.report import amplifier_fit
     from transopt.scene.model_file import save_part
+    from transopt.scene.model_parts import AmplifierPart
 
     check_place(out)
     runs = measurements(files, columns, units, rate_Hz)
@@ -49,7 +50,7 @@ def identify_amplifier(
         bar.add_task("fitting", total=None)
         trials, findings = trials_of(runs)
         fit = fit_amplifier(trials)
-    part = fit.part(runs)
+    part = AmplifierPart.model_validate(fit.content(runs))
     figure = out.with_name(f"{out.stem}_amplifier.png")
     save_part(out, "amplifier", part)
     save_figure(amplifier_fit.amplifier_figure(fit), figure)
@@ -141,18 +142,19 @@ def identify_coil(
     """
     from transopt.base.plotting import save_figure
     from transopt.cli.questions import measurements
-    from transopt.identify.coil import coil_part, fit_coil
+    from transopt.identify.coil import fit_coil
     from transopt.identify.heat_record import heat_record
     from transopt.report import coil_fit
     from transopt.scene.model_file import save_part
+    from transopt.scene.model_parts import CoilPart
 
     check_place(out)
     nominal = _coil_of(scene)
     (run,) = measurements([file], columns, units, rate_Hz)
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
-    fit = fit_coil(heat_record(run, R_ohm, ripple_A), limit_C=nominal.limit_C)
+    fit = fit_coil(heat_record(run, R_ohm, ripple_A), nominal)
     figure = out.with_name(f"{out.stem}_coil.png")
-    part = coil_part(fit, run, nominal)
+    part = CoilPart.model_validate(fit.content([run]))
     save_part(out, "coil", part)
     save_figure(coil_fit.coil_figure(fit), figure)
     tell(coil_fit.value_table(fit), coil_fit.noise_line(fit))

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
@@ -28,10 +29,10 @@ from transopt.identify.checks import (
 )
 from transopt.identify.condensed import Condensed
 from transopt.identify.findings import COHERENT, Check, Finding, refuse
+from transopt.identify.fit import Fit, around, known
 from transopt.identify.likelihood import Likelihood, Maximum
-from transopt.identify.measurement import Measurement, sources
+from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, estimate_transfer, transfer
-from transopt.scene.model_parts import AmplifierPart
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 LEAST_BINS = 12
@@ -48,7 +49,6 @@ POLE_WANTED, DELAY_WANTED_S = 0.02, 3e-6  # half widths of the intervals that a 
 MISFIT_dB, MISFIT_deg = 1.0, 5.0
 CERTAIN = 3.0  # standard deviations by which a misfit must stand out of its noise
 GAIN_WANTED = 0.1  # off one: command and current monitor do not share a scale
-QUANTILE = float(special.ndtri(0.975))  # of the 95 % intervals
 APART_TICKS, APART_GAIN = 0.3, 1.5  # between one trial and the others; a crossover alone takes less off the gain
 
 
@@ -69,7 +69,7 @@ class Crossover:
 
 
 @dataclass(frozen=True)
-class AmplifierFit:
+class AmplifierFit(Fit):
     """i' = 2 pi pole (gain c(t - delay) - i), with what is known of its numbers.
 
     Attributes
@@ -115,7 +115,6 @@ class AmplifierFit:
         return self.gain * sampled_response(frequencies_Hz, self.pole_Hz, self.delay_s, self.dt_s)
 
     def shortfalls(self) -> list[str]:
-        """What keeps the fit from being one to design with, each with what to record again; empty if nothing does."""
         found = []
         low, high = self.intervals["pole_Hz"]
         if not 0.5 * (high - low) <= POLE_WANTED * self.pole_Hz:
@@ -139,33 +138,22 @@ class AmplifierFit:
             found.append(f"the gain from command to current is {self.gain:.3g}, must be near 1: {remedy}")
         return found
 
-    def verdict(self) -> str:
-        """One sentence for the model file and for the user: fit to design with, or why not."""
-        shortfalls = self.shortfalls()
-        if shortfalls:
-            return "not fit to design with: " + "; ".join(shortfalls)
+    def supports(self) -> str:
         low, high = self.low_Hz, self.estimate.frequencies_Hz[-1]
         misses = f"by at most {self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg beyond its noise"
         return f"one pole and a pure delay miss the current {misses}, {low:.3g} to {high:.4g} Hz; fit to design with"
 
-    def part(self, runs: Sequence[Measurement]) -> AmplifierPart:
-        """What the model file states of a fit to these runs."""
-        low, high = self.intervals["delay_s"]
-        half_s = 0.5 * self.dt_s
-        return AmplifierPart.model_validate(
-            {
-                "pole_Hz": self.pole_Hz,
-                "delay_s": self.delay_s,
-                "delay_with_hold_s": self.delay_with_hold_s,
-                "gain": self.gain,
-                "intervals": {**self.intervals, "delay_with_hold_s": (low + half_s, high + half_s)},
-                "parameters": ["pole_Hz", "delay_s"],
-                "covariance": self.covariance[:2, :2].tolist(),
-                "verdict": self.verdict(),
-                "shortfalls": self.shortfalls(),
-                "sources": sources(runs),
-            }
-        )
+    def stated(self) -> dict[str, Any]:
+        (low, high), half_s = self.intervals["delay_s"], 0.5 * self.dt_s
+        told = known(PARAMETERS[:2], self.covariance[:2, :2], np.zeros((2, 2)))
+        return {
+            **told,
+            "pole_Hz": self.pole_Hz,
+            "delay_s": self.delay_s,
+            "delay_with_hold_s": self.delay_with_hold_s,
+            "gain": self.gain,
+            "intervals": {**self.intervals, "delay_with_hold_s": (low + half_s, high + half_s)},
+        }
 
 
 def fit_pole(data: Condensed, shape: Shape = sampled, start: tuple[float, float] | None = None) -> Maximum:
@@ -265,17 +253,13 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
     pole, delay, gain = fit.values.tolist()
     naive = _fit(trials, continuous, 0.4 / dt_s)
     misfit = _misfit(fit.estimate, gain * sampled_response(fit.estimate.frequencies_Hz, pole, delay, dt_s))
-    half = QUANTILE * np.sqrt(np.diag(covariance))
-    intervals = {
-        name: (float(max(value - h, 0.0)), float(value + h))
-        for name, value, h in zip(PARAMETERS, (pole, delay, gain), half, strict=True)
-    }
+    spans = np.maximum(around(fit.values, covariance), [0.0, -np.inf]).tolist()
     return AmplifierFit(
         pole_Hz=pole,
         delay_s=delay,
         gain=gain,
         covariance=covariance,
-        intervals=intervals,
+        intervals={name: (low, high) for name, (low, high) in zip(PARAMETERS, spans, strict=True)},
         continuous_pole_Hz=float(naive.values[0]),
         continuous_delay_s=float(naive.values[1]),
         crossover=crossover,

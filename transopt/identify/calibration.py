@@ -23,6 +23,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import HAND, SHARED, Coordinates, log_slopes
 from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION, Instrument, courses
+from transopt.identify.fit import around, known
 from transopt.identify.squares import Squares, inverse
 from transopt.scene.fitted import Source, complaint
 from transopt.scene.model_parts import DriveDevice
@@ -37,7 +38,6 @@ UNEXPLAINED = 2.25  # mean square of the residuals over the sensors' noise from 
 ONE_GRIP = 1.2  # largest over smallest grip of taps that say nothing of how a hand changes with grip
 LEAST_SHARE = 0.01  # of a parameter at the lighter end, below which it is taken for no hand's
 LEAST_SPREAD = 1e-9  # of the population: an axis along which it does not vary
-NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -274,17 +274,13 @@ def _device(
     """The drive with the hand of (10,) logarithms at both ends and their covariance, as a model file states it."""
     names, values, matrix = coordinates.stated(logarithms)
     spread = matrix @ covariance @ matrix.T
-    half = NORMAL_95 * np.sqrt(np.diag(spread))
     hand: dict[str, dict[str, float]] = {}
     for name, value in zip(names, values.tolist(), strict=True):
         _, parameter, part = name.split(".")
         hand.setdefault(parameter, {})[part] = value
-    bounds = np.stack([values - half, values + half], axis=1).tolist()
     stated = {
         "hand": hand,
-        "intervals": dict(zip(names, bounds, strict=True)),
-        "parameters": list(names),
-        "covariance": ((spread + spread.T) / 2).tolist(),
+        **known(names, spread, around(values, spread)),
         "sources": [source.model_dump() for source in sources],
     }
     try:

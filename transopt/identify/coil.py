@@ -9,11 +9,12 @@ Row k of a record is read at its instant, and its current flows until row k + 1.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy import special
 
 from transopt.base.signals import FloatArray
+from transopt.identify.fit import Fit, known, quantile
 from transopt.identify.heat_record import (
     COARSEST,
     DRIFT_K,
@@ -22,13 +23,10 @@ from transopt.identify.heat_record import (
     Channel,
     HeatRecord,
 )
-from transopt.identify.measurement import Measurement, sources
 from transopt.identify.squares import Squares, by_differences, inverse
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
-from transopt.scene.model_parts import CoilPart
 
 NAMES = ("R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s")
-LEVEL = 0.95
 STARTS = 5
 MOST_UNCERTAIN = 0.25  # half width of an interval, relative
 STEADY_TAU = 1.0  # of the housing, that current must flow; at twice that 95 % of the rise is reached
@@ -43,13 +41,14 @@ _WIDE_K = 50.0  # around the first reading, for start temperatures
 
 
 @dataclass(frozen=True)
-class CoilFit:
+class CoilFit(Fit):
     """What a record tells of a coil.
 
     Attributes
     ----------
     record : what was fitted.
     coil : the model with its start temperatures as fitted.
+    nominal : the motor's, in the surroundings of its scene, which the fit is to replace.
     intervals : (4, 2) 95 % of `NAMES`.
     covariance : (4, 4) of `NAMES`.
     misfit : rms of residuals over the sensors' noise, 1 where the model explains all.
@@ -59,6 +58,7 @@ class CoilFit:
 
     record: HeatRecord
     coil: CoilModel
+    nominal: CoilModel
     intervals: FloatArray
     covariance: FloatArray
     misfit: float
@@ -67,7 +67,6 @@ class CoilFit:
     housing_C: FloatArray
 
     def shortfalls(self) -> list[str]:
-        """Why these parameters are not to be relied upon, and what to record again; none if they are."""
         coil, record, found = self.coil, self.record, _incredible(self.coil)
         half = (self.intervals[:, 1] - self.intervals[:, 0]) / 2
         wide = [
@@ -111,6 +110,21 @@ class CoilFit:
                 f"the ambient drifts by {record.ambient_drift_K:.1f} K (at most {DRIFT_K:g} K): shield the motor"
             )
         return found
+
+    def supports(self) -> str:
+        # The identified coil in the scene's surroundings, to be compared with the datasheet.
+        nominal, ripple_A = self.nominal, self.record.ripple_A
+        continuous_A = replace(self.coil, ambient_C=nominal.ambient_C).continuous_current_A()
+        ripple = f"; fitted with {ripple_A:g} A of ripple, a design counts {nominal.ripple_A:g} A"
+        return (
+            f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the "
+            f"winding at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C"
+            f"{'' if ripple_A == nominal.ripple_A else ripple}"
+        )
+
+    def stated(self) -> dict[str, Any]:
+        values = {name: getattr(self.coil, name) for name in NAMES}
+        return {**values, **known(NAMES, self.covariance, self.intervals)}
 
 
 def _incredible(coil: CoilModel) -> list[str]:
@@ -223,13 +237,13 @@ class _Misfit(Squares):
         return sum(int(np.count_nonzero(means[0])) for _, _, means in self._channels)
 
 
-def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = STARTS) -> CoilFit:
+def fit_coil(record: HeatRecord, nominal: CoilModel, *, starts: int = STARTS) -> CoilFit:
     """The four parameters of a record.
 
     Parameters
     ----------
     record : see `heat_record`.
-    limit_C : of the winding, for the continuous current of the model.
+    nominal : the motor's, for the limit of the winding.
     starts : how many, log-uniform within a factor of 3 around a guess from the record.
     """
     misfit = _Misfit(record)
@@ -244,7 +258,7 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
     excess = least / free
     # Noise that is not white shows as misfit, and widens the intervals.
     covariance = inverse(misfit.evaluate(theta)[1]) * max(excess, 1.0)
-    half = float(special.stdtrit(free, (1 + LEVEL) / 2)) * np.sqrt(np.diagonal(covariance)[:4])
+    half = quantile(free) * np.sqrt(np.diagonal(covariance)[:4])
     values = np.exp(theta[:4])
     with np.errstate(over="ignore"):  # a parameter that the record does not determine
         intervals = np.exp(np.clip(np.stack([theta[:4] - half, theta[:4] + half], axis=1), -300, 300))
@@ -253,7 +267,8 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
     winding, housing = coil.simulate(record.heating_A2[None, :-1], rows)
     return CoilFit(
         record=record,
-        coil=replace(coil, limit_C=limit_C),
+        coil=replace(coil, limit_C=nominal.limit_C),
+        nominal=nominal,
         intervals=intervals,
         covariance=np.outer(values, values) * covariance[:4, :4],
         misfit=float(np.sqrt(excess)),
@@ -277,36 +292,3 @@ def _guess(record: HeatRecord) -> FloatArray:
     cold /= TEMPERATURE_K
     temperatures = [cold] if record.ambient_C is None else [cold, cold]
     return np.concatenate([np.log([0.2 * total, 0.8 * total, slow / 30, slow]), temperatures])
-
-
-def verdict(fit: CoilFit, nominal: CoilModel) -> str:
-    """In plain words: what the coil's model may be used for, or why not."""
-    short = fit.shortfalls()
-    if short:
-        return f"not to be relied upon: {'; '.join(short)}"
-    # The identified coil in the scene's surroundings, to be compared with the datasheet.
-    continuous_A = replace(fit.coil, ambient_C=nominal.ambient_C).continuous_current_A()
-    ripple = (
-        ""
-        if fit.record.ripple_A == nominal.ripple_A
-        else f"; fitted with {fit.record.ripple_A:g} A of ripple, a design counts {nominal.ripple_A:g} A"
-    )
-    return (
-        f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "
-        f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C{ripple}"
-    )
-
-
-def coil_part(fit: CoilFit, run: Measurement, nominal: CoilModel) -> CoilPart:
-    """What the model file states."""
-    return CoilPart.model_validate(
-        {
-            **{name: getattr(fit.coil, name) for name in NAMES},
-            "intervals": dict(zip(NAMES, fit.intervals.tolist(), strict=True)),
-            "parameters": list(NAMES),
-            "covariance": fit.covariance.tolist(),
-            "verdict": verdict(fit, nominal),
-            "shortfalls": fit.shortfalls(),
-            "sources": sources([run]),
-        }
-    )

@@ -160,12 +160,10 @@ def show(console: Console, result: DeviceResult) -> None:
     """Tables and the verdict."""
     if result.chosen.kind is Kind.DRIVE and result.chain is not None:
         names, values, covariance = result.chain.stated()
-        span = intervals(names, values, covariance)
         # Names are told apart by their ends: fold them on a narrow terminal, never cut them.
         numbers = [Column(head, justify="right") for head in ("value", "95 % interval")]
         table = Table(Column("parameter", overflow="fold"), *numbers, "unit", title="drive chain")
-        for name, value in zip(names, values, strict=True):
-            low, high = span[name]
+        for name, value, (low, high) in zip(names, values, intervals(names, values, covariance), strict=True):
             table.add_row(name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit_of(name))
         console.print(table)
     elif result.black_box is not None:

@@ -67,7 +67,9 @@ def test_taps_that_carry_neither_hand_end_with_those_that_would(
     assert stop.value.exit_code == 1
     content = json.loads(out.read_text(encoding="utf-8"))["hand"]
     assert content["kind"] == "second_order"
-    assert re.search(r"^not to be relied upon: how this hand answers a tap at .* record \d+ taps", content["verdict"])
+    assert re.search(
+        r"^not fit to design with: how this hand answers a tap at .* record \d+ taps", content["verdict"]
+    )
 
 
 def test_the_command_refuses_its_options(

@@ -20,6 +20,7 @@ from transopt.scene.model_file import load_model
 
 R_OHM = 2.18  # Maxon RE 25, 118743
 TRUTH = {"R_wh_K_W": 3.1, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 612.0}
+NOMINAL = CoilModel(R_OHM, **TRUTH, limit_C=100.0)
 NOISE_K, CURRENT_NOISE_A, VOLTAGE_NOISE_V = 0.3, 5e-3, 5e-3
 
 
@@ -63,7 +64,7 @@ def measured(
 
 
 def fitted(run: Measurement, starts: int = 1) -> CoilFit:
-    return fit_coil(heat_record(run, R_OHM), limit_C=100.0, starts=starts)
+    return fit_coil(heat_record(run, R_OHM), NOMINAL, starts=starts)
 
 
 def values(fit: CoilFit) -> FloatArray:
@@ -191,7 +192,7 @@ def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path) -> None:
         identify_coil(heat, out, resistance_ohm=R_OHM)
     assert stop.value.exit_code == 1
     part = load_model(out).coil
-    assert part.verdict.startswith("not to be relied upon: current flows for 200 s")
+    assert part.verdict.startswith("not fit to design with: current flows for 200 s")
 
 
 def test_the_command_refuses_its_options(tmp_path: Path) -> None:
@@ -207,7 +208,7 @@ def test_the_ripple_is_that_of_the_amplifier_that_heated() -> None:
     run = measured(cooling_s=1500.0)
     assert run.current is not None
     ideal = replace(run, current=replace(run.current, values=np.abs(run.current.values) + 0.02))  # ripple and all
-    right, wrong = (fit_coil(heat_record(ideal, R_OHM, ripple), starts=1) for ripple in (0.0, 0.02))
+    right, wrong = (fit_coil(heat_record(ideal, R_OHM, ripple), NOMINAL, starts=1) for ripple in (0.0, 0.02))
     total = [fit.coil.R_wh_K_W + fit.coil.R_ha_K_W for fit in (right, wrong)]
     assert total[0] == pytest.approx(TRUTH["R_wh_K_W"] + TRUTH["R_ha_K_W"], rel=0.01)
     assert total[1] / total[0] == pytest.approx((1.12 / 1.14) ** 2, rel=5e-3)

@@ -12,11 +12,11 @@ from transopt.identify.device.chain_search import RANGE, GripResponse
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import BAND_HZ, Grip, low_coherence
 from transopt.identify.device.validation import Model, called, modelled
+from transopt.identify.fit import around, quantile
 
 MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
 SMOOTHED_BINS = 9
 NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
-SIGMAS = 1.959964  # 95 %
 
 
 def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) -> list[tuple[float, float]]:
@@ -98,16 +98,14 @@ def about_chain(fit: ChainFit, own_hands: Sequence[GripFit]) -> list[str]:
 
 def _factor(sigma: float) -> float:
     """Half the 95 % interval of a positive number from the deviation of its logarithm; at most the range searched."""
-    return float(np.exp(min(SIGMAS * sigma, np.log(RANGE))))
+    return float(np.exp(min(quantile() * sigma, np.log(RANGE))))
 
 
-def intervals(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, tuple[float, float]]:
-    """95 % by name: of what must be positive on a logarithmic scale, of constants and slopes on a plain one."""
-    found = {}
-    for name, value, sigma in zip(names, values, np.sqrt(np.diag(covariance)), strict=True):
+def intervals(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(q, 2) 95 %: of what must be positive on a logarithmic scale, of constants and slopes on a plain one."""
+    found = around(values, covariance)
+    for j, (name, value) in enumerate(zip(names, values, strict=True)):
         if name in SHARED:
-            factor = _factor(sigma / value)
-            found[name] = (float(value / factor), float(value * factor))
-        else:
-            found[name] = (float(value - SIGMAS * sigma), float(value + SIGMAS * sigma))
+            factor = _factor(float(np.sqrt(covariance[j, j]) / value))
+            found[j] = value / factor, value * factor
     return found

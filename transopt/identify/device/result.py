@@ -15,6 +15,7 @@ from transopt.identify.device.trials import Grip
 from transopt.identify.device.validation import Model, Transient, together
 from transopt.identify.device.verdict import verdict
 from transopt.identify.findings import Finding
+from transopt.identify.fit import known
 from transopt.identify.measurement import sources
 from transopt.scene.model_error import ModelError, Predicted
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
@@ -150,9 +151,7 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
                 name: {"constant": constant, "per_newton": slope}
                 for name, (constant, slope) in zip(HAND, device.hand.tolist(), strict=True)
             },
-            "parameters": list(names),
-            "covariance": covariance.tolist(),
-            "intervals": intervals(names, values, covariance),
+            **known(names, covariance, intervals(names, values, covariance)),
             **common,
         }
     )

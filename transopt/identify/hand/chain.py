@@ -12,22 +12,23 @@ that scatter by 5 to 10 % from tap to tap. These intervals do not cover that.
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
-from scipy import signal, stats
+from scipy import signal
 
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain import HAND, Coordinates
 from transopt.identify.device.response import flow
-from transopt.identify.hand.lines import LEVEL, LOUDER, MOST_UNEXPLAINED, HandFit
+from transopt.identify.fit import Fit, around, known, quantile
+from transopt.identify.hand.lines import LOUDER, MOST_UNEXPLAINED, HandFit
 from transopt.identify.hand.tap import LOWPASS_HZ, REACTION_S, HandTap
-from transopt.identify.measurement import Measurement, sources
+from transopt.identify.measurement import Measurement
 from transopt.identify.squares import Squares, by_differences, inverse
 from transopt.plant.hand import LinearInGrip
-from transopt.scene.fitted import Source
 from transopt.scene.identified import known_to
-from transopt.scene.model_parts import ChainHand, FourthOrderHand, SecondOrderHand
+from transopt.scene.model_parts import FourthOrderHand, SecondOrderHand
 
 SHARED = ("stylus_mass_kg",)
 NAMES = (*SHARED, *(f"hand.{name}.{part}" for name in HAND for part in ("constant", "per_newton")))
@@ -38,7 +39,6 @@ MOST_MISSED = 0.15  # relative error of the acceleration: hands of one person do
 LEAST_RATE_HZ, GOOD_RATE_HZ = 2000.0, 5000.0  # a slower record loses the course of the force between its samples
 LEAST_TAPS, MARGIN = 81, 1.5  # of how many taps are asked for
 LOUD_HZ = 200.0  # where the force is heard beyond it, louder taps tell no more
-NORMAL = float(stats.norm.ppf((1 + LEVEL) / 2))
 ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
 _OVERSAMPLED = 5
@@ -50,7 +50,7 @@ _SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # where the starts are 
 
 
 @dataclass(frozen=True)
-class ChainFit:
+class ChainFit(Fit):
     """The fourth-order hand of one session.
 
     Attributes
@@ -115,7 +115,6 @@ class ChainFit:
         return self.expected < self.second
 
     def shortfalls(self) -> list[str]:
-        """Why these taps do not carry this hand, each with what to record; none if they do."""
         found = []
         if self.rate_Hz < LEAST_RATE_HZ:
             found.append(
@@ -130,7 +129,7 @@ class ChainFit:
                 f"{100 * MOST_MISSED:.0f} %): hold the stylus alike in all taps, and record {LEAST_TAPS} or more",
             ]
         grip_N, deviation = max(known_to(self.part()).items(), key=lambda one: one[1])
-        unknown = NORMAL * deviation
+        unknown = quantile() * deviation
         if not unknown <= MOST_UNKNOWN:
             found.append(
                 f"how this hand answers a tap at {grip_N:.2g} N is known to {100 * unknown:.0f} % (at most "
@@ -149,29 +148,25 @@ class ChainFit:
         beyond = (self.taps - len(NAMES)) * (unknown / MOST_UNKNOWN) ** 2
         return f"{max(np.ceil(MARGIN * (len(NAMES) + beyond)), LEAST_TAPS):.0f} taps or more at grips like these"
 
-    def verdict(self) -> str:
-        """In plain words: what the model may be used for, or why not."""
-        if short := self.shortfalls():
-            return f"not to be relied upon: {'; '.join(short)}"
+    def supports(self) -> str:
         return (
             f"supports designs with a fourth_order hand from {self.grips_N[0]:.2g} to {self.grips_N[-1]:.2g} N: "
             f"stylus, skin, hand mass and arm miss {100 * self.unexplained:.1f} % of the acceleration ({self.taps} "
             f"taps), one mass on a spring and a damper {100 * np.sqrt(self.second / self.taps):.0f} %"
         )
 
-    def part(self, verdict: str = "not judged", sources: Sequence[Source] = ()) -> FourthOrderHand:
-        """The fourth-order hand as the model file keeps it."""
-        return FourthOrderHand(
-            kind="fourth_order",
-            stylus_mass_kg=self.stylus_mass_kg,
-            hand=ChainHand.model_validate({name: asdict(line) for name, line in self.lines.items()}),
-            grips_N=list(self.grips_N),
-            intervals=dict(zip(NAMES, self.intervals.tolist(), strict=True)),
-            parameters=list(NAMES),
-            covariance=self.covariance.tolist(),
-            verdict=verdict,
-            sources=list(sources),
-        )
+    def stated(self) -> dict[str, Any]:
+        return {
+            "kind": "fourth_order",
+            "stylus_mass_kg": self.stylus_mass_kg,
+            "hand": {name: asdict(line) for name, line in self.lines.items()},
+            "grips_N": list(self.grips_N),
+            **known(NAMES, self.covariance, self.intervals),
+        }
+
+    def part(self) -> FourthOrderHand:
+        """The hand as a model file keeps it, not judged."""
+        return FourthOrderHand.model_validate({**self.stated(), "verdict": "not judged", "sources": []})
 
 
 @dataclass(frozen=True)
@@ -234,7 +229,7 @@ class _Session:
     def second_order(self, hand: HandFit) -> FloatArray:
         """(T, n / every) weighted residuals of the second-order hand; infinite where that is not passive."""
         try:
-            part = SecondOrderHand.model_validate({**hand.content(), "verdict": "not judged", "sources": []})
+            part = SecondOrderHand.model_validate({**hand.stated(), "verdict": "not judged", "sources": []})
         except ValidationError:
             return np.full((1, 1), np.inf)
         times = np.arange(self.force.shape[1])
@@ -364,13 +359,11 @@ def _with_uncertainty(
     (_, to_lines), to_middle = session.coordinates.lines(), session.coordinates.at(float(np.mean(ends_N)))
     found = to_lines @ theta
     of_lines = to_lines @ covariance @ to_lines.T
-    t = float(stats.t.ppf((1 + LEVEL) / 2, T - p))
-    half = t * np.sqrt(np.diagonal(of_lines))
     middle, of_middle = to_middle @ theta, to_middle @ covariance @ to_middle.T
     deviation = np.sqrt(np.diagonal(of_middle))
     names = (*SHARED, *(f"hand.{name}" for name in HAND))
     with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that ended at zero is not determined
-        uncertain = np.where(middle > 0, t * deviation / middle, np.inf)
+        uncertain = np.where(middle > 0, quantile(T - p) * deviation / middle, np.inf)
         correlation = np.nan_to_num(of_middle / np.outer(deviation, deviation))
     entangled = [
         (names[i], names[j]) for i in range(6) for j in range(i + 1, 6) if abs(correlation[i, j]) > ENTANGLED
@@ -383,8 +376,8 @@ def _with_uncertainty(
         rate_Hz=float(1 / session.dt_s.max()),
         window_s=float(session.window_s.min()),
         heard_Hz=hand.heard_Hz,
-        intervals=np.stack([found - half, found + half], axis=1),
-        covariance=(of_lines + of_lines.T) / 2,
+        intervals=around(found, of_lines, T - p),
+        covariance=of_lines,
         uncertain=dict(zip(names, uncertain.tolist(), strict=True)),
         entangled=tuple(entangled),
         unexplained=float(np.median(np.linalg.norm(residuals, axis=1) * np.sqrt(session.every))),
@@ -402,10 +395,9 @@ def hand_part(fit: HandFit, chain: ChainFit, runs: Sequence[Measurement]) -> Sec
     ------
     pydantic.ValidationError : no passive hand.
     """
-    read = [Source.model_validate(source) for source in sources(runs)]
     if chain.is_better and not chain.shortfalls():
-        return chain.part(chain.verdict(), read)
-    content = {**fit.content(), "verdict": fit.verdict(), "shortfalls": fit.shortfalls(), "sources": read}
+        return FourthOrderHand.model_validate(chain.content(runs))
+    content = fit.content(runs)
     if fit.unexplained > MOST_UNEXPLAINED and chain.is_better:
         # No other tap would make one mass of this hand.
         content |= {"verdict": chain.verdict(), "shortfalls": chain.shortfalls()}

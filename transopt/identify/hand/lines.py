@@ -2,24 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.identify.fit import LEVEL, Fit, known
 from transopt.identify.hand.tap import HandTap, TapFit, fit_tap, heard_Hz
 from transopt.plant.hand import LinearInGrip
 
 QUANTITIES = ("mass_kg", "damping_N_s_m", "stiffness_N_m")
 COEFFICIENTS = tuple(f"{quantity}.{part}" for quantity in QUANTITIES for part in ("constant", "per_newton"))
 LEAST_TRIALS, LEAST_GRIPS = 12, 3
-LEVEL = 0.95
 RESAMPLES = 2000
 _SAME_GRIP, _SAME_GRIP_N = 0.15, 0.1  # grips no farther apart than this count as one
 _PLAUSIBLE_KG = (0.03, 1.0)  # of a hand with a stylus
 LEAST_HEARD_HZ = 100.0  # below it nothing of a fast tap is known
-# Beyond these the model is not to be relied upon.
+# Beyond these the model is not fit to design with.
 MOST_UNEXPLAINED = 0.10
 MOST_UNCERTAIN = 0.25  # half width of the interval at the middle grip, relative
 LACK_OF_FIT_P = 0.01
@@ -50,7 +51,7 @@ class GripLine:
 
 
 @dataclass(frozen=True)
-class HandFit:
+class HandFit(Fit):
     """The hand of one session.
 
     Attributes
@@ -82,7 +83,6 @@ class HandFit:
         return float(np.median([fit.unexplained for fit in self.fits]))
 
     def shortfalls(self) -> list[str]:
-        """Why this model is not to be relied upon, each with what to record again; none if it is."""
         if self.unexplained > MOST_UNEXPLAINED:
             # Whatever else shows follows from it.
             return [
@@ -130,11 +130,7 @@ class HandFit:
                 )
         return found
 
-    def verdict(self) -> str:
-        """In plain words: what the model may be used for, or why not."""
-        short = self.shortfalls()
-        if short:
-            return f"not to be relied upon: {'; '.join(short)}"
+    def supports(self) -> str:
         low, high = self.grips_N.min(), self.grips_N.max()
         return (
             f"supports designs with a second_order hand from {low:.2g} to {high:.2g} N: mass, damping and stiffness "
@@ -142,16 +138,13 @@ class HandFit:
             f"({len(self.fits)} taps)"
         )
 
-    def content(self) -> dict[str, object]:
-        """The second-order hand as a model file keeps it, without verdict and sources."""
-        bounds = [pair for line in self.lines for pair in line.intervals.tolist()]
+    def stated(self) -> dict[str, Any]:
+        bounds = np.concatenate([line.intervals for line in self.lines])
         return {
             "kind": "second_order",
             **{line.quantity: asdict(line.line) for line in self.lines},
             "grips_N": self.recorded_N,
-            "intervals": dict(zip(COEFFICIENTS, bounds, strict=True)),
-            "parameters": list(COEFFICIENTS),
-            "covariance": self.covariance.tolist(),
+            **known(COEFFICIENTS, self.covariance, bounds),
         }
 
     def _farthest(self, line: GripLine) -> float:

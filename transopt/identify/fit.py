@@ -1,0 +1,67 @@
+"""What every fit states in a model file: numbers with 95 % intervals, a verdict, and what it falls short of.
+
+A fit to design with says what it supports. Any other says why not, each time with what to record again.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from transopt.base.signals import FloatArray
+from transopt.identify.measurement import Measurement, sources
+
+LEVEL = 0.95  # of all intervals
+
+
+def quantile(degrees: float = np.inf) -> float:
+    """Half the width of a 95 % interval in standard deviations, of Student's distribution with so many degrees."""
+    return float(special.stdtrit(degrees, (1 + LEVEL) / 2))
+
+
+def around(values: FloatArray, covariance: FloatArray, degrees: float = np.inf) -> FloatArray:
+    """(p, 2) 95 % intervals around values (p,)."""
+    half = quantile(degrees) * np.sqrt(np.diagonal(covariance))
+    return np.stack([values - half, values + half], axis=1)
+
+
+def known(names: Sequence[str], covariance: FloatArray, intervals: FloatArray) -> dict[str, Any]:
+    """What a part of a model file states of its fitted numbers besides their values.
+
+    Parameters
+    ----------
+    covariance : (p, p). intervals : (p, 2), both of `names`.
+    """
+    return {
+        "intervals": dict(zip(names, intervals.tolist(), strict=True)),
+        "parameters": list(names),
+        "covariance": ((covariance + covariance.T) / 2).tolist(),
+    }
+
+
+class Fit(ABC):
+    """A fit that becomes a part of a model file."""
+
+    @abstractmethod
+    def stated(self) -> dict[str, Any]:
+        """What only this kind of part states: values, intervals, parameters, covariance."""
+
+    @abstractmethod
+    def shortfalls(self) -> list[str]:
+        """Why the fit is not one to design with, each with what to record again; none if it is."""
+
+    @abstractmethod
+    def supports(self) -> str:
+        """What a fit without shortfalls may be used for, in plain words."""
+
+    def verdict(self) -> str:
+        """One sentence for the model file and for the user: what the fit supports, or why it supports nothing."""
+        short = self.shortfalls()
+        return f"not fit to design with: {'; '.join(short)}" if short else self.supports()
+
+    def content(self, runs: Sequence[Measurement]) -> dict[str, Any]:
+        """The part of the model file that is fitted to these runs."""
+        judged = {"verdict": self.verdict(), "shortfalls": self.shortfalls(), "sources": sources(runs)}
+        return {**self.stated(), **judged}
