@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.cli.identified_file import check_place, finish, tell
+from transopt.cli.identified import Columns, Out, Units, check_place, draw, finish, progress, tell
 from transopt.cli.identify_device import identify_device
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz
+from transopt.cli.layout import RateHz
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -28,36 +27,30 @@ app = typer.Typer(
 @app.command("amplifier", epilog="Example: transopt identify amplifier sweeps/*.npz --out mine.json")
 def identify_amplifier(
     files: Annotated[list[Path], typer.Argument(help="Sweeps with command_A and current_A: CSV, NPZ or MAT.")],
-    out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
-    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
-    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    out: Out,
+    columns: Columns = "",
+    units: Units = "",
     rate_Hz: RateHz = None,
 ) -> None:
     """Pole and delay of the current amplifier from swept sines.
 
     Exit 1: what was found is not fit to design with.
     """
-    from transopt.base.plotting import save_figure
     from transopt.cli.questions import measurements
     from transopt.identify.amplifier import fit_amplifier, trials_of
-    from transopt.report import amplifier_fit
-    from transopt.scene.model_file import save_part
+    from transopt.report import fits
     from transopt.scene.model_parts import AmplifierPart
 
     check_place(out)
     runs = measurements(files, columns, units, rate_Hz)
-    with terminal.progress() as bar:
-        bar.add_task("fitting", total=None)
+    with progress() as step:
+        step("fitting")
         trials, findings = trials_of(runs)
         fit = fit_amplifier(trials)
-    part = AmplifierPart.model_validate(fit.content(runs))
-    figure = out.with_name(f"{out.stem}_amplifier.png")
-    save_part(out, "amplifier", part)
-    save_figure(amplifier_fit.amplifier_figure(fit), figure)
-    tell(amplifier_fit.trial_table(fit, trials), amplifier_fit.value_table(fit))
+    tell(fits.trial_table(fit, trials), fits.amplifier_table(fit))
     tell(*map(str, findings), style="yellow")
-    tell(amplifier_fit.crossover_line(fit))
-    finish(out, figure, "amplifier", part)
+    tell(fits.crossover_line(fit))
+    finish(out, "amplifier", AmplifierPart.model_validate(fit.content(runs)), fits.amplifier_figure(fit))
 
 
 app.command("device", epilog="Example: transopt identify device sweeps/*.npz --out mine.json")(identify_device)
@@ -68,13 +61,13 @@ def identify_hand(
     files: Annotated[
         list[Path], typer.Argument(help="Taps with force_N, acceleration_m_s2 and grip_N: CSV, NPZ or MAT.")
     ],
-    out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
+    out: Out,
     window: Annotated[float, typer.Option(help="From contact on, in s; the hand answers after 0.03.")] = 0.03,
     tap: Annotated[
         list[int] | None, typer.Option(help="Which tap of files with several, counted from 1; may be repeated.")
     ] = None,
-    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
-    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    columns: Columns = "",
+    units: Units = "",
     rate_Hz: RateHz = None,
 ) -> None:
     """Mass, damping and stiffness of the hand over grip from taps.
@@ -83,47 +76,42 @@ def identify_hand(
     """
     from pydantic import ValidationError
 
-    from transopt.base.plotting import save_figure
     from transopt.cli.questions import measurements
     from transopt.identify.hand.chain import fit_chain, hand_part
     from transopt.identify.hand.lines import fit_hand
     from transopt.identify.hand.tap import usable_taps
     from transopt.identify.measurement import split_taps
-    from transopt.report import hand_fit
+    from transopt.report import fits
     from transopt.scene.fitted import complaint
-    from transopt.scene.model_file import save_part
 
     if not 0.01 <= window <= 0.1:
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
     check_place(out)
     runs = split_taps(measurements(files, columns, units, rate_Hz), tap or ())
-    with terminal.progress() as bar:
-        bar.add_task("fitting", total=None)
+    with progress() as step:
+        step("fitting")
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)
         chain = fit_chain(taps, fit)
-    tell(hand_fit.line_table(fit), hand_fit.chain_table(chain))
+    tell(fits.line_table(fit), fits.chain_table(chain))
     tell(*(f"{one.name}: {one.note}" for one in taps if one.note))
     tell(*(f"left out: {line}" for line in left_out), style="yellow")
     tell(f"fourth order: {chain.word()}")
-    figure = out.with_name(f"{out.stem}_hand.png")
-    save_figure(hand_fit.hand_figure(fit), figure)
-    used = {tap.name for tap in taps}
+    used, figure = {tap.name for tap in taps}, fits.hand_figure(fit)
     try:
         part = hand_part(fit, chain, [run for run in runs if run.name in used])
     except ValidationError as error:
-        tell(figure.name)
+        tell(draw(out, "hand", figure).name)
         short = [complaint(error), *fit.shortfalls(), *(chain.shortfalls() if chain.is_better else ())]
         tell(f"hand: {out} is not written: {'; '.join(short)}", style="red")
         raise typer.Exit(1) from None
-    save_part(out, "hand", part)
-    finish(out, figure, "hand", part)
+    finish(out, "hand", part, figure)
 
 
 @app.command("coil", epilog="Example: transopt identify coil heat.npz --out mine.json")
 def identify_coil(
     file: Annotated[Path, typer.Argument(help="Record with current_A and winding_C or voltage_V: CSV, NPZ or MAT.")],
-    out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
+    out: Out,
     scene: Annotated[str, typer.Option(help="Scene of the motor: its resistance, its limit.")] = DEFAULT_SCENE,
     resistance_ohm: Annotated[
         float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
@@ -132,20 +120,18 @@ def identify_coil(
         float,
         typer.Option("--ripple-A", help="PWM ripple that heats beside the recorded current; 0: a linear amplifier."),
     ] = RIPPLE_A,
-    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
-    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    columns: Columns = "",
+    units: Units = "",
     rate_Hz: RateHz = None,
 ) -> None:
     """Thermal resistances and time constants of the coil.
 
     Exit 1: what was found is not fit to design with.
     """
-    from transopt.base.plotting import save_figure
     from transopt.cli.questions import measurements
     from transopt.identify.coil import fit_coil
     from transopt.identify.heat_record import heat_record
-    from transopt.report import coil_fit
-    from transopt.scene.model_file import save_part
+    from transopt.report import fits
     from transopt.scene.model_parts import CoilPart
 
     check_place(out)
@@ -153,14 +139,11 @@ def identify_coil(
     (run,) = measurements([file], columns, units, rate_Hz)
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
     fit = fit_coil(heat_record(run, R_ohm, ripple_A), nominal)
-    figure = out.with_name(f"{out.stem}_coil.png")
-    part = CoilPart.model_validate(fit.content([run]))
-    save_part(out, "coil", part)
-    save_figure(coil_fit.coil_figure(fit), figure)
-    tell(coil_fit.value_table(fit), coil_fit.noise_line(fit))
+    tell(fits.coil_table(fit), fits.noise_line(fit))
     if run.missing:
         tell(f"note: {run.missing}")
-    finish(out, figure, "coil", part, None if scene == DEFAULT_SCENE else scene)
+    part = CoilPart.model_validate(fit.content([run]))
+    finish(out, "coil", part, fits.coil_figure(fit), scene=None if scene == DEFAULT_SCENE else scene)
 
 
 def _coil_of(scene: str) -> "CoilModel":

@@ -1,7 +1,5 @@
 """`transopt identify device`: from sweeps at several grips to the device part of a model file."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +8,8 @@ import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.cli.identified_file import check_place, next_step, tell
-from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, RateHz
+from transopt.cli.identified import Columns, Out, Units, check_place, finish, progress
+from transopt.cli.layout import RateHz
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -28,7 +26,7 @@ UNLIMITED_A = 1e6  # an identified amplifier states no range, and a response nee
 
 def identify_device(
     files: Annotated[list[Path], typer.Argument(help="Sweeps, several per grip, both polarities: CSV, NPZ, MAT.")],
-    out: Annotated[Path, typer.Option(help="Model file; its other parts stay. A PNG is written beside it.")],
+    out: Out,
     scene: Annotated[
         str | None,
         typer.Option(help=f"Built-in name or .toml: force per ampere, amplifier, start. Default {DEFAULT_SCENE}."),
@@ -44,62 +42,34 @@ def identify_device(
             help="Transients to judge the model by; may be repeated. Default: the last of 3 or more trials."
         ),
     ] = None,
-    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
-    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    columns: Columns = "",
+    units: Units = "",
     rate_Hz: RateHz = None,
 ) -> None:
     """Identify drive and hand from swept sines, all grips together, and say what the model is good for.
 
     Exit 1: what was found is not fit to design with.
     """
-    from transopt.base.plotting import save_figure
     from transopt.cli.questions import measurements
     from transopt.identify.device.identify import identify
     from transopt.identify.device.result import Kind, device_part
     from transopt.report import device_fit
-    from transopt.scene.model_file import save_part
 
-    console = terminal.console()
     check_place(out)
     settings = _settings(out, scene, force_per_current, order, kind)
     read = measurements((*files, *(validate or [])), columns, units, rate_Hz)
-    with _progress() as step:
-        runs, transients = read[: len(files)], read[len(files) :]
-        result = identify(runs, transients, settings, tick=step)
-        part = device_part(result)
-        save_part(out, "device", part)
-        picture = out.with_name(f"{out.stem}_device.png")
-        save_figure(device_fit.device_figure(result), picture)
+    with progress() as step:
+        result = identify(read[: len(files)], read[len(files) :], settings, tick=step)
+        part, figure = device_part(result), device_fit.device_figure(result)
         step("figure")
-    device_fit.show(console, result)
-    tell(f"{out}, {picture.name}")
-    if result.chosen.kind is Kind.DRIVE:
-        tell(
-            f"taken for {settings.nominal.force_per_current_N_A:.4g} N/A, which sweeps cannot tell "
-            "(--force-per-current): masses, springs and dampers are in proportion to it, what a current makes the "
-            "stylus do is not"
-        )
-    if result.short:
-        raise typer.Exit(1)
-    tell(next_step(out, scene))
-
-
-@contextmanager
-def _progress() -> "Iterator[Callable[[str], None]]":
-    """A bar that names what was done last; `step(name)` counts one."""
-    from rich.progress import TaskID
-
-    with terminal.progress() as progress:
-        tasks: dict[str, TaskID] = {}
-
-        def step(name: str) -> None:
-            if name not in tasks:
-                for other in tasks.values():
-                    progress.update(other, visible=False)
-                tasks[name] = progress.add_task(name, total=None)
-            progress.advance(tasks[name])
-
-        yield step
+    device_fit.show(terminal.console(), result)
+    drive = result.chosen.kind is Kind.DRIVE
+    note = (
+        f"taken for {settings.nominal.force_per_current_N_A:.4g} N/A, which sweeps cannot tell "
+        "(--force-per-current): masses, springs and dampers are in proportion to it, what a current makes the "
+        "stylus do is not"
+    )
+    finish(out, "device", part, figure, note if drive else "", scene)
 
 
 def _nominal(scene: "Scene") -> "DriveChain | None":

@@ -180,7 +180,7 @@ def _say_and_save(fit: "ResponseFit", states: str, notes: Sequence[str], out: Pa
     import numpy as np
 
     from transopt.base.plotting import save_figure
-    from transopt.report.response_fit import response_figure
+    from transopt.report.fits import response_figure
     from transopt.scene.plant_file import save_plant
 
     console = terminal.console()

@@ -24,6 +24,7 @@ from transopt.identify.device.chain import unit_of
 from transopt.identify.device.result import Candidate, DeviceResult, Kind
 from transopt.identify.device.trials import Grip
 from transopt.identify.device.validation import Transient, called, modelled
+from transopt.report.fits import value_table
 
 POINTS = 300
 BAND_COLOUR = "0.82"
@@ -157,15 +158,12 @@ def _say(axes: Axes, at: float, side: Literal["center", "right"], words: str, si
 
 
 def show(console: Console, result: DeviceResult) -> None:
-    """Tables and the verdict."""
+    """Tables, what is wrong with the records, and what to record again."""
     if result.chosen.kind is Kind.DRIVE and result.chain is not None:
         names, values, covariance = result.chain.stated()
-        # Names are told apart by their ends: fold them on a narrow terminal, never cut them.
-        numbers = [Column(head, justify="right") for head in ("value", "95 % interval")]
-        table = Table(Column("parameter", overflow="fold"), *numbers, "unit", title="drive chain")
-        for name, value, (low, high) in zip(names, values, intervals(names, values, covariance), strict=True):
-            table.add_row(name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit_of(name))
-        console.print(table)
+        stated = np.column_stack([values, intervals(names, values, covariance)]).tolist()
+        rows = [(name, *(f"{x:.4g}" for x in row), unit_of(name)) for name, row in zip(names, stated, strict=True)]
+        console.print(value_table("drive chain", rows))
     elif result.black_box is not None:
         console.print(f"state space of order {result.black_box.order} at each grip")
     heads = ("trials", "held-out error %", "unknown to the model %", "residual", "hand of its own")
@@ -194,6 +192,3 @@ def show(console: Console, result: DeviceResult) -> None:
         console.print(f"note: {finding}")
     for text in result.advice:
         console.print(f"record again: {text}")
-    console.print(f"verdict: {result.verdict}")
-    for text in result.short:
-        console.print(f"short: {text}")

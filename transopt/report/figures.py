@@ -1,4 +1,6 @@
-"""Figures of a build's methods, of its device and of prepared recordings, through matplotlib's object interface.
+"""Figures of a build: methods, trade-offs, device, nonlinear plants, prepared recordings.
+
+All through matplotlib's object interface.
 
 pyplot is never imported: no window system, no global list of figures. Colours run through viridis, cut before it
 is too light for white paper; markers and line styles carry the same information into grey print.
@@ -11,20 +13,36 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from transopt.base.plotting import CLIPPED, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, leave_room, plain, style
+from transopt.base.plotting import (
+    CLIPPED,
+    DARK,
+    LABEL_PT,
+    OPTIMUM,
+    SEED,
+    SMALL_PT,
+    Drawing,
+    colours,
+    leave_room,
+    plain,
+    style,
+)
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.writing import percent
 from transopt.library.library import Library
 from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import Status
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.bands import JUST_NOTICED_dB
 from transopt.report.transients import QUIET, grip_label, legend_above
 
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.design.build import Build
     from transopt.design.entry import Entry
+    from transopt.design.trade_off import TradeOff
     from transopt.recordings.tap import PreparedTap
 
 LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (8, 2)))
@@ -33,6 +51,14 @@ MOST_LABELLED = 60  # entries that have a label each
 
 BODE_HZ = (1.0, 2000.0)
 BODE_POINTS = 500
+
+LOWEST_dB, HIGHEST_dB = -12.0, 8.0  # what of the path is drawn; beyond it all entries go on alike
+
+MOST_TARGETS = 6  # that one figure shows legibly
+WANTED: dict[str, Any] = {"color": DARK, "linewidth": 2.2, "alpha": 0.35}
+LINEAR: dict[str, Any] = {"color": CLIPPED, "linewidth": 1.0, "linestyle": "--"}
+OWN: dict[str, Any] = {"color": OPTIMUM, "linewidth": 1.0}
+BOUND: dict[str, Any] = {"color": DARK, "linewidth": 1.0, "linestyle": ":"}
 
 
 # ---------------------------------------------------------------------------------------------------- methods
@@ -252,4 +278,103 @@ def taps_figure(taps: Sequence["PreparedTap"]) -> Figure:
     axes.set_xlabel(f"time after contact [ms], to {shown_ms:.0f} of {end_ms:.0f} ms recorded", fontsize=LABEL_PT)
     axes.set_ylabel("acceleration [g]", fontsize=LABEL_PT)
     figure.legend(loc="outside right upper", ncols=columns, fontsize=SMALL_PT, frameon=False)
+    return figure
+
+
+# --------------------------------------------------------------------------------------------- waveform and intensity
+
+
+def trade_off_figure(build: "Build") -> Figure:
+    """Tap error [%] over energy [dB], a line per entry from the nearest waveform on; circles, squares: the optima.
+
+    Parameters
+    ----------
+    build : with at least one entry that a limit cuts.
+    """
+    found = build.trade_offs
+    figure = Figure(figsize=(6.4, 4.6))
+    axes = figure.subplots()
+    style(axes)
+    axes.axvspan(-JUST_NOTICED_dB, JUST_NOTICED_dB, color="0.93", linewidth=0)
+    axes.axvline(0.0, color="0.6", linewidth=0.8)
+    speeds = sorted({(each.speed_m_s, each.cells[0]) for each in found})
+    grips = sorted({each.grip_N for each in found})
+    shades = colours(len(speeds))
+    dashes = ("-", "--", "-.", ":")
+    lines = []
+    for each in found:
+        i, j = speeds.index((each.speed_m_s, each.cells[0])), grips.index(each.grip_N)
+        dB, error = ([getattr(p, name) for p in each.path] for name in ("energy_dB", "tap_error"))
+        drawn: dict[str, Any] = {"color": shades[i], "linewidth": 1.2}
+        label = each.place
+        (line,) = axes.plot(dB, 100 * np.array(error), linestyle=dashes[j % len(dashes)], label=label, **drawn)
+        lines.append(line)
+        for point, marker in ((each.waveform, "o"), (each.intensity, "s")):
+            axes.plot([point.energy_dB], [100 * point.tap_error], marker=marker, markersize=5, linestyle="", **drawn)
+    axes.set_xlim(*_shown(found))
+    within = [100 * p.tap_error for each in found for p in each.path if p.energy_dB <= axes.get_xlim()[1]]
+    axes.set_ylim(0.0, 1.08 * max(within))
+    axes.set_xlabel("energy within the window over that of the recorded tap [dB]", fontsize=LABEL_PT)
+    axes.set_ylabel("tap error as predicted [%]", fontsize=LABEL_PT)
+    axes.tick_params(labelsize=SMALL_PT)
+    axes.text(
+        0.01,
+        0.98,
+        f"circle: nearest waveform; square: intensity\nshaded: {JUST_NOTICED_dB:g} dB, just noticed",
+        transform=axes.transAxes,
+        fontsize=SMALL_PT,
+        va="top",
+    )
+    leave_room(figure, left_in=0.62, right_in=0.1, below_in=0.48, above_in=legend_above(figure, lines, entry_in=1.6))
+    return figure
+
+
+def _shown(found: Sequence["TradeOff"]) -> tuple[float, float]:
+    """Ends of the axis: all optima, and of the rest of the paths so much that the optima stay apart."""
+    optima = [point.energy_dB for each in found for point in (each.waveform, each.intensity)]
+    low, high = max(min(optima), LOWEST_dB), min(max(*optima, 0.0) + 4.0, max(HIGHEST_dB, *optima) + 1)
+    return low - 0.3, high
+
+
+# --------------------------------------------------------------------------------------------------- nonlinear plants
+
+
+def nonlinear_figure(entries: Sequence["Entry"]) -> Figure:
+    """Acceleration of both designs played on the nonlinear plant, above their commands; a column for each target.
+
+    Parameters
+    ----------
+    entries : the first `MOST_TARGETS` of them are drawn.
+    """
+    shown = entries[:MOST_TARGETS]
+    figure = Drawing(figsize=(max(1.0 + 2.6 * len(shown), 4.4), 5.0))
+    rows = figure.subplots(2, len(shown), sharex="col", squeeze=False, gridspec_kw={"wspace": 0.28, "hspace": 0.08})
+    for column, entry in enumerate(shown):
+        above, below = rows[:, column]
+        problem = entry.problem
+        felt_ms, issued_ms = problem.grid.switching_times_s * 1e3, problem.grid.issue_times_s * 1e3
+        above.plot(felt_ms, problem.reference_m_s2, **WANTED)
+        if entry.linear_played is not None and entry.linear_command is not None:
+            above.plot(felt_ms, entry.linear_played.acceleration_m_s2, **LINEAR)
+            below.step(issued_ms, entry.linear_command, where="post", **LINEAR)
+        above.plot(felt_ms, entry.played.acceleration_m_s2, **OWN)
+        below.step(issued_ms, entry.solution.command, where="post", **OWN)
+        for side in (-1, 1):
+            below.axhline(side * problem.limits.input_limit, **BOUND)
+        errors = f"linear {percent(entry.linear_tap_error)} %, nonlinear {percent(entry.figures.tap_error)} %"
+        above.set_title(f"{entry.target}\n{errors}", fontsize=SMALL_PT)
+        below.set_xlabel("time [ms]", fontsize=LABEL_PT)
+        for axes in (above, below):
+            style(axes)
+    driven_by = shown[0].problem.driven_by
+    rows[0, 0].set_ylabel("acceleration [m/s²]", fontsize=LABEL_PT)
+    rows[1, 0].set_ylabel(f"{driven_by.name} [{driven_by.unit}]", fontsize=LABEL_PT)
+    handles = [
+        Line2D([], [], label="wanted", **WANTED),
+        Line2D([], [], label="linear design", **LINEAR),
+        Line2D([], [], label="nonlinear design", **OWN),
+        Line2D([], [], label="limit", **BOUND),
+    ]
+    above_in = legend_above(figure, handles, entry_in=1.15) + 0.42
+    leave_room(figure, left_in=0.72, right_in=0.12, below_in=0.5, above_in=above_in)
     return figure

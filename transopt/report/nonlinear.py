@@ -14,7 +14,7 @@ from transopt.design.entry import Entry
 from transopt.library.columns import EntryTable, TableRow
 from transopt.library.posed import NONLINEAR_CLAIM
 from transopt.problem.answer import Status
-from transopt.report.publish import publish
+from transopt.report.write import publish
 
 REPORT, FIGURES, COMMANDS, DRAWN = "nonlinear.md", "nonlinear.json", "nonlinear.csv", "nonlinear.png"
 LIBRARY = "library.npz"
@@ -50,7 +50,7 @@ def write_nonlinear(design: Build, folder: str | Path, *, figures: bool = True) 
         files[COMMANDS] = lambda path: write_text(commands_csv(design), path)
     if figures:
         from transopt.base.plotting import save_figure
-        from transopt.report.nonlinear_figure import nonlinear_figure
+        from transopt.report.figures import nonlinear_figure
 
         files[DRAWN] = lambda path: save_figure(nonlinear_figure(list(design.all_entries())), path, design.scene.name)
     publish(folder, files, [name for name in (COMMANDS, DRAWN) if name not in files])

@@ -1,10 +1,96 @@
-"""Library, report and figures of a build, written into a folder in one call."""
+"""Library, report and figures of a build, written together and moved into their folder together."""
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from transopt.base.errors import InputError
+from transopt.base.files import ctrl_c_waits, staging_folder
 from transopt.base.terminal import make_folder
+from transopt.base.writing import write_text
 from transopt.design.build import Build
-from transopt.report.publish import LEFTOVERS, files_of, publish
+from transopt.report.markdown import build_json, build_markdown
+
+Files = Mapping[str, Callable[[Path], object]]  # file name -> what writes that file under a path
+
+# Files of an earlier build in this folder, which this one may not have.
+LEFTOVERS = (
+    "refused.md",
+    "refused.json",
+    "transients.png",
+    "methods.png",
+    "bode.png",
+    "trade_off.png",
+    "grid_error.png",
+)
+
+
+def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
+    """Write all files into a folder beside the folder's own, and move them in only when all of them are whole.
+
+    Parameters
+    ----------
+    stale : names of earlier results that go when these come.
+
+    Raises
+    ------
+    InputError : the folder cannot be written.
+    """
+    place = folder
+    try:
+        with staging_folder(folder) as staging:
+            place = staging
+            for name, write in files.items():
+                write(staging / name)
+            with ctrl_c_waits():
+                for name in files:
+                    (staging / name).replace(folder / name)
+                for name in stale:
+                    (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+    except InputError as error:
+        raise InputError(str(error).replace(str(place), str(folder))) from None
+
+
+def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files:
+    """Library, report and, unless not wanted, figures; of a build that was refused, why.
+
+    Parameters
+    ----------
+    full : whether the report has what takes further optima of every entry, see `build_markdown`.
+    """
+
+    def text(content: str) -> Callable[[Path], object]:
+        return lambda path: write_text(content, path)
+
+    library = build.library
+    if library is None:
+        return {
+            "refused.md": text(build_markdown(build, full=full)),
+            "refused.json": text(build_json(build, full=full)),
+        }
+    files: dict[str, Callable[[Path], object]] = {
+        "library.npz": library.save,
+        "report.md": text(build_markdown(build, full=full)),
+        "report.json": text(build_json(build, full=full)),
+    }
+    if not figures:
+        return files
+    # matplotlib takes longer to load than a small library to solve: it is loaded only where something is drawn.
+    from transopt.base.plotting import save_figure
+    from transopt.report import figures as drawing
+
+    name = build.scene.name
+    files["transients.png"] = lambda path: save_figure(library.plot(), path, name)
+    files["methods.png"] = lambda path: save_figure(drawing.method_figure(build), path, name)
+    if not build.scene.axes.places:  # of an arm each motor has a response in every direction
+        files["bode.png"] = lambda path: save_figure(drawing.bode_figure(library), path, name)
+    if full and build.trade_offs:
+        files["trade_off.png"] = lambda path: save_figure(drawing.trade_off_figure(build), path, name)
+    refinement = build.refinement
+    if refinement is not None and refinement.entries > 1:
+        files["grid_error.png"] = lambda path: save_figure(refinement.plot(), path, name)
+    return files
 
 
 def write_report(build: Build, folder: str | Path, *, figures: bool = True, full: bool = False) -> list[Path]:

@@ -45,7 +45,7 @@ def test_the_command_writes_part_and_figure(
     assert (tmp_path / "MODEL_hand.png").read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     assert "fourth order: determined: " in printed
-    assert "hand: supports designs" in printed
+    assert "verdict: supports designs" in printed
 
 
 def test_a_hand_of_fourth_order_is_the_hands_model(files: Callable[[Trials], list[Path]], tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.benches.commands import Run, assert_refused
 from tests.benches.model_parts import POLE, WOOD, amplifier_part, drive_device, hand_part, state_space_device
-from transopt.cli.identified_file import next_step
+from transopt.cli.identified import next_step
 from transopt.library.file import load_library
 from transopt.scene.builtin import load_scene
 from transopt.scene.model_file import save_part

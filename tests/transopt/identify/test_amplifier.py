@@ -20,7 +20,7 @@ from transopt.cli.main import app
 from transopt.identify.amplifier import AmplifierFit, check_alike, estimate_crossover, fit_amplifier
 from transopt.identify.amplifier_response import Shape, continuous, sampled, sampled_response, simulate_current
 from transopt.identify.spectrum import Trial, estimate_transfer
-from transopt.report.amplifier_fit import amplifier_figure, prefilter_response
+from transopt.report.fits import amplifier_figure, prefilter_response
 from transopt.scene.model_file import load_model
 
 FINE = 100  # steps of a microsecond in a servo period

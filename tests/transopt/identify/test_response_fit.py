@@ -10,7 +10,7 @@ from transopt.identify.response_fit import HIGHEST_ORDER, MOST_MISFIT, ResponseF
 from transopt.plant.inertial import Inertial
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.plant.voice_coil import VoiceCoil
-from transopt.report.response_fit import response_figure
+from transopt.report.fits import response_figure
 
 F_HZ = np.geomspace(20, 2000, 400)
 LRA = Inertial(

@@ -6,7 +6,7 @@ import pytest
 
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
-from transopt.report.publish import publish
+from transopt.report.write import publish
 
 
 def written(path: Path) -> None:

@@ -317,7 +317,7 @@ def test_a_few_bad_trials_are_left_out_many_are_refused(trials: Trials) -> None:
 
 
 def test_the_figure_is_three_panels(hand: HandFit, tmp_path: Path) -> None:
-    from transopt.report.hand_fit import hand_figure
+    from transopt.report.fits import hand_figure
 
     figure = hand_figure(hand)
     assert [axes.get_ylabel() for axes in figure.axes] == ["mass [kg]", "damping [N s/m]", "stiffness [N/m]"]

@@ -1,17 +1,27 @@
-"""The model file that every `transopt identify` writes its part into."""
+"""What every `transopt identify` shares: its options, its progress, and the end in a model file with a verdict."""
 
 import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from transopt.base.tables import Table
     from transopt.scene.fitted import ModelPart
+    from transopt.scene.model_parts import ModelPartName
+
+Out = Annotated[Path, typer.Option(help="Model file; its other parts stay. A PNG is written beside it.")]
+Columns = Annotated[str, typer.Option(help=COLUMNS_HELP)]
+Units = Annotated[str, typer.Option(help=UNITS_HELP)]
 
 
 def check_place(out: Path) -> None:
@@ -26,6 +36,24 @@ def check_place(out: Path) -> None:
     terminal.make_folder(out.parent)
 
 
+@contextmanager
+def progress() -> Iterator[Callable[[str], None]]:
+    """A bar that names what was done last; the function that it gives counts one of a name."""
+    from rich.progress import TaskID
+
+    with terminal.progress() as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def step(name: str) -> None:
+            if name not in tasks:
+                for other in tasks.values():
+                    bar.update(other, visible=False)
+                tasks[name] = bar.add_task(name, total=None)
+            bar.advance(tasks[name])
+
+        yield step
+
+
 def tell(*lines: "str | Table", style: str | None = None) -> None:
     """Print lines and tables as they are, however narrow the terminal."""
     console = terminal.console()
@@ -36,20 +64,35 @@ def tell(*lines: "str | Table", style: str | None = None) -> None:
             console.print(line)
 
 
-def finish(out: Path, figure: Path, name: str, part: "ModelPart", scene: str | None = None) -> None:
-    """Say what was written, the verdict on it, and what comes next.
+def draw(out: Path, name: "ModelPartName", figure: "Figure") -> Path:
+    """Write the figure of a part beside its model file."""
+    from transopt.base.plotting import save_figure
+
+    picture = out.with_name(f"{out.stem}_{name}.png")
+    save_figure(figure, picture)
+    return picture
+
+
+def finish(
+    out: Path, name: "ModelPartName", part: "ModelPart", figure: "Figure", note: str = "", scene: str | None = None
+) -> None:
+    """Write part and figure, say the verdict, and what comes next.
 
     Parameters
     ----------
-    name, part : of the model file.
+    note : what to know of the values, in a sentence; empty if nothing.
     scene : see `next_step`.
 
     Raises
     ------
+    InputError : a file cannot be written.
     typer.Exit : the part falls short of what a design needs.
     """
-    tell(f"{out}, {figure.name}")
-    tell(f"{name}: {part.verdict}", style="red" if part.shortfalls else None)
+    from transopt.scene.model_file import save_part
+
+    save_part(out, name, part)
+    tell(*filter(None, (f"{out}, {draw(out, name, figure).name}", note)))
+    tell(f"verdict: {part.verdict}", style="red" if part.shortfalls else None)
     if part.shortfalls:
         raise typer.Exit(1)
     tell(next_step(out, scene))
