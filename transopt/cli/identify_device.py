@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from transopt.identify.device.chain import DriveChain
     from transopt.identify.device.identify import Settings
-    from transopt.identify.device.verdict import Taps
+    from transopt.identify.device.validation import Taps
     from transopt.scene.model_parts import DevicePart
     from transopt.scene.scene import Scene
 
@@ -138,7 +138,7 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
 
         from transopt.design.context import Context
         from transopt.design.design import design
-        from transopt.identify.device.verdict import Taps
+        from transopt.identify.device.validation import Taps
         from transopt.scene import builtin
         from transopt.scene.model_file import save_part
         from transopt.scene.recordings import recordings_of

@@ -11,7 +11,7 @@ from transopt.base.errors import InputError
 from transopt.cli.layout import RateHz, layout
 
 if TYPE_CHECKING:
-    from transopt.identify.response_fit import ResponseFit
+    from transopt.identify.black_box import ResponseFit
     from transopt.recordings.response import MeasuredResponse
 
 COLUMNS_HELP = 'Names of the file\'s columns, in order, "-" skips one: frequency_Hz,-,real,imag.'
@@ -73,7 +73,7 @@ def plant_fit(
 
     from transopt.base.sizes import LONGEST_DELAY_S
     from transopt.cli.questions import answered
-    from transopt.identify.response_fit import fit_response
+    from transopt.identify.black_box import fit_response
     from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
     from transopt.recordings.response import WORDS, MeasuredResponse, read_response
     from transopt.recordings.unclear import Answer
@@ -221,7 +221,7 @@ def summary(found: "MeasuredResponse") -> str:
 
 def unfit_advice(misfit: float, order: int) -> str:
     """Why a fit may not be used, and what to do."""
-    from transopt.identify.response_fit import HIGHEST_ORDER, MOST_MISFIT
+    from transopt.identify.black_box import HIGHEST_ORDER, MOST_MISFIT
 
     more = min(order + 2, HIGHEST_ORDER)
     return (

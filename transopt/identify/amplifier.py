@@ -156,23 +156,25 @@ class AmplifierFit(Fit):
         }
 
 
-def fit_pole(data: Condensed, shape: Shape = sampled, start: tuple[float, float] | None = None) -> Maximum:
+def fit_pole(
+    groups: Sequence[Condensed], shape: Shape = sampled, start: tuple[float, float] | None = None
+) -> Maximum:
     """Pole, delay and gain of largest likelihood: unknowns logarithm of the pole [Hz], delay [ticks], gain.
 
     Parameters
     ----------
-    data : from command to current, its only output.
+    groups : from command to current, their only output, all of one amplifier.
     start : pole [Hz] and delay [s] near by. Without them all delays are tried and the best are fitted: the phase
         winds with the delay, so that the error has many valleys.
     """
-    dt_s = data.dt_s
+    dt_s = groups[0].dt_s
 
     def model(theta: FloatArray, _: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         log_pole, ticks, gain = theta.tolist()
         value, slopes = shape(frequencies_Hz, float(np.exp(log_pole)), ticks * dt_s, dt_s)
         return gain * value[None], np.array([gain * slopes[0], gain * dt_s * slopes[1], value])[:, None]
 
-    likelihood, coarse = (Likelihood([data], model, loose=ROUNDED, step=step) for step in (1, COARSE))
+    likelihood, coarse = (Likelihood(groups, model, loose=ROUNDED, step=step) for step in (1, COARSE))
     low, high = np.log(np.array(POLE_RANGE) / dt_s)
     bounds = np.array([[low, 0.0, -GAIN_RANGE], [high, LATEST_TICKS, GAIN_RANGE]])
     silent, _ = coarse.evaluate(np.array([low, 0.0, 0.0]))
@@ -212,7 +214,7 @@ def _fit(trials: Sequence[Trial], shape: Shape = sampled, most_Hz: float = np.in
     if np.count_nonzero(good) < LEAST_BINS:
         raise InputError(f"from command to current {_share(good)}; sweep with more current")
     data = replace(data, known=good[None])
-    found = fit_pole(data, shape)
+    found = fit_pole([data], shape)
     pole = float(np.exp(found.unknowns[0]))
     scale = np.array([pole, data.dt_s, 1.0])
     values = np.array([pole, found.unknowns[1] * data.dt_s, found.unknowns[2]])

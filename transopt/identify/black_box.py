@@ -13,16 +13,33 @@ so that the coefficients of the sum are the row C of a real state space.
 What a spring holds stays where it is under a constant input, so that its acceleration has two zeros at s = 0. No
 resonance is narrower than the points resolve: between two of them a pole of next to no damping and a zero beside it
 cost nothing and explain a little noise, and a design would play into them.
+
+A response as an analyser measures it is that of the continuous device. The verdict on its fit is
+
+    misfit = sqrt(sum |G_fit - G|^2 / sum |G|^2)  over the points of the band.
+
+Where the points are known to be uncertain, as those of a recorded sweep are, each counts by the inverse of its
+variance, in the misfit as well, and what their noise alone makes of the misfit is stated beside it. Below the band
+nothing was measured, and a fit may put an acceleration there that goes on for ever under a constant input: the two
+zeros at s = 0 are asked for wherever that costs next to no misfit.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import ComplexArray, FloatArray
+from transopt.plant.state_space import Input, StateSpace
 
 RELOCATIONS = 20
 RESOLVED = 0.5  # of the distance between points: no resonance may be narrower, since nothing was measured within
+HIGHEST_ORDER = 40
+MOST_MISFIT = 0.05  # above it a fit is no base of a design
+COSTS_NOTHING = 1.1  # times the misfit without them, up to which the zeros at s = 0 are taken
+EXACT = 1e-6  # a misfit as small needs no comparison
 
 
 def fractions(s: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
@@ -100,3 +117,139 @@ def least_width(frequencies_Hz: FloatArray) -> Callable[[FloatArray], FloatArray
     """The least damping a of s^2 + a s + w^2 that the distance between points resolves, from log w to log a."""
     log_w, log_a = np.log(2 * np.pi * frequencies_Hz), np.log(2 * np.pi * RESOLVED * np.gradient(frequencies_Hz))
     return lambda at: np.asarray(np.interp(at, log_w, log_a))
+
+
+@dataclass(frozen=True)
+class ResponseFit:
+    """A fitted plant and how far it is from what was measured.
+
+    Attributes
+    ----------
+    plant : without further outputs, since nothing else was measured.
+    frequencies_Hz : (m,) of the band. measured : (m,) [m/s^2 per A or V].
+    misfit : relative rms over the band.
+    worst_Hz : where the fit is farthest off. worst : by how much, of the largest size of the response.
+    at_rest : whether the fit has its two zeros at s = 0.
+    noise : misfit that the uncertainty of the points makes of a perfect fit; 0 where it is not known.
+    """
+
+    plant: StateSpace
+    frequencies_Hz: FloatArray
+    measured: ComplexArray
+    misfit: float
+    worst_Hz: float
+    worst: float
+    at_rest: bool
+    noise: float = 0.0
+
+    __repr__ = brief
+
+    @property
+    def fit_to_design_with(self) -> bool:
+        """Whether the misfit is small enough; NaN is not."""
+        return self.misfit**2 - self.noise**2 <= MOST_MISFIT**2
+
+    def resonances(self) -> list[tuple[float, float]]:
+        """Frequency [Hz] and quality of every pair of poles, by frequency."""
+        poles = np.linalg.eigvals(self.plant.A)
+        pairs = sorted((p for p in poles if p.imag > 0), key=abs)
+        return [(float(abs(p)) / (2 * np.pi), float(abs(p) / (-2 * p.real))) for p in pairs]
+
+
+def fit_response(
+    frequencies_Hz: FloatArray,
+    response: ComplexArray,
+    order: int,
+    driven_by: Input,
+    band_Hz: tuple[float, float] | None = None,
+    deviations: FloatArray | None = None,
+) -> ResponseFit:
+    """The state space of an order that is nearest to a response over a band.
+
+    Parameters
+    ----------
+    frequencies_Hz : (m,) increasing, above 0.
+    response : (m,) acceleration over input [m/s^2 per A or V].
+    order : number of states.
+    band_Hz : lowest and highest frequency that count; None for all.
+    deviations : (m,) standard deviations of real and imaginary part of the points; None where nothing is known.
+
+    Raises
+    ------
+    InputError : an order or a band out of range, too few points for the order, or a response of zero.
+    """
+    if not 1 <= order <= HIGHEST_ORDER:
+        raise InputError(f"--order {order}: must be 1 to {HIGHEST_ORDER}; two for each resonance")
+    low, high = (frequencies_Hz[0], frequencies_Hz[-1]) if band_Hz is None else band_Hz
+    if not 0 < low < high:
+        raise InputError(f"--band-Hz {low:g} {high:g}: must be two frequencies above 0, the lower one first")
+    inside = (frequencies_Hz >= low) & (frequencies_Hz <= high)
+    f, G = frequencies_Hz[inside], response[inside]
+    needed = 2 * order + 2
+    if f.size < needed:
+        said = f"{low:g} to {high:g} Hz"
+        raise InputError(
+            f"--order {order}: needs {needed} points, {f.size} from {said}: lower it, or widen --band-Hz"
+        )
+    largest = float(np.abs(G).max())
+    if largest == 0:
+        raise InputError("the response is zero at every frequency of the band: check its columns")
+    top = 2 * np.pi * float(f[-1])
+    s = np.asarray(2j * np.pi * f / top, dtype=np.complex128)
+    weight, noise = np.ones(f.size), 0.0
+    if deviations is not None:
+        weight = 1 / deviations[inside]
+        noise = float(np.sqrt(2 * f.size) / np.linalg.norm(weight * G))
+        weight = weight / weight.max()
+    poles = _resolved(vector_fit(s, G / largest, weight, order, direct=True), f, top)
+    free, held = (_nearest(s, G / largest, poles, weight, rests=zeros and order > 1) for zeros in (False, True))
+    misfits = [_misfit(s, G / largest, poles, row, weight) for row in (free, held)]
+    rests = order > 1 and bool(misfits[1] <= max(COSTS_NOTHING * misfits[0], EXACT))
+    row = held if rests else free
+    _, A, b = fractions(s, poles)
+    plant = StateSpace(
+        A=top * A,
+        B=top * b[:, None],
+        C=largest * row[None, :-1],
+        D=np.array([[largest * row[-1]]]),
+        driven_by=driven_by,
+    )
+    off = np.abs(plant.response(f) - G)
+    return ResponseFit(
+        plant=plant,
+        frequencies_Hz=f,
+        measured=G,
+        misfit=float(np.linalg.norm(weight * off) / np.linalg.norm(weight * G)),
+        worst_Hz=float(f[off.argmax()]),
+        worst=float(off.max()) / largest,
+        at_rest=rests,
+        noise=noise,
+    )
+
+
+def _resolved(poles: ComplexArray, frequencies_Hz: FloatArray, top: float) -> ComplexArray:
+    """The poles with no resonance narrower than the points can show: a width of -2 Re p [rad/s]."""
+    least = np.exp(least_width(frequencies_Hz)(np.log(np.abs(poles) * top))) / (2 * top)
+    return np.asarray(np.where(poles.imag == 0, poles.real, np.minimum(poles.real, -least)) + 1j * poles.imag)
+
+
+def _nearest(
+    s: ComplexArray, target: ComplexArray, poles: ComplexArray, weight: FloatArray, *, rests: bool
+) -> FloatArray:
+    """(n + 1,) coefficients of the fractions, then the constant, by least squares.
+
+    With `rests` the value and the slope at s = 0 are kept at zero.
+    """
+    basis, A, b = fractions(s, poles)
+    columns, target = weight[:, None] * np.hstack([basis, np.ones((s.size, 1))]), weight * target
+    system, wanted = np.vstack([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
+    kept = at_rest(A, b) if rests else np.eye(poles.size + 1)
+    reduced = system @ kept
+    norm = np.maximum(np.linalg.norm(reduced, axis=0), np.finfo(float).tiny)
+    return np.asarray(kept @ (np.linalg.lstsq(reduced / norm, wanted, rcond=None)[0] / norm))
+
+
+def _misfit(s: ComplexArray, target: ComplexArray, poles: ComplexArray, row: FloatArray, weight: FloatArray) -> float:
+    basis, _, _ = fractions(s, poles)
+    off = basis @ row[:-1] + row[-1] - target
+    return float(np.linalg.norm(weight * off) / np.linalg.norm(weight * target))

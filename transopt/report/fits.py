@@ -12,11 +12,11 @@ from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.base.tables import Table
 from transopt.identify.amplifier import AmplifierFit
+from transopt.identify.black_box import ResponseFit
 from transopt.identify.coil import NAMES, CoilFit
 from transopt.identify.device.chain import unit_of
 from transopt.identify.hand.chain import ChainFit
 from transopt.identify.hand.lines import GripLine, HandFit
-from transopt.identify.response_fit import ResponseFit
 from transopt.identify.spectrum import TransferEstimate, Trial
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients
 from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M

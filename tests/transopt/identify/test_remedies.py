@@ -19,7 +19,7 @@ from transopt.base.signals import FloatArray
 from transopt.identify.amplifier import fit_amplifier
 from transopt.identify.device.identify import Settings, identify
 from transopt.identify.device.result import Kind
-from transopt.identify.device.verdict import Taps
+from transopt.identify.device.validation import Taps
 from transopt.identify.hand.lines import fit_hand
 from transopt.identify.hand.tap import HandTap
 from transopt.identify.measurement import Measurement

@@ -6,9 +6,8 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.identify.checks import runs_of
-from transopt.identify.device.chain import SHARED
+from transopt.identify.device.chain import RANGE, SHARED, GripResponse
 from transopt.identify.device.chain_fit import ChainFit, GripFit
-from transopt.identify.device.chain_search import RANGE, GripResponse
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import BAND_HZ, Grip, low_coherence
 from transopt.identify.device.validation import Model, called, modelled

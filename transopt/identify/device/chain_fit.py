@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.device.chain import SHARED, Coordinates, DriveChain
-from transopt.identify.device.chain_search import (
+from transopt.identify.amplifier import fit_pole
+from transopt.identify.device.chain import (
+    SHARED,
     ChainModel,
     ChainSearch,
+    Coordinates,
+    DriveChain,
     GripResponse,
     instrument_at,
     unknowns_of,
@@ -163,30 +166,16 @@ def _free(measured: Sequence[GripResponse], coordinates: Coordinates, instrument
     return np.array([True] * coordinates.size + told)
 
 
-def _nuisances(coordinates: Coordinates) -> NDArray[np.bool_]:
-    """(p,) which unknowns those of `NUISANCES` are."""
-    return np.array([False] * coordinates.size + [name in NUISANCES for name in INSTRUMENT])
-
-
-def _with_amplifier(
-    measured: Sequence[GripResponse],
-    coordinates: Coordinates,
-    instrument: Instrument,
-    nominal: DriveChain,
-    free: NDArray[np.bool_],
-) -> Instrument:
+def _with_amplifier(measured: Sequence[GripResponse], instrument: Instrument) -> Instrument:
     """The instrument with the amplifier that the currents alone tell; as it was where they were not read."""
-    moving = free & ~_nuisances(coordinates) & (np.arange(free.size) >= coordinates.size)
-    if not moving.any():
+    amplifier = instrument.amplifier
+    if amplifier is None or any(CURRENT not in one.outputs for one in measured):
         return instrument
-    rows = np.array([CURRENT])
-    currents = [
-        replace(one, data=replace(one.data, known=one.data.known & np.isin(one.outputs, rows)[:, None]))
-        for one in measured
-    ]
-    search = ChainSearch(currents, coordinates, instrument, nominal.force_per_current_N_A, moving)
-    found = search.maximum(np.concatenate([coordinates.of(nominal), unknowns_of(instrument)]))
-    return instrument_at(found.unknowns[coordinates.size :], instrument)
+    places = [one.outputs.index(CURRENT) for one in measured]
+    currents = [one.data.some(outputs=slice(j, j + 1)) for one, j in zip(measured, places, strict=True)]
+    log_pole, ticks, gain = fit_pole(currents, start=(amplifier.pole_Hz, amplifier.delay_s)).unknowns.tolist()
+    found = replace(amplifier, pole_Hz=float(np.exp(log_pole)), delay_s=ticks * instrument.dt_s)
+    return replace(instrument, amplifier=found, amplifier_gain=gain)
 
 
 def fit_chain(
@@ -225,13 +214,14 @@ def fit_chain(
     coordinates, force, stated = Coordinates(held), nominal.force_per_current_N_A, instrument.accelerometer_Hz
     sought = replace(instrument, accelerometer_Hz=stated or SUSPECTED_HZ)
     free = _free(measured, coordinates, sought)
-    sought = _with_amplifier(measured, coordinates, sought, nominal, free)
+    sought = _with_amplifier(measured, sought)
     tail = unknowns_of(sought)
     chain_alone = np.arange(free.size) < coordinates.size
+    nuisances = np.array([False] * coordinates.size + [name in NUISANCES for name in INSTRUMENT])
     # Nuisances could make up for a chain that is far off, and a chain for nuisances: both orders are tried.
     first, second = (
         ChainSearch(measured, coordinates, sought, force, moving, loose=LOOSE, step=DECIMATION)
-        for moving in (chain_alone, chain_alone | free & _nuisances(coordinates))
+        for moving in (chain_alone, free & (chain_alone | nuisances))
     )
     exact = ChainSearch(measured, coordinates, sought, force, free)
     near = coordinates.of(scaled_to(nominal, measured, sought))

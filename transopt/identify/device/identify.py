@@ -10,7 +10,7 @@ from transopt.identify.checks import begun_late, by_grip, check_rates, within
 from transopt.identify.device.advice import about_chain, advice
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.causes import beyond_a_chain, causes_of, distorted, two_clocks
-from transopt.identify.device.chain import DriveChain
+from transopt.identify.device.chain import DriveChain, GripResponse
 from transopt.identify.device.chain_fit import (
     EXPLAINED,
     RANDOM_STARTS,
@@ -20,8 +20,7 @@ from transopt.identify.device.chain_fit import (
     refit,
     response_variance,
 )
-from transopt.identify.device.chain_search import GripResponse
-from transopt.identify.device.delay import delay_samples, finding, without_delay
+from transopt.identify.device.cleaned import delay_samples, finding, without_delay, without_leakage
 from transopt.identify.device.effects import (
     Missed,
     at_use,
@@ -31,15 +30,23 @@ from transopt.identify.device.effects import (
 from transopt.identify.device.noise import noise_findings
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.result import Candidate, DeviceResult, Kind, device_part
-from transopt.identify.device.slow import without_leakage
 from transopt.identify.device.trials import (
     Records,
     instrument_of,
     recorded_at,
     sort_trials,
 )
-from transopt.identify.device.validation import Model, compare, together
-from transopt.identify.device.verdict import Taps, model_error, not_covered, predict_taps, relative, short_of
+from transopt.identify.device.validation import (
+    Model,
+    Taps,
+    compare,
+    model_error,
+    not_covered,
+    predict_taps,
+    relative,
+    short_of,
+    together,
+)
 from transopt.identify.findings import COHERENT, Finding
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial

@@ -12,8 +12,7 @@ from transopt.identify.device.chain import HAND, SHARED
 from transopt.identify.device.chain_fit import ChainFit, GripFit
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import Grip
-from transopt.identify.device.validation import Model, Transient, together
-from transopt.identify.device.verdict import verdict
+from transopt.identify.device.validation import Model, Transient, together, verdict
 from transopt.identify.findings import Finding
 from transopt.identify.fit import known
 from transopt.identify.measurement import sources

@@ -25,7 +25,7 @@ from transopt.identify.checks import (
     within,
 )
 from transopt.identify.condensed import Condensed, condense
-from transopt.identify.device.chain_search import GripResponse
+from transopt.identify.device.chain import GripResponse
 from transopt.identify.device.response import (
     ACCELERATION,
     CURRENT,
@@ -362,7 +362,7 @@ def _one_pole(data: Condensed, amplifier: Amplifier) -> bool:
     """Whether one pole and a delay explain the current, the one output, from the command."""
     if data.middles_Hz.size < LEAST_BINS:
         return False
-    return fit_pole(data, start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
+    return fit_pole([data], start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
 
 
 def recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:

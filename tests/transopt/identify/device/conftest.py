@@ -8,7 +8,7 @@ import pytest
 
 from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DT_S, Rig
 from transopt.base.signals import FloatArray
-from transopt.identify.device.chain_search import GripResponse
+from transopt.identify.device.chain import GripResponse
 from transopt.identify.device.response import Instrument, responses, sampled_response
 from transopt.identify.device.trials import sort_trials
 from transopt.identify.spectrum import TransferEstimate

@@ -8,7 +8,7 @@ from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.base.errors import InputError
 from transopt.identify.black_box import RESOLVED
 from transopt.identify.device.black_box import BlackBox, fit_black_box
-from transopt.identify.device.chain_search import GripResponse
+from transopt.identify.device.chain import GripResponse
 from transopt.identify.spectrum import TransferEstimate
 from transopt.plant.chain import Link, chain
 from transopt.plant.state_space import StateSpace

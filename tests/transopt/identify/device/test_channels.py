@@ -7,9 +7,8 @@ import pytest
 
 from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, assert_near, mismatched
 from tests.transopt.identify.device.conftest import INSTRUMENT
-from transopt.identify.device.chain import Coordinates
+from transopt.identify.device.chain import ChainSearch, Coordinates, GripResponse, unknowns_of
 from transopt.identify.device.chain_fit import fit_per_grip, refit
-from transopt.identify.device.chain_search import ChainSearch, GripResponse, unknowns_of
 from transopt.identify.device.identify import Settings, identify
 from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION
 from transopt.identify.device.response import INSTRUMENT as UNKNOWNS

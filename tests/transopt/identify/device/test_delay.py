@@ -7,7 +7,7 @@ import pytest
 
 from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
 from transopt.base.signals import Signal
-from transopt.identify.device.delay import delay_samples, without_delay
+from transopt.identify.device.cleaned import delay_samples, without_delay
 from transopt.identify.device.identify import Settings, identify
 from transopt.identify.device.result import Kind
 from transopt.identify.device.trials import instrument_of

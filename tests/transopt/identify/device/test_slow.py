@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from transopt.identify.device.slow import NOTICED, TAKEN_HZ, leakage
+from transopt.identify.device.cleaned import NOTICED, TAKEN_HZ, leakage
 
 DT_S, N = 1e-4, 20000
 

@@ -8,7 +8,7 @@ from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import fit_chain, response_variance
 from transopt.identify.device.response import sampled_response
-from transopt.identify.device.verdict import (
+from transopt.identify.device.validation import (
     Taps,
     model_error,
     not_covered,
