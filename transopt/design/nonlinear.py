@@ -7,11 +7,10 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.design.context import Posed
 from transopt.design.optimum import optimum
-from transopt.library.nonlinear import as_on_linear
 from transopt.plant.nonlinear_stage import NonlinearStage
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.proof.designed import Designed
-from transopt.proof.nonlinear import certify_nonlinear
+from transopt.proof.nonlinear import NonlinearEffect, certify_nonlinear
 from transopt.solvers.nonlinear import solve
 from transopt.solvers.options import SolverOptions
 
@@ -38,7 +37,7 @@ def nonlinear_optimum(posed: Posed, options: SolverOptions) -> Designed:
     at_rest = np.nan_to_num(linear.solution.command)
     stage = NonlinearStage(plant, problem.stage.amplifier, problem.grid.dt_s, 1, tuple(problem.stage.outputs))
     on_plant, found = solve(NonlinearProblem(problem, stage), at_rest, options)
-    effect = on_plant.effect(np.nan_to_num(found.command))
+    effect = NonlinearEffect(on_plant, np.nan_to_num(found.command))
     proof = certify_nonlinear(on_plant, found.command, found.multipliers, effect=effect)
     if proof.finite:
         # J is a sum of squares: 0 is a bound from below, and all that is known of one here.
@@ -47,7 +46,7 @@ def nonlinear_optimum(posed: Posed, options: SolverOptions) -> Designed:
         problem=problem,
         solution=found,
         certificate=proof,
-        effect=as_on_linear(effect),
+        effect=effect,
         unlimited_command=linear.unlimited_command,
         floor=linear.floor,
         free_peak=linear.free_peak,

@@ -8,7 +8,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
-from transopt.library.nonlinear import as_on_linear, nonlinear_problem
+from transopt.library.nonlinear import nonlinear_problem
 from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
@@ -17,7 +17,7 @@ from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, binding_limits, certify
 from transopt.proof.designed import Designed
-from transopt.proof.nonlinear import certify_nonlinear
+from transopt.proof.nonlinear import NonlinearEffect, certify_nonlinear
 
 NAN = float("nan")
 
@@ -209,7 +209,7 @@ def answer_of(
         effect = Effect(problem, command)
         return designed(answer, prove(effect, multipliers), effect)
     nonlinear = nonlinear_problem(library, iv, ig, plant)
-    on_plant = nonlinear.effect(command)
+    on_plant = NonlinearEffect(nonlinear, command)
     proof = certify_nonlinear(nonlinear, command, multipliers, effect=on_plant)
     # Below 0 no sum of squares is.
     proof = replace(proof, lower_bound=0.0) if proof.finite else proof
@@ -217,4 +217,4 @@ def answer_of(
     none, at_rest = Multipliers.zero(problem), Effect(problem, library.linear_command[iv, ig])
     stated = Solution(Status.NOT_CERTIFIED, at_rest.command, none, "", "", 0, 0.0)
     linear = designed(stated, certify(problem, at_rest.command, none, effect=at_rest), at_rest)
-    return replace(designed(answer, proof, as_on_linear(on_plant)), nonlinear=nonlinear, linear=linear)
+    return replace(designed(answer, proof, on_plant), nonlinear=nonlinear, linear=linear)

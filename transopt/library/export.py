@@ -183,9 +183,10 @@ def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatA
         return stage.rollout(command)[0]
     # Only a library of a nonlinear plant needs this import.
     from transopt.library.nonlinear import nonlinear_problem
+    from transopt.proof.nonlinear import NonlinearEffect
 
     with np.errstate(all="ignore"):
-        found = nonlinear_problem(library, iv, ig).effect(command).motion.acceleration_m_s2
+        found = NonlinearEffect(nonlinear_problem(library, iv, ig), command).motion.acceleration_m_s2
     return np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0)
 
 

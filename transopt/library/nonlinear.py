@@ -12,8 +12,7 @@ from transopt.base.errors import InputError
 from transopt.library.posed import Posed
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.plant.nonlinear_stage import MOST_SUBSTEPS, NonlinearStage
-from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
-from transopt.proof.certify import Effect
+from transopt.problem.nonlinear import NonlinearProblem
 
 
 def nonlinear_problem(library: Posed, iv: int, ig: int, plant: NonlinearCoil | None = None) -> NonlinearProblem:
@@ -36,10 +35,3 @@ def nonlinear_problem(library: Posed, iv: int, ig: int, plant: NonlinearCoil | N
     return NonlinearProblem(
         linear, NonlinearStage(plant, linear.stage.amplifier, linear.grid.dt_s, int(steps), outputs)
     )
-
-
-def as_on_linear(effect: NonlinearEffect) -> Effect:
-    """What a command does on the nonlinear plant, as limits and figures read what one does on a linear plant."""
-    found = Effect(effect.problem.linear, effect.command, effect.motion)
-    found.lasting = effect.lasting
-    return found

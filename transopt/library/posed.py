@@ -232,8 +232,9 @@ class Posed(Held):
         if self.nonlinear:
             # Only a nonlinear plant needs this import, which takes the scene with all that reads one.
             from transopt.library.nonlinear import nonlinear_problem
+            from transopt.proof.nonlinear import NonlinearEffect
 
-            lasting = nonlinear_problem(self, iv, ig).effect(self.command[iv, ig]).lasting
+            lasting = NonlinearEffect(nonlinear_problem(self, iv, ig), self.command[iv, ig]).lasting
             return lasting.acceleration_m_s2, lasting.plant_input
         problem = self.problem(iv, ig)
         return problem.stage.rollout(problem.continued(self.command[iv, ig]))

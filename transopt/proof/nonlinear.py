@@ -7,26 +7,67 @@ them.
 """
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from transopt.base.signals import FloatArray
+from transopt.plant.discretise import Motion
+from transopt.plant.nonlinear_stage import Linearised
 from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.limits.limit import transposed
-from transopt.problem.nonlinear import NonlinearEffect, NonlinearProblem
-from transopt.proof.certify import boxes, is_stated, left_over
+from transopt.problem.nonlinear import NonlinearProblem
+from transopt.proof.certify import Effect, boxes, is_stated, left_over
+
+
+class NonlinearEffect(Effect):
+    """What a command (N,) does on a nonlinear plant: limits and figures read it as what one does on a linear plant.
+
+    Attributes
+    ----------
+    problem : that of the plant at rest, whose objective and limits are those on the nonlinear plant.
+    """
+
+    def __init__(self, problem: NonlinearProblem, command: FloatArray) -> None:
+        super().__init__(problem.linear, command)
+        self.stage = problem.stage
+
+    @cached_property
+    def states(self) -> FloatArray:
+        """(N + M + 1, n)."""
+        return self.stage.states(self.continued)
+
+    @cached_property
+    def lasting(self) -> Motion:
+        """(N + M,) through the window and after it."""
+        return self.stage.motion(self.continued, self.states)
+
+    @cached_property
+    def linearised(self) -> Linearised:
+        """Derivatives along the motion."""
+        return self.stage.linearised(self.continued, self.states)
+
+    @property
+    def finite(self) -> bool:
+        """Whether the motion has a value everywhere."""
+        return bool(np.isfinite(self.states).all())
+
+    @property
+    def objective(self) -> float:
+        """J."""
+        return self.problem.objective(self.command, self.accelerations_m_s2, self.motion.plant_input)
 
 
 def reduced_gradient(effect: NonlinearEffect, multipliers: Multipliers) -> FloatArray:
     """(N,) gradient by the commands of J + sum mu (constraint) + sum hand_over c [1/A or 1/V]."""
-    linear, stage, command, m = effect.problem.linear, effect.problem.stage, effect.command, multipliers
+    linear, command, m = effect.problem, effect.command, multipliers
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in linear.rows() if row.name in m.pairs]
     through, by_command = transposed(by_row, effect.motion, command)
     by_error = linear.tracking.gradient(effect.lasting.acceleration_m_s2, 1.0)
     by_input = through.plant_input + linear.heat.gradient(effect.motion.plant_input)
     through = replace(through, plant_input=by_input)
     by_motion = replace(through.padded(linear.grid.after_stages), acceleration_m_s2=by_error)
-    by_continued = stage.adjoint(effect.linearised, by_motion)
+    by_continued = effect.stage.adjoint(effect.linearised, by_motion)
     # The command after the window is zero, so gradients by it are dropped.
     found = by_continued[: command.size] + linear.movement.gradient(command) + by_command
     found[linear.free_stages :] += m.hand_over
@@ -38,7 +79,7 @@ def with_hand_over(effect: NonlinearEffect, multipliers: Multipliers) -> Multipl
     silent = replace(multipliers, hand_over=np.zeros_like(multipliers.hand_over))
     if not effect.finite:
         return silent
-    return replace(silent, hand_over=-reduced_gradient(effect, silent)[effect.problem.linear.free_stages :])
+    return replace(silent, hand_over=-reduced_gradient(effect, silent)[effect.problem.free_stages :])
 
 
 def certify_nonlinear(
@@ -62,7 +103,7 @@ def certify_nonlinear(
     linear = problem.linear
     if not is_stated(linear, command, multipliers):
         return Certificate.nothing()
-    effect, clipped = effect or problem.effect(command), multipliers.clipped()
+    effect, clipped = effect or NonlinearEffect(problem, command), multipliers.clipped()
     if not effect.finite or not np.isfinite(effect.objective):
         return Certificate.nothing()
     limits, tail = boxes(linear, command, effect.motion, clipped), command[linear.free_stages :]

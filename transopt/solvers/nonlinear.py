@@ -27,7 +27,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Pair, Solution
 from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Row
 from transopt.problem.nonlinear import NonlinearProblem
 from transopt.problem.objective.weighting import ErrorFilter
-from transopt.proof.nonlinear import with_hand_over
+from transopt.proof.nonlinear import NonlinearEffect, with_hand_over
 from transopt.solvers.casadi_ipopt import STATUS
 from transopt.solvers.options import SolverOptions, most_time_s
 
@@ -287,7 +287,7 @@ class NonlinearProgram:
         """Starting point of IPOPT: the nearby answer, or a command (N,) rolled out."""
         if self.near is not None:
             return {"x0": self.near.x, "lam_x0": self.near.lam_x, "lam_g0": self.near.lam_g}
-        effect = self.problem.effect(start)
+        effect = NonlinearEffect(self.problem, start)
         states, made = [effect.states[1:]], effect.lasting.acceleration_m_s2
         unit = np.append(made, 0.0)[None] / np.sqrt(self.problem.linear.tracking.energy_m2_s4)
         for by in self.filters:
@@ -317,7 +317,7 @@ class NonlinearProgram:
         solution = Solution(
             status=STATUS.get(message, Status.NUMERICAL_FAILURE),
             command=command,
-            multipliers=with_hand_over(self.problem.effect(command), multipliers),
+            multipliers=with_hand_over(NonlinearEffect(self.problem, command), multipliers),
             solver="casadi-ipopt",
             message=message,
             iterations=int(self.solver.stats()["iter_count"]),

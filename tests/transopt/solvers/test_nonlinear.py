@@ -17,7 +17,7 @@ from transopt.design.optimum import optimum
 from transopt.plant.nonlinear_stage import NonlinearStage, resolved
 from transopt.problem.answer import Multipliers, Solution, Status
 from transopt.problem.nonlinear import NonlinearProblem
-from transopt.proof.nonlinear import certify_nonlinear, reduced_gradient
+from transopt.proof.nonlinear import NonlinearEffect, certify_nonlinear, reduced_gradient
 from transopt.recordings.targets import target_references
 from transopt.scene.scene import Scene
 from transopt.solvers.nonlinear import NonlinearProgram, solve
@@ -157,7 +157,7 @@ class TestAgainstAGeneralOptimiser:
         problem, found = case
         objective, slacks = by_integrator(problem)
         free = found.command[: problem.linear.free_stages]
-        assert objective(free) == pytest.approx(problem.effect(found.command).objective, rel=1e-5)
+        assert objective(free) == pytest.approx(NonlinearEffect(problem, found.command).objective, rel=1e-5)
         assert slacks(free).min() >= -1e-5
 
     def test_no_feasible_command_nearby_is_better(self, case: tuple[NonlinearProblem, Solution]) -> None:
@@ -227,10 +227,10 @@ class TestCertificate:
     def test_gradient_is_that_of_the_lagrangian_by_differences(self, case: tuple[NonlinearProblem, Solution]) -> None:
         problem, found = case
         linear, nothing = problem.linear, Multipliers.zero(problem.linear)
-        gradient = reduced_gradient(problem.effect(found.command), nothing)
+        gradient = reduced_gradient(NonlinearEffect(problem, found.command), nothing)
         for k in (0, 7, linear.free_stages - 1):
             step = 1e-3 * np.eye(1, linear.grid.stages, k)[0]
-            at = [problem.effect(found.command + by * step).objective for by in (-2, -1, 1, 2)]
+            at = [NonlinearEffect(problem, found.command + by * step).objective for by in (-2, -1, 1, 2)]
             difference = (at[0] - 8 * at[1] + 8 * at[2] - at[3]) / 12e-3
             assert gradient[k] == pytest.approx(difference, rel=1e-6, abs=1e-6 * np.abs(gradient).max())
 
