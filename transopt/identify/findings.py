@@ -45,12 +45,14 @@ class Finding:
     where : file, grip or band.
     text : value, limit and remedy.
     fatal : no fit should follow.
+    cause : name in the model file of what was found beside the model; empty for what is not stated there.
     """
 
     fault: Fault
     where: str
     text: str
     fatal: bool
+    cause: str = ""
 
     def __str__(self) -> str:
         return f"{self.where}: {self.fault}: {self.text}"
@@ -148,6 +150,11 @@ class Check(Enum):
     def at(self, where: str, **measured: object) -> Finding:
         """What it finds in a file, at a grip or in a band."""
         return Finding(self.fault, where, self.text.format(limit=self.limit, **measured), self.fatal)
+
+
+def beside(where: str, text: str, cause: str = "") -> Finding:
+    """What the records have beside the model; `cause` is its name in the model file, empty for what gets none."""
+    return Finding(Fault.BESIDE, where, text, TOLD, cause)
 
 
 def refuse(findings: Iterable[Finding]) -> list[Finding]:

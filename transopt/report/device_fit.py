@@ -19,7 +19,6 @@ from rich.table import Column
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, draw_minor_ticks_at_once, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.tables import Table
-from transopt.identify.device.advice import intervals
 from transopt.identify.device.chain import unit_of
 from transopt.identify.device.result import Candidate, DeviceResult, Kind
 from transopt.identify.device.trials import Grip
@@ -160,8 +159,8 @@ def _say(axes: Axes, at: float, side: Literal["center", "right"], words: str, si
 def show(console: Console, result: DeviceResult) -> None:
     """Tables, what is wrong with the records, and what to record again."""
     if result.chosen.kind is Kind.DRIVE and result.chain is not None:
-        names, values, covariance = result.chain.stated()
-        stated = np.column_stack([values, intervals(names, values, covariance)]).tolist()
+        names, values, _, intervals = result.chain.stated()
+        stated = np.column_stack([values, intervals]).tolist()
         rows = [(name, *(f"{x:.4g}" for x in row), unit_of(name)) for name, row in zip(names, stated, strict=True)]
         console.print(value_table("drive chain", rows))
     elif result.black_box is not None:

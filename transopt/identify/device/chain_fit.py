@@ -17,6 +17,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.amplifier import fit_pole
 from transopt.identify.device.chain import (
+    RANGE,
     SHARED,
     ChainModel,
     ChainSearch,
@@ -34,6 +35,7 @@ from transopt.identify.device.response import (
     Instrument,
     sampled_response,
 )
+from transopt.identify.fit import around, quantile
 from transopt.identify.likelihood import Maximum
 
 RANDOM_STARTS = 6
@@ -45,6 +47,7 @@ EXPLAINED = 2.0  # mean square of the residuals below which no further start is 
 UNKNOWN = 0.5  # standard deviation of a logarithm from which on a parameter counts as not identified
 VARIES = 4.0  # observed variance between trials over the noise's, from which on a hand is said to vary
 SIGNIFICANT = 5.0  # deviations of a nuisance from its nominal value that the records must show to keep it
+MISFIT = 3.0  # mean square of the residuals from where on the fit is lacking
 WHOLLY = 1.3  # mean square of the residuals up to which a fit leaves nothing unexplained
 BETTER = 4.0  # times smaller a misfit that nuisances leave behind, where they do not explain all of it
 SUSPECTED_HZ = 3000.0  # where the search for a pole begins that no file states
@@ -131,10 +134,35 @@ class ChainFit:
         sigma = np.sqrt(np.diag(self.covariance))
         return {name: float(s) for name, s in zip(self.coordinates.names, sigma, strict=True) if s > UNKNOWN}
 
-    def stated(self) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-        """Names, values (q,) and covariance (q, q) of the parameters as a model file states them, in SI."""
+    def stated(self) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
+        """Names, values (q,), covariance (q, q) and 95 % intervals (q, 2) as a model file states them, in SI.
+
+        What must be positive has its interval on a logarithmic scale, constants and slopes on a plain one.
+        """
         names, values, matrix = self.coordinates.stated(self.unknowns)
-        return names, values, matrix @ self.covariance @ matrix.T
+        covariance = matrix @ self.covariance @ matrix.T
+        spans = around(values, covariance)
+        for j, value in enumerate(values[: len(SHARED)]):
+            factor = factor_of(float(np.sqrt(covariance[j, j]) / value))
+            spans[j] = value / factor, value * factor
+        return names, values, covariance, spans
+
+    def meaningless(self) -> list[str]:
+        """Why parameters that predict well may be no masses, springs and dampers of the device all the same."""
+        said = []
+        if self.scatter > MISFIT:
+            said.append(
+                f"residuals of {self.scatter:.2g} times the noise: the parameters make up for what the chain lacks "
+                "(further masses, samples not read together, accelerometer_Hz), so that their intervals do not hold"
+            )
+        if self.at_bounds:
+            said.append(f"at a bound, so without meaning by themselves: {', '.join(self.at_bounds)}")
+        return said
+
+
+def factor_of(sigma: float) -> float:
+    """Half the 95 % interval of a positive number from the deviation of its logarithm; at most the range searched."""
+    return float(np.exp(min(quantile() * sigma, np.log(RANGE))))
 
 
 def scaled_to(device: DriveChain, measured: Sequence[GripResponse], instrument: Instrument) -> DriveChain:

@@ -7,9 +7,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.identify.checks import begun_late, by_grip, check_rates, within
-from transopt.identify.device.advice import about_chain, advice
 from transopt.identify.device.black_box import BlackBox, fit_black_box
-from transopt.identify.device.causes import beyond_a_chain, causes_of, distorted, two_clocks
 from transopt.identify.device.chain import DriveChain, GripResponse
 from transopt.identify.device.chain_fit import (
     EXPLAINED,
@@ -27,7 +25,15 @@ from transopt.identify.device.effects import (
     missed,
     named_by_lines,
 )
-from transopt.identify.device.noise import noise_findings
+from transopt.identify.device.findings import (
+    about_chain,
+    advice,
+    beyond_a_chain,
+    causes_of,
+    distorted,
+    noise_findings,
+    two_clocks,
+)
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.result import Candidate, DeviceResult, Kind, device_part
 from transopt.identify.device.trials import (
@@ -148,11 +154,10 @@ def identify(
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
     everything = [*(run for grip in grips for run in (*grip.fitted, *grip.kept)), *transients, *repeated]
     error = error.model_copy(update={"recorded_A": [_largest_A(grip.grip_N, everything) for grip in grips]})
-    causes, found = causes_of(chosen, chain, grips, used, error, repeated)
-    found += noise_findings(grips)
+    found = causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
     if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
         found.append(beyond_a_chain(box))
-    found += [said for run in repeated if (said := distorted(run)) is not None]
+    found += distorted(repeated)
     advised = advice(grips, chosen.model, chosen.instrument, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
         advised += about_chain(chain, own_hands)
@@ -165,7 +170,7 @@ def identify(
         black_box=box,
         error=error,
         predicted=None,
-        causes=causes,
+        causes=[said.cause for said in found if said.cause],
         findings=[*late, *records.findings, *found],
         advice=advised,
         short=[],

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from transopt.identify.device.advice import intervals, not_the_devices
 from transopt.identify.device.black_box import BlackBox
 from transopt.identify.device.chain import HAND, SHARED
 from transopt.identify.device.chain_fit import ChainFit, GripFit
@@ -111,7 +110,7 @@ class DeviceResult:
         """One sentence for the model file and for the user: how far the chosen model can be relied upon."""
         words = [verdict(self.predicted, self.chosen.recorded, self.uncovered)]
         if self.chosen.kind is Kind.DRIVE and self.chain is not None:
-            words += not_the_devices(self.chain)
+            words += self.chain.meaningless()
         return "; ".join(words)
 
 
@@ -140,7 +139,7 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
         )
     assert result.chain is not None
     device = result.chain.device
-    names, values, covariance = result.chain.stated()
+    names, _, covariance, intervals = result.chain.stated()
     return DriveDevice.model_validate(
         {
             "kind": "drive",
@@ -150,7 +149,7 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
                 name: {"constant": constant, "per_newton": slope}
                 for name, (constant, slope) in zip(HAND, device.hand.tolist(), strict=True)
             },
-            **known(names, covariance, intervals(names, values, covariance)),
+            **known(names, covariance, intervals),
             **common,
         }
     )

@@ -68,7 +68,7 @@ def test_intervals_cover_the_truth(measured: Measured, plain: ChainFit) -> None:
     inside = []
     for seed in range(1, 16):
         fit = refit(plain, measured(DEFAULT, seed=seed))
-        _, values, covariance = fit.stated()
+        _, values, covariance, _ = fit.stated()
         _, truth, _ = fit.coordinates.stated(fit.coordinates.of(DEFAULT))
         inside.append(np.abs(values - truth) < 1.96 * np.sqrt(np.diag(covariance)))
         assert 0.8 < fit.scatter < 1.2

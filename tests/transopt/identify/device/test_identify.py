@@ -17,8 +17,8 @@ from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, D
 from tests.transopt.identify.device.test_black_box import four_masses
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.device.advice import lack_of_fit
 from transopt.identify.device.chain import DriveChain
+from transopt.identify.device.findings import lack_of_fit
 from transopt.identify.device.identify import Settings, identify
 from transopt.identify.device.result import DeviceResult, Kind, device_part
 from transopt.identify.device.validation import compare

@@ -8,7 +8,7 @@ import pytest
 
 from tests.benches.identification import AMPLIFIER, Rig, mismatched
 from transopt.base.signals import FloatArray
-from transopt.identify.device.noise import noise_findings
+from transopt.identify.device.findings import noise_findings
 from transopt.identify.device.trials import sort_trials
 from transopt.identify.findings import Finding
 
