@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from transopt.base.tables import Table
-    from transopt.scene.fitted import ModelPart
-    from transopt.scene.model_parts import ModelPartName
+    from transopt.scene.model_parts import AnyModelPart, ModelPartName
 
 Out = Annotated[Path, typer.Option(help="Model file; its other parts stay. A PNG is written beside it.")]
 Columns = Annotated[str, typer.Option(help=COLUMNS_HELP)]
@@ -74,7 +73,7 @@ def draw(out: Path, name: "ModelPartName", figure: "Figure") -> Path:
 
 
 def finish(
-    out: Path, name: "ModelPartName", part: "ModelPart", figure: "Figure", note: str = "", scene: str | None = None
+    out: Path, name: "ModelPartName", part: "AnyModelPart", figure: "Figure", note: str = "", scene: str | None = None
 ) -> None:
     """Write part and figure, say the verdict, and what comes next.
 

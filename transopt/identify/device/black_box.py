@@ -79,52 +79,6 @@ class BlackBox:
         return BlackBox(grips, plants, self.scatter[kept], self.criterion)
 
 
-class _Sections:
-    """Matrices and derivatives of a sum of second-order sections for unknowns (log w, log a per section; output).
-
-    A section has the states of [[0, w], [-w, -a]], driven by w at the second: of one size whatever w is.
-    """
-
-    def __init__(self, order: int, held: bool) -> None:
-        self.order, self.held = order, held
-        self.poles = order  # as many unknowns
-        self.outputs = order + 1
-
-    def matrices(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A and B of the sections."""
-        A, B = np.zeros((self.order, self.order)), np.zeros((self.order, 1))
-        for j, (w, a) in enumerate(np.exp(unknowns[: self.poles].reshape(-1, 2))):
-            A[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = [[0.0, w], [-w, -a]]
-            B[2 * j + 1, 0] = w
-        return A, B
-
-    def _outputs(self, A: FloatArray, B: FloatArray) -> FloatArray:
-        """(outputs, n + 1) rows of C and D for each unknown of the output being one, the others zero."""
-        return at_rest(A, B[:, 0]) if self.held else np.eye(self.outputs)
-
-    def plant(self, unknowns: FloatArray) -> StateSpace:
-        """The state space of poles and outputs."""
-        A, B = self.matrices(unknowns)
-        row = unknowns[self.poles :] @ self._outputs(A, B)
-        return StateSpace(A, B, row[None, :-1], row[None, -1:])
-
-    def pole_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
-        """Slopes by log w and log a of the sections: central differences of these small matrices."""
-        found, step = [], 1e-5
-        for j in range(self.poles):
-            move = np.zeros(unknowns.size)
-            move[j] = step
-            up, down = self.plant(unknowns + move), self.plant(unknowns - move)
-            found.append(Slope(*((getattr(up, part) - getattr(down, part)) / (2 * step) for part in "ABCD")))
-        return tuple(found)
-
-    def output_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
-        """Slopes by the output's coefficients, which enter linearly."""
-        A, B = self.matrices(unknowns)
-        none_A, none_B = np.zeros_like(A), np.zeros_like(B)
-        return tuple(Slope(none_A, none_B, row[None, :-1], row[None, -1:]) for row in self._outputs(A, B))
-
-
 def _start(poles: ComplexArray) -> FloatArray:
     """(order,) log w and log a of sections with these poles; real ones are paired by size."""
     upper = poles[poles.imag > 0]
@@ -137,50 +91,18 @@ def _start(poles: ComplexArray) -> FloatArray:
 
 
 class _Projected(Squares):
-    """Residuals over the poles alone, the output always the best one for them (variable projection).
+    """Residuals of one grip over the poles of its sections, the output always the best one for them.
 
-    The Jacobian is Kaufman's (1975): that at fixed output, less what the output can make up for. Poles and output
-    sought together would crawl along the valley where one makes up for the other.
+    The unknowns are log w and log a of the sections. A section has the states of [[0, w], [-w, -a]], driven by w at
+    the second: of one size whatever w is. The projection is variable: the Jacobian is Kaufman's (1975), that at fixed
+    output, less what the output can make up for. Poles and output sought together would crawl along the valley where
+    one makes up for the other. No resonance is narrower than what was measured can resolve.
     """
 
-    def __init__(self, one: GripResponse, instrument: Instrument, sections: _Sections) -> None:
+    def __init__(self, one: GripResponse, instrument: Instrument) -> None:
         super().__init__(self._over_poles)
-        self._one, self._instrument, self._sections = one, instrument, sections
-        self.narrowest = _Narrowest(one.estimate.frequencies_Hz)
-
-    def _stacked(self, unknowns: FloatArray, slopes: tuple[Slope, ...]) -> tuple[FloatArray, FloatArray]:
-        """Weighted response (2 m,) and its slopes (2 m, p), real parts first."""
-        plant, e = self._sections.plant(unknowns), self._one.estimate
-        value, by_unknown = sampled_response(plant, self._instrument, e.frequencies_Hz, slopes)
-        value, by_unknown = value / self._one.deviation, (by_unknown / self._one.deviation).T
-        return np.concatenate([value.real, value.imag]), np.vstack([by_unknown.real, by_unknown.imag])
-
-    def whole(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """All unknowns (order + outputs,), what was measured (2 m,), and axes (2 m, r) of what an output can make."""
-        sections = self._sections
-        wanted = self._one.estimate.response / self._one.deviation
-        measured = np.concatenate([wanted.real, wanted.imag])
-        unknowns = np.concatenate([self.narrowest.widened(poles), np.zeros(sections.outputs)])
-        _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
-        norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-        axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
-        resolved = size > RANK * size[0]
-        axes, size, along = axes[:, resolved], size[resolved], along[resolved]
-        unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
-        return unknowns, measured, axes
-
-    def _over_poles(self, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (2 m,) and Jacobian (2 m, order)."""
-        unknowns, measured, axes = self.whole(poles)
-        value, slopes = self._stacked(unknowns, self._sections.pole_slopes(unknowns))
-        return value - measured, self.narrowest.through(poles, slopes - axes @ (axes.T @ slopes))
-
-
-class _Narrowest:
-    """Keeps resonances as wide as what was measured can resolve."""
-
-    def __init__(self, frequencies_Hz: FloatArray) -> None:
-        self._least = least_width(frequencies_Hz)
+        self._one, self._instrument = one, instrument
+        self._least = least_width(one.estimate.frequencies_Hz)
 
     def widened(self, poles: FloatArray) -> FloatArray:
         """(order,) log w and log a of the sections, with log a at least that of the distance between bins."""
@@ -188,25 +110,62 @@ class _Narrowest:
         found[1::2] = np.maximum(poles[1::2], self._least(poles[::2]))
         return found
 
-    def through(self, poles: FloatArray, jacobian: FloatArray) -> FloatArray:
-        """(2 m, order) by the poles from that by the widened ones."""
-        found, step = jacobian.copy(), 1e-6
-        held = poles[1::2] < self._least(poles[::2])
+    def _by_output(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A and B of the sections, and (order + 1, order + 1) rows of C and D that each output coefficient makes."""
+        A, B = np.zeros((poles.size, poles.size)), np.zeros((poles.size, 1))
+        for j, (w, a) in enumerate(np.exp(poles.reshape(-1, 2))):
+            A[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = [[0.0, w], [-w, -a]]
+            B[2 * j + 1, 0] = w
+        return A, B, at_rest(A, B[:, 0]) if self._one.grip_N > 0 else np.eye(poles.size + 1)
+
+    def _plant(self, poles: FloatArray, output: FloatArray) -> StateSpace:
+        A, B, rows = self._by_output(poles)
+        row = output @ rows
+        return StateSpace(A, B, row[None, :-1], row[None, -1:])
+
+    def _stacked(self, plant: StateSpace, slopes: tuple[Slope, ...]) -> tuple[FloatArray, FloatArray]:
+        """Weighted response (2 m,) and its slopes (2 m, p), real parts first."""
+        value, by_unknown = sampled_response(plant, self._instrument, self._one.estimate.frequencies_Hz, slopes)
+        value, by_unknown = value / self._one.deviation, (by_unknown / self._one.deviation).T
+        return np.concatenate([value.real, value.imag]), np.vstack([by_unknown.real, by_unknown.imag])
+
+    def _best(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Output (order + 1,), what was measured (2 m,), and axes (2 m, r) of what an output can make."""
+        wanted = self._one.estimate.response / self._one.deviation
+        measured = np.concatenate([wanted.real, wanted.imag])
+        A, B, rows = self._by_output(poles)
+        # The output enters linearly.
+        slopes = tuple(Slope(0 * A, 0 * B, row[None, :-1], row[None, -1:]) for row in rows)
+        _, basis = self._stacked(StateSpace(A, B, np.zeros((1, poles.size)), np.zeros((1, 1))), slopes)
+        norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+        axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
+        resolved = size > RANK * size[0]
+        axes, size, along = axes[:, resolved], size[resolved], along[resolved]
+        return along.T @ (axes.T @ measured / size) / norm, measured, axes
+
+    def _over_poles(self, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (2 m,) and Jacobian (2 m, order)."""
+        wide = self.widened(poles)
+        output, measured, axes = self._best(wide)
+        by_poles, step = [], 1e-5  # central differences of these small matrices
+        for move in step * np.eye(poles.size):
+            up, down = self._plant(wide + move, output), self._plant(wide - move, output)
+            by_poles.append(Slope(*((getattr(up, part) - getattr(down, part)) / (2 * step) for part in "ABCD")))
+        value, slopes = self._stacked(self._plant(wide, output), tuple(by_poles))
+        jacobian = slopes - axes @ (axes.T @ slopes)
+        # Where a width is held at the least one, it moves with the frequency of its section alone.
+        held, step = poles[1::2] < self._least(poles[::2]), 1e-6
         along = (self._least(poles[::2] + step) - self._least(poles[::2] - step)) / (2 * step)
-        found[:, ::2] += np.where(held, along, 0.0) * jacobian[:, 1::2]
-        found[:, 1::2] = np.where(held, 0.0, jacobian[:, 1::2])
-        return found
+        jacobian[:, ::2] += np.where(held, along, 0.0) * jacobian[:, 1::2]
+        jacobian[:, 1::2] = np.where(held, 0.0, jacobian[:, 1::2])
+        return value - measured, jacobian
 
-
-def _polished(
-    one: GripResponse, instrument: Instrument, sections: _Sections, poles: ComplexArray
-) -> tuple[StateSpace, float]:
-    """Poles and output from least squares on the exact sampled response: plant, sum of squares."""
-    projected = _Projected(one, instrument, sections)
-    start = projected.narrowest.widened(_start(poles))
-    reach = np.log(REACH)
-    found, cost = projected.search(start, start - reach, start + reach, most=MOST_STEPS, tolerance=TOLERANCE)
-    return sections.plant(projected.whole(found)[0]), cost
+    def polished(self, poles: ComplexArray) -> tuple[StateSpace, float]:
+        """Plant and sum of squares that the search from these poles (order,) ends with."""
+        start, reach = self.widened(_start(poles)), np.log(REACH)
+        found, cost = self.search(start, start - reach, start + reach, most=MOST_STEPS, tolerance=TOLERANCE)
+        wide = self.widened(found)
+        return self._plant(wide, self._best(wide)[0]), cost
 
 
 def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:
@@ -228,14 +187,14 @@ def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSp
     def fitted(poles: int) -> ComplexArray:
         return np.asarray(high * vector_fit(s / high, target, weight / weight.max(), poles, direct=not held))
 
-    sections = _Sections(order, held)
-    best = _polished(one, instrument, sections, fitted(order))
+    projected = _Projected(one, instrument)
+    best = projected.polished(fitted(order))
     enough = ENOUGH * (2 * frequencies.size - 2 * order)
     for pair in MORE:
         if best[1] < enough or order == 2:
             break
         poles = np.concatenate([fitted(order - 2), -high * np.array(pair)])
-        best = min(best, _polished(one, instrument, sections, poles), key=lambda found: found[1])
+        best = min(best, projected.polished(poles), key=lambda found: found[1])
     return best
 
 

@@ -388,24 +388,16 @@ def _through(
     return through(values, dt_s, ratio, zero_Hz=LOWEST_HZ)
 
 
-@dataclass(frozen=True)
-class CurrentMissed:
-    """How a measured current differs from what the amplifier's pole and delay make of the command.
+def current_missed(instrument: Instrument, run: Measurement) -> tuple[float, float]:
+    """What an amplifier does that is no pole and delay; zeros where command and current were not both read.
 
-    Attributes
-    ----------
-    shortfall : part of the largest current that is missing, as the cube of the command shows it; 0 if none.
-    crossover_A : half the width of the commands that the amplifier does not follow; 0 if none.
+    Returns
+    -------
+    Part of the largest current that is missing, as the cube of the command shows it; and half the width of the
+    commands that the amplifier does not follow [A].
     """
-
-    shortfall: float
-    crossover_A: float
-
-
-def current_missed(instrument: Instrument, run: Measurement) -> CurrentMissed:
-    """What an amplifier does that is no pole and delay; nothing where command and current were not both read."""
     if run.current is None or run.command is None or instrument.amplifier is None:
-        return CurrentMissed(0.0, 0.0)
+        return 0.0, 0.0
     expected = _commanded(run, instrument).values
     measured = _from_rest(run.current.values)
     peak = max(float(np.abs(expected).max()), 1e-12)
@@ -419,4 +411,4 @@ def current_missed(instrument: Instrument, run: Measurement) -> CurrentMissed:
         worth = 1 - (SIGNIFICANT / expected.size if half_A and not dead_A else 0.0)
         if left.size and left[0] < worth * wanted:
             wanted, dead_A, cube = float(left[0]), float(half_A), float(found[1])
-    return CurrentMissed(max(-cube, 0.0), dead_A)
+    return max(-cube, 0.0), dead_A

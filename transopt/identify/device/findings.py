@@ -5,7 +5,6 @@ of its own, and costs trials: mains hum, the hand's tremor, the steps of a conve
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple
 
 import numpy as np
 
@@ -118,7 +117,7 @@ def causes_of(
     if loud:
         worst = max(tap.excess for tap in error.at_use)
         currents = [current_missed(chosen.instrument, one.run) for one in loud]
-        fallen, crossover_A = (max(values) for values in zip(*map(astuple, currents), strict=True))
+        fallen, crossover_A = (max(values) for values in zip(*currents, strict=True))
         if fallen > SHORTFALL:
             text = (
                 f"the current falls {100 * fallen:.2g} % short of the largest command: lower limits.current_A, or "

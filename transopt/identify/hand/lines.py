@@ -186,18 +186,18 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
     values = np.array([[getattr(fit, quantity) for fit in fits] for quantity in QUANTITIES])  # (3, T)
     _check_mass(float(np.median(values[0])))
 
-    found = _lines(grips, values, np.ones(len(taps)))
+    coefficients, covariances = _lines(grips, values, np.ones(len(taps)))
     random = np.random.default_rng(seed)
     weights = random.multinomial(len(taps), np.full(len(taps), 1 / len(taps)), size=resamples).astype(float)
     # A resample of a single grip has no slope.
     weights = weights[[np.ptp(grips[row > 0]) > 0 for row in weights]]
-    again = _lines(grips, values, weights)
+    again, drawn_with = _lines(grips, values, weights)
     axis = np.linspace(grips.min(), grips.max(), 41)
+    points = np.concatenate([np.eye(2), np.stack([np.ones(axis.size), axis], axis=1)])
     lines = []
     for j, quantity in enumerate(QUANTITIES):
-        line = LinearInGrip(*found.coefficients[j].tolist())
-        points = np.concatenate([np.eye(2), np.stack([np.ones(axis.size), axis], axis=1)])
-        bounds = _studentised(points, found.coefficients[j], found.covariances[j], again, j)
+        line = LinearInGrip(*coefficients[j].tolist())
+        bounds = _studentised(points, coefficients[j], covariances[j], again[j], drawn_with[j])
         lines.append(
             GripLine(
                 quantity=quantity,
@@ -208,7 +208,7 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
                 lack_of_fit_p=_lack_of_fit(grips, values[j], line, groups),
             )
         )
-    drawn = np.concatenate([again.coefficients[j] for j in range(3)], axis=1)
+    drawn = np.concatenate(again, axis=1)
     shifted = tuple(float(np.median([fit_tap(_shifted(tap, by)).unexplained for tap in taps])) for by in (1, -1))
     return HandFit(
         grips,
@@ -239,23 +239,14 @@ def grip_groups(grips_N: FloatArray) -> list[np.ndarray]:
     return [np.array(group) for group in groups]
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """Least squares lines of 3 quantities, each with B resamples or without that axis.
+def _lines(grips: FloatArray, values: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least squares lines through values (q, T) over grips (T,), taps counted with weights (..., T).
 
-    Attributes
-    ----------
-    coefficients : 3 times (B, 2) constant and slope.
-    covariances : 3 times (B, 2, 2), consistent whatever the scatter does over grip (White 1980, with the leverages
-        of MacKinnon and White's HC2).
+    Returns
+    -------
+    (q, ..., 2) constant and slope, and (q, ..., 2, 2) their covariance, consistent whatever the scatter does over
+    grip (White 1980, with the leverages of MacKinnon and White's HC2).
     """
-
-    coefficients: list[FloatArray]
-    covariances: list[FloatArray]
-
-
-def _lines(grips: FloatArray, values: FloatArray, weights: FloatArray) -> _Lines:
-    """Lines through values (3, T) over grips (T,), taps counted with weights (..., T)."""
     count = weights.sum(-1)
     mean = weights @ grips / count
     away = grips - mean[..., None]
@@ -264,25 +255,28 @@ def _lines(grips: FloatArray, values: FloatArray, weights: FloatArray) -> _Lines
     to_slope = away / spread[..., None]
     parts = np.stack([1 / count[..., None] - mean[..., None] * to_slope, to_slope], axis=-2)
     leverage = np.minimum(1 / count[..., None] + away * to_slope, 0.9)
-    coefficients, covariances = [], []
-    for y in values:
-        line = (weights[..., None, :] * parts) @ y
-        left = y - line[..., :1] - line[..., 1:] * grips
-        variance = weights * left**2 / (1 - leverage)
-        covariances.append(np.einsum("...it,...t,...jt->...ij", parts, variance, parts))
-        coefficients.append(line)
-    return _Lines(coefficients, covariances)
+    found = np.stack([(weights[..., None, :] * parts) @ y for y in values])
+    left = values.reshape(-1, *(1,) * count.ndim, grips.size) - found[..., :1] - found[..., 1:] * grips
+    variance = weights * left**2 / (1 - leverage)
+    return found, np.stack([np.einsum("...it,...t,...jt->...ij", parts, of, parts) for of in variance])
 
 
-def _studentised(points: FloatArray, found: FloatArray, covariance: FloatArray, again: _Lines, j: int) -> FloatArray:
-    """(p, 2) 95 % intervals of points @ coefficients by bootstrap-t."""
+def _studentised(
+    points: FloatArray, found: FloatArray, covariance: FloatArray, again: FloatArray, drawn_with: FloatArray
+) -> FloatArray:
+    """(p, 2) 95 % intervals of points @ coefficients by bootstrap-t.
+
+    Parameters
+    ----------
+    found, covariance : (2,), (2, 2) of the line. again, drawn_with : (B, 2), (B, 2, 2) of its resamples.
+    """
 
     def error(matrix: FloatArray) -> FloatArray:
         # Rounding may take a form that is all but zero below it.
         return np.asarray(np.sqrt(np.maximum(np.einsum("pi,...ij,pj->...p", points, matrix, points), 0.0)))
 
     centre, own = points @ found, error(covariance)
-    away, drawn = again.coefficients[j] @ points.T - centre, error(again.covariances[j])
+    away, drawn = again @ points.T - centre, error(drawn_with)
     # A quantity that is zero at every tap, such as the spring of a hand that shows none, has no scatter.
     t = np.divide(away, drawn, out=np.zeros_like(away), where=drawn > 0)
     tails = np.quantile(t, [(1 + LEVEL) / 2, (1 - LEVEL) / 2], axis=0)
