@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -99,3 +100,18 @@ def test_the_free_device_alone_gives_a_black_box(folder: Path, tmp_path: Path) -
     part = load_model(out).device
     assert part.kind == "state_space"
     assert_near(part.plant(0.0), mismatched(0.05, 3).plant(0.0))
+
+
+def test_taps_without_a_sweep_are_refused_by_name(folder: Path, tmp_path: Path) -> None:
+    out, taps = tmp_path / "M.json", []
+    for name in ("burst_3N", "sweep_3N_0"):
+        with np.load(folder / f"{name}.npz") as columns:
+            np.savez(tmp_path / f"{name}.npz", **columns, held_out=1.0)
+        taps.append(tmp_path / f"{name}.npz")
+    code, _, error = call(*taps, "--out", out)
+    assert code != 0
+    assert "none of the 2 files is a sweep to fit to, all are held out or repeat" in str(error)
+    assert not out.exists()
+    # What the line tells to do.
+    code, output, error = call(taps[0], *sorted(folder.glob("sweep_3N*")), "--out", out, "--kind", "drive")
+    assert (code, error) == (0, None), output

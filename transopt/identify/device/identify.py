@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.identify.checks import begun_late, by_grip, check_rates, within
 from transopt.identify.device.black_box import BlackBox, fit_black_box
@@ -112,55 +113,24 @@ def identify(
     InputError : records that cannot be used, an order that cannot be.
     """
     repeated = [run for run in runs if run.period_s is not None]
-    transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
-    runs = [run for run in runs if run.period_s is None and not run.held_out]
-    begun = {id(run): _begun_late(run) for run in transients}
-    transients = [run for run in transients if not begun[id(run)]]
-    runs, transients, late = _on_one_clock(runs, transients, settings)
-    late = [*(said for each in begun.values() for said in each), *late]
-    records = sort_trials(runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
-    grips = records.grips
-    measured = [grip.response for grip in grips]
-    held = any(grip.grip_N > 0 for grip in grips)
-    chain: ChainFit | None = None
-    box: BlackBox | None = None
-    if settings.kind is Kind.DRIVE or (settings.kind is Kind.AUTO and held):
-        chain = fit_chain(
-            measured,
-            records.instrument,
-            settings.nominal,
-            random_starts=settings.random_starts,
-            tick=lambda: tick("drive chain"),
-        )
-        calm = [without_leakage(grip, chain.device, chain.instrument) for grip in grips]
-        if any(calm):
-            grips = [new or old for new, old in zip(calm, grips, strict=True)]
-            measured = [grip.response for grip in grips]
-            records = replace(records, grips=grips)
-            chain = refit(chain, measured)
-    if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and _worth_a_box(chain, repeated)):
-        box = fit_black_box(measured, records.instrument, settings.order, tick=lambda: tick("state space"))
-    candidates = []
-    if chain is not None:
-        candidates.append(_validated_chain(chain, records, measured))
-        tick("validation")
-    if box is not None:
-        candidates.append(_validated_box(box, records, measured))
-        tick("validation")
-    chosen, *others = candidates
-    if others and others[0].off < PREFERENCE * chosen.off:
-        chosen, others = others[0], [chosen]
-    own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
+    records, transients, late = _ready(runs, transients, settings, tick)
+    records, chain, box = _fitted(records, repeated, settings, tick)
+    chosen, *others = _candidates(records, chain, box, tick)
+    grips, found = records.grips, [*late, *records.findings]
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
     everything = [*(run for grip in grips for run in (*grip.fitted, *grip.kept)), *transients, *repeated]
     error = error.model_copy(update={"recorded_A": [_largest_A(grip.grip_N, everything) for grip in grips]})
-    found = causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
-    if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
-        found.append(beyond_a_chain(box))
-    found += distorted(repeated)
+    own_hands = [] if chain is None else fit_per_grip(chain, _measured(records), least_coherence=COHERENT)
     advised = advice(grips, chosen.model, chosen.instrument, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
         advised += about_chain(chain, own_hands)
+    causes, wrong = ["clock"], two_clocks(records.instrument.dt_s, settings.servo_s)
+    if not wrong:  # else what is found (a gain, a pole) makes up for the clock
+        beside_it = causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
+        if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
+            beside_it.append(beyond_a_chain(box))
+        causes = [said.cause for said in beside_it if said.cause]
+        found += beside_it + distorted(repeated)
     result = DeviceResult(
         grips=grips,
         chosen=chosen,
@@ -170,15 +140,11 @@ def identify(
         black_box=box,
         error=error,
         predicted=None,
-        causes=[said.cause for said in found if said.cause],
-        findings=[*late, *records.findings, *found],
+        causes=causes,
+        findings=found,
         advice=advised,
-        short=[],
+        short=wrong,
     )
-    wrong = two_clocks(records.instrument.dt_s, settings.servo_s)
-    if wrong:
-        # What else was found (a gain, a pole) makes up for the clock.
-        result = replace(result, causes=["clock"], findings=[*late, *records.findings], short=wrong)
     taps = None if settings.taps is None else settings.taps(device_part(result))
     if taps is None:
         return result
@@ -186,6 +152,74 @@ def identify(
     predicted = predict_taps(error, taps)
     uncovered = not_covered(error, taps)
     return replace(result, predicted=predicted, short=[*wrong, *short_of(predicted)], uncovered=uncovered)
+
+
+def _ready(
+    runs: Sequence[Measurement],
+    transients: Sequence[Measurement],
+    settings: Settings,
+    tick: Callable[[str], None],
+) -> tuple[Records, Sequence[Measurement], list[Finding]]:
+    """Records to fit to, the transients to judge by, and what was found on the way.
+
+    Raises
+    ------
+    InputError : no sweep among the files, or records that cannot be used.
+    """
+    sweeps = [run for run in runs if run.period_s is None and not run.held_out]
+    if not sweeps:
+        raise InputError(
+            f"device: none of the {len(runs)} files is a sweep to fit to, all are held out or repeat (held_out, "
+            "period_s): give the sweeps too"
+        )
+    transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
+    begun = {id(run): _begun_late(run) for run in transients}
+    kept, late = [run for run in transients if not begun[id(run)]], [said for each in begun.values() for said in each]
+    moved, judged, delayed = _on_one_clock(sweeps, kept, settings)
+    records = sort_trials(moved, judged, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
+    return records, judged, [*late, *delayed]
+
+
+def _measured(records: Records) -> list[GripResponse]:
+    return [grip.response for grip in records.grips]
+
+
+def _fitted(
+    records: Records, repeated: Sequence[Measurement], settings: Settings, tick: Callable[[str], None]
+) -> tuple[Records, ChainFit | None, BlackBox | None]:
+    """The kinds of model that are asked for, or may be the better one; the records without what leaks into them."""
+    chain: ChainFit | None = None
+    box: BlackBox | None = None
+    held = any(grip.grip_N > 0 for grip in records.grips)
+    if settings.kind is Kind.DRIVE or (settings.kind is Kind.AUTO and held):
+        chain = fit_chain(
+            _measured(records),
+            records.instrument,
+            settings.nominal,
+            random_starts=settings.random_starts,
+            tick=lambda: tick("drive chain"),
+        )
+        calm = [without_leakage(grip, chain.device, chain.instrument) for grip in records.grips]
+        if any(calm):
+            records = replace(records, grips=[new or old for new, old in zip(calm, records.grips, strict=True)])
+            chain = refit(chain, _measured(records))
+    if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and _worth_a_box(chain, repeated)):
+        box = fit_black_box(_measured(records), records.instrument, settings.order, tick=lambda: tick("state space"))
+    return records, chain, box
+
+
+def _candidates(
+    records: Records, chain: ChainFit | None, box: BlackBox | None, tick: Callable[[str], None]
+) -> list[Candidate]:
+    """The models, validated, the better one first."""
+    found = []
+    if chain is not None:
+        found.append(_validated_chain(chain, records, _measured(records)))
+        tick("validation")
+    if box is not None:
+        found.append(_validated_box(box, records, _measured(records)))
+        tick("validation")
+    return found[::-1] if len(found) > 1 and found[1].off < PREFERENCE * found[0].off else found
 
 
 def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
