@@ -57,7 +57,7 @@ COLUMNS: dict[str, Callable[[Entry], Any]] = {
     "bump_m_s2": lambda e: e.figures.bump_m_s2,
     "heat_A2_s": lambda e: e.heat_A2_s,
     "energy_dB": _made_dB,
-    # Of the nearest waveform; the same as energy_dB where the scene asks for no energy.
+    # The nearest waveform has this energy; the same as energy_dB where the scene asks for no energy.
     "waveform_dB": lambda e: _made_dB(e) if e.attained is None else e.attained.waveform_dB,
     # The price of the energy: 0 where the scene asks for none, or the nearest waveform has it.
     "intensity": lambda e: NAN if e.problem.reference_is_zero else e.problem.intensity,

@@ -153,7 +153,7 @@ class _Projected(Squares):
             by_poles.append(Slope(*((getattr(up, part) - getattr(down, part)) / (2 * step) for part in "ABCD")))
         value, slopes = self._stacked(self._plant(wide, output), tuple(by_poles))
         jacobian = slopes - axes @ (axes.T @ slopes)
-        # Where a width is held at the least one, it moves with the frequency of its section alone.
+        # A width that is held at the least one moves with the frequency of its section alone.
         held, step = poles[1::2] < self._least(poles[::2]), 1e-6
         along = (self._least(poles[::2] + step) - self._least(poles[::2] - step)) / (2 * step)
         jacobian[:, ::2] += np.where(held, along, 0.0) * jacobian[:, 1::2]
