@@ -1,6 +1,7 @@
 """How amplifiers, coils, hands and measured responses that were fitted are shown: their tables, and a figure each."""
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,26 +12,28 @@ from rich.table import Column
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, plain, style
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.base.tables import Table
-from transopt.identify.amplifier import AmplifierFit
-from transopt.identify.black_box import ResponseFit
-from transopt.identify.coil import NAMES, CoilFit
-from transopt.identify.device.chain import unit_of
-from transopt.identify.hand.chain import ChainFit
-from transopt.identify.hand.lines import GripLine, HandFit
-from transopt.identify.spectrum import TransferEstimate, Trial
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients
 from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
+
+if TYPE_CHECKING:  # the fit that is drawn is loaded; the others take longer to load than a figure to draw
+    from transopt.identify.amplifier import AmplifierFit
+    from transopt.identify.black_box import ResponseFit
+    from transopt.identify.coil import CoilFit
+    from transopt.identify.hand.chain import ChainFit
+    from transopt.identify.hand.lines import GripLine, HandFit
+    from transopt.identify.spectrum import TransferEstimate, Trial
 
 POINTS = 400
 LEAST_DRAWN = 1e-6  # of the largest magnitude: the logarithm of nothing has no place
 MOST_UNKNOWN = 0.2  # of the magnitude: where the band at either end is wider, the figure ends
 MOST_POINTS = 4000  # of a heating record that are drawn
-COIL = {
+COIL = {  # `transopt.identify.coil.NAMES`: what each is of, and its unit
     "R_wh_K_W": ("winding over housing", "K/W"),
     "R_ha_K_W": ("housing over ambient", "K/W"),
     "tau_w_s": ("winding", "s"),
     "tau_h_s": ("housing", "s"),
 }
+HAND = {"mass_kg": ("m", "kg"), "damping_N_s_m": ("b", "N s/m"), "stiffness_N_m": ("k", "N/m")}
 HAND_PANELS = (
     ("mass [kg]", SEED_HAND_MASS_KG),
     ("damping [N s/m]", SEED_HAND_DAMPING_N_S_M),
@@ -63,7 +66,7 @@ def _magnitude_and_phase() -> tuple[Figure, Axes, Axes]:
     return figure, magnitude, phase
 
 
-def response_figure(fit: ResponseFit) -> Figure:
+def response_figure(fit: "ResponseFit") -> Figure:
     """Magnitude and phase over frequency: dots as measured, a line as fitted."""
     f = fit.frequencies_Hz
     fine = np.geomspace(f[0], f[-1], POINTS)
@@ -87,7 +90,7 @@ def response_figure(fit: ResponseFit) -> Figure:
     return figure
 
 
-def amplifier_figure(fit: AmplifierFit) -> Figure:
+def amplifier_figure(fit: "AmplifierFit") -> Figure:
     """Magnitude and phase from command to measured current, and from wanted current through the prefilter to it.
 
     Dots: the estimate; shaded: its 95 % band; lines: one pole and a delay, held and sampled.
@@ -111,14 +114,14 @@ def amplifier_figure(fit: AmplifierFit) -> Figure:
     return figure
 
 
-def prefilter_response(fit: AmplifierFit, frequencies_Hz: FloatArray) -> ComplexArray:
+def prefilter_response(fit: "AmplifierFit", frequencies_Hz: FloatArray) -> ComplexArray:
     """(m,) complex response of the prefilter that inverts the fitted pole (`transopt.plant.amplifier.prefilter`)."""
     pole = Amplifier(fit.pole_Hz, fit.delay_s, 1.0)  # the range of the command has no part in it
     now, before = prefilter_coefficients(pole, fit.dt_s)
     return np.asarray(now + before * np.exp(-2j * np.pi * frequencies_Hz * fit.dt_s))
 
 
-def _draw(magnitude: Axes, phase: Axes, estimate: TransferEstimate, colour: str, label: str) -> None:
+def _draw(magnitude: Axes, phase: Axes, estimate: "TransferEstimate", colour: str, label: str) -> None:
     """An estimate with its band."""
     f, size, (low, high) = estimate.frequencies_Hz, np.abs(estimate.response), estimate.magnitude_band()
     degrees, spread = np.degrees(np.unwrap(np.angle(estimate.response))), estimate.phase_half_width_deg()
@@ -135,7 +138,7 @@ def _line(magnitude: Axes, phase: Axes, f: FloatArray, response: ComplexArray, c
     phase.plot(f, np.degrees(np.unwrap(np.angle(response))), color=colour, linewidth=1.1)
 
 
-def trial_table(fit: AmplifierFit, trials: Sequence[Trial]) -> Table:
+def trial_table(fit: "AmplifierFit", trials: Sequence["Trial"]) -> Table:
     """What each file played, and the gain that a linear model sees in it."""
     table = Table(title="trials, command to current")
     table.add_column("file")
@@ -150,7 +153,7 @@ def trial_table(fit: AmplifierFit, trials: Sequence[Trial]) -> Table:
     return table
 
 
-def amplifier_table(fit: AmplifierFit) -> Table:
+def amplifier_table(fit: "AmplifierFit") -> Table:
     """Values with their 95 % intervals; below them what a continuous fit of the same response would say."""
     late = (fit.delay_s, fit.intervals["delay_s"], 1e6)
     rows = [
@@ -174,7 +177,7 @@ def amplifier_table(fit: AmplifierFit) -> Table:
     return table
 
 
-def crossover_line(fit: AmplifierFit) -> str:
+def crossover_line(fit: "AmplifierFit") -> str:
     """Whether the amplifier's dead band shows."""
     crossover = fit.crossover
     if crossover.shows:
@@ -186,7 +189,7 @@ def crossover_line(fit: AmplifierFit) -> str:
     return f"crossover: {seen}"
 
 
-def coil_figure(fit: CoilFit) -> Figure:
+def coil_figure(fit: "CoilFit") -> Figure:
     """Recorded and modelled temperatures over time, their difference, and the current."""
     record = fit.record
     rows = np.arange(fit.winding_C.size)
@@ -216,23 +219,22 @@ def coil_figure(fit: CoilFit) -> Figure:
     return figure
 
 
-def coil_table(fit: CoilFit) -> Table:
+def coil_table(fit: "CoilFit") -> Table:
     """Values with their 95 % intervals."""
     rows = []
-    for name, (low, high) in zip(NAMES, fit.intervals, strict=True):
-        of, unit = COIL[name]
+    for (name, (of, unit)), (low, high) in zip(COIL.items(), fit.intervals, strict=True):
         rows.append((f"{name}, {of}", f"{getattr(fit.coil, name):.4g}", f"{low:.4g}", f"{high:.4g}", unit))
     return value_table(f"coil of {fit.record.R_ohm:g} ohm at 25 C", rows)
 
 
-def noise_line(fit: CoilFit) -> str:
+def noise_line(fit: "CoilFit") -> str:
     """Which temperatures were fitted, and how near the model comes to them."""
     channels = "the winding" if fit.record.housing is None else "winding and housing"
     noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
     return f"from {channels}, {noise}"
 
 
-def hand_figure(fit: HandFit) -> Figure:
+def hand_figure(fit: "HandFit") -> Figure:
     """Three panels: mass, damping and stiffness of each tap over grip, the line, its 95 % band, the seed's line."""
     figure = Figure(figsize=(9.0, 3.1), layout="constrained")
     for axes, line, (label, seed) in zip(figure.subplots(1, 3), fit.lines, HAND_PANELS, strict=True):
@@ -251,14 +253,14 @@ def hand_figure(fit: HandFit) -> Figure:
     return figure
 
 
-def equation(line: GripLine) -> str:
+def equation(line: "GripLine") -> str:
     """The line in the form of the seed's Eqs. 3-5."""
-    symbol = {"mass_kg": "m", "damping_N_s_m": "b", "stiffness_N_m": "k"}[line.quantity]
+    symbol, _ = HAND[line.quantity]
     sign = "-" if line.line.per_newton < 0 else "+"
     return f"${symbol} = {line.line.constant:.4g} {sign} {abs(line.line.per_newton):.3g}\\,F$"
 
 
-def line_table(fit: HandFit) -> Table:
+def line_table(fit: "HandFit") -> Table:
     """Constants and slopes with their 95 % intervals, and how well a line describes them."""
     table = Table(title=f"hand over grip F, {len(fit.fits)} taps: F_surface = m y'' + b y' + k y")
     for heading in ("quantity", "unit"):
@@ -270,7 +272,7 @@ def line_table(fit: HandFit) -> Table:
         middle, lower, upper = line.band[line.band.shape[0] // 2]
         table.add_row(
             line.quantity,
-            unit_of(line.quantity),
+            HAND[line.quantity][1],
             f"{line.line.constant:.4g}",
             f"{low:.4g} .. {high:.4g}",
             f"{line.line.per_newton:.4g}",
@@ -282,7 +284,7 @@ def line_table(fit: HandFit) -> Table:
     return table
 
 
-def chain_table(chain: ChainFit) -> Table:
+def chain_table(chain: "ChainFit") -> Table:
     """The fourth-order hand: lines with their 95 % intervals, and how well the middle is known."""
     title = f"fourth order (stylus - skin - hand - arm), error of the acceleration {100 * chain.unexplained:.1f} %"
     table = Table(title=title)
