@@ -145,15 +145,11 @@ class AmplifierFit(Fit):
 
     def stated(self) -> dict[str, Any]:
         (low, high), half_s = self.intervals["delay_s"], 0.5 * self.dt_s
-        told = known(PARAMETERS[:2], self.covariance[:2, :2], np.zeros((2, 2)))
-        return {
-            **told,
-            "pole_Hz": self.pole_Hz,
-            "delay_s": self.delay_s,
-            "delay_with_hold_s": self.delay_with_hold_s,
-            "gain": self.gain,
-            "intervals": {**self.intervals, "delay_with_hold_s": (low + half_s, high + half_s)},
-        }
+        fitted = PARAMETERS[:2]
+        told = known(fitted, self.covariance[:2, :2], np.array([self.intervals[name] for name in fitted]))
+        told["intervals"] |= {"gain": self.intervals["gain"], "delay_with_hold_s": (low + half_s, high + half_s)}
+        values = (*PARAMETERS, "delay_with_hold_s")
+        return {**told, **{name: getattr(self, name) for name in values}}
 
 
 def fit_pole(

@@ -185,7 +185,7 @@ def test_the_command_writes_part_and_figure(tmp_path: Path, capsys: pytest.Captu
     assert "R_wh_K_W" in capsys.readouterr().out
 
 
-def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path) -> None:
+def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "MODEL.json"
     heat = write(measured(heating_s=200.0, cooling_s=200.0), tmp_path / "heat.npz")
     with pytest.raises(typer.Exit) as stop:
@@ -193,6 +193,9 @@ def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path) -> None:
     assert stop.value.exit_code == 1
     part = load_model(out).coil
     assert part.verdict.startswith("not fit to design with: current flows for 200 s")
+    printed = capsys.readouterr().out
+    assert "verdict: not fit to design with\nshort: current flows for 200 s" in printed
+    assert printed.count("\nshort: ") == len(part.shortfalls)
 
 
 def test_the_command_refuses_its_options(tmp_path: Path) -> None:
