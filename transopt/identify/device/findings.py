@@ -1,7 +1,7 @@
 """What is said of the records of a device besides the verdict: what they have beside the model, what to record again.
 
-Of the noise that the records have, none spoils a fit, in which every line counts by its noise; each kind has a remedy
-of its own, and costs trials: mains hum, the hand's tremor, the steps of a converter.
+No noise of the records spoils a fit, in which every line counts by its noise. Mains hum, the hand's tremor and the
+steps of a converter cost trials all the same, and each has a remedy of its own.
 """
 
 from collections.abc import Sequence
