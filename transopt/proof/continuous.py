@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.matrices import balanced
-from transopt.base.recursions import Recursion
+from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, TimeGrid, split_delay
 from transopt.plant.wall import FeedbackLoop, HandOver
@@ -333,11 +333,10 @@ def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: in
     by_command : (n, w).
     issued : (M, periods + w - 1 or more).
     """
-    (n, w), M, recursion = by_command.shape, issued.shape[0], Recursion(P)
-    pushed = np.zeros((M, periods, n))
-    for late in range(w):
-        pushed[:, 1:] += issued[:, late : late + periods - 1, None] * by_command[:, late]
-    return np.stack([recursion.run(each) for each in pushed])
+    n, w = by_command.shape
+    felt = np.stack([issued[:, late : late + periods] for late in range(w)], axis=1)
+    states = LinearSystem(P, by_command, np.eye(n), np.zeros((n, w))).outputs(felt)
+    return np.ascontiguousarray(np.moveaxis(states, 1, 2))
 
 
 def _play(

@@ -16,6 +16,28 @@ enum { MOST_STATES = 64, MOST_WIDTH = 96, WIDE = 8 };
 #define ALWAYS_INLINE static inline
 #endif
 
+/* Courses side by side, a register of the widest kind; elsewhere one by one. */
+#if defined(__GNUC__)
+typedef double wide __attribute__((vector_size(64)));
+#else
+typedef double wide;
+#endif
+enum { ABREAST = sizeof(wide) / sizeof(double) };
+
+/* The same operations in the same order, more lanes at once: the same bits. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__)
+#define WITH_AVX2 __attribute__((target("avx2")))
+#define WITH_AVX512 __attribute__((target("avx512f,avx512dq,prefer-vector-width=512")))
+
+/* The best of three builds of one function for this processor. */
+#define BEST_OF(name)                                                                                                \
+    (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")                                         \
+         ? name##_avx512                                                                                             \
+         : __builtin_cpu_supports("avx2") ? name##_avx2 : name##_anywhere)
+#else
+#define BEST_OF(name) name##_anywhere
+#endif
+
 /* to = to + M' from, M (m, width): its rows are worked on side by side. */
 ALWAYS_INLINE void add(const int m, const int width, const double *restrict M, const double *restrict from,
                        double *restrict to)
@@ -100,14 +122,66 @@ ALWAYS_INLINE void outputs_of(const size_t count, const int m, const int inputs,
 /* The widest row of a linear system that there is room for. */
 int tr_most_width(void) { return MOST_WIDTH; }
 
-/* As `outputs_of`, course after course: u (courses, inputs, count), y (courses, outputs, count); width >= m + outputs,
- * and neither it nor the number of inputs above MOST_WIDTH. */
+/* As `outputs_of`, for `used` courses side by side, at most ABREAST: u (used, inputs, count), y (used, outputs, count). */
+#define ABREAST_ARGUMENTS                                                                                            \
+    const size_t count, const int m, const int inputs, const int outputs, const int width, const double *restrict S, \
+        const double *restrict u, double *restrict y, const int back, const size_t used
+typedef void abreast_of(ABREAST_ARGUMENTS);
+
+ALWAYS_INLINE void abreast(ABREAST_ARGUMENTS)
+{
+    wide z[2 * MOST_WIDTH], next[MOST_WIDTH]; /* states, and what is felt behind them */
+    double column[ABREAST] = {0};
+    memset(z, 0, sizeof z);
+    for (size_t s = 0; s < count; s++) {
+        const size_t k = back ? count - 1 - s : s;
+        for (int i = 0; i < inputs; i++) {
+            for (size_t c = 0; c < used; c++) column[c] = u[(c * (size_t)inputs + (size_t)i) * count + k];
+            memcpy(z + m + i, column, sizeof column);
+        }
+        for (int row = 0; row < m + outputs; row++) {
+            wide sum = S[m * width + row] * z[m];
+            for (int i = 1; i < inputs; i++) sum += S[(m + i) * width + row] * z[m + i];
+            for (int j = 0; j < m; j++) sum += S[j * width + row] * z[j];
+            next[row] = sum;
+        }
+        memcpy(z, next, (size_t)m * sizeof *z);
+        for (int i = 0; i < outputs; i++) {
+            memcpy(column, next + m + i, sizeof column);
+            for (size_t c = 0; c < used; c++) y[(c * (size_t)outputs + (size_t)i) * count + k] = column[c];
+        }
+    }
+}
+
+static void abreast_anywhere(ABREAST_ARGUMENTS)
+{
+    abreast(count, m, inputs, outputs, width, S, u, y, back, used);
+}
+
+#if defined(WITH_AVX2)
+WITH_AVX2 static void abreast_avx2(ABREAST_ARGUMENTS)
+{
+    abreast(count, m, inputs, outputs, width, S, u, y, back, used);
+}
+
+WITH_AVX512 static void abreast_avx512(ABREAST_ARGUMENTS)
+{
+    abreast(count, m, inputs, outputs, width, S, u, y, back, used);
+}
+#endif
+
+/* As `outputs_of` for any number of courses: u (courses, inputs, count), y (courses, outputs, count); width >= m +
+ * outputs, and neither it nor the number of inputs above MOST_WIDTH; one input at least. */
 void tr_courses(size_t courses, size_t count, int m, int inputs, int outputs, int width, const double *S,
                 const double *u, double *y, int back)
 {
-    for (; courses > 0; courses--, u += (size_t)inputs * count, y += (size_t)outputs * count)
+    abreast_of *const side_by_side = BEST_OF(abreast);
+    for (size_t used = 0; courses > 0; courses -= used) {
+        u += used * (size_t)inputs * count, y += used * (size_t)outputs * count;
+        used = courses < 3 ? 1 : courses < ABREAST ? courses : ABREAST;
+        if (used > 2) side_by_side(count, m, inputs, outputs, width, S, u, y, back, used);
         /* Sizes that are known when compiled keep the sums in registers, of a filter of second order all of them. */
-        if (m == 2 && inputs == 1 && outputs == 1 && width == 4) outputs_of(count, 2, 1, 1, 4, S, u, y, back);
+        else if (m == 2 && inputs == 1 && outputs == 1 && width == 4) outputs_of(count, 2, 1, 1, 4, S, u, y, back);
         else switch (width) {
         case 4: outputs_of(count, m, inputs, outputs, 4, S, u, y, back); break;
         case 8: outputs_of(count, m, inputs, outputs, 8, S, u, y, back); break;
@@ -115,6 +189,7 @@ void tr_courses(size_t courses, size_t count, int m, int inputs, int outputs, in
         case 16: outputs_of(count, m, inputs, outputs, 16, S, u, y, back); break;
         default: outputs_of(count, m, inputs, outputs, width, S, u, y, back);
         }
+    }
 }
 
 /* x_(k+1) = M x_k + b (gain_k + by_first x_k[0]) h_k for k = 0..count-1, from x_0 on: x (count + 1, m), M (m, m). */
@@ -204,16 +279,11 @@ void tr_spline_even(size_t knots, const double *y, size_t count, double first, d
     }
 }
 
-/* Courses that a strike works on side by side, two registers of the widest kind; elsewhere one by one. */
-#if defined(__GNUC__)
-typedef double wide __attribute__((vector_size(64)));
-#else
-typedef double wide;
-#endif
+/* Courses that a strike works on side by side: two registers of the widest kind. */
 typedef struct {
     wide half[2];
 } lanes;
-enum { LANES = sizeof(lanes) / sizeof(double) };
+enum { LANES = 2 * ABREAST };
 enum { MOST_OUTPUTS = 4, STAGES = 4 };
 
 /* An entry of a sparse matrix. */
@@ -318,27 +388,17 @@ static void strike_anywhere(STRIKE_ARGUMENTS)
     strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
 }
 
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__)
-/* The same operations in the same order, more lanes at once: the same bits. */
-__attribute__((target("avx2"))) static void strike_avx2(STRIKE_ARGUMENTS)
+#if defined(WITH_AVX2)
+WITH_AVX2 static void strike_avx2(STRIKE_ARGUMENTS)
 {
     strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
 }
 
-__attribute__((target("avx512f,avx512dq,prefer-vector-width=512"))) static void strike_avx512(STRIKE_ARGUMENTS)
+WITH_AVX512 static void strike_avx512(STRIKE_ARGUMENTS)
 {
     strike(steps, n, outputs, columns, entries, starts, contact, z, found, used);
 }
 #endif
-
-static strike_of *strike_here(void)
-{
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__)
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")) return strike_avx512;
-    if (__builtin_cpu_supports("avx2")) return strike_avx2;
-#endif
-    return strike_anywhere;
-}
 
 /* A linear system of n states x and a contact's force on it by the Runge-Kutta method of fourth order. Its rows,
  * (8 + outputs + n, n + 4), are sums over x and the forces F_0 to F_3 of the four stages: depth and closing speed at
@@ -358,7 +418,7 @@ void tr_struck(size_t steps, int n, int outputs, size_t columns, const double *r
                 entries[count++] = (struct entry){j, rows[row * width + j]};
     }
     starts[2 * STAGES + outputs + n] = count;
-    strike_of *const go = strike_here();
+    strike_of *const go = BEST_OF(strike);
     for (size_t first = 0; first < columns; first += LANES) {
         const size_t used = columns - first < LANES ? columns - first : LANES;
         lanes z[MOST_STATES + STAGES];
