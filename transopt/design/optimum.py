@@ -16,7 +16,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.wall_ticks import encoder_course, pressing, pressing_under, silence
 from transopt.proof.admit import stated_wall, unstable_wall
-from transopt.proof.certify import Effect, certify, gradient_rounding, inside
+from transopt.proof.certify import Effect, certify, effects, gradient_rounding, inside
 from transopt.proof.designed import Designed
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, prove_all, solve, solve_certified
@@ -239,7 +239,7 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Searc
     reduced = leave_out(problem)
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = yield Ask(unlimited.solve, small)
-    effect = Effect(problem, free.command)
+    effect = yield Ask(effects, (problem, free.command))
     # An optimum without limits that no method finds has no error that is known.
     floor = problem.tap_error(effect.motion.acceleration_m_s2) if free.status is Status.OPTIMAL else np.nan
     peak = float(np.abs(effect.motion.plant_input).max())

@@ -169,6 +169,16 @@ class Motion:
         inputs, velocities = self.plant_input[..., motor, :], self.velocity_m_s[..., motor, :]
         return replace(self, plant_input=inputs, velocity_m_s=velocities)
 
+    def of_course(self, course: int) -> "Motion":
+        """One of several motions."""
+        return Motion(
+            self.acceleration_m_s2[course],
+            self.plant_input[course],
+            self.velocity_m_s[course],
+            self.encoder_m[course],
+            {name: values[course] for name, values in self.outputs.items()},
+        )
+
     def first(self, stages: int) -> "Motion":
         """The first so many instants of the motion."""
         return Motion(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import Motion
+from transopt.plant.discretise import Motion, TimeGrid
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit, Row, tolerated, transposed
@@ -162,6 +162,20 @@ class Effect:
         if thermal is None or not by_winding.any():
             return np.zeros(self.command.shape[-1])
         return thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
+
+
+def effects(commands: Sequence[tuple[TransientProblem, FloatArray]]) -> list[Effect]:
+    """What commands (N,) do, each in its problem, those of one device rolled out side by side."""
+    found = [Effect(problem, command) for problem, command in commands]
+    groups: dict[tuple[int, TimeGrid], list[Effect]] = {}
+    for effect in found:
+        groups.setdefault((id(effect.problem.stage), effect.problem.grid), []).append(effect)
+    for group in groups.values():
+        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+            lasting = group[0].problem.stage.motion(np.stack([effect.continued for effect in group]))
+        for course, effect in enumerate(group):
+            effect.lasting = lasting.of_course(course)
+    return found
 
 
 def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:

@@ -14,7 +14,7 @@ from transopt.base.threads import one_blas_thread
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect
+from transopt.proof.certify import Effect, effects
 from transopt.solvers import casadi_ipopt, casadi_piqp, riccati, several
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
@@ -192,9 +192,9 @@ class Certified(NamedTuple):
 def _tried(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Certified]:
     """Each problem's answer by the wanted solver, or the first choice that takes it, and the certificate."""
     answers = solve_all(problems, options)
-    effects = [Effect(problem, answer.command) for problem, answer in zip(problems, answers, strict=True)]
-    proofs = certificates([(effect, answer.multipliers) for effect, answer in zip(effects, answers, strict=True)])
-    return [Certified(*found) for found in zip(answers, proofs, effects, strict=True)]
+    done = effects([(problem, answer.command) for problem, answer in zip(problems, answers, strict=True)])
+    proofs = certificates([(effect, answer.multipliers) for effect, answer in zip(done, answers, strict=True)])
+    return [Certified(*found) for found in zip(answers, proofs, done, strict=True)]
 
 
 def _answers(problem: TransientProblem, options: SolverOptions, first: Certified) -> Iterator[Certified]:

@@ -14,7 +14,7 @@ from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.objective.error_term import ErrorTerm
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, binding_limits, certify, movement_bound, reduced_gradient
+from transopt.proof.certify import Effect, binding_limits, certify, effects, movement_bound, reduced_gradient
 from transopt.solvers import unlimited
 from transopt.solvers.choose import check_name, solve
 from transopt.solvers.options import SolverOptions
@@ -296,3 +296,18 @@ def test_multipliers_beyond_all_numbers_prove_nothing(saturated: tuple[Transient
     assert not certificate.accepted
     assert certificate.duality_gap == np.inf
     assert certificate.lower_bound == -np.inf
+
+
+def test_effects_side_by_side_are_those_of_each_command(make_problem: ProblemMaker) -> None:
+    problems = [make_problem(), make_problem(speed_m_s=0.2), make_problem(grip_N=1.0)]
+    problems.append(replace(problems[0], rho=2 * problems[0].rho))
+    random = np.random.default_rng(0)
+    asked = [(problem, random.standard_normal(problem.grid.stages)) for problem in problems]
+    for found, (problem, command) in zip(effects(asked), asked, strict=True):
+        assert found.problem is problem
+        assert found.command is command
+        alone = Effect(problem, command).lasting
+        for name in ("acceleration_m_s2", "plant_input", "velocity_m_s", "encoder_m"):
+            wanted = getattr(alone, name)
+            size = max(float(np.abs(wanted).max()), 1.0)
+            np.testing.assert_allclose(getattr(found.lasting, name), wanted, rtol=0, atol=1e-12 * size)
