@@ -83,11 +83,12 @@ int main(void)
                 for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
                     for (int back = 0; back < 2; back++) {
                         const size_t n = (size_t)m, K = counts[c], width = (size_t)(m + q + 3) / 4 * 4;
-                        /* Two courses, of which the second is looked at. */
-                        double *S = doubles((n + (size_t)p) * width), *both = doubles(2 * (size_t)p * K);
-                        double *found = doubles(2 * (size_t)q * K), *x = doubles(n), *next = doubles(n);
-                        const double *u = both + (size_t)p * K, *y = found + (size_t)q * K;
-                        tr_courses(2, K, m, p, q, (int)width, S, both, found, back);
+                        /* One course to more than stand side by side, of which the last is looked at. */
+                        const size_t courses = 1 + (size_t)(m + p + q) % 11, last = courses - 1;
+                        double *S = doubles((n + (size_t)p) * width), *all = doubles(courses * (size_t)p * K);
+                        double *found = doubles(courses * (size_t)q * K), *x = doubles(n), *next = doubles(n);
+                        const double *u = all + last * (size_t)p * K, *y = found + last * (size_t)q * K;
+                        tr_courses(courses, K, m, p, q, (int)width, S, all, found, back);
                         memset(x, 0, n * sizeof(double));
                         for (size_t s = 0; s < K; s++) {
                             const size_t k = back ? K - 1 - s : s;
@@ -100,7 +101,7 @@ int main(void)
                             }
                             memcpy(x, next, n * sizeof(double));
                         }
-                        free(S), free(both), free(found), free(x), free(next);
+                        free(S), free(all), free(found), free(x), free(next);
                         cases++;
                     }
     for (int m = 1; m <= 2; m++)

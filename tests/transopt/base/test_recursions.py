@@ -92,14 +92,19 @@ def test_outputs_of_a_linear_system_and_their_transpose(m: int, p: int, q: int, 
     np.testing.assert_allclose(np.sum(by_inputs * inputs), np.sum(by_outputs * expected), rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("shape", [(2, 1), (3,), (2, 3), (8,), (5, 2), (17,)])  # of fewer and more than a register
 @pytest.mark.parametrize("dtype", [np.float64, np.longdouble])
-def test_many_courses_through_a_linear_system_are_one_by_one(dtype: type) -> None:
+def test_many_courses_through_a_linear_system_are_one_by_one(dtype: type, shape: tuple[int, ...]) -> None:
     random = np.random.default_rng(0)
-    A, B, C, D = (0.3 * random.standard_normal(shape).astype(dtype) for shape in ((3, 3), (3, 2), (4, 3), (4, 2)))
-    system, inputs, by_outputs = LinearSystem(A, B, C, D), random.random((2, 3, 2, 9)), random.random((2, 3, 4, 9))
+    A, B, C, D = (0.3 * random.standard_normal(of).astype(dtype) for of in ((3, 3), (3, 2), (4, 3), (4, 2)))
+    system, inputs, by_outputs = (
+        LinearSystem(A, B, C, D),
+        random.random((*shape, 2, 9)),
+        random.random((*shape, 4, 9)),
+    )
     found, by_inputs = system.outputs(inputs), system.transposed(by_outputs)
     assert found.dtype == dtype
-    for each in np.ndindex(2, 3):
+    for each in np.ndindex(*shape):
         np.testing.assert_allclose(found[each], system.outputs(inputs[each]), rtol=1e-14)
         np.testing.assert_allclose(by_inputs[each], system.transposed(by_outputs[each]), rtol=1e-14)
 
