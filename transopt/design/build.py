@@ -219,7 +219,9 @@ def build_library(
     some = max(SOLVED_TOGETHER // len(rows), 1)
     for first in range(0, len(devices), some):
         posed = [
-            context.posed(v, grip, target, at) for grip, at in devices[first : first + some] for v, target in rows
+            context.posed_as(row[number], *devices[number])
+            for number in range(first, min(first + some, len(devices)))
+            for row in context.cells.rows
         ]
         designed = design(posed, options=options)
         for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
@@ -281,13 +283,13 @@ def assemble(
         return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
 
     axes, p = scene.axes, entries[0][0].problem.stage.tracked
-    cells = [[context.reference(v, grip, target) for grip in axes.grips_N] for v, target in axes.rows]
+    cells, courses = context.cells.rows, context.cells.courses
 
     def of_cells(name: str) -> FloatArray:
-        found = np.array([[getattr(cell, name) for cell in row] for row in cells])
+        found = courses[name]
         return along_normal(found, p) if ARRAYS[name].is_directed and found.ndim == 3 and p > 1 else found
 
-    at_ticks = of_cells("nominal_position_at_ticks_m")
+    at_ticks = courses["nominal_position_at_ticks_m"]
     meta = {**_meta(context, cells, entries, options), "grid_refinement": _refined(refinement)}
     parts = max(max(entry.problem.parts.values(), default=1) for row in (*entries, *cool) for entry in row)
     if parts > 1:

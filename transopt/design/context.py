@@ -17,7 +17,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.designed import Designed
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
-from transopt.recordings.references import References
+from transopt.recordings.references import Cells, References
 from transopt.scene.recordings import references_of, sampled_again
 from transopt.scene.scene import Scene
 from transopt.solvers.own import law
@@ -137,6 +137,17 @@ class Context:
         return self._between.get(repr((speed_m_s, grip_N)), lambda: self.references.at(speed_m_s, grip_N))
 
     @cached_property
+    def cells(self) -> Cells:
+        """References of all entries of the scene."""
+        rows, grips = self.scene.axes.rows, self.scene.axes.grips_N
+
+        def made(i: int, j: int) -> Reference:
+            speed_m_s, target = rows[i]
+            return self.reference(speed_m_s, grips[j], target)
+
+        return Cells.of(made, len(rows), len(grips))
+
+    @cached_property
     def posing(self) -> Posing:
         """What the problems of all taps of the scene share, limits of a user's own evaluated."""
         return replace(self._linear.posing(), law_of=law)
@@ -156,6 +167,11 @@ class Context:
     def plant(self) -> NonlinearCoil | None:
         """The nonlinear plant; None for a linear one."""
         return self.scene.nonlinear_plant() if self.scene.nonlinear else None
+
+    @cached_property
+    def _coil(self) -> CoilModel | None:
+        """Coil of the motor, the same object for all entries."""
+        return self.scene.coil()
 
     def stage(self, grip_N: float, place: Spot = None) -> StageModel:
         """The device of one grip, and of an arm at one place, as the scene's problem needs it."""
@@ -197,7 +213,7 @@ class Context:
             grip_N=grip_N,
             target=reference.name,
             objective=scene.weights.objective,
-            coil=scene.coil(),
+            coil=self._coil,
             steady_input=scene.limits.steady_input,
             repeatability=reference.repeatability,
             plant=self.plant,

@@ -7,7 +7,8 @@ z_nom: where the stylus would be without the motor. All is sampled at the switch
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,23 @@ class Reference:
     sha256: str = ""
 
     __repr__ = brief
+
+    @cached_property
+    def stacked(self) -> FloatArray:
+        """(K,) all its courses one behind the other, direction by direction, as `with_courses` takes them."""
+        return np.concatenate([getattr(self, name).ravel() for name in COURSES])
+
+    def with_courses(self, stacked: FloatArray, **others: Any) -> "Reference":
+        """Give it other courses, which are parts of one array (K,), and other values of further fields."""
+        shapes = {name: getattr(self, name).shape for name in COURSES}
+        ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
+        parts = {
+            name: stacked[i:j].reshape(shape)
+            for (name, shape), i, j in zip(shapes.items(), [0, *ends], ends, strict=False)
+        }
+        found = replace(self, **parts, **others)
+        vars(found)["stacked"] = stacked
+        return found
 
     @property
     def target(self) -> Target:

@@ -5,10 +5,9 @@ was not recorded is blended: in grip linearly, as commands are, in speed by the 
 the nearest serves. Taps that state no grip serve every grip.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,36 @@ ALIKE = 0.05  # of a grip, within which a grip sensor's hysteresis tells no two 
 ROUNDING = 1e-9  # of a grip or a speed, within which it is a recorded one
 COST = "a 3 N tap as target raises the error above 30 Hz from 6.4 to 17 % at 1 N, from 7.9 to 15.5 % at 5 N"
 Scaled = tuple[PreparedTap, float]  # a tap and the factor that scales it to a grid speed
+
+
+@dataclass(frozen=True)
+class Cells:
+    """References of a grid, which share their memory with the arrays of their courses.
+
+    Attributes
+    ----------
+    rows : speeds or named targets outermost, grips within.
+    courses : name in `COURSES` -> (rows, grips, samples), or (rows, grips, directions, samples).
+    """
+
+    rows: list[list[Reference]]
+    courses: dict[str, FloatArray]
+
+    @classmethod
+    def of(cls, made: Callable[[int, int], Reference], rows: int, grips: int) -> "Cells":
+        """Move references into common arrays, as they are made one by one for a row and a grip."""
+        courses: dict[str, FloatArray] = {}
+
+        def moved(i: int, j: int) -> Reference:
+            cell = made(i, j)
+            for name in COURSES:
+                part = getattr(cell, name)
+                if name not in courses:
+                    courses[name] = np.empty((rows, grips, *part.shape))
+                courses[name][i, j] = part
+            return replace(cell, **{name: course[i, j] for name, course in courses.items()})
+
+        return cls([[moved(i, j) for j in range(grips)] for i in range(rows)], courses)
 
 
 @dataclass(frozen=True)
@@ -162,14 +191,8 @@ def _within(grip_N: float, grips_N: Sequence[float]) -> bool:
 
 def _blend(a: Reference, b: Reference, w: float, scale_a: float = 1.0, scale_b: float = 1.0) -> Reference:
     """(1 - w) of one reference and w of another, each scaled to the speed of the blend; of the grip of the first."""
-
-    def shape(of_a: FloatArray, of_b: FloatArray) -> FloatArray:
-        return np.asarray((1 - w) * scale_a * of_a + w * scale_b * of_b)
-
-    courses: dict[str, Any] = {name: shape(getattr(a, name), getattr(b, name)) for name in COURSES}
-    return replace(
-        a,
-        **courses,
+    return a.with_courses(
+        (1 - w) * scale_a * a.stacked + w * scale_b * b.stacked,
         repeatability=float(np.maximum(a.repeatability, b.repeatability)),
         repeatability_unaligned=float(np.maximum(a.repeatability_unaligned, b.repeatability_unaligned)),
         taps=a.taps + b.taps,

@@ -28,6 +28,18 @@ def test_every_grip_is_asked_for_its_own_tap(scene: Scene, taps: list[Recording]
         np.testing.assert_allclose(asked.after_m_s2, wanted.after_m_s2, rtol=1e-12, atol=1e-12)
 
 
+def test_cells_are_the_references_of_the_grid_in_common_arrays(scene: Scene, recorded: References) -> None:
+    between = with_values(scene, {"grid.speeds_m_s": [0.1, 0.15, 0.4], "grid.grips_N": [1.0, 2.0, 5.0]})
+    cells = Context(between, recorded).cells
+    for i, row in enumerate(cells.rows):
+        for j, cell in enumerate(row):
+            wanted = recorded.at(between.grid.speeds_m_s[i], between.grid.grips_N[j])
+            assert (cell.speed_m_s, cell.grip_N, cell.taps) == (wanted.speed_m_s, wanted.grip_N, wanted.taps)
+            for name, course in cells.courses.items():
+                np.testing.assert_allclose(course[i, j], getattr(wanted, name), rtol=1e-12, atol=1e-15)
+                assert np.shares_memory(course[i, j], getattr(cell, name)) or course.size == 0
+
+
 @pytest.fixture(scope="module")
 def one() -> Scene:
     """One entry, struck with a sensor that loses what is slower than 5 Hz."""
