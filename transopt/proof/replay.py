@@ -120,7 +120,7 @@ def replayed_figures(
 def figures_of(simulated: Accurate, yardstick: Yardstick, targets: Sequence[Target]) -> list[Figures]:
     """Figures of M simulated commands relative to their targets."""
     with np.errstate(over="ignore", invalid="ignore"):  # the loop of an unstable wall overflows
-        return [yardstick.figures(target, a) for a, target in zip(simulated.acceleration_m_s2, targets, strict=True)]
+        return yardstick.figures_of(targets, simulated.acceleration_m_s2)
 
 
 def largest_reached(

@@ -105,7 +105,7 @@ class Reference:
         """Give it other courses, which are parts of one array (K,), and other values of further fields."""
         shapes = {name: getattr(self, name).shape for name in COURSES}
         ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
-        parts = {
+        parts: dict[str, Any] = {
             name: stacked[i:j].reshape(shape)
             for (name, shape), i, j in zip(shapes.items(), [0, *ends], ends, strict=False)
         }

@@ -5,6 +5,7 @@ objective's weights. Samples run from contact or tau_0, whichever is earlier, to
 samples, which no command reaches, are included.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -90,9 +91,10 @@ class Yardstick:
         target, acceleration_m_s2 = target.normal, normal(acceleration_m_s2)
         recorded, lost = target.recorded_m_s2, target.before_m_s2.size
         first = self._intention(lost, recorded.size)
-        made = np.append(np.zeros(lost), acceleration_m_s2)
-        made = np.append(made, np.zeros(max(recorded.size - made.size, 0)))[: recorded.size] + target.free_m_s2
-        return _over(float(np.linalg.norm((made - recorded)[first])), float(np.linalg.norm(recorded[first])))
+        made = target.free_m_s2.copy()
+        made[lost : lost + acceleration_m_s2.size] += acceleration_m_s2[: made.size - lost]
+        errors = _over(_size((made - recorded)[None, first]), _size(recorded[None, first]))
+        return float(errors[0])
 
     def across(self, target: Target, acceleration_m_s2: FloatArray) -> tuple[float, float]:
         """Error across the normal over the intention, over |r| along it, and the angle by which that turns y'' [rad].
@@ -110,37 +112,49 @@ class Yardstick:
         return _over(aside, float(np.linalg.norm(recorded[0]))), float(np.arctan2(aside, straight))
 
     def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
-        """Figures of y'' (K,) from tau_0 on, with K at least the samples of the target's window and tail.
+        """`figures_of` one movement (K,)."""
+        return self.figures_of([target], acceleration_m_s2[None])[0]
+
+    def figures_of(self, targets: Sequence[Target], accelerations_m_s2: FloatArray) -> list[Figures]:
+        """Figures of y'' (m, K) from tau_0 on, with K at least the samples of the targets' windows and tails.
 
         For a tap of zero the errors are 0 without motion, else infinite. For a plant with several directions, y''
-        (p, K), they are those along the normal.
+        (m, p, K), they are those along the normal.
+
+        Parameters
+        ----------
+        targets : one per movement, all with the same numbers of samples.
         """
-        target, acceleration_m_s2 = target.normal, normal(acceleration_m_s2)
-        lost = target.before_m_s2.size
-        free, recorded = target.free_m_s2, target.recorded_m_s2
-        made = free.copy()
-        made[lost:] += acceleration_m_s2[: made.size - lost]
+        targets = [target.normal for target in targets]
+        along = accelerations_m_s2[:, 0] if accelerations_m_s2.ndim > 2 else accelerations_m_s2
+        lost, N = targets[0].before_m_s2.size, targets[0].window_m_s2.size
+        recorded = np.stack([target.recorded_m_s2 for target in targets])
+        made = np.stack([target.free_m_s2 for target in targets])
+        made[:, lost:] += along[:, : made.shape[1] - lost]
         off = made - recorded
-        first = self._intention(lost, off.size)
-        tail = off[lost + target.window_m_s2.size :]
-        size = float(np.linalg.norm(recorded[first]))
-        felt_off, felt_made, felt_recorded = _through(self._felt, np.stack([off, made, recorded]))
-        change, swept = float(np.sum(recorded[first])), float(np.sum(np.abs(recorded[first])))
-        return Figures(
-            tap_error=_over(float(np.linalg.norm(off[first])), size),
-            felt_error=_over(float(np.linalg.norm(felt_off)), float(np.linalg.norm(felt_recorded)))
-            if self._felt
-            else NAN,
-            felt_dB=_dB(float(felt_made @ felt_made), float(felt_recorded @ felt_recorded)) if self._felt else NAN,
-            speed=NAN
-            if self.named or abs(change) <= MIN_SPEED_CHANGE * swept
-            else float(np.sum(made[first])) / change,
-            bump_m_s2=NAN
-            if self.named or first.stop == off.size or not self._bump
-            else float(np.abs(_through(self._bump, off)[first.stop :]).max()),
-            error_after=_over(float(np.linalg.norm(tail)), size),
-            peak_after_m_s2=float(np.abs(tail).max(initial=0.0)),
+        first = self._intention(lost, off.shape[1])
+        tail, meant = off[:, lost + N :], recorded[:, first]
+        size, change, swept = _size(meant), np.sum(meant, axis=1), np.sum(np.abs(meant), axis=1)
+        unknown = np.full(len(targets), NAN)
+        speed, felt_error, felt_dB, bump = unknown, unknown, unknown, unknown
+        if not self.named:
+            changes = np.abs(change) > MIN_SPEED_CHANGE * swept
+            speed = np.where(changes, np.sum(made[:, first], axis=1) / np.where(changes, change, 1.0), NAN)
+            if first.stop < off.shape[1] and self._bump:
+                bump = np.abs(_through(self._bump, off)[:, first.stop :]).max(axis=1)
+        if self._felt:
+            felt_off, felt_made, felt_recorded = (_size(_through(self._felt, each)) for each in (off, made, recorded))
+            felt_error, felt_dB = _over(felt_off, felt_recorded), _dB(felt_made**2, felt_recorded**2)
+        columns = (
+            _over(_size(off[:, first]), size),
+            felt_error,
+            felt_dB,
+            speed,
+            bump,
+            _over(_size(tail), size),
+            np.abs(tail).max(axis=1, initial=0.0),
         )
+        return [Figures(*row) for row in np.stack(columns, axis=1).tolist()]
 
 
 def _felt(dt_s: float) -> tuple[ErrorFilter, ...]:
@@ -159,13 +173,17 @@ def _through(filters: tuple[ErrorFilter, ...], course: FloatArray) -> FloatArray
     return course
 
 
-def _over(error: float, size: float) -> float:
-    if size == 0:
-        return 0.0 if error == 0 else float("inf")
-    return error / size
+def _size(courses: FloatArray) -> FloatArray:
+    """(m,) root of the sum of squares of each course (m, K)."""
+    return np.asarray(np.sqrt(np.einsum("mk,mk->m", courses, courses)))
 
 
-def _dB(made: float, wanted: float) -> float:
-    if not wanted > 0:
-        return NAN
-    return float(10 * np.log10(max(made / wanted, np.finfo(float).tiny)))
+def _over(error: FloatArray, size: FloatArray) -> FloatArray:
+    """(m,) relative errors; of a size of zero 0 where there is no error either, else infinite."""
+    return np.asarray(np.where(size == 0, np.where(error == 0, 0.0, np.inf), error / np.where(size == 0, 1.0, size)))
+
+
+def _dB(made: FloatArray, wanted: FloatArray) -> FloatArray:
+    """(m,) energies over those that are wanted [dB]; NaN where nothing is."""
+    ratio = np.maximum(made / np.where(wanted > 0, wanted, 1.0), np.finfo(float).tiny)
+    return np.asarray(np.where(wanted > 0, 10 * np.log10(ratio), NAN))
