@@ -225,8 +225,10 @@ def build_library(
         ]
         designed = design(posed, options=options)
         for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
-            # An entry is replayed here, before its progress is told.
-            progress(len([entry.played for entry in column]))
+            for entry in column:
+                entry.let_go()
+            # An entry is replayed and admitted by now, before its progress is told.
+            progress(len(column))
             columns.append(column)
     entries = [[column[i] for column in columns] for i in range(len(rows))]
     if not scene.nonlinear:

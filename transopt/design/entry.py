@@ -101,6 +101,22 @@ class Entry(Answered):
         vars(found).update({name: value for name, value in made.items() if name not in named})
         return found
 
+    def let_go(self) -> None:
+        """Drop the courses that the search and the certificate worked with; whoever asks for one makes it again.
+
+        What is told of the entry is made first: admission and binding limits look at most of them.
+        """
+        _ = self.admitted and self.binding
+        problem, effect = self.problem, self.designed.effect
+        for of, courses in (
+            (problem, ("rest",)),
+            (problem.tracking, ("wanted", "weights", "unit_wanted", "solved_weights", "solved_wanted")),
+            (problem.target, ("whole_m_s2", "free_m_s2", "recorded_m_s2", "continued_m_s2")),
+            (effect, ("continued", "mean_square_A2", "rise_K")),
+        ):
+            for course in courses:
+                vars(of).pop(course, None)
+
     @cached_property
     def played(self) -> Replay:
         """The command in continuous time."""

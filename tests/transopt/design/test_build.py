@@ -17,6 +17,8 @@ from tests.conftest import ProblemMaker
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.design import entry as entries_room
 from transopt.design.build import Build, build_library
+from transopt.design.context import Context
+from transopt.design.design import design
 from transopt.design.optimum import optimum
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
@@ -149,6 +151,19 @@ def test_no_floor_is_told_where_the_optimum_without_limits_is_not_found(
     designed = optimum(make_problem(), SolverOptions())
     assert designed.certificate.accepted
     assert np.isnan(designed.floor)
+
+
+def test_an_entry_that_has_let_its_courses_go_tells_the_same(scene: Scene, taps: list[Recording]) -> None:
+    (entry,) = design([Context.recorded(scene, taps).posed(0.4, 5.0)])
+    effect, target, tracking = entry.designed.effect, entry.problem.target, entry.problem.tracking
+    rise_K, recorded, wanted = effect.rise_K, target.recorded_m_s2, tracking.wanted
+    entry.let_go()
+    assert not {"rise_K", "recorded_m_s2", "wanted"} & {*vars(effect), *vars(target), *vars(tracking)}
+    np.testing.assert_allclose(effect.rise_K, rise_K)
+    np.testing.assert_allclose(target.recorded_m_s2, recorded)
+    np.testing.assert_allclose(tracking.wanted, wanted)
+    again = certify(entry.problem, entry.solution.command, entry.solution.multipliers)
+    assert again.objective == pytest.approx(entry.certificate.objective, rel=1e-9)
 
 
 def test_progress_counts_the_entries(scene: Scene, taps: list[Recording]) -> None:
