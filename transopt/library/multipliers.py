@@ -50,14 +50,13 @@ def multiplier_arrays(
     """
     found = {}
     for name in (*MULTIPLIERS, *further):
-        row, side = row_of(name), name.rsplit("_", 1)[1]
-        values = [[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries]
-        array = found[name] = np.zeros((len(values), len(values[0]), values[0][0].size))
-        for to_speed, of_speed in zip(array, values, strict=True):
-            for to_entry, own in zip(to_speed, of_speed, strict=True):
+        row, side = row_of(name), SIDES.index(name.rsplit("_", 1)[1])
+        array = found[name] = np.zeros((len(of_entries), len(of_entries[0]), of_entries[0][0].stages))
+        for to_speed, of_speed in zip(array, of_entries, strict=True):
+            for to_entry, entry in zip(to_speed, of_speed, strict=True):
                 # Most are zero, and zeros that nobody writes to take no memory.
-                if np.count_nonzero(own):
-                    to_entry[:] = own
+                if row in entry.pairs and np.count_nonzero(entry.pairs[row][side]):
+                    to_entry[:] = entry.pairs[row][side]
     return found
 
 

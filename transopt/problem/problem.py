@@ -1,7 +1,7 @@
 """The optimal-control problem of one library entry: terms of the objective, limits, hand-over."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -191,11 +191,10 @@ class TransientProblem:
         return self._under(self.limits.replaced(limit))
 
     def _under(self, limits: Limits) -> "TransientProblem":
-        """The problem under other limits; cached properties that do not depend on limits are kept."""
-        found = replace(self, limits=limits)
-        for name in ("tracking", "shared", "feedback", "reference_is_zero"):
-            if name in vars(self):
-                vars(found)[name] = vars(self)[name]
+        """The problem under other limits; what does not depend on limits is neither checked nor computed again."""
+        found = object.__new__(type(self))
+        vars(found).update({name: value for name, value in vars(self).items() if name in UNDER_ANY_LIMITS})
+        vars(found)["limits"] = limits
         return found
 
     def within(self, parts: Mapping[str, int]) -> "TransientProblem":
@@ -361,3 +360,9 @@ class TransientProblem:
         # The hand-over makes it zero up to rounding; it is set to exactly zero.
         transient[self.free_stages :] = 0.0
         return transient
+
+
+# Fields of a problem, and cached properties that do not depend on its limits.
+UNDER_ANY_LIMITS = {field.name for field in fields(TransientProblem)} | {
+    *("tracking", "shared", "feedback", "reference_is_zero", "yardstick", "rest")
+}
