@@ -109,7 +109,8 @@ class Yardstick:
         made[:, lost:] += acceleration_m_s2[:, :N]
         recorded = target.recorded_m_s2[:, first]
         aside, straight = (float(np.linalg.norm(x)) for x in (made[1:, first] - recorded[1:], made[0, first]))
-        return _over(aside, float(np.linalg.norm(recorded[0]))), float(np.arctan2(aside, straight))
+        error = _over(np.array([aside]), _size(recorded[:1]))
+        return float(error[0]), float(np.arctan2(aside, straight))
 
     def figures(self, target: Target, acceleration_m_s2: FloatArray) -> Figures:
         """`figures_of` one movement (K,)."""
