@@ -36,6 +36,7 @@ from transopt.base.plotting import save_figure
 from transopt.base.terminal import make_folder
 from transopt.base.writing import write_csv, write_text
 from transopt.solvers import program
+from transopt.solvers.shape import program_shape
 from transopt.solvers.statement import state
 
 FIGURE, REPORT, ROWS = "work_precision.png", "error_against_runtime.md", "rows.csv"
@@ -94,7 +95,7 @@ def reading_ms(case: Case) -> float:
     """Time to read one problem's numbers from the CasADi statement, the least of a few runs [ms]."""
 
     def read() -> None:
-        shape = program.program_shape(case.small)
+        shape = program_shape(case.small)
         program.state_program(shape).qp_data(p=state(case.small).p)
 
     return min(elapsed_ms(read) for _ in range(5))

@@ -32,7 +32,8 @@ from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
 from transopt.solvers import several
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import program_shape, state_program
+from transopt.solvers.program import state_program
+from transopt.solvers.shape import program_shape
 from transopt.solvers.sparse_kkt import pattern
 from transopt.solvers.stage_data import stated_rows
 from transopt.solvers.statement import state

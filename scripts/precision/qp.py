@@ -22,7 +22,8 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.solvers import casadi_piqp
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import Shape, program_shape, state_program
+from transopt.solvers.program import state_program
+from transopt.solvers.shape import Shape, program_shape
 from transopt.solvers.statement import state
 
 DUMP_SCHEMA = 3

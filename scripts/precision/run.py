@@ -13,6 +13,7 @@ from precision.methods import TIME_LIMIT_S, Answer, Kind, Method, Prepared, Sett
 from transopt.base.signals import FloatArray
 from transopt.proof.certify import certify
 from transopt.solvers import program
+from transopt.solvers.shape import program_shape
 
 MOST_A = 1e3  # commands beyond this are not worth a replay
 
@@ -147,7 +148,7 @@ def measure(
         told(f"{case.name}: {attempt.method.name}", 1)
     timed = {str(j): attempt for j, attempt in enumerate(attempts) if not attempt.error and not attempt.late}
     runs = {name: effort.runs(attempt.first_ms) for name, attempt in timed.items()}
-    program.state_program(program.program_shape(case.small))
+    program.state_program(program_shape(case.small))
     share = len(attempts) / max(sum(runs.values()), 1)
     times = take_turns(
         {name: attempt.run for name, attempt in timed.items()},

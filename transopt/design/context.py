@@ -3,10 +3,11 @@
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, TypeVar
 
+from transopt.library.posed import with_laws
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear import NonlinearCoil
@@ -20,7 +21,6 @@ from transopt.recordings.reference import Reference
 from transopt.recordings.references import Cells, References
 from transopt.scene.recordings import references_of, sampled_again
 from transopt.scene.scene import Scene
-from transopt.solvers.own import law
 
 KEPT_STAGES, KEPT_BETWEEN = 64, 32
 # What a stage model depends on, beside the outputs that the limits look at.
@@ -150,7 +150,7 @@ class Context:
     @cached_property
     def posing(self) -> Posing:
         """What the problems of all taps of the scene share, limits of a user's own evaluated."""
-        return replace(self._linear.posing(), law_of=law)
+        return with_laws(self._linear.posing())
 
     @cached_property
     def yardstick(self) -> Yardstick:

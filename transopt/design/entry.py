@@ -32,7 +32,7 @@ from transopt.proof.designed import Attained, Designed
 from transopt.proof.replay import Replay
 from transopt.solvers import unlimited
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import Size, size
+from transopt.solvers.shape import Size, size
 from transopt.solvers.side_by_side import alone
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved

@@ -18,7 +18,6 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Box, boxes, certify
 from transopt.solvers import unlimited
 from transopt.solvers.choose import capable, solve
-from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions
 
 WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
@@ -102,6 +101,9 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     met it is the temperature, whose least limit is found by bisection. The command that just meets the wider limit
     tells by how much and when the stated one is missed.
     """
+    # The linear program is stated in CasADi, which only a problem without a feasible point needs.
+    from transopt.solvers.feasibility import least_widening
+
     linear = [limit for limit in reversed(problem.limits.members) if limit.linear]
     together = least_widening(problem, [limit.name for limit in linear])
     if together is None:

@@ -138,13 +138,7 @@ class Posed(Held):
 
     @cached_property
     def _posing(self) -> Posing:
-        posing = posing_of(self.scene())
-        if all(table["function"] is None for table in posing.asked.get(OwnLimit.key) or ()):
-            return posing
-        # Only a limit of the user's own that is not linear needs CasADi.
-        from transopt.solvers.own import law
-
-        return replace(posing, law_of=law)
+        return with_laws(posing_of(self.scene()))
 
     def time_grid(self) -> TimeGrid:
         """Ticks and switching instants, and how many samples after them count."""
@@ -307,6 +301,16 @@ def scene_in(meta: dict[str, Any]) -> "Scene":
 def posing_of(scene: "Scene") -> Posing:
     """How the problems of a scene are posed; of a nonlinear plant those of the plant as it is at rest."""
     return scene.at_rest().posing()
+
+
+def with_laws(posing: Posing) -> Posing:
+    """Add what evaluates the limits of a user's own that are not linear, where there is one."""
+    if all(table["function"] is None for table in posing.asked.get(OwnLimit.key) or ()):
+        return posing
+    # Only such a limit needs CasADi.
+    from transopt.solvers.own import law
+
+    return replace(posing, law_of=law)
 
 
 def _outputs(stored: Mapping[str, Mapping[str, Any]]) -> dict[str, Output]:

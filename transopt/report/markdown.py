@@ -34,8 +34,8 @@ CERTIFICATE_LEGEND = (
     "gap: to the optimum by the multipliers, rigorous unless the coil binds. over bound: how far J is above a lower "
     "bound, of max(J, 1e-3), rigorous always (with a wall, for the ticks at which it pushes): J less its gap or, "
     "where the coil binds, the least J of a convex problem that every admissible command meets. violation: the "
-    "largest, in A, V or K. winding: the hottest of the replay{}. states, rows, nonzeros: "
-    "per stage, and of the constraints, of the program that was solved; dashes where one linear solve was enough."
+    "largest, in A, V or K. winding: the hottest of the replay{}. states, variables, rows: of the "
+    "program that was solved, per stage, in all, and of its constraints; dashes where one linear solve was enough."
 )
 
 
@@ -151,10 +151,10 @@ def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def _size_cells(entry: Entry) -> list[str]:
-    """States, rows and nonzeros of the program that an entry was solved by; dashes where there was none."""
+    """States, variables and rows of the program that an entry was solved by; dashes where there was none."""
     if entry.size is None:
         return ["-", "-", "-"]
-    return [str(entry.size.states), str(entry.size.rows), str(entry.size.nonzeros)]
+    return [str(entry.size.states), str(entry.size.variables), str(entry.size.rows)]
 
 
 def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
@@ -296,8 +296,8 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
         lines += ["## Refused", ""]
         lines += [f"- {each.place}: {refusal(each)}" for each in build.refused]
         lines += [""]
-    head = ["J", "gap / max(J, 1e-3)", "over bound", "violation", "winding C", "states", "rows"]
-    head += ["nonzeros", "solver"]
+    head = ["J", "gap / max(J, 1e-3)", "over bound", "violation", "winding C", "states", "variables"]
+    head += ["rows", "solver"]
     rows = [
         [
             *e.cells,

@@ -9,7 +9,8 @@ import numpy as np
 from transopt.problem.answer import Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import Shape, program_shape, state_program
+from transopt.solvers.program import state_program
+from transopt.solvers.shape import Shape, program_shape
 from transopt.solvers.statement import state
 
 # Raw strings of the plugin; anything else is a breakdown.

@@ -15,8 +15,7 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, effects
-from transopt.solvers import casadi_ipopt, casadi_piqp, riccati, several
-from transopt.solvers.feasibility import least_widening
+from transopt.solvers import riccati, several
 from transopt.solvers.options import SolverOptions, default_solver, most_time_s
 from transopt.solvers.prove import certificates, certified
 
@@ -63,6 +62,19 @@ def _apart(name: str, method: Callable[[TransientProblem, SolverOptions], Soluti
     return one_by_one(alone)
 
 
+def _casadi_piqp(problem: TransientProblem, options: SolverOptions) -> Solution:
+    # CasADi is loaded where it solves: in the process of its own.
+    from transopt.solvers import casadi_piqp
+
+    return casadi_piqp.solve(problem, options)
+
+
+def _casadi_ipopt(problem: TransientProblem, options: SolverOptions) -> Solution:
+    from transopt.solvers import casadi_ipopt
+
+    return casadi_ipopt.solve(problem, options)
+
+
 def _own(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:
     """The project's own method: problems of one motor side by side, those of several motors one by one."""
     of_one_motor = iter(riccati.solve([each for each in problems if each.stage.motors == 1], options))
@@ -81,8 +93,8 @@ class Solver:
 # where the problem is a QP, then IPOPT, which takes all.
 SOLVERS: dict[str, Solver] = {
     "riccati": Solver(_own, lambda problem: riccati.can_solve(problem) or several.can_solve(problem)),
-    "casadi-piqp": Solver(_apart("casadi-piqp", casadi_piqp.solve), lambda problem: not problem.nonlinear),
-    "casadi-ipopt": Solver(_apart("casadi-ipopt", casadi_ipopt.solve), lambda problem: True),
+    "casadi-piqp": Solver(_apart("casadi-piqp", _casadi_piqp), lambda problem: not problem.nonlinear),
+    "casadi-ipopt": Solver(_apart("casadi-ipopt", _casadi_ipopt), lambda problem: True),
 }
 
 
@@ -242,6 +254,9 @@ def _pulled_inside(problem: TransientProblem, proof: Certificate, options: Solve
 
 def feasible(problem: TransientProblem) -> bool:
     """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
+    # The linear program is stated in CasADi, which nothing else here needs.
+    from transopt.solvers.feasibility import least_widening
+
     found = least_widening(problem, [limit.name for limit in problem.limits if limit.linear])
     return found is None or found[0] == 1.0
 

@@ -9,7 +9,7 @@ the nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps r
 are single variables, so that their limits are boxes. Nothing is condensed.
 """
 
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import casadi as ca
@@ -19,87 +19,10 @@ from numpy.typing import NDArray
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.heat import mean_current, mean_square, next_rise
-from transopt.problem.limits.own import LawRow
-from transopt.problem.objective.tail import tail
-from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import Layout, layout, linear_stage
-from transopt.solvers.stage_data import stated_rows
+from transopt.problem.stage import Layout
+from transopt.solvers.shape import Shape
 
 REPEATED_WEIGHT = 1e3
-UNLIKE = 4  # stages at the start, and more, that differ from those that follow: before the first one all is at rest
-
-
-@dataclass(frozen=True)
-class RowShape:
-    """What of a limit's row fixes the sparsity of the program."""
-
-    name: str
-    states: tuple[bool, ...]
-    first: int
-    motor: int
-
-    @property
-    def mask(self) -> NDArray[np.bool_]:
-        """(1, n) states that the value depends on."""
-        return np.array([self.states])
-
-
-@dataclass(frozen=True)
-class LawShape:
-    """What of a limit that is not linear fixes the program: its function, of so many outputs, as text."""
-
-    name: str
-    text: str
-    outputs: int
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What fixes the sparsity of the program; problems of one shape share one solver object.
-
-    Attributes
-    ----------
-    rows : sums of several outputs that are bounded, each by its name, the states that it depends on, and its first
-        stage; what bounds one variable alone is a box on it and no row.
-    laws : functions of outputs that are bounded.
-    ends : rows of what is led to a target after the window.
-    nodes : thermal states, 0 without.
-    repeated : taps repeat for ever.
-    """
-
-    stages: int
-    layout: Layout
-    hand_over_samples: int
-    rows: tuple["RowShape", ...]
-    laws: tuple["LawShape", ...]
-    ends: int
-    nodes: int
-    repeated: bool
-
-    @property
-    def controls(self) -> int:
-        """Movements, and with the temperature the size of the mean current."""
-        return self.layout.motors + int(self.nodes > 0)
-
-    @property
-    def variables(self) -> int:
-        """Variables of one stage."""
-        return self.controls + self.layout.states + self.nodes
-
-    @property
-    def first(self) -> int:
-        """Variables in front of the first stage."""
-        return self.nodes if self.repeated else 0
-
-    @property
-    def command(self) -> int:
-        """Index of the first command among a stage's variables."""
-        return self.controls + self.layout.states - self.layout.motors
-
-    @property
-    def commands(self) -> slice:
-        """Indices of all commands among a stage's variables."""
-        return slice(self.command, self.command + self.layout.motors)
 
 
 @dataclass(frozen=True)
@@ -332,54 +255,3 @@ def state_program(shape: Shape) -> Program:
         qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
     rows_of = {name: slice(int(ends[j]), int(ends[j + 1])) for j, name in enumerate(rows)}
     return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data is None, qp_data)
-
-
-def program_shape(problem: TransientProblem) -> Shape:
-    thermal, stage = problem.thermal, linear_stage(problem)
-    rows = [row for row in stated_rows(problem, stage) if not row.single]
-    return Shape(
-        stages=problem.grid.stages,
-        layout=layout(problem),
-        hand_over_samples=problem.hand_over_samples,
-        rows=tuple(RowShape(row.name, tuple((row.G != 0).tolist()), 0 if row.d else 1, row.motor) for row in rows),
-        laws=tuple(
-            LawShape(row.name, row.law.text, len(row.outputs)) for _, row in problem.rows() if isinstance(row, LawRow)
-        ),
-        ends=tail(problem, stage).target.size,
-        nodes=0 if thermal is None else thermal.model.nodes,
-        repeated=thermal is not None and thermal.model.closure is not None,
-    )
-
-
-@dataclass(frozen=True)
-class Size:
-    """How large a solved program was: states per stage, rows and nonzeros of the constraints' Jacobian."""
-
-    states: int
-    variables: int
-    rows: int
-    nonzeros: int
-
-
-@lru_cache(maxsize=16)
-def _size(shape: Shape) -> Size:
-    """Two short programs give the size of a long one: all stages between the first and the hand-over are alike.
-
-    To state a long one takes CasADi seconds, in which no signal is answered.
-    """
-    short = shape.hand_over_samples + UNLIKE
-    if shape.stages > short + 1:
-        sizes = (_size(replace(shape, stages=stages)) for stages in (short, short + 1))
-        pairs = zip(*(astuple(each) for each in sizes), strict=True)
-        return Size(*(first + (shape.stages - short) * (second - first) for first, second in pairs))
-    program = state_program(shape)
-    if not program.nlp_only:
-        nonzeros = program.qp_data.sparsity_out("A").nnz()
-    else:
-        nonzeros = ca.Function("rows", [program.x, program.p], [program.g]).jac_sparsity(0, 0).nnz()
-    return Size(shape.variables - shape.controls, program.x.numel(), program.g.numel(), nonzeros)
-
-
-def size(problem: TransientProblem) -> Size:
-    """Size of the program that states this problem."""
-    return _size(program_shape(problem))

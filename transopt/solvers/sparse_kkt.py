@@ -14,7 +14,8 @@ from transopt.problem.answer import Multipliers, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.proof.certify import certify
-from transopt.solvers.program import Shape, state_program
+from transopt.solvers.program import state_program
+from transopt.solvers.shape import Shape
 from transopt.solvers.stage_data import stated_rows
 from transopt.solvers.statement import state
 

@@ -13,7 +13,8 @@ from transopt.problem.limits.own import LawRow
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
 from transopt.solvers.bounds import check_bounds
-from transopt.solvers.program import Shape, nonzeros, program_shape, state_program
+from transopt.solvers.program import nonzeros, state_program
+from transopt.solvers.shape import Shape, program_shape
 from transopt.solvers.stage_data import (
     SIZE_BOUND,
     StatedRow,

@@ -15,7 +15,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Stat
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.proof.certify import Effect, certify, movement_bound, reduced_gradient
-from transopt.solvers import several, sparse_kkt, stage_data
+from transopt.solvers import several, stage_data
 from transopt.solvers.native import extension
 from transopt.solvers.options import most_time_s
 
@@ -83,4 +83,7 @@ def solve_sparse(problem: TransientProblem) -> Solution:
     with np.errstate(over="ignore", invalid="ignore"):
         if problem.wall is None and certify(problem, rest, Multipliers.zero(problem)).is_stationary:
             return Solution(Status.OPTIMAL, rest, Multipliers.zero(problem), "unlimited", "rest", 0, 0.0)
+        # Only a problem that the compiled pass does not solve needs CasADi.
+        from transopt.solvers import sparse_kkt
+
         return sparse_kkt.solve(problem)

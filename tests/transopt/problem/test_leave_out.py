@@ -23,7 +23,7 @@ from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import size
+from transopt.solvers.shape import size
 from transopt.solvers.statement import state
 
 DT_S = 1e-4
@@ -83,7 +83,6 @@ class TestForcedIn:
         check_same(whole, reduced.problem)
         larger, smaller = size(whole), size(reduced.problem)
         assert larger.rows == smaller.rows + 2 * (2 * whole.grid.stages - 1)
-        assert larger.nonzeros > smaller.nonzeros
         kept = leave_out(entry(scene, references[-1], 5.0, limits={"supply_V": 15.0}).without("temperature"))
         assert "supply" in kept.problem.limits
 
@@ -96,7 +95,6 @@ class TestForcedIn:
         larger, smaller = size(whole), size(reduced.problem)
         assert larger.states >= smaller.states + 2
         assert larger.rows > smaller.rows
-        assert larger.nonzeros > smaller.nonzeros
 
     def test_temperature_is_left_out_after_the_fact_too(self, scene: Scene, references: list[Reference]) -> None:
         """4 A throughout would be too hot, the optimum without the limit is not."""
@@ -126,7 +124,6 @@ class TestForcedIn:
         larger, smaller = size(whole), size(reduced.problem)
         assert larger.states == smaller.states + 4  # position, velocity, a demand and its predecessor
         assert larger.variables > smaller.variables
-        assert larger.nonzeros > smaller.nonzeros
         # Half the hand-over pressed: it stays.
         kept = replace(whole.wall, pressing=np.arange(nominal.size) > N - 5)
         assert "feedback" not in leave_out(replace(whole, wall=kept)).left_out
@@ -142,7 +139,6 @@ class TestForcedIn:
         check_same(whole, small)
         larger, smaller = size(whole), size(small)
         assert larger.states == smaller.states + 1
-        assert larger.nonzeros > smaller.nonzeros
         arm = discretise(held.stage.plant, held.stage.amplifier, DT_S, position=True)
         assert without_position(arm).A.shape == arm.A.shape
 
