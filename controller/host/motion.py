@@ -8,7 +8,7 @@ m/s^2 stand far above both sensors' noise.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from transopt.base.signals import FloatArray
 
@@ -62,10 +62,10 @@ def shaken(dt_s: float, position_m: FloatArray, acceleration_m_s2: FloatArray) -
     edge = round(SETTLING_S / dt_s)
     if position_m.size < 3 * edge:
         return Shaken(0.0, 0.0, 0.0)
-    band = signal.butter(2, [LOW_HZ, HIGH_HZ], "bandpass", fs=1 / dt_s, output="sos")
+    band = scipy.signal.butter(2, [LOW_HZ, HIGH_HZ], "bandpass", fs=1 / dt_s, output="sos")
 
     def within(values: FloatArray) -> FloatArray:
-        return np.asarray(signal.sosfiltfilt(band, values - values.mean()))
+        return np.asarray(scipy.signal.sosfiltfilt(band, values - values.mean()))
 
     path, felt = within(position_m), within(acceleration_m_s2)
     by_encoder = (np.gradient(np.gradient(path, dt_s), dt_s))[edge:-edge]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import interpolate, optimize
+import scipy
 
 from transopt.base.signals import FloatArray, nrmse
 
@@ -42,7 +42,7 @@ def align(times_s: FloatArray, played_m_s2: FloatArray, at_s: FloatArray, predic
         spline.
     at_s, predicted_m_s2 : (N,).
     """
-    spline = interpolate.CubicSpline(times_s, played_m_s2)
+    spline = scipy.interpolate.CubicSpline(times_s, played_m_s2)
     size = max(float(predicted_m_s2 @ predicted_m_s2), np.finfo(float).tiny)
 
     def error(shift_s: float) -> float:
@@ -53,7 +53,9 @@ def align(times_s: FloatArray, played_m_s2: FloatArray, at_s: FloatArray, predic
     errors = [error(shift) for shift in shifts]
     best = float(shifts[int(np.argmin(errors))])
     bounds = (max(best - SHIFT_STEP_S, -MOST_SHIFT_S), min(best + SHIFT_STEP_S, MOST_SHIFT_S))
-    found = optimize.minimize_scalar(error, bounds=bounds, method="bounded", options={"xatol": SHIFT_TOLERANCE_S})
+    found = scipy.optimize.minimize_scalar(
+        error, bounds=bounds, method="bounded", options={"xatol": SHIFT_TOLERANCE_S}
+    )
     shift = float(found.x)
     moved = np.asarray(spline(at_s + shift))
     return Aligned(shift, nrmse(moved, predicted_m_s2), moved)

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import signal
 
 from controller.record.metrics import MOST_SHIFT_S, align, rate_hardness_N_m, spectral_error_dB
 from controller.record.recorder import Contact
 from controller.servo.settings import Settings
 from controller.waveforms.prediction import Prediction, predict
 from transopt.base.filters import lowpass
+from transopt.base.recursions import filtered
 from transopt.base.signals import FloatArray, Signal, nrmse
 from transopt.library.library import Library
 from transopt.plant.intention import INTENTION_S
@@ -147,7 +147,7 @@ def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatA
     kept = np.exp(-pole)
     # x' = p (u - x) over one step with u going straight from u_0 to u_1.
     mean = (1 - kept) / pole
-    return np.asarray(signal.lfilter([1 - mean, mean - kept], [1.0, -kept], values))
+    return filtered(np.array([1 - mean, mean - kept]), np.array([1.0, -kept]), values)
 
 
 def before_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
@@ -156,7 +156,7 @@ def before_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatAr
     kept = np.exp(-pole)
     mean = (1 - kept) / pole
     # Minimum phase: (mean - kept) / (1 - mean) < 1 for every pole.
-    return np.asarray(signal.lfilter([1.0, -kept], [1 - mean, mean - kept], values))
+    return filtered(np.array([1.0, -kept]), np.array([1 - mean, mean - kept]), values)
 
 
 def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: float) -> Signal | str:

@@ -24,8 +24,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from transopt.base.filters import lowpass
 from transopt.base.signals import FloatArray, Signal
@@ -55,7 +55,7 @@ class Ratio:
 
 
 def _smooth(values: NDArray[np.complex128] | FloatArray, bins: int) -> NDArray[np.complex128]:
-    kernel = signal.windows.hann(2 * bins + 1)
+    kernel = scipy.signal.windows.hann(2 * bins + 1)
     padded = np.pad(values, bins, mode="reflect")
     return np.asarray(np.convolve(padded, kernel / kernel.sum(), mode="valid"), dtype=complex)
 

@@ -7,7 +7,7 @@ where the record is most like the predicted tap. What the accelerometer reads at
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from controller.record.metrics import MOST_SHIFT_S
 from controller.record.played import REST_S
@@ -91,8 +91,8 @@ def _where(x: Signal, prediction: Prediction) -> float | str:
     if steps >= x.values.size or steps < 2:
         return f"is {1e3 * (x.end_s - x.start_s):.1f} ms long: record from 20 ms before contact to 40 ms after it"
     measured = x.values - np.median(x.values)
-    products = signal.correlate(measured, wanted, mode="valid")
-    squares = np.maximum(signal.correlate(measured**2, np.ones(steps), mode="valid"), np.finfo(float).tiny)
+    products = scipy.signal.correlate(measured, wanted, mode="valid")
+    squares = np.maximum(scipy.signal.correlate(measured**2, np.ones(steps), mode="valid"), np.finfo(float).tiny)
     likeness: FloatArray = products / np.sqrt(squares * (wanted @ wanted))
     # If little is measured anything is alike: what stands out has to be there as well.
     likeness[squares < 0.25 * squares.max()] = 0.0

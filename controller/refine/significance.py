@@ -28,7 +28,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy import fft, stats
+import scipy
 
 from controller.refine.heard import fade_of
 from transopt.base.signals import FloatArray
@@ -75,7 +75,7 @@ class Window:
 
     def coefficients(self, values: FloatArray) -> FloatArray:
         """(..., K) of values (..., N) that are 0 where the window has ended."""
-        found = fft.dct(values[..., : self.samples], type=2, norm="ortho")
+        found = scipy.fft.dct(values[..., : self.samples], type=2, norm="ortho")
         return np.asarray(found[..., : self.size])
 
     def values(self, coefficients: FloatArray) -> FloatArray:
@@ -83,7 +83,7 @@ class Window:
         whole = np.zeros((*coefficients.shape[:-1], self.samples))
         whole[..., : self.size] = coefficients
         found = np.zeros((*coefficients.shape[:-1], self.fade.size))
-        found[..., : self.samples] = fft.idct(whole, type=2, norm="ortho")
+        found[..., : self.samples] = scipy.fft.idct(whole, type=2, norm="ortho")
         return found
 
 
@@ -204,7 +204,7 @@ class Scatter:
         tiny = np.finfo(float).tiny
         for band, variance, free in zip(self._bands, self._variance_of(tapped), self._free, strict=True):
             f = tapped.taps * float((wanted[band] ** 2).mean()) / max(variance, tiny)
-            chance = stats.f.sf(f, free, free * max(self.degrees, 1))
+            chance = scipy.stats.f.sf(f, free, free * max(self.degrees, 1))
             if chance < LEVEL / (among * len(self._bands)):
                 part[band] = 1 - 1 / f
         return part
@@ -228,7 +228,7 @@ class Scatter:
         deviation = float(np.sqrt(variance))
         t = value / max(deviation, float(np.finfo(float).tiny))
         degrees = max(self.degrees, 1)
-        return Gain(value, deviation, float(stats.t.sf(t, degrees)), float(stats.t.cdf(t, degrees)))
+        return Gain(value, deviation, float(scipy.stats.t.sf(t, degrees)), float(scipy.stats.t.cdf(t, degrees)))
 
     def deviation(self, tapped: Tapped) -> float:
         """Standard deviation of `Tapped.playback_error`."""

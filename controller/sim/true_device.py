@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import linalg
 
 from controller.servo.settings import AMPLIFIER, RE_25
 from transopt.base.errors import InputError
+from transopt.base.matrices import balanced
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.bridge import Bridge
@@ -282,10 +282,10 @@ def exponential(X: FloatArray) -> FloatArray:
     needs hundreds. Balancing puts positions, velocities and forces in units of one size, so that at most a few
     squarings are left; what the series leaves out is below 1e-19 of the balanced matrix.
     """
-    balanced, (size, _) = linalg.matrix_balance(X, permute=False, separate=True)
-    norm = float(np.abs(balanced).sum(axis=0).max())
+    even, size = balanced(X)
+    norm = float(np.abs(even).sum(axis=0).max())
     squarings = int(np.ceil(np.log2(max(2 * norm, 1.0))))
-    scaled, unit = balanced / 2.0**squarings, np.eye(X.shape[0])
+    scaled, unit = even / 2.0**squarings, np.eye(X.shape[0])
     value = unit
     for degree in range(16, 0, -1):  # Horner
         value = unit + scaled @ value / degree

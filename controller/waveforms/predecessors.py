@@ -6,7 +6,7 @@ the library's reference accelerations, which favours them: no one would tune the
 """
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
@@ -53,7 +53,7 @@ def fitted_sinusoid(library: Library) -> tuple[float, float, float]:
 
     starts = [np.log([f, b]) for f in np.geomspace(20, 500, 15) for b in np.geomspace(10, 3000, 10)]
     best = min(starts, key=left)
-    f_Hz, decay = np.exp(optimize.minimize(left, best, method="Nelder-Mead", options={"xatol": 1e-6}).x)
+    f_Hz, decay = np.exp(scipy.optimize.minimize(left, best, method="Nelder-Mead", options={"xatol": 1e-6}).x)
     return float(f_Hz), float(decay), _amplitude(shape(f_Hz, decay), library)[0]
 
 

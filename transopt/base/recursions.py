@@ -270,19 +270,21 @@ def _substituted(lower: FloatArray, forcing: FloatArray, *, transposed: bool) ->
 
 
 def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
-    """(..., K) output of the digital filter b / a from rest, with a_0 = 1: what `scipy.signal.lfilter` gives.
+    """(..., K) output of the digital filter b / a from rest: what `scipy.signal.lfilter` gives.
 
     `lfilter` itself is not used because a tap may have to be solved between approach and contact, and loading
-    scipy.signal takes longer than solving a hundred taps.
-    """
-    from scipy.linalg import blas
+    scipy.signal takes longer than solving a hundred taps. The states are those of its transposed direct form II.
 
-    K = values.shape[-1]
-    lower = np.repeat(a[:, None], K, axis=1)
-    found = np.empty(values.shape)
-    for course, its in zip(values.reshape(-1, K), found.reshape(-1, K), strict=True):
-        its[:] = blas.dtbsv(a.size - 1, lower, np.convolve(course, b)[:K], lower=1, diag=1)
-    return found
+    Parameters
+    ----------
+    b, a : coefficients of z^0, z^-1, ...
+    """
+    order = max(a.size, b.size) - 1
+    b, a = np.pad(b, (0, order + 1 - b.size)) / a[0], np.pad(a[1:], (0, order + 1 - a.size)) / a[0]
+    A = np.eye(order, k=1)
+    A[:, 0] -= a
+    system = LinearSystem(A, (b[1:] - a * b[0])[:, None], np.eye(1, order), b[:1, None])
+    return system.outputs(values[..., None, :])[..., 0, :]
 
 
 def strike(

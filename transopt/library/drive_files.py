@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import wavfile
 
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
@@ -129,7 +129,7 @@ def wav(drive: Drive) -> bytes:
         raise InputError(f"rate {rate_Hz:.10g} Hz: WAV states whole numbers; give --rate-Hz {round(rate_Hz)}")
     file = io.BytesIO()
     if depth.counts == 0:
-        wavfile.write(file, round(rate_Hz), drive.samples)
+        scipy.io.wavfile.write(file, round(rate_Hz), drive.samples)
         return file.getvalue()
     with wave.open(file, "wb") as writer:
         writer.setnchannels(1)

@@ -6,9 +6,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
-from scipy.io import savemat, wavfile
 
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
@@ -58,7 +57,7 @@ def mat_file(library: Library) -> bytes:
     cells = {name: arrays[name].astype(object) for name in texts}
     file = io.BytesIO()
     content = {**arrays, **cells}
-    savemat(file, content, do_compression=True)  # type: ignore[arg-type]  # scipy-stubs forgets file objects
+    scipy.io.savemat(file, content, do_compression=True)  # type: ignore[arg-type]  # scipy-stubs forgets file objects
     return file.getvalue()
 
 
@@ -158,12 +157,12 @@ def wav_file(library: Library) -> bytes:
                 pieces += [sound, silence]
     # Resampled as one stretch, so that the filter rings out into the silences instead of being cut off.
     ratio = Fraction(SOUND_RATE_HZ * grid.dt_s).limit_denominator(1000)
-    sound = signal.resample_poly(np.concatenate(pieces), ratio.numerator, ratio.denominator)
+    sound = scipy.signal.resample_poly(np.concatenate(pieces), ratio.numerator, ratio.denominator)
     peak = float(np.abs(sound).max())
     if peak > 0:
         sound = sound * (SOUND_PEAK / peak)
     file = io.BytesIO()
-    wavfile.write(file, SOUND_RATE_HZ, np.rint(sound).astype(np.int16))
+    scipy.io.wavfile.write(file, SOUND_RATE_HZ, np.rint(sound).astype(np.int16))
     return file.getvalue()
 
 

@@ -8,8 +8,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
+from transopt.base.recursions import LinearSystem
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
@@ -24,8 +24,8 @@ def currents(command_A: FloatArray, amplifier: Amplifier | None, dt_s: float) ->
     """(..., N + 1) current from rest under commands (..., N), at tau_0 to tau_N."""
     if amplifier is None:
         return np.concatenate([command_A, np.zeros((*command_A.shape[:-1], 1))], axis=-1)
-    decay = float(np.exp(-amplifier.rate_rad_s * dt_s))
-    after = signal.lfilter([1 - decay], [1.0, -decay], command_A, axis=-1)
+    decay = np.exp(-amplifier.rate_rad_s * dt_s).reshape(1, 1)
+    after = LinearSystem(decay, 1 - decay, decay, 1 - decay).outputs(command_A[..., None, :])[..., 0, :]
     return np.concatenate([np.zeros((*command_A.shape[:-1], 1)), after], axis=-1)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from transopt.base import recursions
@@ -13,6 +14,7 @@ from transopt.base.recursions import (
     Recursion,
     backwards,
     bilinear,
+    filtered,
     forwards,
     spline,
     spline_even,
@@ -148,3 +150,20 @@ def test_the_not_a_knot_spline_within_and_beyond_its_knots(K: int) -> None:
         np.testing.assert_allclose(spline(y[:, part], places), expected[:, part], atol=1e-11)
     even = spline_even(y[:, 0], -0.7, 0.23, 6 * K)
     np.testing.assert_allclose(even, CubicSpline(np.arange(K), y[:, 0])(-0.7 + 0.23 * np.arange(6 * K)), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("b", "a"),
+    [
+        ([0.1], [1.0, -0.9]),  # fewer zeros than poles
+        ([0.1, 0.3, -0.2], [1.0, -0.9]),  # more of them
+        ([1.0, -0.5], [0.7, 0.2]),  # a leading coefficient that is not 1
+        signal.butter(2, 0.2),
+        signal.butter(4, [0.1, 0.4], "bandpass"),
+    ],
+)
+def test_filtered_is_the_digital_filter_from_rest(b: list[float], a: list[float]) -> None:
+    values = np.random.default_rng(1).standard_normal((2, 3, 400))
+    expected = signal.lfilter(b, a, values)
+    found = filtered(np.asarray(b), np.asarray(a), values)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
