@@ -43,10 +43,11 @@ Words = Annotated[str, AfterValidator(_worded)]
 class Section(BaseModel):
     """A table of a settings file: unknown keys are refused, values never change after loading.
 
-    No number may be larger than its unit allows (`transopt.base.units`), whatever other bounds its key has.
+    No number may be larger than its unit allows (`transopt.base.units`), whatever other bounds its key has. The
+    validator of a table is built when the first table of its kind is made: a scene has few of all the kinds.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     __repr__ = brief
 
