@@ -3,15 +3,45 @@
 import gc
 import signal
 import sys
+from collections.abc import Sequence
 from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 INSTALLED = Path(__file__).parents[2]  # the folder that holds the packages, in a checkout as in site-packages
 # New objects between two searches for garbage. What a command loads it keeps, and most garbage goes without a search:
 # after Python's 700 new objects each, a search is made hundreds of times for nothing: a twentieth of the processor's
 # time of `transopt solve`. A call from Python gains less, and leaves the number to the program that it is a part of.
 COLLECTED_AFTER = 500_000
+
+
+ARTIST = "matplotlib.artist"
+
+
+class _Undocumented:
+    """Loads matplotlib's artists without the lists of their properties in the docstrings of their classes.
+
+    Matplotlib collects them from the docstrings of all setters whenever a figure's parts are imported: a third of
+    that import's time. A command shows none of them; who calls from Python finds them as ever.
+    """
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Spec of matplotlib's `artist`, which is executed and then states an empty list for every class."""
+        spec = PathFinder.find_spec(fullname, path, target) if fullname == ARTIST else None
+        if spec is None or spec.loader is None:
+            return None
+        execute = spec.loader.exec_module
+
+        def undocumented(module: ModuleType) -> None:
+            execute(module)
+            vars(module)["kwdoc"] = lambda artist: ""
+
+        vars(spec.loader)["exec_module"] = undocumented
+        return spec
 
 
 def start(module: str) -> None:
@@ -28,6 +58,7 @@ def start(module: str) -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     gc.set_threshold(COLLECTED_AFTER)
+    sys.meta_path.insert(0, _Undocumented())
     package = module.partition(".")[0]
     stranger = in_the_way(package)
     if stranger is not None:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.benches.places import ROOT
 from transopt.base.start import in_the_way
+from transopt.library.library import Library
 
 INTERRUPTED = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
 
@@ -76,18 +78,63 @@ def test_the_end_of_a_command_searches_nothing_for_garbage(tmp_path: Path) -> No
     assert left_out > 20 * searched
 
 
-def test_a_solve_loads_nothing_that_only_others_need(tmp_path: Path) -> None:
-    """What is loaded is a good part of the time of `transopt solve`: scipy.linalg and scipy.special a sixth of it."""
-    counted = (
-        "import atexit, sys; needless = ('linalg', 'fft', 'special', 'signal', 'sparse', 'optimize', 'interpolate');"
-        "atexit.register(lambda: print([name for name in needless if f'scipy.{name}' in sys.modules]))"
-    )
+# What a command must not load: each of these takes as long to load as a small library to solve.
+SCIPY = tuple(f"scipy.{room}" for room in ("linalg", "fft", "special", "signal", "sparse", "optimize", "interpolate"))
+FIGURES = ("matplotlib", "PIL")
+LOADS_NOT = {
+    "solve": ("casadi", *SCIPY),
+    "solve --no-figures": ("casadi", *FIGURES, *SCIPY),
+    "show out/wood_on_foam/library.npz": ("casadi", *FIGURES, *SCIPY),
+    "verify out/wood_on_foam/library.npz": ("casadi", *FIGURES, *SCIPY),
+    "compare out/wood_on_foam/library.npz out/wood_on_foam/library.npz": ("casadi", *FIGURES, *SCIPY),
+    "export out/wood_on_foam/library.npz wood.csv": ("casadi", *FIGURES, *SCIPY),
+    "scene list": ("numpy", "casadi", *FIGURES, *SCIPY),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, library: Library) -> Path:
+    """A folder with the library that the commands read, where they may write."""
+    place = tmp_path_factory.mktemp("commands")
+    (place / "out" / "wood_on_foam").mkdir(parents=True)
+    library.save(place / "out" / "wood_on_foam" / "library.npz")
+    return place
+
+
+def told_at_its_end(what: str, program: str, words: str, folder: Path) -> str:
+    """What an expression says at the end of a command, in a process of its own."""
+    counted = f"import atexit, sys; atexit.register(lambda: print({what}))"
     ended = subprocess.run(
-        [sys.executable, "-c", f"{counted}; from transopt.cli.start import transopt; transopt()", "solve"],
-        cwd=tmp_path,
+        [sys.executable, "-c", f"{counted}; from transopt.cli.start import {program}; {program}()", *words.split()],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))},
         capture_output=True,
         text=True,
         timeout=110,
         check=True,
     )
-    assert ended.stdout.splitlines()[-1] == "[]"
+    return ended.stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize("command", LOADS_NOT)
+def test_a_command_loads_nothing_that_only_others_need(folder: Path, command: str) -> None:
+    loaded = f"[name for name in {LOADS_NOT[command]} if name in sys.modules]"
+    assert told_at_its_end(loaded, "transopt", command, folder) == "[]"
+
+
+def test_a_simulated_tap_loads_no_filters_and_no_statistics(folder: Path) -> None:
+    loaded = "[name for name in ('casadi', 'matplotlib', 'scipy.signal', 'scipy.stats') if name in sys.modules]"
+    assert told_at_its_end(loaded, "play", "tap out/wood_on_foam/library.npz --simulate", folder) == "[]"
+
+
+def test_a_command_loads_matplotlib_without_lists_of_properties(folder: Path) -> None:
+    """What a command leaves out are docstrings of classes; what the classes can do is the same."""
+    line = "sys.modules['matplotlib.lines'].Line2D"
+    what = f"'alpha' in {line}.set.__doc__, {line}([0], [0], alpha=0.5).get_alpha()"
+    assert told_at_its_end(what, "transopt", "solve", folder) == "False 0.5"
+
+
+def test_who_calls_from_python_finds_matplotlib_documented() -> None:
+    from matplotlib.lines import Line2D
+
+    assert "alpha" in str(Line2D.set.__doc__)
