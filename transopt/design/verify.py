@@ -1,23 +1,25 @@
 """Every entry of a library made again from its file alone: certified, replayed, every stated figure recomputed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from transopt.base.signals import FloatArray
 from transopt.base.threads import one_blas_thread
 from transopt.design.batch import Batch
 from transopt.design.entry import Entry
 from transopt.design.optimum import optimum
-from transopt.library.answered import answer_of
+from transopt.library.answered import answers_of
 from transopt.library.library import Library
 from transopt.library.proven import departures
 from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.limits.limit import tolerated
+from transopt.problem.problem import TransientProblem
 from transopt.proof.admit import admit
 from transopt.proof.certify import Effect
 from transopt.solvers import unlimited
-from transopt.solvers.choose import prove
+from transopt.solvers.choose import prove, prove_all
 from transopt.solvers.options import SolverOptions
 
 
@@ -48,18 +50,16 @@ def verify_library(library: Library, progress: Callable[[int], None] = lambda do
 
 def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     nv, ng = library.command.shape[:2]
-    plant = library.scene().nonlinear_plant() if library.nonlinear else None
     options, checked = SolverOptions(), dict[tuple[int, int], Entry]()
 
-    def proof(effect: Effect, multipliers: Multipliers) -> Certificate:
-        return prove(effect.problem, effect.command, multipliers, options, effect=effect)
+    def proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
+        return prove_all(answers, options)
+
+    def free(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
+        return [solution.command for solution in unlimited.solve(problems)]
 
     for ig in range(ng):
-        stage = library.stage(ig)
-        designed = [
-            answer_of(library, iv, ig, stage, plant, proof, lambda problem: unlimited.solve([problem])[0].command)
-            for iv in range(nv)
-        ]
+        designed = answers_of(library, ig, proofs, free)
         told = [library.told(iv, ig) for iv in range(nv)]
         # A device with a wall plays the file's transient on top of its own feedback.
         played = library.command if library.wall() is None else library.transient_command

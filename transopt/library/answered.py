@@ -1,6 +1,6 @@
 """An answer as its command and its model alone have it, and the answers that a library file holds."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -9,7 +9,6 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.library.nonlinear import nonlinear_problem
-from transopt.plant.discretise import StageModel
 from transopt.plant.nonlinear import NonlinearCoil
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.objective.figures import Figures
@@ -163,58 +162,74 @@ class Stored(Answered):
         return self.designed.nonlinear.figures(self.linear_command).tap_error
 
 
-Prove = Callable[[Effect, Multipliers], Certificate]
-Free = Callable[[TransientProblem], FloatArray | None]
+Prove = Callable[[Sequence[tuple[Effect, Multipliers]]], list[Certificate]]
+Free = Callable[[Sequence[TransientProblem]], list[FloatArray | None]]
 
 
-def answer_of(
-    library: Library,
-    iv: int,
-    ig: int,
-    stage: StageModel,
-    plant: NonlinearCoil | None,
-    prove: Prove,
-    unlimited: Free,
-) -> Designed:
-    """The answer that an entry of a library states, proven anew.
+def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list[Designed]:
+    """The answers that the entries of one grip state, speed by speed, proven anew.
 
     Parameters
     ----------
-    stage : of the grip. plant : the nonlinear one; None for a linear plant.
-    prove : certificate of a command and its multipliers in a linear problem.
-    unlimited : (N,) the optimum of a problem without limits; None where it cannot be had.
+    prove : certificates of commands and their multipliers in linear problems.
+    unlimited : (N,) the optimum of each problem without limits; None where it cannot be had.
     """
-    problem, command, multipliers = (
-        library.problem(iv, ig, stage),
-        library.command[iv, ig],
-        library.multipliers(iv, ig),
-    )
+    stage, rows = library.stage(ig), range(library.speeds_m_s.size)
+    plant = library.scene().nonlinear_plant() if library.nonlinear else None
+    problems = [library.problem(iv, ig, stage) for iv in rows]
+    frees = _free_commands(problems, unlimited)
+    if plant is not None:
+        return [
+            _on_plant(library, iv, ig, plant, problem, free)
+            for iv, problem, free in zip(rows, problems, frees, strict=True)
+        ]
+    effects = [Effect(problem, library.command[iv, ig]) for iv, problem in zip(rows, problems, strict=True)]
+    answers = [_answer(library, iv, ig, Status.OPTIMAL) for iv in rows]
+    proofs = prove([(effect, answer.multipliers) for effect, answer in zip(effects, answers, strict=True)])
+    return list(map(_designed, problems, answers, proofs, effects, frees))
+
+
+def _free_commands(problems: Sequence[TransientProblem], unlimited: Free) -> list[FloatArray]:
+    """(N,) the optimum of each problem without limits; zero for a zero reference, NaN where it cannot be had."""
+    asked = [problem for problem in problems if not problem.reference_is_zero]
+    found = iter(unlimited([problem.without_intensity() for problem in asked]))
+    commands = [problem.rest if problem.reference_is_zero else next(found) for problem in problems]
+    return [
+        np.full_like(problem.rest, NAN) if command is None else command
+        for problem, command in zip(problems, commands, strict=True)
+    ]
+
+
+def _answer(library: Library, iv: int, ig: int, accepted: Status) -> Solution:
+    """Command, multipliers and status as the file states them; `accepted` is the status of an entry that holds."""
     claimed = str(library.status[iv, ig])
-    accepted = Status.OPTIMAL if plant is None else Status.STATIONARY
     status = Status.OPTIMAL if claimed == accepted.value else Status.NOT_CERTIFIED
-    answer = Solution(status, command, multipliers, "", claimed, 0, float(library.solve_time_s[iv, ig]))
-    free = problem.rest
-    if not problem.reference_is_zero:
-        found = unlimited(problem.without_intensity())
-        free = np.full_like(free, NAN) if found is None else found
+    spent = float(library.solve_time_s[iv, ig])
+    return Solution(status, library.command[iv, ig], library.multipliers(iv, ig), "", claimed, 0, spent)
+
+
+def _designed(
+    problem: TransientProblem, answer: Solution, proof: Certificate, effect: Effect, free: FloatArray
+) -> Designed:
     with np.errstate(invalid="ignore"):
         motion = problem.stage.motion(free)
     floor = problem.tap_error(motion.acceleration_m_s2)
-    peak = float(np.abs(motion.plant_input).max())
+    return Designed(
+        problem, answer, proof, effect, free, floor, float(np.abs(motion.plant_input).max()), {}, None, []
+    )
 
-    def designed(answer: Solution, proof: Certificate, effect: Effect) -> Designed:
-        return Designed(problem, answer, proof, effect, free, floor, peak, {}, None, [])
 
-    if plant is None:
-        effect = Effect(problem, command)
-        return designed(answer, prove(effect, multipliers), effect)
-    nonlinear = nonlinear_problem(library, iv, ig, plant)
-    on_plant = NonlinearEffect(nonlinear, command)
-    proof = certify_nonlinear(nonlinear, command, multipliers, effect=on_plant)
+def _on_plant(
+    library: Library, iv: int, ig: int, plant: NonlinearCoil, problem: TransientProblem, free: FloatArray
+) -> Designed:
+    """The answer that an entry of a nonlinear plant states, with the linear design beside it."""
+    answer, nonlinear = _answer(library, iv, ig, Status.STATIONARY), nonlinear_problem(library, iv, ig, plant)
+    effect = NonlinearEffect(nonlinear, answer.command)
+    proof = certify_nonlinear(nonlinear, answer.command, answer.multipliers, effect=effect)
     # Below 0 no sum of squares is.
     proof = replace(proof, lower_bound=0.0) if proof.finite else proof
     # The file has no multipliers of the linear design, so that its certificate proves no more than its limits.
     none, at_rest = Multipliers.zero(problem), Effect(problem, library.linear_command[iv, ig])
     stated = Solution(Status.NOT_CERTIFIED, at_rest.command, none, "", "", 0, 0.0)
-    linear = designed(stated, certify(problem, at_rest.command, none, effect=at_rest), at_rest)
-    return replace(designed(answer, proof, on_plant), nonlinear=nonlinear, linear=linear)
+    linear = _designed(problem, stated, certify(problem, at_rest.command, none, effect=at_rest), at_rest, free)
+    return replace(_designed(problem, answer, proof, effect, free), nonlinear=nonlinear, linear=linear)

@@ -12,7 +12,7 @@ stands in a library is therefore not believed before it plays, is shown or leave
 `transopt verify` compares by the same function, with what a replay by another integrator makes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.library.answered import Answered, Stored, answer_of
+from transopt.library.answered import Answered, Stored, answers_of
 from transopt.library.file import BROKEN, load_library
 from transopt.library.library import Library
 from transopt.library.multipliers import ARRAYS
@@ -86,10 +86,8 @@ def doubts(library: Library) -> Iterator[str]:
 
 
 def _of_grip(library: Library, ig: int) -> Iterator[str]:
-    stage, plant = library.stage(ig), library.scene().nonlinear_plant() if library.nonlinear else None
-    for iv in range(library.speeds_m_s.size):
+    for iv, designed in enumerate(answers_of(library, ig, _proofs, _unlimited)):
         where = f"entry {library.axes.place(iv, ig)}: "
-        designed = answer_of(library, iv, ig, stage, plant, _proof, _unlimited)
         if designed.solution.status is not Status.OPTIMAL:
             yield f"{where}its status is: {library.status[iv, ig]}"
             continue
@@ -100,6 +98,10 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
         again = Stored(designed, library.told(iv, ig), library.posing().objective)
         yield from (where + off for off in departures(library, iv, ig, again))
         yield from (where + off for off in _peaks(library, iv, ig, again))
+
+
+def _proofs(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
+    return [_proof(effect, multipliers) for effect, multipliers in answers]
 
 
 def _proof(effect: Effect, multipliers: Multipliers) -> Certificate:
@@ -130,23 +132,29 @@ def _boundable(problem: TransientProblem) -> bool:
     return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
 
 
-def _unlimited(problem: TransientProblem) -> FloatArray | None:
-    """(N,) the optimum of J without limits by the compiled pass; None without it, or where it loses digits."""
-    if problem.stage.motors > 1:
+def _unlimited(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
+    """(N,) the optima of J without limits by the compiled pass; None without it, or where it loses digits."""
+    if problems and problems[0].stage.motors > 1:
         # Only a library of several motors needs this import.
         from transopt.solvers import several
 
-        free = several.unlimited(problem)
-        return None if free is None else free.command
-    given = without_limits(problem)
-    if not available or given.sizes["states"] > MOST_STATES:
-        return None
-    (answer,) = linear_passes([given], PASS_GAP)
-    found = answer.code in (SOLVED, ACCURACY) and answer.relative_gap <= PASS_GAP
-    return given.free_command(answer.command) if found else None
+        found = [several.unlimited(problem) for problem in problems]
+        return [None if free is None else free.command for free in found]
+    given = [without_limits(problem) for problem in problems] if available else []
+    if not given or max(each.sizes["states"] for each in given) > MOST_STATES:
+        return [None] * len(problems)
+    return [
+        each.free_command(answer.command)
+        if answer.code in (SOLVED, ACCURACY) and answer.relative_gap <= PASS_GAP
+        else None
+        for each, answer in zip(given, linear_passes(given, PASS_GAP), strict=True)
+    ]
 
 
 def _peak(course: Any) -> float:
+    """Largest size in a course, or the size of one number, for which numpy takes ten times as long."""
+    if isinstance(course, float):
+        return abs(float(course))
     return float(np.abs(course).max(initial=0.0))
 
 

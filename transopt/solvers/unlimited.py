@@ -36,9 +36,16 @@ def solve(problems: Sequence[TransientProblem]) -> list[Solution]:
 
 def _beside(problem: TransientProblem) -> Solution:
     """Answer to a problem that the compiled pass of one motor does not take, or not far enough."""
-    return (
-        several.unlimited(problem) or sparse_kkt.solve(problem) if problem.stage.motors > 1 else solve_apart(problem)
-    )
+    if problem.stage.motors == 1:
+        return solve_apart(problem)
+    return several.unlimited(problem) or _by_sparse_system(problem)
+
+
+def _by_sparse_system(problem: TransientProblem) -> Solution:
+    # Only a problem that the compiled pass does not solve needs CasADi.
+    from transopt.solvers import sparse_kkt
+
+    return sparse_kkt.solve(problem)
 
 
 def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | None]:
@@ -83,7 +90,4 @@ def solve_sparse(problem: TransientProblem) -> Solution:
     with np.errstate(over="ignore", invalid="ignore"):
         if problem.wall is None and certify(problem, rest, Multipliers.zero(problem)).is_stationary:
             return Solution(Status.OPTIMAL, rest, Multipliers.zero(problem), "unlimited", "rest", 0, 0.0)
-        # Only a problem that the compiled pass does not solve needs CasADi.
-        from transopt.solvers import sparse_kkt
-
-        return sparse_kkt.solve(problem)
+        return _by_sparse_system(problem)
