@@ -242,7 +242,7 @@ class TestFigures:
 
     def test_an_entry_draws_its_own(self, build: to.Build) -> None:
         entry = build.entries[3][2]
-        above, below = entry.plot().axes
+        above, below, *_ = entry.plot().axes
         curves = [np.asarray(line.get_ydata()) for line in below.get_lines()]
         N = entry.plant_input.size
         assert any(curve.size == N + 300 and np.allclose(curve[:N], entry.plant_input) for curve in curves)

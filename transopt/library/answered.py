@@ -14,7 +14,7 @@ from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.objective.figures import Figures
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, binding_limits, certify
+from transopt.proof.certify import Effect, binding_limits, certify, effects
 from transopt.proof.designed import Designed
 from transopt.proof.nonlinear import NonlinearEffect, certify_nonlinear
 
@@ -183,10 +183,10 @@ def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list
             _on_plant(library, iv, ig, plant, problem, free)
             for iv, problem, free in zip(rows, problems, frees, strict=True)
         ]
-    effects = [Effect(problem, library.command[iv, ig]) for iv, problem in zip(rows, problems, strict=True)]
+    made = effects([(problem, library.command[iv, ig]) for iv, problem in zip(rows, problems, strict=True)])
     answers = [_answer(library, iv, ig, Status.OPTIMAL) for iv in rows]
-    proofs = prove([(effect, answer.multipliers) for effect, answer in zip(effects, answers, strict=True)])
-    return list(map(_designed, problems, answers, proofs, effects, frees))
+    proofs = prove([(effect, answer.multipliers) for effect, answer in zip(made, answers, strict=True)])
+    return list(map(_designed, problems, answers, proofs, made, frees))
 
 
 def _free_commands(problems: Sequence[TransientProblem], unlimited: Free) -> list[FloatArray]:

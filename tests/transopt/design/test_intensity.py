@@ -120,7 +120,7 @@ def test_what_is_out_of_reach_is_stated_in_dB(posed: Posed) -> None:
     assert found.price == pytest.approx(0.99)
     assert found.missing_dB > 1
     assert f"{found.missing_dB:.2f} dB are missing" in found.sentence
-    assert "no proof" in found.sentence
+    assert "does not prove" in found.sentence
     assert f"{found.waveform_dB:+.2f} dB" in found.sentence
 
 

@@ -64,5 +64,5 @@ class TestSlowPart:
 
     def test_without_either_nothing_is_left(self, one: Scene) -> None:
         blind = [replace(tap, position=None) for tap in recordings(one)]
-        with pytest.raises(InputError, match="no term of the error is left"):
+        with pytest.raises(InputError, match="no error term is left"):
             Context.recorded(with_values(one, {"weights.rapid": "none"}), blind).posed(0.2, 3.0)
