@@ -32,7 +32,8 @@ void board_start_ticks(void);
 uint32_t board_cycles(void);
 uint32_t board_period_cycles(void);
 
-/* Feed the watchdog, and give the monostable in the enable's line its edge. */
+/* Feed the watchdog, and give the monostable in the enable's line its edge. Not called once the loop has been away for
+ * half a second: the amplifier then loses its enable, and the watchdog starts everything anew. */
 void board_alive(bool level);
 
 /* What the encoder has counted since the start, all four edges. */
@@ -56,7 +57,8 @@ void board_hold(bool held);
 void board_wait(void);
 
 /* Bytes that have come from the host, at most `room`, and how many; and as many of these as the line takes now. Neither
- * waits. Nothing may be lost while the loop is away for 50 ms, in which it checks a library. */
+ * waits. Nothing may be lost while the loop is away for 50 ms, in which it checks a library. They never wait for long: a loop
+ * that is away for half a second counts as hanging. */
 size_t board_receive(uint8_t *bytes, size_t room);
 size_t board_send(const uint8_t *bytes, size_t size);
 

@@ -9,10 +9,13 @@
 #define NOTHING_IS_WIRED false /* true: without a motor, arms without having seen a test pulse of its own */
 #define SAFE_TICKS 1000 /* from the first tick until the amplifier may be enabled */
 #define SAFE_COUNTS ((uint32_t)OUTPUT_ZERO)
+#define LOOP_S 0.5 /* a loop that is away for longer hangs: the longest check of a library takes a tenth of it */
 
 static td_device device; /* td_device_start sets every byte */
 static uint64_t ticks;
 static uint32_t tick_began;
+static uint32_t loop_ticks;          /* of LOOP_S */
+static volatile uint32_t away_ticks; /* since the loop last came by */
 static bool powered; /* the amplifier is enabled */
 
 /* The command of this tick, from within td_device_step; the core has seen to its limits. */
@@ -41,7 +44,11 @@ void port_tick(void)
     td_readings readings;
     td_output output;
 
-    board_alive(ticks & 1);
+    /* The watchdog is to bite where either hangs: a tick that does not come feeds nothing, nor does one that comes alone. */
+    if (away_ticks < loop_ticks) {
+        away_ticks++;
+        board_alive(ticks & 1);
+    }
     /* While a current may flow a lost tick is a fault: a command was held for too long. */
     readings.late = powered && now - tick_began > period + period / 2;
     readings.host_stop = false;
@@ -109,9 +116,11 @@ int main(void)
     while (TD_DEVICE_BYTES != sizeof device)
         continue;
     td_device_start(&device, &port);
+    loop_ticks = (uint32_t)(LOOP_S / HARDWARE.dt_s);
     board_start_ticks();
     for (;;) {
         board_wait();
+        away_ticks = 0;
         keep_heat();
         td_device_receive(&device, coming, board_receive(coming, sizeof coming));
         if (sent == size) {

@@ -231,6 +231,18 @@ def test_each_tick_feeds_the_watchdog_and_shows_that_it_lives(teensy: Teensy) ->
     assert teensy.c.stub_feedings() == 4
 
 
+def test_without_its_loop_a_tick_feeds_no_watchdog_and_shows_no_life(teensy: Teensy) -> None:
+    half_a_second = round(0.5 / (1e-6 * teensy.c.stub_period_us()))
+    teensy.step(half_a_second + 1000)
+    assert teensy.c.stub_feedings() == half_a_second
+    level = teensy.c.stub_pin(ALIVE)
+    teensy.step()
+    assert teensy.c.stub_pin(ALIVE) == level
+    teensy.c.stub_loop()
+    teensy.step()
+    assert teensy.c.stub_feedings() == half_a_second + 1
+
+
 def test_what_it_says_of_itself_is_what_the_block_of_the_sketch_says(teensy: Teensy) -> None:
     device = connected(teensy).device
     assert device is not None
@@ -391,3 +403,55 @@ def test_a_port_links_only_with_a_core_of_its_own_precision_and_capacities(
     else:
         assert linked.returncode != 0
         assert f"td_device_of_{'float' if port == 'float' else 'double'}" in linked.stderr
+
+
+LOOP = """
+#include <stdio.h>
+#include <stdlib.h>
+#include "board.h"
+#include "hardware.h"
+static unsigned alive, came;
+static uint32_t kept[BOARD_KEPT];
+void board_start(void) {}
+uint32_t board_next_boot(void) { return 1; }
+void board_start_ticks(void) {}
+uint32_t board_cycles(void) { return 0; }
+uint32_t board_period_cycles(void) { return 16800; }
+void board_alive(bool level) { (void)level; alive++; }
+int32_t board_encoder(void) { return 0; }
+uint32_t board_converted(int input) { (void)input; return 2048; }
+bool board_stop_pressed(void) { return false; }
+void board_put(uint32_t counts, bool enabled) { (void)counts; (void)enabled; }
+void board_hold(bool held) { (void)held; }
+size_t board_receive(uint8_t *bytes, size_t room) { (void)bytes; (void)room; return 0; }
+size_t board_send(const uint8_t *bytes, size_t size) { (void)bytes; return size; }
+volatile uint32_t *board_kept(void) { return kept; }
+void board_wait(void)
+{
+    static const unsigned ticks[] = {1, 400, AWAY, 1};
+    unsigned j;
+    if (came > 0)
+        printf("%u ", alive);
+    alive = 0;
+    if (came == sizeof ticks / sizeof ticks[0])
+        exit(0);
+    for (j = 0; j < ticks[came]; j++)
+        port_tick();
+    came++;
+}
+"""
+
+
+def test_a_bare_board_shows_no_life_where_its_loop_hangs_in_the_ticks(tmp_path: Path) -> None:
+    try:
+        cc = compiler().command
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+    half_a_second = round(0.5 / BUILT.hardware.dt_s)
+    (tmp_path / "loop.c").write_text(LOOP)
+    port = FIRMWARE / "port"
+    own = ("-std=c11", f"-I{SRC}", f"-I{port}", f"-DAWAY={half_a_second + 700}u")
+    files = map(str, (tmp_path / "loop.c", port / "main.c", *sources(CORE)))
+    subprocess.run([*cc, *own, *files, "-lm", "-o", str(tmp_path / "loop")], check=True)
+    done = subprocess.run([str(tmp_path / "loop")], capture_output=True, text=True, check=True, timeout=60)
+    assert [int(word) for word in done.stdout.split()] == [1, 400, half_a_second, 1]

@@ -43,6 +43,7 @@ const uint8_t PIN_ACCELERATION = A0, PIN_GRIP = A1, PIN_CURRENT = A2; /* + pushe
 
 const uint32_t SAFE_TICKS = 1000;  /* from the first tick until the amplifier may be enabled */
 const float WATCHDOG_S = 0.5f;     /* its shortest */
+const float LOOP_S = 0.5f;         /* a loop that is away for longer hangs: the longest check takes a tenth of it */
 const uint8_t TIMER_PRIORITY = 16; /* above USB and everything else but faults */
 
 DMAMEM static td_device device; /* RAM2: td_device_start sets every byte */
@@ -50,7 +51,8 @@ static QuadEncoder encoder(1, PIN_ENCODER_A, PIN_ENCODER_B, 1);
 static WDT_T4<WDT1> watchdog;
 static IntervalTimer timer;
 static uint64_t ticks;
-static uint32_t tick_began, late_cycles;
+static uint32_t tick_began, late_cycles, loop_ticks;
+static volatile uint32_t away_ticks; /* since the loop last came by */
 static bool powered; /* the amplifier is enabled */
 
 /* The coil's temperature over a reset: three general-purpose registers of the battery-backed domain, which lie one after
@@ -141,8 +143,12 @@ static void tick()
     td_readings readings;
     td_output output;
 
-    watchdog.feed();
-    digitalWriteFast(PIN_ALIVE, ticks & 1);
+    /* The watchdog is to bite where either hangs: a tick that does not come feeds nothing, nor does one that comes alone. */
+    if (away_ticks < loop_ticks) {
+        away_ticks = away_ticks + 1;
+        watchdog.feed();
+        digitalWriteFast(PIN_ALIVE, ticks & 1);
+    }
     /* While a current may flow a lost tick is a fault: a command was held for too long. */
     readings.late = powered && now - tick_began > late_cycles;
     readings.host_stop = false;
@@ -227,6 +233,8 @@ void setup()
     td_device_start(&device, &port);
     Serial.begin(115200); /* USB: as fast as it goes, whatever is asked for */
     late_cycles = (uint32_t)(1.5 * HARDWARE.dt_s * F_CPU_ACTUAL);
+    loop_ticks = (uint32_t)(LOOP_S / HARDWARE.dt_s);
+    away_ticks = 0;
     timings.timeout = WATCHDOG_S;
     timings.trigger = 0;
     watchdog.begin(timings);
@@ -240,6 +248,7 @@ void loop()
     static uint8_t bytes[512]; /* as much as one USB packet, and a short hold */
     const int waiting = Serial.available(), room = Serial.availableForWrite();
 
+    away_ticks = 0;
     keep_heat();
     if (waiting > 0) {
         const size_t wanted = (size_t)waiting < sizeof bytes ? (size_t)waiting : sizeof bytes;
