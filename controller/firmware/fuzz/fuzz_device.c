@@ -2,7 +2,8 @@
  *
  * The fuzzer's bytes are a program: requests with sound checksums, configurations near a sound one and anywhere, any image,
  * any order, damaged bytes, restarts, and ticks with readings that are true, still, or absurd. Beside the device runs an
- * amplifier of its own with a pole anywhere in the hardware's range, and a coil of its own with the hardware's numbers.
+ * amplifier of its own with a pole anywhere in the hardware's range, late by as many ticks as a device may have, stated
+ * or not, and a coil of its own with the hardware's numbers.
  * After every tick:
  *
  *     the command is a number, inside the hardware's range, and zero where the amplifier is not enabled
@@ -32,6 +33,8 @@ td_device device;
 td_hardware hardware;
 
 static double true_A, winding_C, housing_C, pole_decay;
+static double commanded_A[TD_DELAY_TICKS + 1]; /* of the last ticks, the newest first */
+static int32_t late_ticks;                     /* by which the amplifier here answers them */
 static bool simulated;
 static uint64_t tick;
 static uint32_t boots;
@@ -39,7 +42,7 @@ static double height_counts, speed_counts, grip_N;
 static int32_t spent;
 static int32_t pulsed_ticks, rested_ticks; /* of the pulse that goes out, and since the last one */
 static double pulse_A, played_A, read_A;   /* the largest of the last pulses, and of the transients of the last arming */
-static double model_A;                     /* what the configuration's model expects */
+static double model_A[TD_DELAY_TICKS + 1]; /* what the configuration's model expects without its delay, the newest first */
 static int32_t wrong_ticks;
 static bool was_playing;
 static uint8_t had, tried_sha256[TD_HASH_BYTES]; /* bits of evidence at the last tick; library of the trial */
@@ -50,6 +53,13 @@ static void require(bool holds, const char *what)
         return;
     fprintf(stderr, "tick %llu: %s; true current %.9g A, winding %.6g C\n", (unsigned long long)tick, what, true_A, winding_C);
     abort();
+}
+
+/* One tick later, a new value at its beginning. */
+static void shift(double *row, double newest)
+{
+    memmove(row + 1, row, TD_DELAY_TICKS * sizeof *row);
+    row[0] = newest;
 }
 
 /* The coil's two nodes, by Euler over one period; i: the largest over it. */
@@ -117,18 +127,18 @@ static void judge_current(const td_readings *readings, const td_output *output)
 {
     const td_calibration *calibration = &device.store.config.calibration;
     const double read = (double)calibration->monitor_scale * (double)readings->current_A;
-    const double decay = (double)device.store.config.decay;
+    const double decay = (double)device.store.config.decay, expected_A = model_A[device.store.config.late_ticks];
 
     if (!device.store.configured) {
-        model_A = 0;
+        memset(model_A, 0, sizeof model_A);
         return;
     }
-    if (was_playing && output->state != TD_STATE_FAULT && fabs(read - model_A) > 0.32 + 0.31 * fabs(model_A))
+    if (was_playing && output->state != TD_STATE_FAULT && fabs(read - expected_A) > 0.32 + 0.31 * fabs(expected_A))
         wrong_ticks++;
     else
         wrong_ticks = 0;
     require(wrong_ticks * hardware.dt_s <= TD_WRONG_CURRENT_S + 2 * hardware.dt_s, "another current than was commanded");
-    model_A = decay * model_A + (1 - decay) * (double)output->command_A * (double)calibration->amplifier_scale;
+    shift(model_A, decay * model_A[0] + (1 - decay) * (double)output->command_A * (double)calibration->amplifier_scale);
     was_playing = output->state == TD_STATE_PLAYING;
 }
 
@@ -169,7 +179,8 @@ static void step(uint8_t mode)
     judge_pulse(&output);
     judge_evidence(&readings, &output);
     judge_current(&readings, &output);
-    true_A = pole_decay * true_A + (1 - pole_decay) * command;
+    shift(commanded_A, command);
+    true_A = pole_decay * true_A + (1 - pole_decay) * commanded_A[late_ticks];
     require(fabs(true_A) <= hardware.current_A * (1 + 1e-6), "beyond the true current");
     if (hardware.has_coil) {
         warm(fabs(true_A) > fabs(before) ? true_A : before);
@@ -312,7 +323,9 @@ static void restart(bool kept)
     td_device_start(&device, &port);
     line_restart();
     true_A = 0; /* an amplifier without power for the time of a restart */
-    model_A = pulse_A = played_A = read_A = 0;
+    memset(commanded_A, 0, sizeof commanded_A);
+    memset(model_A, 0, sizeof model_A);
+    pulse_A = played_A = read_A = 0;
     pulsed_ticks = wrong_ticks = 0;
     was_playing = false;
     had = 0;
@@ -345,6 +358,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     hardware.ambient_C = 30;
     simulated = (how & 128) != 0;
     pole_decay = exp(-2 * PI * hardware.pole_least_Hz * pow(hardware.pole_most_Hz / hardware.pole_least_Hz, part) * hardware.dt_s);
+    how = byte();
+    late_ticks = how % (TD_DELAY_TICKS + 1);
+    stated_late_ticks = how & 128 ? how / 8 % (TD_DELAY_TICKS + 1) : late_ticks;
     tick = 0;
     spent = leased_ticks = rested_ticks = 0;
     boots = 0;

@@ -9,7 +9,7 @@
 #define IMAGE_ROOM 20000
 #define NEXT_TO_NOTHING_A 1e-6
 
-int32_t leased_ticks;
+int32_t leased_ticks, stated_late_ticks;
 
 static const uint8_t *program;
 static size_t left;
@@ -130,7 +130,7 @@ static void sound_configuration(void)
         {TD_CFG_ACCELERATION_SCALE, 1}, {TD_CFG_HAS_ACCELEROMETER, 1}, {TD_CFG_GRIP_SCALE, 1},
         {TD_CFG_MONITOR_SCALE, 1}, {TD_CFG_AMPLIFIER_SCALE, 1}, {TD_CFG_PULSE_A, 0.05}, {TD_CFG_PULSE_TICKS, 20},
         {TD_CFG_PULSE_NODES, 1}, {TD_CFG_PULSE_GRIP_N_0, 3}, {TD_CFG_PULSE_ACCELERATION_0, 30},
-        {TD_CFG_PULSE_PATH_M_0, 1e-4}, {TD_CFG_HAS_AMPLIFIER, 1}, {TD_CFG_AMPLIFIER_DELAY_S, 68e-6},
+        {TD_CFG_PULSE_PATH_M_0, 1e-4}, {TD_CFG_HAS_AMPLIFIER, 1},
     };
     size_t j;
 
@@ -142,6 +142,8 @@ static void sound_configuration(void)
         number(stated[j].place, stated[j].value);
     number(TD_CFG_DT_S, hardware.dt_s);
     number(TD_CFG_CURRENT_LIMIT_A, hardware.current_A);
+    /* Half a tick beside whole ones, where that is not too much. */
+    number(TD_CFG_AMPLIFIER_DELAY_S, hardware.dt_s * (stated_late_ticks < TD_DELAY_TICKS ? stated_late_ticks + 0.5 : TD_DELAY_TICKS));
     number(TD_CFG_AMPLIFIER_POLE_HZ, sqrt(hardware.pole_least_Hz * hardware.pole_most_Hz));
     number(TD_CFG_AMPLIFIER_COMMAND_LIMIT_A, hardware.command_A);
 }

@@ -16,6 +16,9 @@ void line_begin(const uint8_t *data, size_t size);
 /* Ticks since the host last sent a LEASE, or a PULSE, which begins a lease of its own; counted by the harness. */
 extern int32_t leased_ticks;
 
+/* Whole ticks by which a sound configuration says that the amplifier is late. */
+extern int32_t stated_late_ticks;
+
 /* The device has started anew. */
 void line_restart(void);
 
