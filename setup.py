@@ -15,7 +15,7 @@ from setuptools.command.build_ext import build_ext
 FIRMWARE = Path("controller/firmware")
 SOLVER = Path("transopt/solvers/native")
 CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
-PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
+DRIVEN = [(FIRMWARE / "replay" / name).as_posix() for name in ("td_probe.c", "td_replay.c")]
 # By name: Windows exports nothing else, and elsewhere everything is exported.
 SOLVER_CALLS = [
     *("tr_interface", "tr_workspace", "tr_solve", "tr_linear", "tr_prove"),
@@ -27,7 +27,9 @@ RECURSION_CALLS = [
 ]
 CORE_CALLS = [
     *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),
-    *("td_probe_look", "td_probe_image", "td_probe_heat", "td_device_state", "td_device_receive", "td_device_send"),
+    *("td_probe_look", "td_probe_image", "td_probe_enabled", "td_probe_coil", "td_probe_heat"),
+    *("td_device_state", "td_device_receive", "td_device_send"),
+    *("td_replay_size", "td_replay_start", "td_replay_run", "td_replay_heat", "td_replay_coil"),
     *("td_decoder_start", "td_wire_encode", "td_sha256_of", "td_crc32"),
 ]
 
@@ -87,7 +89,7 @@ if __name__ == "__main__":
             ),
             Extension(
                 "controller.firmware._core",
-                [*CORE, PROBE],
+                [*CORE, *DRIVEN],
                 include_dirs=[(FIRMWARE / "src/core").as_posix(), (FIRMWARE / "replay").as_posix()],
                 export_symbols=CORE_CALLS,
                 optional=True,

@@ -11,8 +11,8 @@ import typer
 from key_pages import device_keys, scene_keys
 from page_tables import code, table
 
-from controller.servo.faults import FAULTS, SEEN_WHEN
 from controller.servo.interface import Notice, State
+from controller.servo.rules import SEEN_WHEN
 from controller.servo.settings import Settings
 from transopt.base import sizes
 from transopt.base.section import Section, meanings
@@ -88,7 +88,7 @@ def model_file() -> str:
 def faults() -> str:
     """What makes a device give up, in the order in which it is looked for."""
     numbers = {field.name: field.default for field in fields(Settings)}
-    rows = [[code(rule.fault.name), SEEN_WHEN[rule.fault].format_map(numbers), rule.fault.value] for rule in FAULTS]
+    rows = [[code(fault.name), seen.format_map(numbers), fault.value] for fault, seen in SEEN_WHEN.items()]
     return table(["fault", "seen when", "what it says"], rows)
 
 

@@ -22,8 +22,9 @@ from typer import Option
 
 import problems
 import transopt as to
+from controller.firmware.core_servo import CoreServo
+from controller.host.payload import payload_of
 from controller.protocol.image import bank_of, image_of
-from controller.servo.guard import Guard
 from controller.servo.settings import Settings
 from controller.sim.simulator import Coil
 from controller.waveforms.bank import Bank, bank
@@ -36,7 +37,7 @@ from transopt.plant.coil import effective_square
 from transopt.problem.objective.bands import JUST_NOTICED_dB
 from transopt.problem.objective.figures import FELT_Hz, Figures
 from transopt.problem.objective.weighting import bandpass
-from transopt.problem.warm_coil import currents
+from transopt.problem.warm_coil import WarmCoil, currents
 from transopt.scene.keys import with_values
 
 SCENE, SHARE, SPEED_M_S = "wood_on_foam", 0.36, 0.3
@@ -190,10 +191,12 @@ class Minutes:
 
 def taps_for(library: Library, stored: Bank, minutes: float, seed: int) -> Minutes:
     """Random taps at the nodes, as the servo decides on each, beside the coil's true temperature."""
-    settings, coil = Settings.of(library), library.coil()
+    coil, given = library.coil(), payload_of(library)
     assert coil is not None
+    settings = replace(given.settings, coil=coil)
     dt_s, N = library.dt_s, library.command.shape[2]
-    guard, true = Guard(coil, dt_s, settings.withhold_K, settings.least_scale), Coil(coil)
+    guard, true = CoreServo(settings, given.image), Coil(coil)
+    warm = WarmCoil.of(coil, dt_s, settings.withhold_K, settings.least_scale)
     random, hottest = np.random.default_rng(seed), coil.start_winding_C
     played, levels = Counter[str](), []
     commands = np.stack([library.transient_command, cool_of(library).transient_command])
@@ -203,7 +206,8 @@ def taps_for(library: Library, stored: Bank, minutes: float, seed: int) -> Minut
     while now_s < until_s:
         iv, ig = (int(random.integers(0, nodes)) for nodes in library.command.shape[:2])
         play = stored.at(float(library.speeds_m_s[iv]), float(library.grips_N[ig]))
-        scale, second = guard.allowed(play.transient_A, play.cool_transient_A, play.feedback_A, N + 1)
+        norms_A = play.transient_A, play.cool_transient_A, play.feedback_A
+        scale, second = warm.allowed(*guard.coil_C(), *norms_A, N + 1)
         word = "withheld" if scale <= 0 else "scaled" if scale < 1 else "blended" if second > 0 else "whole"
         played[word] += 1
         if scale > 0:
@@ -212,8 +216,7 @@ def taps_for(library: Library, stored: Bank, minutes: float, seed: int) -> Minut
         spare_s = 1 / TAPS_A_SECOND - N * dt_s - LEAST_PAUSE_S
         pause = np.zeros(round((LEAST_PAUSE_S + random.exponential(spare_s)) / dt_s))
         course = np.concatenate([current, pause])
-        for each in course.tolist():
-            guard.step(each)
+        guard.heat(course, course.size)
         squares = effective_square(course)
         for part in np.array_split(squares, max(course.size // 100, 1)):
             true.step(float(part.mean()), part.size * dt_s)

@@ -12,11 +12,10 @@ from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.host.connection import Connection
 from controller.host.payload import Payload, excitation_settings_of
 from controller.servo.interface import State
-from controller.servo.loop import Clock
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
 from controller.sim.holding import HoldingHand
-from controller.sim.port import SimulatedPort, core_end
+from controller.sim.port import Clock, SimulatedPort, core_end
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import SETTLE_S, TappingHand, tap_of

@@ -116,7 +116,8 @@ def _compiled(flags: tuple[str, ...]) -> Path:
     NoCompilerError : no compiler, and none was installed or flags are asked for.
     """
     try:
-        return build("probe", [*sources(CORE), REPLAY / "td_probe.c"], flags=flags, shared=True)
+        own = [REPLAY / "td_probe.c", REPLAY / "td_replay.c"]
+        return build("probe", [*sources(CORE), *own], flags=flags, shared=True)
     except NoCompilerError:
         if flags or not INSTALLED.exists():
             raise
@@ -124,7 +125,13 @@ def _compiled(flags: tuple[str, ...]) -> Path:
 
 
 @functools.cache
-def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
+def core_library(flags: tuple[str, ...] = ()) -> ctypes.CDLL:
+    """The core and what drives it from here, with the types of all calls.
+
+    Raises
+    ------
+    NoCompilerError : it can neither be compiled here nor was it when the package was built.
+    """
     library = ctypes.CDLL(str(_compiled(flags)))
     pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
     for name in (
@@ -133,6 +140,7 @@ def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
         "td_probe_decode",
         "td_wire_encode",
         "td_device_send",
+        "td_replay_size",
     ):
         getattr(library, name).restype = size
     for name in ("td_probe_step", "td_device_state"):
@@ -154,10 +162,15 @@ def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
     library.td_sha256_of.argtypes = [ctypes.c_char_p, size, pointer]
     library.td_crc32.argtypes = [ctypes.c_uint32, ctypes.c_char_p, size]
     library.td_crc32.restype = ctypes.c_uint32
+    library.td_replay_start.argtypes = [pointer, ctypes.c_char_p, size, ctypes.c_char_p, size]
+    library.td_replay_start.restype = ctypes.c_bool
+    library.td_replay_run.argtypes = [pointer, pointer, size, pointer]
+    library.td_replay_heat.argtypes = [pointer, pointer, size, size, pointer]
+    library.td_replay_coil.argtypes = [pointer, pointer]
     return library
 
 
-class _Aligned:
+class Aligned:
     """Zeroed memory for one struct."""
 
     def __init__(self, size: int) -> None:
@@ -168,26 +181,26 @@ class _Aligned:
 def encode(payload: bytes) -> bytes:
     """`wire.encode` by the core."""
     frame = ctypes.create_string_buffer(ENCODED_LIMIT + 1)
-    size = _probe(()).td_wire_encode(payload, len(payload), frame)
+    size = core_library().td_wire_encode(payload, len(payload), frame)
     return frame.raw[:size]
 
 
 def sha256(data: bytes) -> bytes:
     digest = ctypes.create_string_buffer(32)
-    _probe(()).td_sha256_of(data, len(data), digest)
+    core_library().td_sha256_of(data, len(data), digest)
     return digest.raw
 
 
 def crc32(data: bytes) -> int:
-    return int(_probe(()).td_crc32(0, data, len(data)))
+    return int(core_library().td_crc32(0, data, len(data)))
 
 
 class Decoder:
     """`wire.Decoder` by the core."""
 
     def __init__(self) -> None:
-        self._library = _probe(())
-        self._decoder = _Aligned(self._library.td_probe_decoder_size())
+        self._library = core_library()
+        self._decoder = Aligned(self._library.td_probe_decoder_size())
         self._library.td_decoder_start(self._decoder.at)
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -233,8 +246,8 @@ class CoreDevice:
         simulated: bool = False,
         heat_C: tuple[float, float] | None = (25.0, 25.0),
     ) -> None:
-        self._library, self.tick = _probe(flags), 0
-        self._device = _Aligned(self._library.td_probe_device_size())
+        self._library, self.tick = core_library(flags), 0
+        self._device = Aligned(self._library.td_probe_device_size())
         limits = Hardware() if hardware is None else hardware
         stated = [float(value) for value in astuple(limits)]
         numbers, heat = (ctypes.c_double * len(stated))(*stated), (ctypes.c_double * 2)(*(heat_C or 2 * (math.nan,)))

@@ -14,7 +14,6 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.image import bank_of, image_of, too_large
 from controller.protocol.messages import HelloReply
 from controller.record.excitation import sweep_command
-from controller.servo.guard import Guard
 from controller.servo.settings import AMPLIFIER, RE_25, Settings
 from controller.waveforms.bank import Bank, Method, bank
 from transopt.base.errors import InputError
@@ -23,7 +22,7 @@ from transopt.base.writing import rounded_down
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
 from transopt.plant.coil import CoilModel
-from transopt.problem.warm_coil import currents, norms
+from transopt.problem.warm_coil import WarmCoil, currents, norms
 from transopt.scene.scene import Scene
 
 EXCITATION_LIMIT_A = 1.25  # of a device that knows no coil: what the built-in motor bears continuously
@@ -276,8 +275,10 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
             )
     size = norms(current, s.amplifier, s.dt_s)
     if s.coil is not None:
-        guard = Guard(s.coil, s.dt_s, s.withhold_K, s.least_scale)
-        rise, left = guard.rise_K(float(size[0, 0]), 0.0, N + 1, 1.0), guard.play_limit_C - guard.winding_C
+        warm = WarmCoil.of(s.coil, s.dt_s, s.withhold_K, s.least_scale)
+        winding_C, housing_C = s.coil.start_winding_C, s.coil.start_housing_C
+        rise = warm.rise(winding_C, housing_C, float(size[0, 0]), 0.0, N + 1, 1.0)
+        left = warm.play_limit_C - winding_C
         if rise > left:
             raise InputError(
                 f"sweep: may heat the coil by {rise:.3g} K, {left:.3g} K are left below its limit: "

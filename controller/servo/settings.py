@@ -62,7 +62,7 @@ class Settings:
 
     count_m : encoder, at the tip. surface_counts : reading at the surface; for an encoder that rounds down
         half a count less than for one that rounds to the nearest, since at 0.1 m/s half a count is a tick.
-    window_ticks : of the fit to the approach. 100 was chosen by measurement, see `approach`.
+    window_ticks : of the fit to the approach. 100 was chosen by measurement, see td_approach.h of the core.
     least_speed_m_s : a slower touch taps nothing; well above the fit's noise, 1 mm/s at worst.
     touch_height_m : leaving the surface means to be above this, four counts, and moving out.
     rearm_height_m, rearm_s : a further tap plays only after that long above that height. A rebound of the stylus or

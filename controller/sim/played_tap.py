@@ -5,13 +5,14 @@ library and truth.
 """
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from controller.record.metrics import align
-from controller.servo.interface import Event, Fault, Notice, Output
-from controller.servo.loop import Servo, run
+from controller.servo.interface import Event, Fault, Notice, Output, Plant, Readings
 from controller.sim.simulated_tap import AFTER_S, SimulatedTap, approach_ticks, tap_simulator
 from controller.sim.simulator import Trace
 from controller.sim.true_device import TrueDevice, device_of
@@ -20,6 +21,29 @@ from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
 
 UNTOUCHED_S = 0.5e-3  # before the lead the motion is the user's alone
+
+
+class Servo(Protocol):
+    """What plays: `firmware.core_servo.CoreServo`, or an oracle of it."""
+
+    def arm(self) -> object: ...
+
+    def step(self, readings: Readings) -> Output: ...
+
+
+def run(plant: Plant, servo: Servo, ticks: int, observe: Callable[[Readings, Output], None] | None = None) -> None:
+    """Let `ticks` servo periods pass in virtual time.
+
+    Parameters
+    ----------
+    observe : called once per tick with what was read and answered.
+    """
+    for _ in range(ticks):
+        readings = plant.readings()
+        output = servo.step(readings)
+        plant.advance(output.command_A)
+        if observe is not None:
+            observe(readings, output)
 
 
 @dataclass(frozen=True)
@@ -106,7 +130,7 @@ def play_tap(
     outputs: list[Output] = []
     servo.arm()
     ticks = approach_ticks(tap.speed_m_s, grid.dt_s) + int(np.ceil((grid.end_s + after_s) / grid.dt_s)) + 1
-    run(simulator, servo, ticks, grid.dt_s, observe=lambda _, output: outputs.append(output))
+    run(simulator, servo, ticks, lambda _, output: outputs.append(output))
     trace = simulator.trace()
     times = trace.times_s - _contact_s(trace, expected, grid.lead_s)
     acceleration = trace.acceleration_m_s2

@@ -6,19 +6,38 @@ Time passes only while the host waits in `read`, by one servo period at a time: 
 gives the same run. The core is the firmware's, compiled for this machine.
 """
 
+import time
 from typing import Protocol
 
 from controller.firmware.build import NoCompilerError
 from controller.firmware.core_device import CoreDevice, DeviceEnd
 from controller.protocol.capacity import Capacity, Hardware
 from controller.servo.interface import Output, Readings
-from controller.servo.loop import SLEEP_S, Clock
 from controller.servo.settings import Settings
 from controller.sim.virtual_link import Link
 from transopt.base.errors import InputError
 
 SIMULATED = "sim:"
 BOOT = 1
+SLEEP_S = 1e-3  # shorter waits are not slept: the next ticks catch up
+
+
+class Clock(Protocol):
+    """Real time; `time.monotonic` and `time.sleep` as `WallClock`, something faster in tests."""
+
+    def now_s(self) -> float: ...
+
+    def sleep(self, duration_s: float) -> None: ...
+
+
+class WallClock:
+    """For people who watch."""
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, duration_s: float) -> None:
+        time.sleep(duration_s)
 
 
 class World(Protocol):

@@ -18,13 +18,12 @@ from precision.wheels import piqp_multistage
 import problems
 from common.measuring import elapsed_ms, forget, timed
 from common.peers import commonly_written
-from controller.servo.loop import run as play
-from controller.servo.servo import Servo
-from controller.servo.settings import Settings
+from controller.firmware.core_servo import CoreServo
+from controller.host.payload import payload_of
+from controller.sim.played_tap import run as play
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import RepeatedTaps
-from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
@@ -343,20 +342,19 @@ def iterations(problem: TransientProblem, runs: int) -> Iterations:
 
 def servo_and_simulator(library: Library, runs: int) -> Row:
     """A simulated second of random taps (servo, plant, sensors, hand), new in every run, so that none is cached."""
-    settings, table = Settings.of(library), bank(library)
-    device, ticks = device_of(scene_of(library)), round(1 / settings.dt_s)
+    given = payload_of(library)
+    device, dt_s = device_of(scene_of(library)), given.settings.dt_s
+    ticks = round(1 / dt_s)
     seeds = iter(range(runs + 1))
 
     def second() -> None:
         seed = next(seeds)
-        servo = Servo(settings, table)
+        servo = CoreServo(given.settings, given.image)
         servo.arm()
         imperfections = Imperfections(mismatch=0.1)
         # Without friction the motion is exact in any step; one before and one after the delay's end.
-        simulator = Simulator(
-            device, RepeatedTaps(seed), settings.dt_s, imperfections=imperfections, seed=seed, steps=1
-        )
-        play(simulator, servo, ticks, settings.dt_s)
+        simulator = Simulator(device, RepeatedTaps(seed), dt_s, imperfections=imperfections, seed=seed, steps=1)
+        play(simulator, servo, ticks)
 
     times = timed(runs, online=second)["online"]
     return row("online", "servo + simulator", "one virtual second of random taps, two steps per tick", ticks, times)

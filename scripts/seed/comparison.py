@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import problems
+from controller.firmware.core_servo import CoreServo
+from controller.host.payload import payload_of
 from controller.record.metrics import MOST_SHIFT_S, align
-from controller.servo.servo import Servo
-from controller.servo.settings import Settings
 from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import AFTER_S, SimulatedTap
 from controller.sim.simulator import NONE, Imperfections
@@ -66,14 +66,13 @@ class Kit:
         RuntimeError : the servo went to FAULT, so that there is nothing to compare.
         """
         speed_m_s, grip_N = condition
-        settings = Settings.of(self.library)
-        if method is Method.PROPORTIONAL:
-            settings = Settings.of(self.library, wall=self.wall)
+        wall = {"wall": self.wall} if method is Method.PROPORTIONAL else {}
+        given = payload_of(self.library, self.banks[method], **wall)
         imperfections = NONE if device == NOMINAL else Imperfections(mismatch=MISMATCH)
         tap = SimulatedTap(speed_m_s, grip_N, seed=device, imperfections=imperfections)
         # To the end of the tail, wherever a shift may move it.
         after_s = max(AFTER_S, self.library.time_grid().after_stages * self.library.dt_s + 2 * MOST_SHIFT_S)
-        played = play_tap(self.library, Servo(settings, self.banks[method]), tap, after_s=after_s)
+        played = play_tap(self.library, CoreServo(given.settings, given.image), tap, after_s=after_s)
         if played.faults:
             raise RuntimeError(f"{method.value}, device {device}, {speed_m_s:g} m/s, {grip_N:g} N: {played.events}")
         return played

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from controller.servo.interface import Fault, Notice, Output, Readings
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank
+from tests.benches.oracle.servo import Servo
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.wall import Wall
 

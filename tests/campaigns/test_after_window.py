@@ -18,12 +18,12 @@ import numpy as np
 import typer
 
 import problems
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank
+from tests.benches.oracle.servo import Servo
 from tests.campaigns.harness import JsonFile, PartFile, Seed, at_least, long_form, write_json, write_part
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2

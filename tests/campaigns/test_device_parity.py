@@ -19,9 +19,9 @@ from typer import Option
 
 from controller.protocol.codes import EVENTS
 from controller.protocol.image import image_of
-from controller.servo.guard import Guard
 from controller.servo.settings import Settings
 from tests.benches.core_replay import Core, Recorder, Rows, write_runs
+from tests.benches.oracle.guard import Guard
 from tests.campaigns.harness import LibraryFile, Seed, at_least, library_of, long_form
 from tests.campaigns.parity_runs import TAIL, draw_bank, random_run, tap_run
 from transopt.plant.coil import CoilModel

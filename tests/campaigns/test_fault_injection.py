@@ -17,9 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from controller.servo.crosscheck import Crosscheck
 from controller.servo.interface import Fault, Output, Readings, State
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.simulated_tap import approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
@@ -27,6 +25,8 @@ from controller.sim.true_device import device_of
 from controller.sim.user import TapUser, Tremor
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import scene_of
+from tests.benches.oracle.crosscheck import Crosscheck
+from tests.benches.oracle.servo import Servo
 from tests.campaigns.harness import LibraryFile, Seed, at_least, library_of, long_form
 from transopt.library.library import Library
 from transopt.plant.intention import Intention

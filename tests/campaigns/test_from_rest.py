@@ -7,7 +7,7 @@ A stylus rests 1 to 5 mm above the surface in a hand that trembles (0.1 mm at 8 
 and is pushed down with 5 to 30 m/s^2: by a constant force, along a minimum-jerk course that ends 20 mm below the
 surface, or by a half sine of 20 ms. The encoder rounds down, at a phase of its own in every tap. The courses are made
 here, by closed formulas, and have nothing to do with the simulator. What is compared is the instant of contact that
-the fit foresees (`controller.servo.approach`) in the tick that holds the first command, with the course's own;
+the fit foresees (`tests.benches.oracle.approach`) in the tick that holds the first command, with the course's own;
 the trigger says whether the tap would have been played. Beside them stand steady approaches.
 
 Prints one table. It fails if taps from rest, all courses together, miss by more than 25 us rms, or if one would
@@ -20,8 +20,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from controller.servo.approach import Approach, Touch, Trigger
 from controller.servo.settings import Settings
+from tests.benches.oracle.approach import Approach, Touch, Trigger
 from tests.campaigns.harness import Seed, at_least, long_form, show
 from transopt.base.signals import FloatArray
 

@@ -39,7 +39,6 @@ import typer
 import problems
 from controller.record.metrics import align
 from controller.refine.heard import Node, nodes_of
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
 from controller.sim.played_tap import play_tap
@@ -50,6 +49,7 @@ from controller.sim.true_device import TrueDevice
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from problems.generators.strikes import write_csv
+from tests.benches.oracle.servo import Servo
 from tests.campaigns.harness import PartFile, Seed, at_least, long_form, numbers_of, show, write_json, write_part
 from tests.campaigns.loop_stages import IDENTIFIED, ROUND, TRUTH, Stage, figure, in_markdown, shortfalls, table
 from transopt.base import terminal

@@ -19,13 +19,13 @@ import pytest
 
 from controller.record.metrics import align
 from controller.servo.interface import Notice
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.waveforms.bank import Bank, Method, bank
 from controller.waveforms.prediction import predict
+from tests.benches.oracle.servo import Servo
 from tests.campaigns.harness import JsonFile, LibraryFile, at_least, library_of, long_form, write_json
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library

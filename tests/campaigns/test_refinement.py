@@ -45,7 +45,6 @@ from controller.record.metrics import align
 from controller.refine.heard import Heard, Node, nodes_of
 from controller.refine.recorded import recorded_tap
 from controller.refine.rounds import Refined, refine
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
 from controller.sim.played_tap import play_tap
@@ -54,6 +53,7 @@ from controller.sim.simulator import Imperfections
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from tests.benches.libraries import part_of
+from tests.benches.oracle.servo import Servo
 from tests.benches.other_device import (
     ACCELEROMETER_HZ,
     HAND,

@@ -25,14 +25,14 @@ import pytest
 from typer import Option
 
 from controller.servo.interface import Fault, Notice, Output, Readings, State
-from controller.servo.loop import run as play
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
+from controller.sim.played_tap import run as play
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import RepeatedTaps, Tremor
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import scene_of
+from tests.benches.oracle.servo import Servo
 from tests.campaigns.harness import LibraryFile, Seed, library_of, long_form
 from tests.campaigns.test_fault_injection import INJECTIONS, Injection, inject
 from transopt.library.library import Library
@@ -231,7 +231,7 @@ def soak(
     left = round(duration_s / settings.dt_s)
     while left > 0:
         ticks = min(TURN_TICKS, left)
-        play(simulator, servo, ticks, settings.dt_s, observe=witness)
+        play(simulator, servo, ticks, witness)
         left -= ticks
         if servo.state is State.FAULT and servo.reset():
             servo.arm()

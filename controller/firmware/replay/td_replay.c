@@ -69,6 +69,12 @@ void td_replay_run(td_replay *replay, const uint8_t *input, size_t ticks, uint8_
     }
 }
 
+void td_replay_coil(const td_replay *replay, double *heat_C)
+{
+    heat_C[0] = (double)replay->servo.guard.winding_C;
+    heat_C[1] = (double)replay->servo.guard.housing_C;
+}
+
 void td_replay_heat(td_replay *replay, const double *size_A, size_t ticks, size_t every, double *winding_C)
 {
     size_t k;

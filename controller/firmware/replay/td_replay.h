@@ -43,6 +43,9 @@ bool td_replay_start(
 
 void td_replay_run(td_replay *replay, const uint8_t *input, size_t ticks, uint8_t *output);
 
+/* The coil as the servo estimates it: winding and housing. */
+void td_replay_coil(const td_replay *replay, double *heat_C);
+
 /* Only the coil: `ticks` periods with |i| = size_A[0], size_A[1], ... in turn, temperature after each `every` ticks. */
 void td_replay_heat(td_replay *replay, const double *size_A, size_t ticks, size_t every, double *winding_C);
 

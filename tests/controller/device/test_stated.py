@@ -5,8 +5,8 @@ import pytest
 
 from controller.device.device_file import BUILT_IN, DeviceFile, Encoder, Grip, Limits, Period
 from controller.device.stated import assumed_grip_N, grip_in_words, library_numbers, servo_numbers
-from controller.servo.approach import Approach, Touch, Trigger
 from controller.servo.settings import Settings
+from tests.benches.oracle.approach import Approach, Touch, Trigger
 from transopt.base.errors import InputError
 from transopt.library.library import Library
 

@@ -126,10 +126,10 @@ def test_without_a_compiler_the_core_that_was_installed_runs(monkeypatch: pytest
     if not core_device.INSTALLED.exists():
         pytest.skip("the package was installed without a compiler")
     monkeypatch.setenv("CC", "no-such-compiler")
-    core_device._probe.cache_clear()
+    core_device.core_library.cache_clear()
     try:
         assert CoreDevice(BOOT).look().boot == BOOT
         with pytest.raises(NoCompilerError, match="no-such-compiler"):
             CoreDevice(BOOT, flags=("-DTD_MAX_LIBRARY_SAMPLES=300001",))
     finally:
-        core_device._probe.cache_clear()
+        core_device.core_library.cache_clear()

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from controller.servo.approach import BEND_COUNTS, NEVER, STEADY_BEND_COUNTS, Approach, Touch, Trigger
 from controller.servo.settings import Settings
+from tests.benches.oracle.approach import BEND_COUNTS, NEVER, STEADY_BEND_COUNTS, Approach, Touch, Trigger
 from tests.campaigns import test_from_rest as from_rest
 from transopt.base.signals import FloatArray
 

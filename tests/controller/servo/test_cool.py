@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.protocol.image import bank_of, image_of
-from controller.servo.guard import Guard
 from controller.waveforms.bank import Bank, Play
 from tests.benches.compiled import TAIL, cooled, smooth_bank
+from tests.benches.oracle.guard import Guard
 from tests.benches.servo import AMPLIFIER
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import CoilModel, effective_square

@@ -2,8 +2,9 @@
 
 import pytest
 
-from controller.servo.crosscheck import FOLLOW_STILL_S, Crosscheck
+from controller.servo.rules import FOLLOW_STILL_S
 from controller.servo.settings import Settings
+from tests.benches.oracle.crosscheck import Crosscheck
 
 
 def test_a_path_without_a_count_grows_until_the_stylus_counts_as_at_rest(stated: Settings) -> None:

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 
-from controller.servo.guard import CEILING_C, Guard
 from controller.waveforms.bank import Bank, bank
+from tests.benches.oracle.guard import CEILING_C, Guard
 from transopt.library.library import Library
 from transopt.plant.coil import CoilModel, effective_square
 from transopt.problem.warm_coil import currents, norms

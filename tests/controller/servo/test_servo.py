@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.servo.interface import Notice, Readings, State
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method, bank
+from tests.benches.oracle.servo import Servo
 from tests.benches.servo import AMPLIFIER, CONTACT, COUNT_M, DECAY, DT_S, WALL, Bench, tap_m
 from transopt.base.errors import InputError
 from transopt.library.library import Library

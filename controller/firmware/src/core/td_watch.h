@@ -1,4 +1,4 @@
-/* What makes the servo give up (controller/servo/faults.py). */
+/* What makes the servo give up (tests/benches/oracle/faults.py). */
 #ifndef TD_WATCH_H
 #define TD_WATCH_H
 

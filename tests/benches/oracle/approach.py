@@ -1,32 +1,7 @@
-"""How fast the stylus comes in and when it will touch, from encoder counts.
+"""How fast the stylus comes in and when it will touch, from encoder counts: oracle of td_approach.c.
 
-A parabola is fitted by least squares to the last readings and evaluated `lead` ahead of the newest, which is where
-the contact lies when the waveform has to start. A line would have to be short, since a hand that accelerates at
-2 m/s^2 biases its slope. Rms errors of the speed and of the contact time over simulated taps at 0.1 m/s:
-
-                    line 3 ms       line 5 ms       parabola 6 ms   parabola 10 ms
-    steady          0.6 %, 11 us    0.2 %,  7 us    1.0 %, 16 us    0.3 %,  7 us
-    2 m/s^2         3.6 %, 27 us    5.6 %, 56 us    1.1 %, 16 us    0.6 %, 12 us
-
-At 0.05 m/s the parabola over 10 ms (2 m/s^2) gives 1.2 %, 25 us; at 0.4 m/s 0.15 %, 2.6 us; at 1 m/s 0.12 %, 1.9 us.
-Longer windows would ask for more than 10 ms of undisturbed approach.
-
-A tap from rest close above the surface begins within the window, or its acceleration changes there, and a parabola is
-then no more what the readings follow. That shows in them as a part of the cubic that is orthogonal to every parabola
-(`bend_row`). Where it is more than twice what rounding alone makes of it, the newer half of the window is
-taken. At a steady speed near a whole number of counts per tick rounding is a slow sawtooth, and makes more of it:
-where the paths of the two halves differ by no more than an eighth and two counts, more is asked for. Rms errors of
-the contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2, at 24.5 um per count
-(`tests/campaigns/test_from_rest.py`):
-
-                    10 ms alone     5 ms alone      10 or 5 ms
-    constant force  9 us            14 us           9 us
-    minimum jerk    19 us           15 us           12 us
-    half sine       64 us           22 us           28 us
-    0.1 m/s         13 us           21 us           13 us
-
-Steady approaches keep the whole window, and with it the errors above. The sums are of integers, so a sliding update
-is exact and costs the same for every window.
+A parabola is fitted by least squares to the last readings, or to their newer half where the motion bends; td_approach.h
+has what was measured. The sums are of integers, so a sliding update is exact and costs the same for every window.
 """
 
 import math

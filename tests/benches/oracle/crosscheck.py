@@ -4,23 +4,22 @@ A stylus that moves, by its accelerometer, while its encoder stands still has a 
 while its accelerometer is silent has a dead accelerometer. Neither is seen by any of the sensors alone.
 """
 
+from controller.servo.rules import (
+    ABSURD_M_S2,
+    DEAD_M_S2,
+    FOLLOW_FAR_M,
+    FOLLOW_PART,
+    FOLLOW_RATE_1_S,
+    FOLLOW_STILL_S,
+    QUIET_BLOCK_S,
+    QUIET_BLOCKS,
+    QUIET_M_S2,
+    QUIET_PUSH_M_S2,
+    QUIET_SWING_A,
+    STUCK_COUNTS,
+    STUCK_LEAST_M,
+)
 from controller.servo.settings import Settings
-
-# How the accelerometer's motion is drawn to the encoder's at each count: an observer of third order, its poles all
-# at this rate, quick enough for a scale that is 20 % off, slow enough for the quantum of a count. Its third state is
-# the offset that gravity and a tilted hand leave in the reading.
-FOLLOW_RATE_1_S = 200.0
-FOLLOW_PART = 0.5  # of the time between two counts, at the least, that the rate spans: rare counts draw more softly
-FOLLOW_FAR_M = 5e-3  # further apart the two tell of nothing common: begin anew
-FOLLOW_STILL_S = 20e-3  # after so long without a count an integral of the acceleration says nothing: at rest
-ABSURD_M_S2 = 1e4  # a reading that is larger, or no number, counts as none
-STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # of motion that no encoder sleeps through; a fine one's counts are too few
-QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g: less is silence where current shakes
-DEAD_M_S2 = 0.1  # less is a wire that nothing hangs on: it has no noise of its own, and tells of no motion
-QUIET_BLOCK_S, QUIET_BLOCKS = 1e-3, 5  # of the window that slides over the readings
-# So far the current must swing within the window, and so hard must that push by the device's own prediction. A
-# current that stands still proves nothing: a sound stylus that is held by 3.9 A feels 0.03 g.
-QUIET_SWING_A, QUIET_PUSH_M_S2 = 1.0, 9.80665
 
 
 class Crosscheck:

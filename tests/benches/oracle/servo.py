@@ -19,12 +19,12 @@ contact arrays are touched, to blend the waveform.
 import math
 from collections import deque
 
-from controller.servo.approach import Approach, Touch, Trigger
-from controller.servo.faults import FAULTS, Watch
-from controller.servo.guard import Guard
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Play
+from tests.benches.oracle.approach import Approach, Touch, Trigger
+from tests.benches.oracle.faults import FAULTS, Watch
+from tests.benches.oracle.guard import Guard
 
 SATURATED_A = 1e-3  # a cut below this is rounding of the waveforms, not worth telling
 NOTHING: tuple[Event, ...] = ()
