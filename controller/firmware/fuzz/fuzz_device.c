@@ -12,6 +12,7 @@
  *     a pulse keeps the hardware's size and length, comes after a rest, and only while a lease runs
  *     evidence of a pulse or of a trial came of a current that flowed and was read; a trial's is of the library in force
  *     a current that is read as another than the model expects ends a transient within 2 ms
+ *     the library in force is the one that was sent, whatever was recorded into the memory of the next
  */
 #include <math.h>
 #include <stdio.h>
@@ -20,6 +21,7 @@
 
 #include "fuzz_line.h"
 #include "td_bytes.h"
+#include "td_sha256.h"
 
 #define MOST_TICKS 30000 /* of one input */
 #define PUSH_M_S2_A 30 /* as the configuration predicts it */
@@ -140,6 +142,17 @@ static void judge_current(const td_readings *readings, const td_output *output)
     require(wrong_ticks * hardware.dt_s <= TD_WRONG_CURRENT_S + 2 * hardware.dt_s, "another current than was commanded");
     shift(model_A, decay * model_A[0] + (1 - decay) * (double)output->command_A * (double)calibration->amplifier_scale);
     was_playing = output->state == TD_STATE_PLAYING;
+}
+
+static void judge_library(void)
+{
+    const td_store *store = &device.store;
+    uint8_t digest[TD_SHA256_BYTES];
+
+    if (store->size == 0)
+        return;
+    td_sha256_of(store->images[store->current], store->size, digest);
+    require(memcmp(digest, store->library_sha256, sizeof digest) == 0, "another library than was sent");
 }
 
 static void step(uint8_t mode)
@@ -395,5 +408,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         default: steps(); break;
         }
     }
+    judge_library();
     return 0;
 }

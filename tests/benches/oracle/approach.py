@@ -1,7 +1,7 @@
 """How fast the stylus comes in and when it will touch, from encoder counts: oracle of td_approach.c.
 
-A parabola is fitted by least squares to the last readings, or to their newer half where the motion bends; td_approach.h
-has what was measured. The sums are of integers, so a sliding update is exact and costs the same for every window.
+A parabola is fitted by least squares to the last readings, or to their newer half where the motion bends; what was
+measured stands in td_approach.h. The sums are of integers, so a sliding update is exact.
 """
 
 import math

@@ -102,12 +102,33 @@ const td_told *td_events_due(td_events *events)
     return &events->queue[(events->first + events->sent++) % TD_EVENT_QUEUE];
 }
 
-void td_records_restart(td_records *records, uint16_t every)
+void td_records_restart(td_records *records, uint16_t every, uint8_t *lent, size_t bytes)
 {
     records->every = every;
     records->skip = 0;
     records->first = records->size = 0;
     records->next = 0;
+    records->lent = lent;
+    records->capacity = TD_MAX_RECORDS + (lent == NULL ? 0 : (int32_t)(bytes / TD_KEPT_BYTES));
+}
+
+void td_records_give_back(td_records *records)
+{
+    if (records->lent == NULL)
+        return;
+    records->first = records->size = 0;
+    records->lent = NULL;
+    records->capacity = TD_MAX_RECORDS;
+}
+
+/* Where the record lies that comes so many behind the oldest. */
+static uint8_t *kept(td_records *records, int32_t behind)
+{
+    int32_t at = records->first + behind;
+
+    if (at >= records->capacity)
+        at -= records->capacity;
+    return at < TD_MAX_RECORDS ? records->own[at] : records->lent + (size_t)(at - TD_MAX_RECORDS) * TD_KEPT_BYTES;
 }
 
 /* For a float32: what is beyond its range is infinite. */
@@ -137,46 +158,50 @@ static void write_record(uint8_t *at, const td_readings *readings, const td_outp
 void td_records_step(td_records *records, const td_readings *readings, const td_output *output, td_real command_A,
                      bool heard)
 {
-    int32_t at;
+    uint8_t *at;
 
     if (records->every == 0)
         return;
     if (records->skip == 0) {
         records->skip = records->every;
-        if (heard && records->size < TD_MAX_RECORDS) {
-            at = (records->first + records->size++) % TD_MAX_RECORDS;
-            write_record(records->records[at], readings, output, command_A);
-            records->number[at] = records->next;
-            records->tick[at] = readings->tick;
+        if (heard && records->size < records->capacity) {
+            at = kept(records, records->size++);
+            td_put_u32(at, records->next);
+            write_record(at + 4, readings, output, command_A);
         }
         records->next++;
+        records->tick = readings->tick;
     }
     records->skip--;
 }
 
 size_t td_records_take(td_records *records, uint64_t tick, uint8_t *body)
 {
-    const int32_t first = records->first;
     uint8_t *at = body + TD_TELEMETRY_DATA_RECORDS;
+    uint32_t number;
+    uint64_t first_tick;
     int32_t count = 0;
 
-    if (records->size == 0 || (records->size < TD_RECORDS_LIMIT &&
-                               tick - records->tick[first] + 1 < (uint64_t)records->hold_ticks))
+    if (records->size == 0)
         return 0;
-    td_put_u32(body + TD_TELEMETRY_DATA_FIRST, records->number[first]);
-    td_put_u64(body + TD_TELEMETRY_DATA_TICK, records->tick[first]);
+    number = td_get_u32(kept(records, 0));
+    first_tick = records->tick - (uint64_t)(records->next - 1 - number) * records->every;
+    if (records->size < TD_RECORDS_LIMIT && tick - first_tick + 1 < (uint64_t)records->hold_ticks)
+        return 0;
+    td_put_u32(body + TD_TELEMETRY_DATA_FIRST, number);
+    td_put_u64(body + TD_TELEMETRY_DATA_TICK, first_tick);
     td_put_u16(body + TD_TELEMETRY_DATA_EVERY, records->every);
-    while (count < TD_RECORDS_LIMIT && count < records->size) {
-        const int32_t j = (first + count) % TD_MAX_RECORDS;
+    for (; count < records->size && count < TD_RECORDS_LIMIT; count++, at += TD_RECORD_BYTES) {
+        const uint8_t *record = kept(records, count);
 
         /* Records of one frame follow each other without a gap. */
-        if (records->number[j] != records->number[first] + (uint32_t)count)
+        if (td_get_u32(record) != number + (uint32_t)count)
             break;
-        memcpy(at, records->records[j], TD_RECORD_BYTES);
-        at += TD_RECORD_BYTES;
-        count++;
+        memcpy(at, record + 4, TD_RECORD_BYTES);
     }
-    records->first = (first + count) % TD_MAX_RECORDS;
+    records->first += count;
+    if (records->first >= records->capacity)
+        records->first -= records->capacity;
     records->size -= count;
     return (size_t)(at - body);
 }

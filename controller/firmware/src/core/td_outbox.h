@@ -59,20 +59,27 @@ void td_events_tick(td_events *events);
 /* The next one that is to be sent in this tick, NULL after the last. */
 const td_told *td_events_due(td_events *events);
 
+#define TD_KEPT_BYTES (4 + TD_RECORD_BYTES) /* number of a record, with a gap where there was no room; what is sent of it */
+
 /* Telemetry records of every n-th tick: a ring that the tick fills, and frames are made of outside of it, full ones or
- * where the oldest record has waited long enough. */
+ * where the oldest record has waited long enough. Behind its own memory it uses what it is lent, so that a slow line may
+ * send afterwards what it does not carry meanwhile. */
 typedef struct {
-    uint8_t records[TD_MAX_RECORDS][TD_RECORD_BYTES];
-    uint32_t number[TD_MAX_RECORDS]; /* of each; a gap where there was no room */
-    uint64_t tick[TD_MAX_RECORDS];
+    uint8_t own[TD_MAX_RECORDS][TD_KEPT_BYTES];
+    uint8_t *lent;    /* NULL without */
+    int32_t capacity; /* records, those in lent memory included */
     int32_t first, size;
     int32_t hold_ticks;
     uint16_t every, skip; /* every: 0 for none */
     uint32_t next;        /* number of the next record */
+    uint64_t tick;        /* of the one before it */
 } td_records;
 
-/* One record every so many ticks from now on, numbered from 0. */
-void td_records_restart(td_records *records, uint16_t every);
+/* One record every so many ticks from now on, numbered from 0. `lent`: memory for more of them, `bytes` long; or NULL. */
+void td_records_restart(td_records *records, uint16_t every, uint8_t *lent, size_t bytes);
+
+/* Lent memory is wanted back: whatever waits is lost, which its numbers tell. */
+void td_records_give_back(td_records *records);
 
 /* One tick; `heard`: somebody listens. `command_A`: what was applied. */
 void td_records_step(td_records *records, const td_readings *readings, const td_output *output, td_real command_A,

@@ -273,7 +273,8 @@ static td_refusal begin(td_device *device, const uint8_t *body)
 
     if (found.reason != 0)
         return found;
-    /* The servo knows nothing of what is arriving, and it may be long. */
+    /* The servo knows nothing of what is arriving, and it may be long; but the tick may be recording there. */
+    td_records_give_back(&device->records);
     hold(device, false);
     found = td_store_begin(&device->store, td_get_u32(body + TD_UPLOAD_BEGIN_LENGTH), body + TD_UPLOAD_BEGIN_SHA256);
     hold(device, true);
@@ -304,7 +305,8 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
     case TD_KIND_GAIN:
         return change_gain(device, td_get_f64(body + TD_GAIN_GAIN));
     case TD_KIND_TELEMETRY:
-        td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY));
+        td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY), td_store_spare(&device->store),
+                           TD_MAX_IMAGE_BYTES);
         return td_granted;
     case TD_KIND_PULSE:
         return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS),

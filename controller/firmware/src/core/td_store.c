@@ -63,6 +63,11 @@ const td_bank *td_store_bank(const td_store *store)
     return store->size > 0 ? &store->banks[store->current] : NULL;
 }
 
+uint8_t *td_store_spare(td_store *store)
+{
+    return store->length == 0 ? arriving(store) : NULL;
+}
+
 td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha256)
 {
     if (length > TD_MAX_IMAGE_BYTES)

@@ -32,6 +32,9 @@ void td_store_configured(td_store *store, const uint8_t *sha256, const td_config
 /* The bank in force, NULL without. */
 const td_bank *td_store_bank(const td_store *store);
 
+/* Memory of TD_MAX_IMAGE_BYTES in which nothing is kept until an image is coming; NULL while one is. */
+uint8_t *td_store_spare(td_store *store);
+
 /* An image is coming; `arrived` then says from where it goes on, if it was interrupted or is in force already. */
 td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha256);
 

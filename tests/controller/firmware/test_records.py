@@ -1,0 +1,156 @@
+"""Telemetry that waits for the line: what a device keeps, where, and what it sends of it; an oracle of the ring."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from controller.firmware.core_device import CoreDevice
+from controller.protocol import messages as m
+from controller.protocol.image import sha256
+from controller.protocol.messages import RECORDS_LIMIT, Record
+from controller.protocol.packed import Packed
+from controller.servo.interface import State
+from tests.benches.device import ARM, IMAGE, REST, Talker, image
+
+pytestmark = pytest.mark.usefixtures("c_compiler")
+OWN, LIBRARY_SAMPLES, SPEEDS, GRIPS = 64, 4000, 4, 4
+SMALL = (
+    f"-DTD_MAX_RECORDS={OWN}",
+    f"-DTD_MAX_LIBRARY_SAMPLES={LIBRARY_SAMPLES}",
+    f"-DTD_MAX_SPEEDS={SPEEDS}",
+    f"-DTD_MAX_GRIPS={GRIPS}",
+)
+# TD_MAX_IMAGE_BYTES: header, axes, two tables of nodes, samples of 2 bytes; a record with its number.
+IMAGE_BYTES = 72 + 8 * (SPEEDS + GRIPS + 2 * SPEEDS * GRIPS) + 2 * LIBRARY_SAMPLES
+KEPT = OWN + IMAGE_BYTES // (4 + Record.FORMAT.size)
+PRECISIONS = {"double": (), "single": ("-DTD_REAL_FLOAT",)}
+
+
+@pytest.fixture(params=PRECISIONS)
+def bench(request: pytest.FixtureRequest) -> Talker:
+    """A small device with a library, of each precision."""
+    device = CoreDevice(7, flags=(*SMALL, *PRECISIONS[request.param]), simulated=True)
+    return Talker(device).ready()
+
+
+@dataclass
+class Ring:
+    """What of the records a device has, by their numbers: the newest are dropped where there is no room."""
+
+    room: int
+    kept: list[int] = field(default_factory=list)
+    next: int = 0
+
+    def tick(self) -> None:
+        if len(self.kept) < self.room:
+            self.kept.append(self.next)
+        self.next += 1
+
+    def take(self, count: int) -> list[int]:
+        out, self.kept = self.kept[:count], self.kept[count:]
+        return out
+
+
+def run(bench: Talker, ticks: int) -> None:
+    """Let ticks pass, of which the accelerometer tells the numbers; nothing is sent."""
+    for _ in range(ticks):
+        bench.step(1, replace(REST, acceleration_m_s2=float(bench.tick)))
+
+
+def say(bench: Talker, message: Packed) -> list[int]:
+    """Ask for something that is granted; numbers of the records that come with the answer."""
+    heard = bench.tell(message)
+    assert [one for one in heard if isinstance(one, m.Done | m.UploadReady | m.Ack)], heard
+    return numbers(heard)
+
+
+def numbers(heard: Sequence[object]) -> list[int]:
+    """Numbers of the records that were heard, in order; each is the one that it says, of the tick that it says."""
+    found = []
+    for one in heard:
+        if not isinstance(one, m.TelemetryData):
+            continue
+        records = [
+            Record.unpack(one.records[at : at + Record.FORMAT.size])
+            for at in range(0, len(one.records), Record.FORMAT.size)
+        ]
+        assert len(records) <= RECORDS_LIMIT
+        for j, record in enumerate(records):
+            assert record.acceleration_m_s2 == pytest.approx(one.tick + j * one.every)
+        found += list(range(one.first, one.first + len(records)))
+    return found
+
+
+def test_what_does_not_go_out_is_kept_in_the_memory_of_the_next_library(bench: Talker) -> None:
+    before = bench.device.image()
+    bench.done(m.Telemetry(1))
+    run(bench, KEPT + 500)
+    assert numbers(bench.heard()) == list(range(KEPT))
+    assert bench.device.image() == before == IMAGE
+    # After them the numbers tell how many were lost.
+    run(bench, 2 * RECORDS_LIMIT)
+    assert numbers(bench.heard())[0] == KEPT + 500
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_the_ring_is_its_oracle_for_any_pattern_of_sending(bench: Talker, every: int) -> None:
+    """Frames are taken one by one at random; the ring goes round in its own memory and in what it is lent."""
+    random, ring = np.random.default_rng(every), Ring(KEPT)
+    bench.done(m.Telemetry(every))
+    begun, heard, meant = bench.tick, [], []
+    for _ in range(60):
+        for _ in range(int(random.integers(1, 900))):
+            run(bench, 1)
+            if (bench.tick - 1 - begun) % every == 0:
+                ring.tick()
+        if random.random() < 0.7:
+            heard += numbers(bench.heard())
+            # Frames that are not full wait for the hold, of which the oracle knows nothing: it follows what went out.
+            meant += ring.take(len(heard) - len(meant))
+            assert heard == meant
+    assert len(heard) > 5 * KEPT / every
+    assert np.diff(heard).max() > 1
+
+
+def test_an_upload_takes_the_memory_back_and_its_library_is_sound(bench: Talker) -> None:
+    bench.done(m.Telemetry(1))
+    run(bench, KEPT)
+    other = image(samples=70)
+    heard = say(bench, m.UploadBegin(len(other), sha256(other)))
+    assert heard == []
+    run(bench, OWN + 100)
+    for offset in range(0, len(other), m.DATA_LIMIT):
+        heard += say(bench, m.Data(offset, other[offset : offset + m.DATA_LIMIT]))
+    heard += say(bench, m.Commit())
+    assert bench.device.image() == other
+    # What waited is lost, which its numbers tell, and what came after it had the device's own memory alone.
+    assert heard == list(range(KEPT, KEPT + OWN))
+    bench.done(m.Telemetry(1))
+    run(bench, KEPT + 500)
+    assert numbers(bench.heard()) == list(range(KEPT))
+    assert bench.device.image() == other
+
+
+def test_while_a_library_is_arriving_nothing_is_recorded_into_it(bench: Talker) -> None:
+    other = image(samples=70)
+    heard = say(bench, m.UploadBegin(len(other), sha256(other)))
+    half = 300
+    assert half < len(other)
+    heard += say(bench, m.Data(0, other[:half]))
+    bench.done(m.Telemetry(1))
+    run(bench, KEPT)
+    for offset in range(half, len(other), m.DATA_LIMIT):
+        heard += say(bench, m.Data(offset, other[offset : offset + m.DATA_LIMIT]))
+    heard += say(bench, m.Commit())
+    assert heard == list(range(OWN))
+    assert bench.device.image() == other
+
+
+def test_a_library_plays_while_the_memory_of_the_next_is_full_of_records(bench: Talker) -> None:
+    bench.done(m.Telemetry(1))
+    run(bench, KEPT + 10)
+    say(bench, ARM)
+    assert bench.device.state is State.ARMED
+    assert bench.device.image() == IMAGE
