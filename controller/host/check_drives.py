@@ -11,11 +11,12 @@ from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened
 from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED
 from controller.record.played import PlayedTap, played_tap
-from controller.record.recorder import AFTER_S, Recorder
+from controller.record.recorder import Recorder
 from controller.servo.interface import Notice
 
 MEASURED_PAIRS = 4  # of single pulses, where no library predicts them
-SLACK_S = 0.5  # after what the device does by itself, for the last telemetry
+SLACK_S = 0.5  # after what the device does by itself, for its events
+AROUND_S = (0.03, 0.06)  # a contact, of which every tick is taken: what is compared, and the rest before it
 
 
 def pulses(check: Check) -> Verdict:
@@ -29,13 +30,9 @@ def pulses(check: Check) -> Verdict:
         _measure(check)
     s, pairs = check.settings, pairs_of(check.described)
     begin = len(check.happened)
-
-    def ended() -> bool:
-        return any(event.what is LinkNotice.PULSE_ENDED for event in check.happened[begin:])
-
     check.device.pulse(s.pulse_A, s.pulse_ticks, pairs)
     longest_s = 2 * pairs * (s.pulse_ticks * s.dt_s + REST_BETWEEN_PULSES_S)
-    if not check.wait(ended, longest_s + SLACK_S):
+    if check.wait_for(LinkNotice.PULSE_ENDED, begin, longest_s + SLACK_S) is None:
         raise FailedError("the pulses were cut")
     found = check.device.evidence()
     check.note(current=found.current_ratio, acceleration=found.acceleration_ratio, path=found.path_ratio)
@@ -88,9 +85,18 @@ def _need_sound(check: Check, current: float, acceleration: float) -> None:
 
 def _single(check: Check, size_A: float) -> tuple[float, float] | None:
     """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
-    s, wanted = check.settings, check.settings.pulse_ticks
+    s, wanted, begin = check.settings, check.settings.pulse_ticks, len(check.happened)
     check.device.pulse(size_A, wanted)
-    check.device.listen(REST_BETWEEN_PULSES_S + wanted * check.dt_s + REST_BETWEEN_PULSES_S / 2)
+    with check.every_tick():
+        end = check.wait_for(LinkNotice.PULSE_ENDED, begin, REST_BETWEEN_PULSES_S + wanted * check.dt_s + SLACK_S)
+        if end is None:
+            raise FailedError("the pulse was cut")
+        check.catch_up(end.tick + s.pulse_skip_ticks)
+        return _of_single(check, size_A)
+
+
+def _of_single(check: Check, size_A: float) -> tuple[float, float] | None:
+    s, wanted = check.settings, check.settings.pulse_ticks
     records, before = [record for _, record in check.records], check.ticks(REST_BETWEEN_PULSES_S / 2)
     latest = np.flatnonzero([record.command_A != 0 for record in records])[-wanted:]
     if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:
@@ -108,14 +114,10 @@ def trial_sweep(check: Check) -> Verdict:
     check.person.asked("hold the stylus, or leave it alone, still: it will tremble for a moment")
     check.need_rest()
     begin = len(check.happened)
-
-    def ended() -> bool:
-        return any(event.what is Notice.FINISHED for event in check.happened[begin:])
-
     check.device.arm(TRIAL_GAIN, trial=True)
     try:
         check.device.start()
-        done = check.wait(ended, check.patience_s)
+        done = check.wait_for(Notice.FINISHED, begin, check.patience_s) is not None
     finally:
         check.device.disarm()
     return "played to its end" if done else "not played to its end", done
@@ -136,29 +138,21 @@ def trial_tap(check: Check) -> Verdict:
     if not check.wait(held, check.patience_s):
         return f"not held still above the surface within {check.patience_s:g} s", False
     begin = len(check.happened)
-
-    def came(what: Notice) -> Happened | None:
-        return next((event for event in check.happened[begin:] if event.what is what), None)
-
-    recorder = Recorder(None, check.dt_s, s.count_m, s.surface_counts)
-    check.device.listeners.append(recorder.take)
-    try:
-        check.device.arm(TRIAL_GAIN, trial=True)
+    recorder = Recorder(None, check.dt_s, s.count_m, s.surface_counts, around_s=AROUND_S)
+    with check.every_tick(check.ticks(AROUND_S[0])):
+        check.device.listeners.append(recorder.take)
         try:
-            check.person.asked("tap the surface")
-            check.wait(lambda: came(Notice.FINISHED) is not None, check.patience_s)
+            finished = _tapped(check, begin)
+            contact = check.came(Notice.CONTACT, begin)
+            if contact is not None:
+                check.catch_up(contact.tick + check.ticks(AROUND_S[1]))
         finally:
-            check.device.disarm()
-        if came(Notice.FINISHED) is not None:
-            check.wait(lambda: bool(recorder.contacts), AFTER_S + SLACK_S)
-    finally:
-        check.device.listeners.remove(recorder.take)
-    contact = came(Notice.CONTACT)
+            check.device.listeners.remove(recorder.take)
     if contact is None:
         seen = ", ".join(dict.fromkeys(event.what.value for event in check.happened[begin:]))
         return f"no contact within {check.patience_s:g} s" + (f": {seen}" if seen else ""), False
     seen = f"contact at {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
-    if came(Notice.FINISHED) is None:
+    if finished is None:
         return f"{seen}, not played to its end", False
     words, good = _as_predicted(check, recorder)
     found = check.device.evidence()
@@ -170,6 +164,16 @@ def trial_tap(check: Check) -> Verdict:
             ", encoder and accelerometer not compared: hold still for two seconds, then tap from a centimetre or more"
         )
     return f"{seen}, played to its end{words}", good and bool(found.bits & TRIAL_FINISHED)
+
+
+def _tapped(check: Check, begin: int) -> Happened | None:
+    """Let a tap be played at a tenth; its end, None if it has not come."""
+    check.device.arm(TRIAL_GAIN, trial=True)
+    try:
+        check.person.asked("tap the surface")
+        return check.wait_for(Notice.FINISHED, begin, check.patience_s)
+    finally:
+        check.device.disarm()
 
 
 def _as_predicted(check: Check, recorder: Recorder) -> tuple[str, bool]:

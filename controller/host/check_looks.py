@@ -4,6 +4,8 @@ The encoder is measured against a way that the person knows, the accelerometer a
 and against the encoder while the stylus is shaken. So both scales are known before any current flows.
 """
 
+from math import ceil
+
 import numpy as np
 
 from controller.host.check_state import WINDOW_S, Check
@@ -15,6 +17,9 @@ from controller.servo.interface import Fault, State
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 LINK_S, LINK_ERROR_S, CLOCK_OFF = 1.0, 0.05, 0.01
+SPARE = 2.0  # of what a line carries: frames of few records have more beside them, and nothing is to wait in a queue
+SELDOM_S = 10e-3  # between two records at most, by which a hand's motion can still be seen
+CLOCK_S = 10.0  # for as many heartbeats as the clock is fitted to
 LATE_S = 0.1  # of records in that time: a batch, an adapter's latency and a host's pause
 WAY_M = 10e-3  # that the person measures
 LEAST_WAY = 0.1  # of it that has to be seen, or the stylus was not moved
@@ -32,21 +37,43 @@ def link(check: Check) -> Verdict:
     """Heartbeats there and back, and the device's clock against the host's."""
     session = check.device.session
     check.wait(lambda: bool(check.records), LINK_S)
-    before, missed = session.decoder.bad_frames, check.missed
-    first = check.records[-1][0] if check.records else 0
-    check.device.listen(LINK_S)
+    carried, damaged = _carried(check)
+    words = ""
+    if carried < 1.0:
+        # What takes too much room on the line is looked at more seldom, and a tap is kept on the device.
+        words = f"; {remedy(check.dt_s, carried)}"
+        every = ceil(SPARE / carried) if carried > 0.0 else 0
+        if 0 < every * check.dt_s <= SELDOM_S:
+            check.look(every)
+            # Heartbeats that waited behind the records say little of the clock: until they are past.
+            check.wait(lambda: bool(check.records) and _is_clock_known(check), CLOCK_S)
+            carried, damaged = _carried(check)
+            words = f", one record of {every} ticks, and a tap is sent afterwards{words}"
     clock = session.clock
     if clock is None or not check.records:
         return "no heartbeat or no telemetry", False
-    damaged, lost = session.decoder.bad_frames - before, check.missed - missed
-    # A device keeps records that wait; those of a slow line are late before one is missing.
-    late = check.ticks(LINK_S) - (check.records[-1][0] - first)
-    lost += late if late > check.ticks(LATE_S) else 0
+    lost = round((1.0 - carried) * check.rows(LINK_S))
     seen = f"clock {100 * clock.drift:+.2f} %, known to {1e3 * clock.error_s:.1f} ms"
-    seen += f", {lost} records lost, {damaged} frames damaged"
-    if lost:
-        seen += f"; {remedy(check.dt_s, 1 - lost * check.dt_s / LINK_S)}"
-    return seen, abs(clock.drift) <= CLOCK_OFF and clock.error_s <= LINK_ERROR_S and lost == 0 and damaged == 0
+    seen += f", {lost} records lost, {damaged} frames damaged{words}"
+    return seen, _is_clock_known(check) and lost == 0 and damaged == 0
+
+
+def _is_clock_known(check: Check) -> bool:
+    clock = check.device.session.clock
+    return clock is not None and abs(clock.drift) <= CLOCK_OFF and clock.error_s <= LINK_ERROR_S
+
+
+def _carried(check: Check) -> tuple[float, int]:
+    """Part of the records that came within a while, 1 where none was lost or late, and frames that came damaged."""
+    before, missed = check.device.session.decoder.bad_frames, check.missed
+    first = check.records[-1][0] if check.records else 0
+    check.device.listen(LINK_S)
+    if not check.records:
+        return 0.0, 0
+    # A device keeps records that wait; those of a slow line are late before one is missing.
+    late_s = LINK_S - (check.records[-1][0] - first) * check.dt_s
+    lost = check.missed - missed + (check.rows(late_s) if late_s > LATE_S else 0)
+    return max(1.0 - lost / check.rows(LINK_S), 0.0), check.device.session.decoder.bad_frames - before
 
 
 def emergency_stop(check: Check) -> Verdict:
@@ -110,7 +137,7 @@ def accelerometer(check: Check) -> Verdict:
     check.forget()
     check.device.listen(SHAKE_S)
     found = _shaken(check)
-    while not found.enough and len(check.records) < check.ticks(check.patience_s):
+    while not found.enough and len(check.records) < check.rows(check.patience_s):
         check.device.listen(SHAKE_S)
         found = _shaken(check)
         if len(check.records) == check.records.maxlen:
@@ -125,7 +152,7 @@ def accelerometer(check: Check) -> Verdict:
 
 def _shaken(check: Check) -> Shaken:
     counts, felt = (check.column(name, 2 * SHAKE_S) for name in ("encoder_counts", "acceleration_m_s2"))
-    return shaken(check.dt_s, counts * check.settings.count_m, felt)
+    return shaken(check.every * check.dt_s, counts * check.settings.count_m, felt)
 
 
 def grip_zero(check: Check) -> Verdict:
@@ -134,7 +161,7 @@ def grip_zero(check: Check) -> Verdict:
 
     def let_go() -> bool:
         grip = check.column("grip_N")
-        return grip.size >= check.ticks(WINDOW_S) and float(np.abs(grip).max()) <= GRIP_ZERO_N
+        return grip.size >= check.rows(WINDOW_S) and float(np.abs(grip).max()) <= GRIP_ZERO_N
 
     done, grip = check.wait(let_go, check.patience_s), check.mean("grip_N")
     if not done:
@@ -171,7 +198,7 @@ def grip_hold(check: Check) -> Verdict:
     def steady() -> bool:
         values = check.column("grip_N")
         size = float(np.abs(values).mean()) if values.size else 0.0
-        return values.size >= check.ticks(WINDOW_S) and float(np.ptp(values)) <= max(GRIP_ZERO_N, GRIP_STEADY * size)
+        return values.size >= check.rows(WINDOW_S) and float(np.ptp(values)) <= max(GRIP_ZERO_N, GRIP_STEADY * size)
 
     check.wait(lambda: steady() and sound(check.mean("grip_N") / weight), min(check.patience_s, 10 * WINDOW_S))
     ratio = check.mean("grip_N") / weight

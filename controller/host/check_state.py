@@ -1,7 +1,8 @@
 """What the steps of the bring-up check share: the device, the person at it, what was read, what was found."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from typing import Protocol
@@ -11,9 +12,10 @@ import numpy as np
 from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.host.diagnosis import Ratios, diagnosis
 from controller.host.driver import Device
+from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Changed, Happened, News, Samples
 from controller.protocol.messages import Record, column
-from controller.servo.interface import Fault
+from controller.servo.interface import Fault, Notice
 from controller.servo.settings import Settings
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
@@ -53,6 +55,7 @@ class Check:
 
     Attributes
     ----------
+    every : ticks from one record to the next; more than one on a line that does not carry each.
     found : ratios of what was seen to what was expected, as far as the steps have come.
     remarks : on what is off at rest, in words.
     """
@@ -77,7 +80,7 @@ class Check:
         self.configuration = configuration
         self.found = Ratios()
         self.remarks: list[str] = []
-        self.dt_s = device.hello.dt_s
+        self.dt_s, self.every = device.hello.dt_s, 1
         self.records: deque[tuple[int, Record]] = deque(maxlen=round(KEPT_S / self.dt_s))
         self.happened: list[Happened] = []
         self.missed = 0
@@ -117,9 +120,49 @@ class Check:
         """Whole servo periods in it."""
         return round(duration_s / self.dt_s)
 
+    def rows(self, duration_s: float) -> int:
+        """Records that come in it."""
+        return round(duration_s / (self.every * self.dt_s))
+
+    def look(self, every: int, before: int = 0) -> None:
+        """Take one record of so many ticks from now on, see `Device.set_telemetry`."""
+        self.device.set_telemetry(every, before)
+        self.every = every
+        self.forget()
+
+    @contextmanager
+    def every_tick(self, before: int = 0) -> Iterator[None]:
+        """Take a record of every tick; a device keeps what its line does not carry.
+
+        Parameters
+        ----------
+        before : not 0 waits for a waveform, and has so many from before it.
+        """
+        every = self.every
+        if every > 1 or before:
+            self.look(1, before)
+        try:
+            yield
+        finally:
+            if self.every != every or before:
+                self.look(every)
+
+    def catch_up(self, tick: int) -> None:
+        """Wait for the records up to a tick, for as long as any come."""
+        self.device.catch_up(lambda: self.records[-1][0] if self.records else -1, tick)
+
+    def came(self, what: Notice | LinkNotice, begin: int) -> Happened | None:
+        """The first such event since there were `begin` of them."""
+        return next((event for event in self.happened[begin:] if event.what is what), None)
+
+    def wait_for(self, what: Notice | LinkNotice, begin: int, limit_s: float) -> Happened | None:
+        """The same as soon as it comes; None if it does not within the limit."""
+        self.wait(lambda: self.came(what, begin) is not None, limit_s)
+        return self.came(what, begin)
+
     def column(self, name: str, duration_s: float = WINDOW_S) -> FloatArray:
         """The newest readings of so long a time."""
-        newest = islice(reversed(self.records), self.ticks(duration_s))
+        newest = islice(reversed(self.records), self.rows(duration_s))
         return column((record for _, record in newest), name)[::-1]
 
     def mean(self, name: str) -> float:
@@ -129,7 +172,7 @@ class Check:
     @property
     def is_window_full(self) -> bool:
         """Whether readings of a whole window have come."""
-        return len(self.records) >= self.ticks(WINDOW_S)
+        return len(self.records) >= self.rows(WINDOW_S)
 
     def forget(self) -> None:
         """Forget what was read before now."""

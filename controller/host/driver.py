@@ -31,6 +31,7 @@ CONNECT_S = 3.0  # a board that starts anew when its port is opened takes two
 ANSWER_S = 10.0
 UPLOAD_S = 60.0
 STOP_S = 0.5
+LATE_S = 2.0  # for telemetry that is under way
 REST_S = 0.2  # a window of the approach's fit, with some room
 
 
@@ -182,10 +183,24 @@ class Device:
         self.session.set_gain(gain)
         self._done(Kind.GAIN)
 
-    def set_telemetry(self, every: int) -> None:
-        """One record every so many ticks, 0 for none; they come as `Samples` to the listeners."""
-        self.session.set_telemetry(every)
+    def set_telemetry(self, every: int, before: int = 0) -> None:
+        """One record every so many ticks, 0 for none; they come as `Samples` to the listeners.
+
+        before : not 0 keeps them back until a waveform plays; they then begin with so many from before it.
+        """
+        self.session.set_telemetry(every, before)
         self._done(Kind.TELEMETRY)
+
+    def catch_up(self, newest: Callable[[], int], tick: int) -> None:
+        """Wait for telemetry that the device has kept, for as long as any of it comes.
+
+        Parameters
+        ----------
+        newest : tick of the last record that came. tick : of the last that is wanted.
+        """
+        while (seen := newest()) < tick:
+            if not self.listen(LATE_S, until=lambda _: newest() > seen):
+                return
 
     def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
         """Test pulses; returns when they have begun. pairs : 0 for a single one, else the configuration's, judged."""

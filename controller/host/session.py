@@ -150,9 +150,10 @@ class Session:
     def set_gain(self, gain: float) -> None:
         self._ask(m.Gain(checked("gain", gain, 0.0, 1.0)))
 
-    def set_telemetry(self, every: int) -> None:
-        """One record every so many ticks; 0 for none."""
-        self._ask(m.Telemetry(int(checked("telemetry", every, 0, 0xFFFF, " ticks"))))
+    def set_telemetry(self, every: int, before: int = 0) -> None:
+        """One record every so many ticks, 0 for none; before : not 0 keeps them back, see `messages.Telemetry`."""
+        ticks, kept = (int(checked("telemetry", each, 0, 0xFFFF, " ticks")) for each in (every, before))
+        self._ask(m.Telemetry(ticks, kept))
 
     def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
         """Test pulses; their end is an event. pairs : 0 for a single one, else the configuration's, judged."""

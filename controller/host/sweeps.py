@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.host.driver import LATE_S, Device, DeviceError, LinkLostError
 from controller.host.rates import remedy
 from controller.protocol.capacity import TRIAL_GAIN
 from controller.protocol.codes import LinkNotice
@@ -34,7 +34,6 @@ PATIENCE_S = 60.0  # for what a person has to do
 LOOK_S = 0.02  # between two records while nothing but the hand is looked at: 3 kB/s
 WAITED_S = 2e-3  # beyond the rest before it, for two clocks that differ
 KEPT_PART = 0.9  # of what was kept once, that a shorter sweep may take
-LATE_S = 2.0  # for telemetry that is under way, beyond the excitation itself
 
 
 class AbortedError(Exception):
@@ -280,7 +279,7 @@ class Sweeps:
         self._until(lambda: self._has(end + after), AFTER_S + WAITED_S)
         # What follows takes longer than a lease may.
         self._device.disarm()
-        self._fetch(end + after)
+        self._device.catch_up(lambda: self._ears.records[-1][0] if self._ears.records else -1, end + after)
         # A lost lease may have been reported only now, and nothing is armed again after one.
         self._need_nothing_wrong()
         first = end - self._samples
@@ -292,13 +291,6 @@ class Sweeps:
 
     def _has(self, tick: int) -> bool:
         return bool(self._ears.records) and self._ears.records[-1][0] >= tick
-
-    def _fetch(self, tick: int) -> None:
-        """What the device has kept up to this tick, for as long as any of it comes."""
-        records, seen = self._ears.records, -1
-        while not self._has(tick) and len(records) > seen:
-            seen = len(records)
-            self._until(lambda: self._has(tick) or len(records) > seen, LATE_S, (State.FAULT,))  # noqa: B023
 
     def _remedy(self, begin: int) -> str:
         """What to do about a line that was too slow for the excitation that began at this tick.

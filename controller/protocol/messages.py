@@ -45,7 +45,7 @@ from controller.protocol.packed import (
 )
 from transopt.base.signals import FloatArray
 
-PROTOCOL = 5
+PROTOCOL = 6
 MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
 HEADER = struct.Struct("<BBHI")
 GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO and HELLO_REPLY in every version
@@ -176,9 +176,15 @@ class Gain(Packed):
 
 @message(Kind.TELEMETRY)
 class Telemetry(Packed):
-    """One record every so many ticks; 0 for none."""
+    """One record every so many ticks; 0 for none.
+
+    before : 0 sends them as they come. Otherwise none is sent until a waveform plays, and only so many of the newest
+        are kept until then. What a slow line does not carry of those that follow is kept too and comes afterwards, as
+        far as the device has room: its own, and that of the next library while none is arriving.
+    """
 
     every: U16
+    before: U16
 
 
 @message(Kind.PULSE)
@@ -363,7 +369,10 @@ class Record(Packed):
 
 @message(Kind.TELEMETRY_DATA)
 class TelemetryData(Packed):
-    """Records of ticks tick, tick + every, ...; `first` numbers them since TELEMETRY, so that gaps can be counted."""
+    """Records of ticks tick, tick + every, ...; `first` numbers them, so that gaps can be counted.
+
+    The first after TELEMETRY that could be sent has the number 0.
+    """
 
     first: U32
     tick: U64

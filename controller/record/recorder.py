@@ -81,6 +81,7 @@ class Recorder:
     count_m, surface_counts : of the encoder, as in Settings.
     trigger_m_s2 : takes for a contact what lies this far from the running mean; None leaves it to the device.
     over : a recording that is in the folder is written over; without it, that is an error.
+    around_s : of each contact, before and after it.
 
     Attributes
     ----------
@@ -102,15 +103,17 @@ class Recorder:
         trigger_m_s2: float | None = None,
         *,
         over: bool = False,
+        around_s: tuple[float, float] = (BEFORE_S, AFTER_S),
     ) -> None:
         self._folder, self._dt_s, self._over = folder, dt_s, over
+        self._before, self._after = (round(each / dt_s) for each in around_s)
         self.count_m, self.surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until = 0
         self._first, self._every = 0, 1  # of the telemetry
         self.contacts: list[Contact] = []
         self.records = self.missed = 0
-        self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
+        self._kept: deque[tuple[int, Record]] = deque(maxlen=2 * (self._before + self._after))
         self._open: list[Happened] = []
         self._heat: dict[int, tuple[float, float]] = {}  # scale and cooled by tick, of contacts that are open
         self._happened: dict[int, list[str]] = {}  # names by tick, of records that have not come
@@ -175,8 +178,7 @@ class Recorder:
             if self._telemetry is not None:
                 self._telemetry.record(tick, record, ";".join(self._happened.pop(tick, ())))
         newest = self._kept[-1][0]
-        after = round(AFTER_S / self._dt_s)
-        while self._open and newest >= self._open[0].tick + after:
+        while self._open and newest >= self._open[0].tick + self._after:
             self._complete(self._open.pop(0))
 
     def _event(self, event: Happened) -> None:
@@ -197,14 +199,14 @@ class Recorder:
         a = record.acceleration_m_s2
         if self._deaf_until == 0:
             # What comes first is gravity.
-            self._mean_m_s2, self._deaf_until = a, tick + round(BEFORE_S / self._dt_s)
+            self._mean_m_s2, self._deaf_until = a, tick + self._before
         if tick >= self._deaf_until and abs(a - self._mean_m_s2) > trigger_m_s2:
             self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))
-            self._deaf_until = tick + round((BEFORE_S + AFTER_S) / self._dt_s)
+            self._deaf_until = tick + self._before + self._after
         self._mean_m_s2 += every * self._dt_s / MEAN_S * (a - self._mean_m_s2)
 
     def _complete(self, event: Happened) -> None:
-        low, high = event.tick - round(BEFORE_S / self._dt_s), event.tick + round(AFTER_S / self._dt_s)
+        low, high = event.tick - self._before, event.tick + self._after
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
         ticks, records = np.array([tick for tick, _ in rows], dtype=float), [record for _, record in rows]
         missed = (high - max(low, self._first)) // self._every + 1 - len(rows)

@@ -32,6 +32,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.wall import Wall
 
 NUMBERS = (math.nan, math.inf, -1.0, 0.0, -0.0, 0.5, 1.0, 2.0, 33.0, 1e5, 1e300, -1e300, 5e-324)
+TELEMETRY = ((0, 0), (1, 0), (1, 50), (2, 0), (7, 300), (100, 0), (65535, 0))  # every, before
 CHUNK = 300  # bytes of a configuration in one frame
 
 
@@ -218,7 +219,7 @@ class Host:
 
     def repeated(self) -> list[bytes]:
         sequence = (self.sequence - int(self.random.integers(0, 3))) % 0x10000
-        return [self.frame(m.Telemetry(3), sequence=sequence)]
+        return [self.frame(m.Telemetry(3, 0), sequence=sequence)]
 
     def say(self) -> list[bytes]:
         """One thing, as frames."""
@@ -247,7 +248,10 @@ class Host:
             (0.4, lambda: [frame(m.Disarm())]),
             (2, lambda: [frame(m.Reset())]),
             (0.7, lambda: [frame(m.Gain(number))]),
-            (0.8, lambda: [frame(m.Telemetry(int(random.choice([0, 1, 1, 2, 7, 100, 65535]))))]),
+            (
+                0.8,
+                lambda: [frame(m.Telemetry(*map(int, random.choice(TELEMETRY))))],
+            ),
             (1, lambda: [frame(m.Pulse(number, int(random.choice([0, 1, 50, 200, 201])), int(random.integers(3))))]),
             (0.3, lambda: [frame(m.Surface(number)) if random.uniform() < 0.5 else frame(m.Evidence())]),
             (0.2, lambda: [frame(m.EmergencyStop(), session=int(random.integers(9)))]),

@@ -195,7 +195,7 @@ def strangers(table: Table) -> None:
     for session, greeting in enumerate(greetings):
         table.link.host_sends(encode(m.HEADER.pack(Kind.HELLO, 0, 1, session) + greeting), table.now_s)
         table.run(2e-3)
-    table.link.host_sends(encode(m.Frame(1, 99, m.Telemetry(1)).payload()), table.now_s)
+    table.link.host_sends(encode(m.Frame(1, 99, m.Telemetry(1, 0)).payload()), table.now_s)
     table.link.host_sends(encode(m.Frame(1, 99, m.EmergencyStop()).payload()), table.now_s)
     table.run(2e-3).connected().session.reset()
     table.asked()

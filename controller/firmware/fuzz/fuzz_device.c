@@ -217,6 +217,16 @@ static void steps(void)
     }
 }
 
+static void record(void)
+{
+    const uint8_t every = byte();
+    uint8_t body[TD_TELEMETRY_BYTES];
+
+    td_put_u16(body + TD_TELEMETRY_EVERY, every & 15);
+    td_put_u16(body + TD_TELEMETRY_BEFORE, every & 16 ? (uint16_t)word() : 0);
+    say(TD_KIND_TELEMETRY, body, sizeof body);
+}
+
 static void move(void)
 {
     const uint8_t how = byte();
@@ -393,7 +403,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         case 5: say(TD_KIND_DISARM, data, 0); break;
         case 6: say(TD_KIND_RESET, data, 0); break;
         case 7: one_number(TD_KIND_GAIN); break;
-        case 8: { uint8_t body[2]; td_put_u16(body, byte()); say(TD_KIND_TELEMETRY, body, 2); break; }
+        case 8: record(); break;
         case 9: pulse(); break;
         case 10: one_number(TD_KIND_SURFACE); break;
         case 11: say(TD_KIND_EVIDENCE, data, 0); break;

@@ -120,8 +120,8 @@ def test_a_line_is_told_by_what_it_carries(
         assert carried == pytest.approx(baud / 3.6e6, rel=0.1)
 
 
-@pytest.mark.parametrize(("baud", "code"), [(921_600, 1), (4_000_000, 0)])
-def test_the_check_of_a_slow_line_ends_at_its_first_step(
+@pytest.mark.parametrize(("baud", "code"), [(38_400, 1), (115_200, 0), (921_600, 0), (4_000_000, 0)])
+def test_the_check_looks_at_as_many_records_as_its_line_carries(
     play: Run, monkeypatch: pytest.MonkeyPatch, baud: int, code: int
 ) -> None:
     world = OwnWorld(DT_S)
@@ -130,7 +130,8 @@ def test_the_check_of_a_slow_line_ends_at_its_first_step(
     monkeypatch.setattr(port_commands, "ConsolePerson", lambda: world)
     outcome = play("check", "--port", "x", "--step", "link")
     assert outcome.code == code
-    assert ("every tick takes 340 kB/s, this line carried" in outcome.out) == bool(code)
+    assert ("every tick takes 340 kB/s, this line carried" in outcome.out) == (baud < 4_000_000)
+    assert ("a tap is sent afterwards" in outcome.out) == (code == 0 and baud < 4_000_000)
 
 
 def test_the_remedy_is_a_rate_that_carries_it() -> None:

@@ -247,7 +247,7 @@ def test_where_the_host_starts_there_is_one_waveform(device: Talker) -> None:
 def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: Talker) -> None:
     """And telemetry goes round in the memory for what goes out, and is dropped where nobody fetches it."""
     device.configure(configuration_of(SETTINGS))
-    device.tell(m.Telemetry(1))
+    device.tell(m.Telemetry(1, 0))
     extreme = (1e300, -1e300, 3.4028235e38, 3.5e38, float("nan"))
     for tick in range(6000):
         pressed = tick % 50 == 10

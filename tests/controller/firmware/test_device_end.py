@@ -212,7 +212,7 @@ def test_the_event_queue_counts_what_it_loses() -> None:
 
 def test_telemetry_survives_absurd_readings() -> None:
     bench = Talker()
-    bench.done(m.Telemetry(1))
+    bench.done(m.Telemetry(1, 0))
     nan, inf = math.nan, math.inf
     absurd = (nan, inf, -inf, 1e30, 2**31, -(2**31))
     for counts in absurd:
@@ -233,7 +233,7 @@ def test_telemetry_survives_absurd_readings() -> None:
 @pytest.mark.parametrize("every", [1, 7, 65_535])
 def test_telemetry_records_every_nth_tick_without_gaps(every: int) -> None:
     bench = Talker().configured()
-    bench.done(m.Telemetry(every))
+    bench.done(m.Telemetry(every, 0))
     ticks: list[int] = []
     for _ in range(3000):
         bench.step()

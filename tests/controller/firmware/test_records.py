@@ -12,7 +12,7 @@ from controller.protocol.image import sha256
 from controller.protocol.messages import RECORDS_LIMIT, Record
 from controller.protocol.packed import Packed
 from controller.servo.interface import State
-from tests.benches.device import ARM, IMAGE, REST, Talker, image
+from tests.benches.device import ARM, EXCITED, IMAGE, ONE_WAVEFORM, REST, Talker, image
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 OWN, LIBRARY_SAMPLES, SPEEDS, GRIPS = 64, 4000, 4, 4
@@ -85,7 +85,7 @@ def numbers(heard: Sequence[object]) -> list[int]:
 
 def test_what_does_not_go_out_is_kept_in_the_memory_of_the_next_library(bench: Talker) -> None:
     before = bench.device.image()
-    bench.done(m.Telemetry(1))
+    bench.done(m.Telemetry(1, 0))
     run(bench, KEPT + 500)
     assert numbers(bench.heard()) == list(range(KEPT))
     assert bench.device.image() == before == IMAGE
@@ -98,7 +98,7 @@ def test_what_does_not_go_out_is_kept_in_the_memory_of_the_next_library(bench: T
 def test_the_ring_is_its_oracle_for_any_pattern_of_sending(bench: Talker, every: int) -> None:
     """Frames are taken one by one at random; the ring goes round in its own memory and in what it is lent."""
     random, ring = np.random.default_rng(every), Ring(KEPT)
-    bench.done(m.Telemetry(every))
+    bench.done(m.Telemetry(every, 0))
     begun, heard, meant = bench.tick, [], []
     for _ in range(60):
         for _ in range(int(random.integers(1, 900))):
@@ -115,7 +115,7 @@ def test_the_ring_is_its_oracle_for_any_pattern_of_sending(bench: Talker, every:
 
 
 def test_an_upload_takes_the_memory_back_and_its_library_is_sound(bench: Talker) -> None:
-    bench.done(m.Telemetry(1))
+    bench.done(m.Telemetry(1, 0))
     run(bench, KEPT)
     other = image(samples=70)
     heard = say(bench, m.UploadBegin(len(other), sha256(other)))
@@ -127,7 +127,7 @@ def test_an_upload_takes_the_memory_back_and_its_library_is_sound(bench: Talker)
     assert bench.device.image() == other
     # What waited is lost, which its numbers tell, and what came after it had the device's own memory alone.
     assert heard == list(range(KEPT, KEPT + OWN))
-    bench.done(m.Telemetry(1))
+    bench.done(m.Telemetry(1, 0))
     run(bench, KEPT + 500)
     assert numbers(bench.heard()) == list(range(KEPT))
     assert bench.device.image() == other
@@ -139,7 +139,7 @@ def test_while_a_library_is_arriving_nothing_is_recorded_into_it(bench: Talker) 
     half = 300
     assert half < len(other)
     heard += say(bench, m.Data(0, other[:half]))
-    bench.done(m.Telemetry(1))
+    bench.done(m.Telemetry(1, 0))
     run(bench, KEPT)
     for offset in range(half, len(other), m.DATA_LIMIT):
         heard += say(bench, m.Data(offset, other[offset : offset + m.DATA_LIMIT]))
@@ -149,8 +149,67 @@ def test_while_a_library_is_arriving_nothing_is_recorded_into_it(bench: Talker) 
 
 
 def test_a_library_plays_while_the_memory_of_the_next_is_full_of_records(bench: Talker) -> None:
-    bench.done(m.Telemetry(1))
+    bench.done(m.Telemetry(1, 0))
     run(bench, KEPT + 10)
     say(bench, ARM)
     assert bench.device.state is State.ARMED
     assert bench.device.image() == IMAGE
+
+
+def excited(bench: Talker) -> None:
+    """A configuration that the host starts, its one waveform of 300 ticks, and a stylus at rest."""
+    bench.configured(EXCITED).loaded(ONE_WAVEFORM)
+    bench.step(200)
+    bench.heard()
+
+
+EXCITE = replace(ARM, configuration_sha256=sha256(EXCITED), library_sha256=sha256(ONE_WAVEFORM))
+
+
+@pytest.mark.parametrize("before", [1, 40, OWN + 20])
+def test_records_begin_with_a_waveform_and_with_what_was_just_before(bench: Talker, before: int) -> None:
+    excited(bench)
+    bench.done(m.Telemetry(1, before))
+    run(bench, 1000)
+    assert numbers(bench.heard()) == []
+    bench.done(EXCITE)
+    run(bench, 100)
+    bench.done(m.Start(0))
+    begun = bench.tick
+    run(bench, KEPT + 100)
+    frames = [one for one in bench.heard() if isinstance(one, m.TelemetryData)]
+    # The tick that begins to play is the first in which the oldest is no longer dropped.
+    assert frames[0].tick == begun - before
+    assert numbers(frames) == list(range(KEPT))
+    # What no longer fitted is lost, and its numbers tell.
+    run(bench, 100)
+    assert numbers(bench.heard())[0] == before + KEPT + 100
+
+
+def test_of_a_device_that_is_asked_for_more_than_it_keeps_the_newest_before_come(bench: Talker) -> None:
+    excited(bench)
+    bench.done(m.Telemetry(1, 65_535))
+    run(bench, KEPT + 300)
+    bench.done(EXCITE, m.Start(0))
+    begun = bench.tick
+    run(bench, 100)
+    frames = [one for one in bench.heard() if isinstance(one, m.TelemetryData)]
+    assert frames[0].tick == begun - KEPT
+    assert numbers(frames) == list(range(KEPT))
+
+
+def test_a_tap_is_whole_over_a_line_that_carries_a_thirtieth_and_loses_frames(bench: Talker) -> None:
+    """One full frame in 30 ticks' worth of time; a lost one is a gap of numbers, no more."""
+    excited(bench)
+    bench.done(m.Telemetry(1, 40), EXCITE, m.Start(0))
+    begun, heard = bench.tick, []
+    bench.device.ROOM_BYTES = 1000
+    for turn in range(40):
+        run(bench, 8)
+        if turn % 5 == 0:
+            frames = bench.heard()
+            heard += [] if turn == 15 else numbers(frames)
+    gaps = np.flatnonzero(np.diff(heard) > 1)
+    assert begun > 0
+    assert gaps.size == 1
+    assert heard[gaps[0] + 1] - heard[gaps[0]] <= 2 * RECORDS_LIMIT + 1

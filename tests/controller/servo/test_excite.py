@@ -217,7 +217,7 @@ def test_a_repeated_start_starts_nothing_twice() -> None:
 
 def test_telemetry_of_every_tick_holds_the_whole_of_it() -> None:
     bench = ready()
-    bench.done(m.Telemetry(1), ARM)
+    bench.done(m.Telemetry(1, 0), ARM)
     bench.step(10)
     bench.done(m.Start(0))
     records, events = [], []

@@ -23,7 +23,7 @@ void td_device_begin(td_device *device, const td_port *port, const size_t *bytes
     td_events_start(&device->events, td_device_ticks(device, TD_EVENT_REPEAT_MS));
     td_evidence_start(&device->evidence);
     td_ring_start(&device->ring, &port->hardware, port->winding_C, port->housing_C);
-    td_records_restart(&device->records, 0, NULL, 0);
+    td_records_restart(&device->records, 0, 0, NULL, 0);
     device->records.hold_ticks = td_device_ticks(device, TD_TELEMETRY_HOLD_MS);
     device->silence_ticks = td_device_ticks(device, TD_LINK_SILENCE_MS);
 }
@@ -251,7 +251,7 @@ static void greet(td_device *device, uint16_t sequence, uint32_t session, uint32
     device->sequence = sequence;
     device->silent_ticks = 0;
     td_events_restart(&device->events);
-    td_records_restart(&device->records, 0, NULL, 0);
+    td_records_restart(&device->records, 0, 0, NULL, 0);
     write_hello_reply(device, nonce);
     answer(device, TD_KIND_HELLO_REPLY, sequence, TD_HELLO_REPLY_BYTES);
 }

@@ -8,7 +8,7 @@
 
 #include "td_port.h"
 
-#define TD_PROTOCOL 5
+#define TD_PROTOCOL 6
 #define TD_MAGIC 0x54504E54u
 #define TD_HEADER_KIND 0 /* u8 */
 #define TD_HEADER_FLAGS 1 /* u8, 0 */
@@ -95,8 +95,8 @@ enum {
     TD_RESET_BYTES = 0,
     /* GAIN: gain f64 */
     TD_GAIN_GAIN = 0, TD_GAIN_BYTES = 8,
-    /* TELEMETRY: every u16 */
-    TD_TELEMETRY_EVERY = 0, TD_TELEMETRY_BYTES = 2,
+    /* TELEMETRY: every u16, before u16 */
+    TD_TELEMETRY_EVERY = 0, TD_TELEMETRY_BEFORE = 2, TD_TELEMETRY_BYTES = 4,
     /* PULSE: current_A f64, ticks u16, pairs u8 */
     TD_PULSE_CURRENT_A = 0, TD_PULSE_TICKS = 8, TD_PULSE_PAIRS = 10, TD_PULSE_BYTES = 11,
     /* EVIDENCE: nothing */

@@ -102,14 +102,15 @@ const td_told *td_events_due(td_events *events)
     return &events->queue[(events->first + events->sent++) % TD_EVENT_QUEUE];
 }
 
-void td_records_restart(td_records *records, uint16_t every, uint8_t *lent, size_t bytes)
+void td_records_restart(td_records *records, uint16_t every, uint16_t before, uint8_t *lent, size_t bytes)
 {
     records->every = every;
     records->skip = 0;
     records->first = records->size = 0;
-    records->next = 0;
+    records->next = records->passed = 0;
     records->lent = lent;
     records->capacity = TD_MAX_RECORDS + (lent == NULL ? 0 : (int32_t)(bytes / TD_KEPT_BYTES));
+    records->before = before < records->capacity ? before : records->capacity;
 }
 
 void td_records_give_back(td_records *records)
@@ -119,6 +120,8 @@ void td_records_give_back(td_records *records)
     records->first = records->size = 0;
     records->lent = NULL;
     records->capacity = TD_MAX_RECORDS;
+    if (records->before > records->capacity)
+        records->before = records->capacity;
 }
 
 /* Where the record lies that comes so many behind the oldest. */
@@ -155,6 +158,14 @@ static void write_record(uint8_t *at, const td_readings *readings, const td_outp
     at[TD_RECORD_FLAGS] = readings->emergency_stop;
 }
 
+static void drop(td_records *records, int32_t count)
+{
+    records->first += count;
+    if (records->first >= records->capacity)
+        records->first -= records->capacity;
+    records->size -= count;
+}
+
 void td_records_step(td_records *records, const td_readings *readings, const td_output *output, td_real command_A,
                      bool heard)
 {
@@ -164,6 +175,13 @@ void td_records_step(td_records *records, const td_readings *readings, const td_
         return;
     if (records->skip == 0) {
         records->skip = records->every;
+        if (output->state == TD_STATE_PLAYING)
+            records->before = 0;
+        if (records->before > 0 && records->size == records->before)
+            drop(records, 1);
+        /* The first that is sent is to have the number 0. */
+        if (records->before > 0)
+            records->passed = records->size > 0 ? td_get_u32(kept(records, 0)) : records->next;
         if (heard && records->size < records->capacity) {
             at = kept(records, records->size++);
             td_put_u32(at, records->next);
@@ -182,13 +200,13 @@ size_t td_records_take(td_records *records, uint64_t tick, uint8_t *body)
     uint64_t first_tick;
     int32_t count = 0;
 
-    if (records->size == 0)
+    if (records->size == 0 || records->before > 0)
         return 0;
     number = td_get_u32(kept(records, 0));
     first_tick = records->tick - (uint64_t)(records->next - 1 - number) * records->every;
     if (records->size < TD_RECORDS_LIMIT && tick - first_tick + 1 < (uint64_t)records->hold_ticks)
         return 0;
-    td_put_u32(body + TD_TELEMETRY_DATA_FIRST, number);
+    td_put_u32(body + TD_TELEMETRY_DATA_FIRST, number - records->passed);
     td_put_u64(body + TD_TELEMETRY_DATA_TICK, first_tick);
     td_put_u16(body + TD_TELEMETRY_DATA_EVERY, records->every);
     for (; count < records->size && count < TD_RECORDS_LIMIT; count++, at += TD_RECORD_BYTES) {
@@ -199,9 +217,6 @@ size_t td_records_take(td_records *records, uint64_t tick, uint8_t *body)
             break;
         memcpy(at, record + 4, TD_RECORD_BYTES);
     }
-    records->first += count;
-    if (records->first >= records->capacity)
-        records->first -= records->capacity;
-    records->size -= count;
+    drop(records, count);
     return (size_t)(at - body);
 }

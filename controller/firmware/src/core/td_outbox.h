@@ -63,7 +63,7 @@ const td_told *td_events_due(td_events *events);
 
 /* Telemetry records of every n-th tick: a ring that the tick fills, and frames are made of outside of it, full ones or
  * where the oldest record has waited long enough. Behind its own memory it uses what it is lent, so that a slow line may
- * send afterwards what it does not carry meanwhile. */
+ * send afterwards what it does not carry meanwhile; told to, it begins with a waveform and with what was just before. */
 typedef struct {
     uint8_t own[TD_MAX_RECORDS][TD_KEPT_BYTES];
     uint8_t *lent;    /* NULL without */
@@ -71,12 +71,15 @@ typedef struct {
     int32_t first, size;
     int32_t hold_ticks;
     uint16_t every, skip; /* every: 0 for none */
+    int32_t before;       /* so many of the newest alone are kept until a waveform plays, and none is sent; or 0 */
+    uint32_t passed;      /* records that were dropped so */
     uint32_t next;        /* number of the next record */
     uint64_t tick;        /* of the one before it */
 } td_records;
 
-/* One record every so many ticks from now on, numbered from 0. `lent`: memory for more of them, `bytes` long; or NULL. */
-void td_records_restart(td_records *records, uint16_t every, uint8_t *lent, size_t bytes);
+/* One record every so many ticks from now on, numbered from 0. `before`: not 0 waits for a waveform, see above. `lent`:
+ * memory for more of them, `bytes` long; or NULL. */
+void td_records_restart(td_records *records, uint16_t every, uint16_t before, uint8_t *lent, size_t bytes);
 
 /* Lent memory is wanted back: whatever waits is lost, which its numbers tell. */
 void td_records_give_back(td_records *records);

@@ -305,8 +305,8 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
     case TD_KIND_GAIN:
         return change_gain(device, td_get_f64(body + TD_GAIN_GAIN));
     case TD_KIND_TELEMETRY:
-        td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY), td_store_spare(&device->store),
-                           TD_MAX_IMAGE_BYTES);
+        td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY),
+                           td_get_u16(body + TD_TELEMETRY_BEFORE), td_store_spare(&device->store), TD_MAX_IMAGE_BYTES);
         return td_granted;
     case TD_KIND_PULSE:
         return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS),
