@@ -8,7 +8,7 @@ import pytest
 
 from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
-from controller.protocol.image import sha256
+from controller.protocol.image import HEADER, sha256
 from controller.protocol.messages import RECORDS_LIMIT, Record
 from controller.protocol.packed import Packed
 from controller.servo.interface import State
@@ -23,7 +23,7 @@ SMALL = (
     f"-DTD_MAX_GRIPS={GRIPS}",
 )
 # TD_MAX_IMAGE_BYTES: header, axes, two tables of nodes, samples of 2 bytes; a record with its number.
-IMAGE_BYTES = 72 + 8 * (SPEEDS + GRIPS + 2 * SPEEDS * GRIPS) + 2 * LIBRARY_SAMPLES
+IMAGE_BYTES = HEADER.size + 8 * (SPEEDS + GRIPS + 2 * SPEEDS * GRIPS) + 2 * LIBRARY_SAMPLES
 KEPT = OWN + IMAGE_BYTES // (4 + Record.FORMAT.size)
 PRECISIONS = {"double": (), "single": ("-DTD_REAL_FLOAT",)}
 
