@@ -156,7 +156,7 @@ class Check:
         return next((event for event in self.happened[begin:] if event.what is what), None)
 
     def wait_for(self, what: Notice | LinkNotice, begin: int, limit_s: float) -> Happened | None:
-        """The same as soon as it comes; None if it does not within the limit."""
+        """Wait for the first such event; None if it does not come within the limit."""
         self.wait(lambda: self.came(what, begin) is not None, limit_s)
         return self.came(what, begin)
 
