@@ -25,13 +25,13 @@
 
 #ifndef TD_MAX_LIBRARY_SAMPLES
 #if defined(__IMXRT1062__)
-/* Teensy 4.0 and 4.1: 463 of the 524 kB of RAM2. */
+/* Teensy 4.0 and 4.1: 459 of the 524 kB of RAM2. */
 #define TD_MAX_LIBRARY_SAMPLES 94208
 #define TD_MAX_SPEEDS 32
 #define TD_MAX_GRIPS 16
 #define TD_MAX_RECORDS 512
 #elif defined(__arm__)
-/* Others: 107 kB, for 192 kB and more of RAM. */
+/* Others: 106 kB, for 192 kB and more of RAM. */
 #define TD_MAX_LIBRARY_SAMPLES 16384
 #define TD_MAX_SPEEDS 16
 #define TD_MAX_GRIPS 8
