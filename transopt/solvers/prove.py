@@ -1,10 +1,11 @@
-"""Certificates in one compiled call, for all problems but those of a binding temperature, a law or a worst device.
+"""Certificates in one compiled call, for all problems but those with a binding temperature or a nonlinear limit.
 
 It states what `proof.certify` states, from the stage data on which the own method works. `proof.certify`, which knows
 of no stage data, is the judge of both in the tests and of every library in `verify`.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,14 +32,35 @@ def certified(
 
 def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
     """Certificates of commands, each by what it does in its problem, those of equal sizes side by side."""
-    asked = [_asked(effect, each) if _is_known(effect, each) else None for effect, each in answers]
+    means = [(_in_the_mean(effect), each) for effect, each in answers]
+    asked = [_asked(mean, each) if _is_known(mean, each) else None for mean, each in means]
     known = [each for each in asked if each is not None]
     proofs = iter(prove(known) if known else ())  # none is known where there is no extension
     found = []
-    for (effect, each), judged in zip(answers, asked, strict=True):
-        proof = None if judged is None else _certificate(effect, each, judged.stages, next(proofs))
-        found.append(certify(effect.problem, effect.command, each, effect=effect) if proof is None else proof)
+    for (effect, each), (mean, _), judged in zip(answers, means, asked, strict=True):
+        proof = None if judged is None else _certificate(mean, each, judged.stages, next(proofs))
+        if proof is None:
+            proof = certify(effect.problem, effect.command, each, effect=effect)
+        elif effect.problem.worst:
+            proof = _of_the_worst(proof, effect)
+        found.append(proof)
     return found
+
+
+def _in_the_mean(effect: Effect) -> Effect:
+    """The command's effect where the mean over the devices, weighted by their shares, counts and not the worst one."""
+    return effect.of(replace(effect.problem, worst=False)) if effect.problem.worst else effect
+
+
+def _of_the_worst(mean: Certificate, effect: Effect) -> Certificate:
+    """The certificate for the worst device: its loss is bounded from below by the weighted mean."""
+    above = effect.problem.tracking.above_mean(effect.accelerations_m_s2)
+    return replace(
+        mean,
+        objective=mean.objective + above,
+        merit=mean.merit + above,
+        duality_gap=mean.duality_gap + above,
+    )
 
 
 def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
@@ -46,7 +68,6 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
     problem, command = effect.problem, effect.command
     if (
         not available
-        or problem.worst
         or problem.stage.motors > 1
         or problem.reference_is_zero
         or set(problem.nonlinear) - {TemperatureLimit.name}
