@@ -35,7 +35,7 @@ def stress(
     # Imported here, so that --help is fast.
     from problems.stress.draw import drawn
     from problems.stress.families import directed, long_cases
-    from problems.stress.judge import CERTIFIED, judge
+    from problems.stress.judge import judge
     from problems.stress.run import run_cases, summary
 
     output = terminal.console()
@@ -54,7 +54,7 @@ def stress(
         one = chosen[case] if seed is None else drawn(seed, case)
         found = judge(one)
         output.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}")
-        if found.kind == CERTIFIED:
+        if found.certified:
             output.print(f"gap {found.gap:.1e}, replay difference {found.difference:.1e}")
         return int(found.bad)
     outcomes: dict[int, Outcome] = {}

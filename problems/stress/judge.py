@@ -23,6 +23,7 @@ from transopt.proof.replay import Replay, replay
 from transopt.solvers.options import SolverOptions
 
 CERTIFIED = "certified"
+WITHOUT_FLOOR = "certified, floor unknown"  # the optimum without limits was found by no method
 UNCHECKED = ", unchecked"  # suffix of a claim of infeasibility that the independent method could not decide
 # Refusals that may stand, by what their remarks must name: a limit with amount and unit.
 REMARKS = {
@@ -45,7 +46,7 @@ class Outcome:
 
     Attributes
     ----------
-    kind : `CERTIFIED`, "refused: ..." with the cause, or "bad: ...".
+    kind : `CERTIFIED`, `WITHOUT_FLOOR`, "refused: ..." with the cause, or "bad: ...".
     detail : the message or the shortfall.
     gap : bound on J - optimum over max(J, 1e-3); NaN unless certified.
     difference : difference of replayed and predicted acceleration over the peak; NaN unless certified.
@@ -57,6 +58,11 @@ class Outcome:
     gap: float
     difference: float
     elapsed_s: float
+
+    @property
+    def certified(self) -> bool:
+        """Whether the case ended with a proven answer."""
+        return self.kind in (CERTIFIED, WITHOUT_FLOOR)
 
     @property
     def bad(self) -> bool:
@@ -103,8 +109,8 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
         whole = _numbers(designed, ("floor",)) and _numbers(proof) and _numbers(solution.multipliers)
         whole = whole and _numbers(run, ("winding_C", "housing_C"))
         if 0 < any_motion < np.inf:
-            told = designed.floor, run.figures.tap_error, run.figures.error_after
-            whole = whole and bool(np.all(np.isfinite(told)))
+            whole = whole and bool(np.all(np.isfinite((run.figures.tap_error, run.figures.error_after))))
+            whole = whole and not np.isinf(designed.floor)
         if not (whole and np.all(np.isfinite(solution.command))):
             return Outcome("bad: NaN", "a figure of a certified answer is not finite", nothing, nothing, 0.0)
         if not np.all(np.isfinite(list(run.reached.values()))):
@@ -117,7 +123,8 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
         if attained is not None and smooth and attained.is_stray:
             return Outcome("bad: intensity", attained.sentence, nothing, nothing, 0.0)
         difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / run.scale_m_s2
-        return Outcome(CERTIFIED, solution.solver, proof.relative_gap, difference, 0.0)
+        kind = WITHOUT_FLOOR if np.isnan(designed.floor) and 0 < any_motion < np.inf else CERTIFIED
+        return Outcome(kind, solution.solver, proof.relative_gap, difference, 0.0)
     if status not in REMARKS or not re.search(REMARKS[status], said):
         return Outcome(
             f"bad: {status.name}", f"{said} ({solution.solver}: {solution.message})", nothing, nothing, 0.0

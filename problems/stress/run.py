@@ -15,7 +15,7 @@ from time import monotonic
 from rich.table import Table
 
 from problems.stress.cases import StressCase
-from problems.stress.judge import CERTIFIED, Outcome, judge
+from problems.stress.judge import Outcome, judge
 from transopt.base.apart import Processes
 
 
@@ -94,7 +94,7 @@ def summary(cases: Sequence[StressCase], outcomes: dict[int, Outcome], command: 
     counts = Counter(outcome.kind for outcome in outcomes.values())
     for kind, count in sorted(counts.items(), key=lambda item: (item[0].startswith("bad"), item[0])):
         table.add_row(kind, str(count))
-    certified = [outcome for outcome in outcomes.values() if outcome.kind == CERTIFIED]
+    certified = [outcome for outcome in outcomes.values() if outcome.certified]
     lines = []
     if certified:
         lines.append(f"worst gap {max(o.gap for o in certified):.1e} of max(J, 1e-3)")

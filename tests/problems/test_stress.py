@@ -11,7 +11,7 @@ from problems.stress.__main__ import LIMIT_S
 from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.families import SMALL_A, directed, rescaled
-from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, played
+from problems.stress.judge import CERTIFIED, WITHOUT_FLOOR, Outcome, judge, judge_design, played
 from problems.stress.oracle import Verdict, admits_a_command
 from problems.stress.parts import Coil, Current, Demand, DrawnDevice, Horizon, Surface
 from problems.stress.run import run_cases, summary
@@ -81,6 +81,21 @@ def test_a_spread_of_devices_is_drawn_for_its_mean_and_for_its_worst() -> None:
 def test_a_search_for_intensity_is_not_thrown_off_by_energies_that_are_nearly_alike() -> None:
     """Two answers point to a price far below zero, whose exponential no double holds."""
     assert judge(drawn(28112026, 901)).kind == CERTIFIED
+
+
+def test_states_that_grow_beyond_all_numbers_within_a_servo_period_give_no_warning() -> None:
+    """The bound on what an output does between two instants is infinite then."""
+    assert judge(drawn(777000111, 860)).kind == CERTIFIED
+
+
+def test_the_certificate_of_the_worst_device_is_as_sharp_as_that_of_the_mean() -> None:
+    """States in microunits: summed in double precision the gradient alone leaves more than a certificate may."""
+    assert judge(drawn(90817263, 71)).kind == CERTIFIED
+
+
+def test_an_optimum_without_limits_that_no_method_finds_leaves_the_floor_unknown() -> None:
+    """No weight of the movement, and a price on heat alone: the sparse system answers with 1e287 A."""
+    assert judge(drawn(90817263, 311)).kind == WITHOUT_FLOOR
 
 
 @pytest.mark.parametrize(("seed", "index"), [(5, 645), (8112001, 298)])
@@ -175,7 +190,8 @@ class TestJudge:
 
     def test_a_figure_that_is_no_number_is_bad(self, designed: Designed) -> None:
         run = played(designed.problem, designed.solution.command)
-        assert judge_design(replace(designed, floor=float("nan")), run).kind == "bad: NaN"
+        assert judge_design(replace(designed, floor=float("nan")), run).kind == WITHOUT_FLOOR
+        assert judge_design(replace(designed, floor=float("inf")), run).kind == "bad: NaN"
         assert judge_design(designed, replace(run, peak_input=float("nan"))).bad
 
     def test_another_replay_is_bad(self, designed: Designed) -> None:

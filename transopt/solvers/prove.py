@@ -48,7 +48,7 @@ def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certific
 
 
 def _in_the_mean(effect: Effect) -> Effect:
-    """The command's effect where the mean over the devices, weighted by their shares, counts and not the worst one."""
+    """The command's effect where the devices' mean, weighted by their shares, counts and not the worst device."""
     return effect.of(replace(effect.problem, worst=False)) if effect.problem.worst else effect
 
 

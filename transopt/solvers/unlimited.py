@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from transopt.base import apart
-from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.proof.certify import Effect, certify, movement_bound, reduced_gradient
@@ -27,11 +27,19 @@ def solve(problems: Sequence[TransientProblem]) -> list[Solution]:
 
     `command` is not clipped: it is what the limits would have to allow. The compiled pass takes all problems side by
     side. Where there is none, or it leaves a gap above `GAP` by both bounds of the certificate, the sparse KKT system
-    is solved.
+    is solved; the pass's answer serves where that system gives none, if a certificate would accept its gap.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _by_compiled_pass(problems)
-    return [_beside(problem) if own is None else own for problem, own in zip(problems, found, strict=True)]
+    return [_accepted(problem, own) for problem, own in zip(problems, found, strict=True)]
+
+
+def _accepted(problem: TransientProblem, own: Solution | None) -> Solution:
+    """The compiled pass's answer, or that of the other method where the pass has no optimum."""
+    if own is not None and own.status is Status.OPTIMAL:
+        return own
+    other = _beside(problem)
+    return other if own is None or other.status is Status.OPTIMAL else replace(own, status=Status.OPTIMAL)
 
 
 def _beside(problem: TransientProblem) -> Solution:
@@ -49,7 +57,11 @@ def _by_sparse_system(problem: TransientProblem) -> Solution:
 
 
 def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | None]:
-    """The pass of the extension, if it is there and its gap is small by either bound."""
+    """Answers of the extension's pass: OPTIMAL with a gap up to `GAP` by either bound of the certificate.
+
+    A larger gap, up to what a certificate accepts, is marked `ITERATION_LIMIT`. There is no answer without the
+    extension, with a still larger gap, and where the pass breaks down.
+    """
     start = time.perf_counter()
     if not extension.available:
         return [None] * len(problems)
@@ -64,12 +76,14 @@ def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | N
             continue
         problem, command = problems[i], stages.free_command(answer.command)
         multipliers = replace(Multipliers.zero(problem), hand_over=stages.hand_over(answer.gradient))
-        if not answer.relative_gap <= GAP:
+        gap = answer.relative_gap
+        if not gap <= GAP:
             left = movement_bound(problem, reduced_gradient(Effect(problem, command), multipliers))
-            if not left <= GAP * OBJECTIVE_SCALE:
-                continue
-        told = ("unlimited", "Riccati pass", answer.iterations, spent)
-        found[i] = Solution(Status.OPTIMAL, command, multipliers, *told)
+            gap = np.fmin(gap, left / OBJECTIVE_SCALE)
+        if gap <= Certificate.GAP_TOLERANCE:
+            status = Status.OPTIMAL if gap <= GAP else Status.ITERATION_LIMIT
+            told = ("unlimited", "Riccati pass", answer.iterations, spent)
+            found[i] = Solution(status, command, multipliers, *told)
     return found
 
 

@@ -250,5 +250,7 @@ def _unseen(stage: StageModel, row: FloatArray, size: FloatArray, g_s: float) ->
     size : (n,) bound on the states at the beginning of any substep.
     """
     flow = stage.flow
-    curvature = np.abs(np.append(row, 0.0) @ flow @ flow) @ exponential(np.abs(flow) * g_s)
-    return g_s**2 / 8 * float(curvature @ np.append(size, 1.0))
+    with np.errstate(over="ignore", invalid="ignore"):  # the growth of states much faster than the substep
+        curvature = np.abs(np.append(row, 0.0) @ flow @ flow) @ exponential(np.abs(flow) * g_s)
+        bound = g_s**2 / 8 * float(curvature @ np.append(size, 1.0))
+    return bound if np.isfinite(bound) else np.inf
