@@ -1,1 +1,1 @@
-"""The library of waveforms: its file, its exports, and solving anew between its nodes."""
+"""The library of waveforms: its file, its exports, and tap-by-tap solves between its nodes."""

@@ -1,4 +1,4 @@
-"""An answer as its command and its model alone have it, and the answers that a library file holds."""
+"""Answers of entries, computed from command and model alone; and the answers that a library file holds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,7 +22,7 @@ NAN = float("nan")
 
 
 class Answered:
-    """What is said of an answer by its command and its model, whether or not it was replayed.
+    """Figures of an answer that follow from its command and its model, whether or not it was replayed.
 
     Attributes
     ----------
@@ -33,22 +33,22 @@ class Answered:
 
     @property
     def told(self) -> Target:
-        """Target against which errors are told."""
+        """Target that errors are measured against."""
         return self.problem.target
 
     @property
     def problem(self) -> TransientProblem:
-        """Problem with every limit of the scene; of a nonlinear plant that of the plant at rest."""
+        """Problem with every limit of the scene; for a nonlinear plant it is the problem of the plant at rest."""
         return self.designed.problem
 
     @property
     def solution(self) -> Solution:
-        """Command (N,) and multipliers."""
+        """Command (N,) and its multipliers."""
         return self.designed.solution
 
     @property
     def certificate(self) -> Certificate:
-        """Proof of the answer."""
+        """Certificate of the answer."""
         return self.designed.certificate
 
     @property
@@ -68,7 +68,7 @@ class Answered:
 
     @property
     def plant_input(self) -> FloatArray:
-        """(N,) what drives the plant there [A or V]."""
+        """(N,) plant input at the switching instants [A or V]."""
         return self.designed.effect.motion.plant_input
 
     @cached_property
@@ -78,7 +78,7 @@ class Answered:
 
     @cached_property
     def binding(self) -> str:
-        """The limits that bind, and when; empty where the command is not finite."""
+        """The limits that bind, and when; empty if a command is NaN or infinite."""
         command, effect = self.solution.command, self.designed.effect
         if not np.isfinite(command).all():
             return ""
@@ -94,46 +94,46 @@ class Answered:
 
     @property
     def made_m_s2(self) -> FloatArray:
-        """(N,) y'' by which figures are told."""
+        """(N,) y'' that the figures are computed from."""
         return self.predicted_m_s2
 
     @property
     def tangential_error(self) -> float:
-        """Error across the normal over the intention, over |r| along it; 0 of a plant with one direction."""
+        """Error across the normal over the intention, relative to |r| along it; 0 for a plant with one direction."""
         return self.problem.yardstick.across(self.told, self.made_m_s2)[0] if self.problem.directions else 0.0
 
     @property
     def direction_rad(self) -> float:
-        """Angle by which that error turns the acceleration; 0 of a plant with one direction."""
+        """Angle by which that error turns the acceleration; 0 for a plant with one direction."""
         return self.problem.yardstick.across(self.told, self.made_m_s2)[1] if self.problem.directions else 0.0
 
     @property
     def energy_dB(self) -> float:
-        """Energy of y'' over that of r within the window, as the error filter hears it [dB]; 0 where r is zero."""
+        """Energy of y'' over the energy of r within the window, after the error filter [dB]; 0 if r is zero."""
         if self.problem.reference_is_zero:
             return 0.0
         return self.problem.tracking.energy_dB(self.problem.accelerations(self.solution.command))
 
     @property
     def linear_command(self) -> FloatArray | None:
-        """(N,) the command of the design for the plant at rest, beside that for a nonlinear plant."""
+        """(N,) command designed for the plant at rest, kept beside the command for a nonlinear plant; else None."""
         linear = self.designed.linear
         return None if linear is None else np.nan_to_num(linear.solution.command)
 
     @cached_property
     def linear_promised(self) -> float:
-        """Tap error that the plant at rest would have under that command; NaN for a linear plant."""
+        """Tap error of `linear_command` on the plant at rest; NaN for a linear plant."""
         if self.linear_command is None:
             return NAN
         return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(self.linear_command)[0])
 
 
 class Stored(Answered):
-    """An answer as a library file states it, predicted by its stage and not replayed.
+    """An answer as a library file states it: predicted by the stage model and not replayed.
 
     Parameters
     ----------
-    told : target against which errors are told. objective : "waveform" or "intensity", as the scene asks.
+    told : target that errors are measured against. objective : "waveform" or "intensity", as in the scene.
     """
 
     def __init__(self, designed: Designed, told: Target, objective: str) -> None:
@@ -145,18 +145,18 @@ class Stored(Answered):
 
     @property
     def floor(self) -> float:
-        """Tap error of the optimum without limits; NaN where it was not found."""
+        """Tap error of the optimum without limits; NaN if that optimum was not found."""
         free = self.problem.stage.rollout(self.designed.unlimited_command)[0]
         return self.problem.yardstick.tap_error(self.told, free)
 
     @cached_property
     def figures(self) -> Figures:
-        """How near the predicted motion comes to the recorded tap."""
+        """Distance of the predicted motion from the recorded tap."""
         return self.problem.yardstick.figures(self.told, self.designed.effect.lasting.acceleration_m_s2)
 
     @property
     def linear_tap_error(self) -> float:
-        """Tap error of `linear_command` on the nonlinear plant; NaN without a finite motion."""
+        """Tap error of `linear_command` on the nonlinear plant; NaN if its motion is not finite."""
         if self.designed.nonlinear is None or self.linear_command is None:
             return NAN
         return self.designed.nonlinear.figures(self.linear_command).tap_error
@@ -167,12 +167,12 @@ Free = Callable[[Sequence[TransientProblem]], list[FloatArray | None]]
 
 
 def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list[Designed]:
-    """The answers that the entries of one grip state, speed by speed, proven anew.
+    """The answers that the entries of one grip state, one per speed, with certificates computed here.
 
     Parameters
     ----------
-    prove : certificates of commands and their multipliers in linear problems.
-    unlimited : (N,) the optimum of each problem without limits; None where it cannot be had.
+    prove : computes the certificates of commands and their multipliers in linear problems.
+    unlimited : computes each problem's optimum (N,) without limits; None where it cannot.
     """
     stage, rows = library.stage(ig), range(library.speeds_m_s.size)
     plant = library.scene().nonlinear_plant() if library.nonlinear else None
@@ -190,7 +190,7 @@ def answers_of(library: Library, ig: int, prove: Prove, unlimited: Free) -> list
 
 
 def _free_commands(problems: Sequence[TransientProblem], unlimited: Free) -> list[FloatArray]:
-    """(N,) the optimum of each problem without limits; zero for a zero reference, NaN where it cannot be had."""
+    """(N,) optimum of each problem without limits; zero for a zero reference, NaN where none was found."""
     asked = [problem for problem in problems if not problem.reference_is_zero]
     found = iter(unlimited([problem.without_intensity() for problem in asked]))
     commands = [problem.rest if problem.reference_is_zero else next(found) for problem in problems]
@@ -201,7 +201,7 @@ def _free_commands(problems: Sequence[TransientProblem], unlimited: Free) -> lis
 
 
 def _answer(library: Library, iv: int, ig: int, accepted: Status) -> Solution:
-    """Command, multipliers and status as the file states them; `accepted` is the status of an entry that holds."""
+    """Command, multipliers and status that the file states; `accepted` is the status of a certified entry."""
     claimed = str(library.status[iv, ig])
     status = Status.OPTIMAL if claimed == accepted.value else Status.NOT_CERTIFIED
     spent = float(library.solve_time_s[iv, ig])
@@ -222,13 +222,13 @@ def _designed(
 def _on_plant(
     library: Library, iv: int, ig: int, plant: NonlinearCoil, problem: TransientProblem, free: FloatArray
 ) -> Designed:
-    """The answer that an entry of a nonlinear plant states, with the linear design beside it."""
+    """The answer that an entry of a nonlinear plant states, together with the linear design."""
     answer, nonlinear = _answer(library, iv, ig, Status.STATIONARY), nonlinear_problem(library, iv, ig, plant)
     effect = NonlinearEffect(nonlinear, answer.command)
     proof = certify_nonlinear(nonlinear, answer.command, answer.multipliers, effect=effect)
-    # Below 0 no sum of squares is.
+    # J is a sum of squares, so 0 is a lower bound.
     proof = replace(proof, lower_bound=0.0) if proof.finite else proof
-    # The file has no multipliers of the linear design, so that its certificate proves no more than its limits.
+    # The file holds no multipliers of the linear design: its certificate proves that it is feasible, not optimal.
     none, at_rest = Multipliers.zero(problem), Effect(problem, library.linear_command[iv, ig])
     stated = Solution(Status.NOT_CERTIFIED, at_rest.command, none, "", "", 0, 0.0)
     linear = _designed(problem, stated, certify(problem, at_rest.command, none, effect=at_rest), at_rest, free)

@@ -1,4 +1,4 @@
-"""One self-contained C99/C++ header with an arm's commands and the blend that plays them."""
+"""One self-contained C99/C++ header with an arm's commands and the blend between its nodes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +53,8 @@ static inline float transopt_command(float speed_m_s, float grip_N, float normal
 def arm_header(library: Library) -> str:
     """The header's text, ASCII.
 
-    Commands are rounded to 16 bit with one scale. Before that they are made smaller by what rounding may add, half a
-    count of the limit, so that every blend of what is played keeps the limits too.
+    Commands are rounded to 16 bit with one scale. They are scaled down first by as much as rounding can add, half a
+    count of the limit, so that every blend of the rounded commands keeps the limits too.
     """
     counts, scale_A = _quantised(library)
     digest = library.content_sha256
@@ -80,7 +80,7 @@ def arm_header(library: Library) -> str:
 
 
 def _quantised(library: Library) -> tuple[NDArray[np.int16], np.float32]:
-    """(v, g, o, q, m, N) counts and the amperes per count."""
+    """(v, g, o, q, m, N) counts, and the amperes per count."""
     least = library.input_limit * min(library.scene().arm().motor_shares)
     largest = float(np.abs(library.command).max())
     shrunk = 1 - largest / (2 * FULL_SCALE) / least

@@ -1,4 +1,4 @@
-"""One self-contained C99/C++ header with a library's waveforms and the blend that plays them."""
+"""One self-contained C99/C++ header with a library's waveforms and the blend between its nodes."""
 
 import re
 
@@ -98,7 +98,7 @@ def c_header(library: Library) -> str:
 
 
 def _second(library: Library) -> list[str]:
-    """Scale, table and function of the cool commands; none where the library has none."""
+    """Scale, table and function of the cool commands; an empty list if the library has no cool commands."""
     if library.cool is None:
         return []
     counts, scale_A = _quantise(library.cool.transient_command)
@@ -111,11 +111,11 @@ def _second(library: Library) -> list[str]:
 
 
 def single_precision(name: str, nodes: FloatArray) -> NDArray[np.float32]:
-    """Nodes of an axis as the header has them.
+    """Nodes of an axis in the single precision of the header.
 
     Raises
     ------
-    InputError : two of them are the same number there.
+    InputError : two nodes are the same number in single precision.
     """
     rounded = nodes.astype(np.float32)
     same = np.flatnonzero(np.diff(rounded) <= 0)
@@ -129,11 +129,11 @@ def single_precision(name: str, nodes: FloatArray) -> NDArray[np.float32]:
 
 
 def _quantise(command_A: FloatArray) -> tuple[NDArray[np.int16], np.float32]:
-    """(nv, ng, N) counts and the amperes per count."""
+    """(nv, ng, N) counts, and the amperes per count."""
     scale_A = np.float32(np.abs(command_A).max() / FULL_SCALE)
     if scale_A < np.finfo(np.float32).tiny:  # a zero library; a subnormal scale could overflow the counts
         return np.zeros(command_A.shape, dtype=np.int16), np.float32(0.0)
-    # Divided by the rounded scale, which is the one the device multiplies by.
+    # Divide by the rounded scale, because the device multiplies by the rounded scale.
     return np.rint(command_A / float(scale_A)).astype(np.int16), scale_A
 
 
@@ -143,7 +143,7 @@ def literal(value: float | np.float32) -> str:
 
 
 def plain(text: object) -> str:
-    """Text that can neither end a C comment nor continue its line."""
+    """Text in which no character can end a C comment or continue its line."""
     return re.sub(r"[^A-Za-z0-9_ .,:()+-]", "_", str(text))
 
 
@@ -188,7 +188,7 @@ def _comment(library: Library, digest: str, counts: NDArray[np.int16]) -> str:
 
 def _macros(library: Library, counts: NDArray[np.int16], scale_A: np.float32) -> str:
     amplifier, current_A = library.amplifier(), library.input_limit
-    # The free device has no least grip: every reading but NaN plays.
+    # A library of the free device has no minimum grip: it plays at every reading but NaN.
     free = library.grips_N.size == 1 and library.grips_N[0] == 0
     least_grip = -np.finfo(np.float32).max if free else library.grip_min_N
     nv, ng, samples = counts.shape
@@ -221,7 +221,7 @@ def _waveforms(counts: NDArray[np.int16], prefix: str) -> str:
 
 
 def samples(row: NDArray[np.int16]) -> str:
-    """A waveform in C, some counts a line."""
+    """A waveform as a C initialiser, `COUNTS_PER_LINE` counts per line."""
     texts = [str(count) for count in row.tolist()]
     lines = [", ".join(texts[j : j + COUNTS_PER_LINE]) for j in range(0, len(texts), COUNTS_PER_LINE)]
     return "{" + ",\n ".join(lines) + "}"

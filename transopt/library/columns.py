@@ -1,7 +1,7 @@
-"""The columns in which entries are shown: each is declared once, whatever prints or draws the table.
+"""The columns of tables of entries, each declared once for everything that prints or draws such a table.
 
-Entries of a build, of a library, of a check and of a study are rows (`Row`); terminal, Markdown report, notebook,
-`show`, `compare`, `verify` and the page choose columns by name and print the same cells.
+Entries of a build, of a library, of a check and of a study are rows (`Row`). The terminal, Markdown report, notebook,
+`show`, `compare`, `verify` and the page choose columns by name and so print the same cells.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,32 +16,32 @@ from transopt.problem.objective.bands import JUST_NOTICED_dB
 
 NAN = float("nan")
 PAIR = (NAN, NAN)
-UNKNOWN = "-"  # the cell of a number that is not known, or that a refused entry does not have
+UNKNOWN = "-"  # cell of a number that is unknown, or of a refused entry
 
 
 class Row(Protocol):
-    """One entry as tables read it: a figure is made when its column is shown."""
+    """One entry as tables read it; a figure is computed only when its column is shown."""
 
     @property
     def cells(self) -> Sequence[str]:
-        """The entry, in the cells of `Axes.columns`."""
+        """Cells of the columns `Axes.columns`, which say which entry it is."""
 
     @property
     def refusal(self) -> str:
         """Why the entry is refused; empty for an entry whose figures are shown."""
 
     def value(self, column: str) -> Any:
-        """What the entry has in a column of `COLUMNS`; NaN or empty where it is not known or not looked at."""
+        """The entry's value in a column of `COLUMNS`; NaN or empty if it is unknown or was not computed."""
 
 
 @dataclass(frozen=True)
 class TableRow:
-    """A row whose figures are known already.
+    """A row whose values are all computed in advance.
 
     Attributes
     ----------
-    cells, refusal : as of `Row`.
-    values : column -> what stands there; columns that are not there are unknown.
+    cells, refusal : see `Row`.
+    values : column -> value; columns that are missing have their unknown value.
     """
 
     cells: Sequence[str]
@@ -49,7 +49,7 @@ class TableRow:
     refusal: str = ""
 
     def value(self, column: str) -> Any:
-        """What the entry has in a column."""
+        """The entry's value in a column."""
         return self.values.get(column, COLUMNS[column].unknown)
 
 
@@ -59,15 +59,16 @@ class Column:
 
     Attributes
     ----------
-    head : what stands above it; `{unit}` is that of the commands, `{at}` the transient and the steady limit.
-    show : the cell of a value.
-    meaning : a sentence for the legend; empty where the head says it. `{input}` is what drives the plant, `{target}`
-        what is tracked, `{over}` for how long, `{ends}` why no limit is not enough.
-    unknown : the value of an entry of which it is not known. A column of words is set to the left, one of numbers to
-        the right and is empty for a refused entry.
-    array : of `Library` in which the column stands, and whose declaration says how it is made of an entry
-        (`Array.made`); empty for one that no file holds.
-    after : whether it is of the motion after the waveform, and unknown where none is looked at.
+    head : head of the column; `{unit}` is the unit of the commands, `{at}` the transient and the steady limit.
+    show : turns a value into the cell's text.
+    meaning : explanation for the legend; empty if the head says enough. `{input}` is the quantity that drives the
+        plant, `{target}` what is tracked, `{over}` the time span, `{ends}` why the error is not 0 even without
+        limits.
+    unknown : value of an entry for which the column is unknown. Its type sets the alignment: a column of text is
+        aligned to the left, one of numbers to the right; a refused entry shows no numbers.
+    array : array of `Library` that holds the column, and whose declaration says how an entry's value is computed
+        (`Array.made`); empty for a column that no file holds.
+    after : whether it concerns the motion after the waveform; unknown if the problem has no samples there.
     """
 
     head: str
@@ -79,17 +80,17 @@ class Column:
 
     @property
     def is_number(self) -> bool:
-        """Whether it is set to the right, and empty for a refused entry."""
+        """Whether it is aligned to the right and left out for a refused entry."""
         return not isinstance(self.unknown, str)
 
 
 def fixed(value: float, digits: int, scale: float = 1.0) -> str:
-    """A number with so many decimals; a dash for NaN."""
+    """A number with this many decimals; a dash for NaN."""
     return UNKNOWN if np.isnan(value) else f"{value * scale:.{digits}f}"
 
 
 def power(value: float) -> str:
-    """A number by its power of ten; a dash for NaN."""
+    """A number with one significant digit, with its power of ten; a dash for NaN."""
     return UNKNOWN if np.isnan(value) else f"{value:.0e}"
 
 
@@ -97,7 +98,7 @@ def _pair(values: tuple[float, float]) -> str:
     return " / ".join(percent(value) for value in values)
 
 
-# In the order in which tables show them.
+# In the order of the tables.
 COLUMNS = {
     "tap": Column(
         "tap %",
@@ -189,8 +190,8 @@ COLUMNS = {
     ),
 }
 
-FIGURES = ("tap", "felt", "felt_dB", "speed", "bump", "heat")  # what is told of an entry wherever it is shown
-OF_DIRECTIONS = ("across", "angle")  # of an arm alone
+FIGURES = ("tap", "felt", "felt_dB", "speed", "bump", "heat")  # shown for an entry in every table
+OF_DIRECTIONS = ("across", "angle")  # only for an arm
 FULL = (
     "tap",
     "floor",
@@ -204,20 +205,20 @@ FULL = (
     "binding",
     "verdict",
 )
-RIVALS = ("seed", "clipped")  # what other methods reach, with the full report
+RIVALS = ("seed", "clipped")  # errors of other methods, shown in the full report
 
 
 @dataclass(frozen=True)
 class EntryTable:
-    """Rows of entries, with what the heads of their columns depend on.
+    """Rows of entries, and the values that their columns' heads contain.
 
     Attributes
     ----------
     places : heads of the columns that say which entry a row is (`Axes.columns`).
-    names : of the columns of `COLUMNS` that are shown, in their order.
-    rows : of the entries.
-    unit : of the commands: "A" or "V".
-    limits : transient and steady limit on what drives the plant; None where no column needs them.
+    names : names in `COLUMNS` of the columns shown, in order.
+    rows : the entries.
+    unit : unit of the commands: "A" or "V".
+    limits : transient and steady limit on the plant input; None if no column needs them.
     """
 
     places: Sequence[str]
@@ -228,7 +229,7 @@ class EntryTable:
 
     @property
     def columns(self) -> list[Column]:
-        """The declarations of the columns behind the place."""
+        """The declarations of the columns after those of `places`."""
         return [COLUMNS[name] for name in self.names]
 
     @property
@@ -243,7 +244,7 @@ class EntryTable:
         return [[*row.cells, *self.figures(row)] for row in self.rows]
 
     def figures(self, row: Row) -> list[str]:
-        """Cells of one row behind its place."""
+        """Cells of one row after those of `places`."""
         if not row.refusal:
             return [COLUMNS[name].show(row.value(name)) for name in self.names]
         said = {"binding": row.refusal, "verdict": "refused"}
@@ -251,7 +252,7 @@ class EntryTable:
 
     @property
     def known(self) -> "EntryTable":
-        """This table without columns of numbers that no row knows."""
+        """This table without the numeric columns that are unknown in every row."""
 
         def is_known(value: Any) -> bool:
             return any(not np.isnan(each) for each in (value if isinstance(value, tuple) else (value,)))
@@ -265,16 +266,16 @@ class EntryTable:
         return replace(self, names=names)
 
     def legend(self, driven_by: str, *, named: bool) -> str:
-        """What the columns mean, in one paragraph; parameters as of `meanings`."""
+        """The meanings of the columns in one paragraph; parameters as in `meanings`."""
         said = self.meanings(driven_by, named=named)
         return " ".join(f"{head.removesuffix(' %')}: {meaning}." for head, meaning in said.items())
 
     def meanings(self, driven_by: str, *, named: bool) -> dict[str, str]:
-        """Head of a column -> what stands in it; of the columns whose head does not say it.
+        """Head of a column -> its meaning, for the columns whose head does not say enough.
 
         Parameters
         ----------
-        driven_by : what drives the plant: current or voltage. named : whether named targets are tracked, not taps.
+        driven_by : the plant input: current or voltage. named : whether named targets are tracked instead of taps.
         """
         target, over = ("the target", "over the waveform") if named else ("the recorded tap", "over the intention")
         ends = "" if named else ": the waveform ends while the hand pushes"

@@ -1,7 +1,7 @@
-"""`meta.derived` of a library: its problem in numbers, for readers that have numpy and not this project.
+"""`meta.derived` of a library: its problem in numbers, for readers that have numpy but not this project.
 
-Nothing here is read back. The problem of a library comes from its scene, and `transopt.library.proven` makes these
-numbers again and refuses a file that states others.
+This project never reads these numbers. It poses the problem of a library from its scene; `transopt.library.proven`
+computes the numbers again and refuses a file that states different ones.
 """
 
 from collections.abc import Sequence
@@ -25,24 +25,24 @@ from transopt.problem.problem import TransientProblem
 if TYPE_CHECKING:  # which loads pydantic
     from transopt.scene.scene import Scene
 
-WHOLE = (CurrentLimit, VoltageLimit, CommandLimit, SlewLimit)  # limits of which these numbers say all
+WHOLE = (CurrentLimit, VoltageLimit, CommandLimit, SlewLimit)  # limits that these numbers describe completely
 
 
 def places(scene: "Scene") -> dict[str, FloatArray]:
-    """Array -> (g, 3) normal and angles of each device of an arm; of no device for any other plant."""
+    """Array -> (g, 3) normal and angles of each device of an arm; (0, 3) for any other plant."""
     of = [scene.arm().place(*at) for at in scene.axes.places]
     found = {"normals": [each.normal for each in of], "postures_rad": [each.posture_rad for each in of]}
     return {name: np.array(each).reshape(-1, 3) for name, each in found.items()}
 
 
 def derived(posing: Posing, problems: Sequence[TransientProblem], *, warm: bool) -> dict[str, Any]:
-    """What `meta.derived` states of the problems of a library.
+    """The value of `meta.derived` for the problems of a library.
 
     Parameters
     ----------
     posing : what all its problems share.
-    problems : one of each speed or named target, at the same grip; of a nonlinear plant those of the plant at rest.
-    warm : whether the winding's temperature is a constraint of any entry, and not shown to matter to none.
+    problems : one per speed or named target, all at the same grip; for a nonlinear plant those of the plant at rest.
+    warm : whether the winding's temperature is a constraint of at least one entry.
     """
     problem = problems[0]
     grid, amplifier, limits = problem.grid, problem.stage.amplifier, problem.limits
@@ -72,14 +72,14 @@ def derived(posing: Posing, problems: Sequence[TransientProblem], *, warm: bool)
 
 
 def _is_whole(limit: Limit, *, warm: bool) -> bool:
-    """Whether these numbers say all of a limit, or it is none of any entry."""
+    """Whether these numbers describe the limit completely, or no entry has it as a constraint."""
     if isinstance(limit, TemperatureLimit):
         return not warm
     return isinstance(limit, WHOLE) and not isinstance(limit, SaggingVoltageLimit)
 
 
 def _term(of_problems: Sequence[ErrorTerm]) -> dict[str, Any]:
-    """A term of the error; its weights in the window are one list where those of all problems are alike."""
+    """One term of the error; its weights in the window are a single list if those of all problems are equal."""
     first, by = of_problems[0], of_problems[0].error_filter
     weights = [term.weights.tolist() for term in of_problems]
     return {
@@ -93,7 +93,7 @@ def _term(of_problems: Sequence[ErrorTerm]) -> dict[str, Any]:
 
 
 def _felt(dt_s: float) -> dict[str, list[float]] | None:
-    """Band-pass of the felt error, of first order; null where the band goes beyond half the servo rate."""
+    """First-order band-pass of the felt error; None if the band exceeds half the servo rate."""
     if not 2 * FELT_Hz[1] * dt_s < 1:
         return None
     (by,) = bandpass(*FELT_Hz, dt_s, 1)

@@ -1,18 +1,18 @@
-"""What a driver is sent: the command of an entry at the driver's rate and in its counts.
+"""The waveform sent to a driver: the command of an entry, at the driver's rate and in its counts.
 
-The command of a library is held over every period of the design. A driver holds each of its samples over a period of
-its own, 1 / rate. What leaves is therefore the mean of the command over each period of the driver:
+A library holds each command over one period of the design. A driver holds each of its samples over a period of its
+own, 1 / rate. Each sample is therefore the mean of the command over one period of the driver:
 
-- of all waveforms that the driver can hold, it is the one nearest to the command in least squares (the projection of
-  one staircase onto the other);
+- among all waveforms that the driver can hold, it is nearest to the command in least squares (the projection of one
+  staircase onto the other);
 - at a whole multiple of the design's rate it is the command itself, each of its values repeated;
-- the integral of the command, which is what a plant slower than the driver answers to, is kept over every period;
-- a mean of admissible commands is admissible: it leaves neither full scale nor the limit of the input, it starts no
-  earlier and adds no delay. A polyphase low-pass overshoots at every jump of a saturated command, so that it would be
-  clipped, and rings before it.
+- it keeps the integral of the command over every period, which is what a plant slower than the driver responds to;
+- a mean of admissible commands is admissible: it exceeds neither full scale nor the input limit, starts no earlier
+  and adds no delay. A polyphase low-pass would overshoot at every jump of a saturated command, and so be clipped, and
+  would ring before the jump.
 
-What the mean loses between two rates that are no multiples of each other is counted by `drive_replay`, as are
-saturation and rounding.
+Unless the driver's rate is a multiple of the design's, the mean loses part of the command. `drive_replay` measures
+the effect of that loss, of saturation and of rounding.
 """
 
 from dataclasses import dataclass
@@ -29,19 +29,19 @@ from transopt.library.library import Library
 from transopt.problem.limits.limit import tolerated
 
 LEAST_RATE_HZ, MOST_RATE_HZ = 100.0, 1e6
-WHOLE = 1e-6  # of a sample of the driver: what rounding may add up to over a waveform
+WHOLE = 1e-6  # samples of the driver: bound on the rounding error accumulated over a waveform
 
 
 @dataclass(frozen=True)
 class Depth:
-    """How a driver's samples are stored.
+    """Storage format of a driver's samples.
 
     Attributes
     ----------
-    bits : of a sample in a file.
-    counts : the largest count; the smallest is its negative, so that the scale is symmetric. 0: no counts, samples
-        are single-precision numbers with full scale at 1.
-    dtype : of the array that holds them; 24 bit have none of their own and stand in 32.
+    bits : bits per sample in a file.
+    counts : the largest count; the smallest is its negative, so that the scale is symmetric. 0 means no counts:
+        samples are single-precision numbers, full scale is 1.
+    dtype : type of the array that holds the samples; 24 bit have no type of their own and are held in 32 bit.
     """
 
     bits: int
@@ -50,7 +50,7 @@ class Depth:
 
     @property
     def word(self) -> str:
-        """In a table: "16 bit"."""
+        """Name in a table, such as "16 bit"."""
         return f"{self.bits} bit" if self.counts else f"{self.bits} bit float"
 
 
@@ -67,14 +67,14 @@ DEPTHS: Final = MappingProxyType(
 
 @dataclass(frozen=True)
 class Driver:
-    """What the samples are for: it puts out `full_scale` at the largest count and holds each over 1 / rate.
+    """The driver that the samples are for: output `full_scale` at the largest count, each sample held for 1 / rate.
 
     Attributes
     ----------
     rate_Hz : samples per second.
-    depth : of a sample.
-    full_scale : largest size of its output [A or V].
-    unit : "A" or "V".
+    depth : storage format of a sample.
+    full_scale : largest magnitude of its output [A or V].
+    unit : unit of its output, "A" or "V".
     """
 
     rate_Hz: float
@@ -84,11 +84,11 @@ class Driver:
 
     @property
     def scale(self) -> float:
-        """Value of one count, or of a float's 1 [A or V]."""
+        """Output per count, or at a float sample of 1 [A or V]."""
         return self.full_scale / (self.depth.counts or 1)
 
     def samples(self, wanted: FloatArray) -> tuple[NDArray[Any], int]:
-        """(m,) as stored, for outputs (m,) that are wanted; and how many of them are beyond full scale."""
+        """(m,) samples as stored for the desired outputs (m,), and the number of outputs beyond full scale."""
         step = self.scale if self.depth.counts else 0.0
         beyond = np.abs(wanted) > self.full_scale + max(step / 2, tolerated(self.full_scale))
         clipped = np.clip(wanted / self.scale, -(self.depth.counts or 1), self.depth.counts or 1)
@@ -98,15 +98,15 @@ class Driver:
 
 @dataclass(frozen=True)
 class Drive:
-    """The command of one entry as it leaves.
+    """The command of one entry, converted for a driver.
 
     Attributes
     ----------
-    iv, ig : which entry.
+    iv, ig : indices of the entry.
     name : its target, or its speed and grip.
-    driver : that it is for.
-    samples : (m,) as stored, integer counts or single-precision shares of full scale.
-    saturated : how many of them lie at full scale because more was wanted.
+    driver : the driver that the samples are for.
+    samples : (m,) as stored: integer counts, or single-precision shares of full scale.
+    saturated : number of samples clipped at full scale.
     """
 
     iv: int
@@ -120,21 +120,21 @@ class Drive:
 
     @property
     def values(self) -> FloatArray:
-        """(m,) what the driver puts out [A or V]."""
+        """(m,) output of the driver [A or V]."""
         return np.asarray(self.samples * self.driver.scale, dtype=float)
 
     @property
     def peak(self) -> float:
-        """Largest size of it [A or V]."""
+        """Largest magnitude of the output [A or V]."""
         return float(np.abs(self.values).max())
 
 
 def held(command: FloatArray, periods: float) -> FloatArray:
-    """(m,) mean of a held command (N,) over each period of a driver, the last one filled up with zero.
+    """(m,) mean of a held command (N,) over each period of a driver; the last period is padded with zero.
 
     Parameters
     ----------
-    periods : of the driver in one of the design, dt * rate, > 0.
+    periods : driver periods per design period, dt * rate, > 0.
     """
     N = command.size
     if _repeats(periods, N):
@@ -145,17 +145,17 @@ def held(command: FloatArray, periods: float) -> FloatArray:
 
 
 def is_multiple(library: Library, rate_Hz: float) -> bool:
-    """Whether a command leaves at this rate as it is: a whole multiple of the design's."""
+    """Whether the driver plays the command unchanged: its rate is a whole multiple of the design's."""
     return _repeats(library.dt_s * rate_Hz, library.command.shape[2])
 
 
 def _repeats(periods: float, stages: int) -> bool:
-    """Whether a driver has a whole number of periods in one of the design, over a whole waveform."""
+    """Whether a design period is a whole number of driver periods, within `WHOLE` over the entire waveform."""
     return round(periods) >= 1 and abs(periods - round(periods)) * stages <= WHOLE
 
 
 def command_range(library: Library) -> float:
-    """The largest command that there may be: the amplifier's range, or the input's limit without one [A or V]."""
+    """Largest possible command: the amplifier's range, or the input limit for an ideal amplifier [A or V]."""
     amplifier = library.amplifier()
     return library.input_limit if amplifier is None else amplifier.command_limit
 
@@ -167,9 +167,9 @@ def driver_for(
 
     Parameters
     ----------
-    rate_Hz : None is the design's, 1 / dt.
+    rate_Hz : None means the design's rate, 1 / dt.
     bits : a name in `DEPTHS`.
-    full_scale : None is `command_range`, so that nothing saturates [A or V].
+    full_scale : None means `command_range`, at which nothing saturates [A or V].
 
     Raises
     ------
@@ -190,13 +190,13 @@ def driver_for(
             f"full scale {most:g} {unit}: must be > 0 and finite; without --full-scale it is "
             f"{command_range(library):g} {unit}"
         )
-    # What rounding of dt leaves of a whole rate is taken off: files state whole numbers.
+    # Remove the rounding error of dt from a whole rate, because files state whole rates.
     rate = float(round(rate)) if abs(rate - round(rate)) <= WHOLE * 1e-3 * rate else rate
     return Driver(rate, DEPTHS[bits], most, unit)
 
 
 def drive_of(library: Library, iv: int, ig: int, driver: Driver) -> Drive:
-    """The total command of an entry as it leaves for a driver."""
+    """The total command of an entry, converted for a driver."""
     wanted = held(library.command[iv, ig], library.dt_s * driver.rate_Hz)
     samples, saturated = driver.samples(wanted)
     return Drive(iv, ig, library.axes.place(iv, ig), driver, samples, saturated)
@@ -205,11 +205,11 @@ def drive_of(library: Library, iv: int, ig: int, driver: Driver) -> Drive:
 def chosen(
     library: Library, target: str | None = None, speed_m_s: float | None = None, grip_N: float | None = None
 ) -> list[tuple[int, int]]:
-    """Entries (iv, ig) of a target, of a speed, of a grip; all where none is asked for.
+    """Entries (iv, ig) of this target, or this speed, or this grip; all entries if none is given.
 
     Raises
     ------
-    InputError : what the library does not have.
+    InputError : the library has no such target, speed or grip.
     """
     axes = library.axes
     if target is not None and not axes.targets:

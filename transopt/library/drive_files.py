@@ -1,7 +1,7 @@
-"""Drives as files: WAV, raw samples, NPZ, CSV and a C header.
+"""Files of drives: WAV, raw samples, NPZ, CSV and a C header.
 
-WAV and raw samples have one file for each entry, named by its target or by its speed and grip; the others hold all
-entries in one.
+WAV and raw formats take one file per entry, named by its target or by its speed and grip. The other formats hold all
+entries in one file.
 """
 
 import csv
@@ -26,20 +26,20 @@ from transopt.library.drive_header import drive_header
 from transopt.library.drive_replay import PlayedDrive, played
 from transopt.library.library import Library
 
-LONGEST_NAME = 60  # characters of a target's name in the name of its file
-# Suffix -> whose description of an effect it is. Their intensities, sharpnesses and frequencies are steps of the
-# phone's own amplifier and actuator: no published measurement maps a waveform to them.
+LONGEST_NAME = 60  # most characters of a target's name in a file's name
+# Suffix -> the phone maker's format for describing an effect. Its intensities, sharpnesses and frequencies are steps
+# of the phone's own amplifier and actuator, and no published measurement maps a waveform to them.
 DESCRIPTIONS: Final = MappingProxyType(
     {".ahap": "AHAP (Apple)", ".pwle": "PWLE (Android)", ".json": "AHAP (Apple) and PWLE (Android)"}
 )
 
 
 def refuse_descriptions(path: Path) -> None:
-    """Refuse to write what describes an effect in the terms of a phone's maker.
+    """Refuse to write a phone maker's description of an effect.
 
     Raises
     ------
-    InputError : the suffix is that of one.
+    InputError : the suffix belongs to such a format.
     """
     whose = DESCRIPTIONS.get(path.suffix.lower())
     if whose is not None:
@@ -60,22 +60,22 @@ def export_drive(
     speed_m_s: float | None = None,
     grip_N: float | None = None,
 ) -> tuple[list[Path], list[PlayedDrive]]:
-    """Write the commands of a library for a driver, and play what was written through the library's plants.
+    """Write the commands of a library for a driver, and replay what was written on the library's plants.
 
-    Each file is written whole or not at all; one that is there already is replaced.
+    Each file is written whole or not at all; an existing file is replaced.
 
     Parameters
     ----------
-    path : its suffix names the format: .wav and .bin have one file for each entry, .npz, .csv and .h all in one.
-        Where several entries leave as .wav or .bin, their names stand behind the path's own.
-    rate_Hz : of the driver, which holds each sample until the next; None is the design's.
-    bits : "8", "16", "24", "32" or "float" (32 bit); .h has 8 and 16.
-    full_scale : what the largest count stands for [A or V]; None is the range of the command.
-    target, speed_m_s, grip_N : which entries; all that are not excluded.
+    path : its suffix names the format: .wav and .bin take one file per entry; .npz, .csv and .h hold all in one.
+        If several entries are written as .wav or .bin, the entry's name is appended to the path's own.
+    rate_Hz : rate of the driver, which holds each sample until the next; None means the design's rate.
+    bits : "8", "16", "24", "32" or "float" (32 bit); .h takes 8 and 16 only.
+    full_scale : output at the largest count [A or V]; None means the range of the command.
+    target, speed_m_s, grip_N : select entries; without them all entries are written.
 
     Returns
     -------
-    The files that were written, and what each entry does as it leaves.
+    The files written, and the replay of each entry's samples.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def export_drive(
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """Names with letters, digits, dot, minus and underscore alone, that differ on every file system."""
+    """File names of letters, digits, dot, minus and underscore only, unique even where case is ignored."""
     found: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_.")[:LONGEST_NAME] or "target"
@@ -118,11 +118,11 @@ def file_names(names: Sequence[str]) -> list[str]:
 
 
 def wav(drive: Drive) -> bytes:
-    """One channel; 8 bit are unsigned with zero at 128, as WAV has them, the others signed.
+    """One channel; 8-bit samples are unsigned with zero at 128, as WAV requires, all others signed.
 
     Raises
     ------
-    InputError : a rate that is no whole number, which WAV cannot state.
+    InputError : the rate is not a whole number, so WAV cannot state it.
     """
     depth, rate_Hz = drive.driver.depth, drive.driver.rate_Hz
     if abs(rate_Hz - round(rate_Hz)) > WHOLE:
@@ -141,7 +141,7 @@ def wav(drive: Drive) -> bytes:
 
 
 def raw(drive: Drive) -> bytes:
-    """The samples alone, little-endian, three bytes each where they have 24 bit."""
+    """The samples without a header, little-endian; 24-bit samples take three bytes each."""
     bits = drive.driver.depth.bits
     samples = drive.samples.astype(drive.samples.dtype.newbyteorder("<"))
     if bits != 24:
@@ -170,9 +170,10 @@ def npz(library: Library, drives: Sequence[Drive]) -> bytes:
 
 
 def table(library: Library, drives: Sequence[Drive]) -> bytes:
-    """CSV: comment lines, column names, then one row per entry and sample: which, when, count and output.
+    """CSV: comment lines, column names, then one row per entry and sample: entry, index, time, sample and output.
 
-    `time_s` is when a sample is sent, contact or the target's beginning at 0; numbers read back as the same double.
+    `time_s` is when a sample is sent, 0 at contact or at the target's beginning. Numbers read back as the same
+    double.
     """
     axes, driver, text = library.axes, drives[0].driver, io.StringIO()
     for comment in (

@@ -11,7 +11,7 @@ from transopt.library.drive import Drive
 from transopt.library.library import Library
 from transopt.plant.state_space import CURRENT_INPUT
 
-BITS = (8, 16)  # of what a microcontroller keeps waveforms in
+BITS = (8, 16)  # depths of the integer types that microcontrollers keep waveforms in
 
 STRUCT = """\
 /* One waveform: put out samples[k] * scale_{unit}, k < length, and hold each for 1 / rate_Hz seconds. */
@@ -30,7 +30,8 @@ def drive_header(library: Library, drives: Sequence[Drive]) -> str:
 
     Raises
     ------
-    InputError : another depth than 8 or 16 bit; currents over speed and grip, whose header blends between them.
+    InputError : the depth is not 8 or 16 bit; or the library is one of currents over speed and grip, which has its
+        own header that blends between entries.
     """
     driver, axes = drives[0].driver, library.axes
     if not axes.targets and library.driven_by is CURRENT_INPUT:
@@ -61,7 +62,7 @@ def drive_header(library: Library, drives: Sequence[Drive]) -> str:
 
 
 def _identifiers(names: Sequence[str]) -> list[str]:
-    """What the arrays are called: C names, no two alike."""
+    """Names of the arrays: C identifiers, all different."""
     found: list[str] = []
     for name in names:
         word, number = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_") or "target", 2

@@ -1,11 +1,12 @@
-"""The samples that leave, played: what saturation, rounding and another rate make of an entry.
+"""Replay of a drive: how saturation, rounding and the driver's rate change an entry.
 
-A driver holds each sample over a period of its own, so its samples go through the plant and the amplifier of the
-entry by the exact zero-order hold of that period (`discretise`). The target is known at the instants of the design,
-which lie somewhere within the driver's periods: a hold over a part of a period takes the state there.
+A driver holds each sample over a period of its own, so the samples pass through amplifier and plant by the exact
+zero-order hold of that period (`discretise`). The target is known at the design's instants, which lie anywhere within
+the driver's periods: a hold over part of a period gives the state at such an instant.
 
-The limits were kept by the design's samples and not by these: the independent replay watches them at every fine step.
-On a nonlinear plant the samples go through its stage over the driver's period, and its own replay watches the limits.
+The design kept the limits with its own commands, not with these samples; the independent replay checks the limits at
+every fine step. On a nonlinear plant the samples pass through its stage over the driver's period, and its own replay
+checks the limits.
 """
 
 from collections.abc import Sequence
@@ -30,28 +31,28 @@ from transopt.problem.objective.figures import Yardstick
 from transopt.problem.objective.target import Target
 from transopt.proof.replay import replay
 
-# What is not asked of samples: the step between two of them, which depends on the rate, and the coil's temperature,
-# which a mean of the command can only lower.
+# Limits not checked for samples: the slew rate, because the step between samples depends on the driver's rate;
+# and the coil's temperature, because taking means can only lower it.
 NOT_WATCHED = (SlewLimit.name, TemperatureLimit.name)
-# Share of a limit by which samples may leave it, beside half a count where they have its unit: amplifiers and drivers
-# are not that exact, and the design's own margins are for its own rate.
+# Share of a limit by which samples may exceed it, besides half a count for limits in the driver's unit. Amplifiers
+# and drivers are not more exact, and the design's own margins hold for the design's rate only.
 EXCUSED = 1e-3
-SAME = 9  # decimals of a driver's period in which two instants within it are the same
+SAME = 9  # decimals, in driver periods, to which two instants within a period are considered equal
 
 
 @dataclass(frozen=True)
 class PlayedDrive:
-    """What a drive does, as it leaves.
+    """The motion and the figures of an entry played through a driver.
 
     Attributes
     ----------
-    drive : what is played.
-    acceleration_m_s2 : (N + M,) y'' at the switching instants of the design, in its window and after it.
-    tap_error, error_after : in the window and after it, as `tap_error` and `error_after` of the design.
-    tap_error_designed : of the design.
-    figures : the trade's, of this acceleration.
-    limits_left : one sentence for each limit of the scene that it leaves; of a library with a wall, whose feedback
-        follows the device's own motion, none is watched.
+    drive : the samples played.
+    acceleration_m_s2 : (N + M,) y'' at the design's switching instants, in the window and after it.
+    tap_error, error_after : in the window and after it, defined as for the design.
+    tap_error_designed : tap error of the design.
+    figures : the trade's figures of this acceleration.
+    limits_left : one sentence for each limit of the scene that is exceeded. For a library with a wall no limit is
+        checked, because the wall's feedback follows the device's own motion.
     """
 
     drive: Drive
@@ -66,9 +67,9 @@ class PlayedDrive:
 
 
 def _within(grid: TimeGrid, driver: Driver) -> tuple[NDArray[np.intp], FloatArray]:
-    """Give, for each of the design's N + M instants, the driver's sample held then and the share of its period past.
+    """(N + M,) index of the driver's sample held at each design instant, and the elapsed share of its period.
 
-    The driver's first sample acts from tau_0 on. An instant at a switch comes just after it, as in the design.
+    The driver's first sample acts from tau_0 on. At a switch the new sample counts, as in the design.
     """
     periods = grid.dt_s * driver.rate_Hz * np.arange(grid.stages + grid.after_stages)
     sample = np.floor(periods + 10.0**-SAME).astype(np.intp)
@@ -77,14 +78,14 @@ def _within(grid: TimeGrid, driver: Driver) -> tuple[NDArray[np.intp], FloatArra
 
 @dataclass(frozen=True)
 class _Instants:
-    """How y'' at instants follows from the states at the driver's samples: rows of C e^(A theta) and what c adds.
+    """Map from the states at the driver's samples to y'' at given instants: rows C e^(A theta) and direct terms.
 
     Attributes
     ----------
     stage : device over one period of the driver.
-    sample : (K,) of the driver that is held at each instant.
+    sample : (K,) index of the driver's sample held at each instant.
     rows : (K, n) [m/s^2 per unit of the state].
-    direct : (K,) [m/s^2 per A or V].
+    direct : (K,) effect of the held sample [m/s^2 per A or V].
     """
 
     stage: StageModel
@@ -94,7 +95,7 @@ class _Instants:
 
     @classmethod
     def of(cls, library: Library, ig: int, driver: Driver) -> "_Instants":
-        """At tau_0 to tau_(N+M-1); the driver's first sample acts from tau_0 on."""
+        """The map at the instants tau_0 to tau_(N+M-1); the driver's first sample acts from tau_0 on."""
         plant, amplifier = library.plant(ig), library.amplifier()
         stage = discretise(plant, amplifier, 1 / driver.rate_Hz)
         sample, share = _within(library.time_grid(), driver)
@@ -110,19 +111,19 @@ class _Instants:
         return cls(stage, sample, np.array(rows)[of_part], np.array(direct)[of_part])
 
     def accelerations(self, values: FloatArray) -> FloatArray:
-        """(K,) y'' of a driver's output (m,), zero after it."""
+        """(K,) y'' for a driver's output (m,), which is zero afterwards."""
         output = _lasting(values, self.sample)
         states = self.stage.states(output)[self.sample]
         return np.asarray((self.rows * states).sum(axis=1) + self.direct * output[self.sample])
 
 
 def _lasting(values: FloatArray, sample: NDArray[np.intp]) -> FloatArray:
-    """A driver's output (m,), zero after it, at least up to the last sample that is asked for."""
+    """A driver's output (m,), padded with zeros at least up to the last sample needed."""
     return np.pad(values, (0, max(int(sample[-1]) + 1 - values.size, 0)))
 
 
 def _nonlinear_accelerations(library: Library, drive: Drive) -> FloatArray:
-    """(N + M,) y'' of a drive at the instants of the design, on the nonlinear plant; NaN where it has no value."""
+    """(N + M,) y'' of a drive on the nonlinear plant, at the design's instants; NaN where it is not finite."""
     # Only a library of a nonlinear plant needs this import.
     from transopt.library.nonlinear import nonlinear_problem
 
@@ -131,7 +132,7 @@ def _nonlinear_accelerations(library: Library, drive: Drive) -> FloatArray:
     output = _lasting(drive.values, sample)
     over_period, _ = resolved(replace(problem.stage, dt_s=1 / driver.rate_Hz, substeps=1), output)
     states, found = over_period.states(output)[sample], np.empty(sample.size)
-    with np.errstate(all="ignore"):  # what overflows is found as not finite
+    with np.errstate(all="ignore"):  # an overflow shows as a value that is not finite
         for part in np.unique(share):
             at = share == part
             held, z = output[sample[at]], list(states[at].T)
@@ -142,9 +143,9 @@ def _nonlinear_accelerations(library: Library, drive: Drive) -> FloatArray:
 
 
 def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
-    """One sentence for each limit that the samples leave by more than `EXCUSED` and half a count.
+    """One sentence for each limit that the samples exceed by more than `EXCUSED` and half a count.
 
-    The limits `NOT_WATCHED` are not among them, and of a library with a wall none is.
+    The limits `NOT_WATCHED` are left out; for a library with a wall no limit is checked.
     """
     posing = library.posing()
     if posing.wall is not None:
@@ -185,12 +186,12 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
         rounded = drive.driver.scale / 2 if limit.unit == drive.driver.unit else 0.0
         return limit.stated + max(limit.replay_tolerance, EXCUSED * abs(limit.stated)) + rounded
 
-    # A number that is not finite leaves every limit.
+    # A comparison with NaN is false, so NaN counts as exceeding the limit.
     return tuple(limit.replayed(found.peak(limit)) for limit in limits if not found.peak(limit) <= most(limit))
 
 
 def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
-    """Play drives of a library, all for the same driver."""
+    """Replay drives of a library, all for the same driver."""
     instants: dict[int, _Instants] = {}
     found = []
     for drive in drives:

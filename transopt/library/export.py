@@ -28,11 +28,11 @@ SOUND_PEAK = 10 ** (-1 / 20) * 32767  # -1 dBFS in 16 bit
 def export_library(library: Library, path: str | Path) -> None:
     """Write a library in the format that the path's suffix names (.mat, .csv, .wav, .h; case does not matter).
 
-    The file is written whole or not at all; one that is there already is replaced.
+    The file is written whole or not at all; an existing file is replaced.
 
     Raises
     ------
-    InputError : another suffix, a file that cannot be written, a library that the header cannot hold.
+    InputError : an unknown suffix, a file that cannot be written, a library that the format cannot hold.
     """
     path = Path(path)
     formats = {".mat": mat_file, ".csv": csv_file, ".wav": wav_file, ".h": header_file}
@@ -49,8 +49,8 @@ def export_library(library: Library, path: str | Path) -> None:
 def mat_file(library: Library) -> bytes:
     """MATLAB 5 file: every array of library.npz under its name there, `meta` as JSON text (`jsondecode(meta)`).
 
-    Arrays keep their shapes; one-dimensional ones become rows, and `status` and `binding` cells, because rows
-    of a char array would have to share one length. MATLAB itself drops trailing dimensions of size 1.
+    Arrays keep their shapes; one-dimensional arrays become rows. `status` and `binding` become cells, because the
+    rows of a char array must have equal length. MATLAB itself drops trailing dimensions of size 1.
     """
     arrays = library.arrays()
     texts = [name for name, array in arrays.items() if array.dtype.kind == "U" and array.ndim > 0]
@@ -64,7 +64,7 @@ def mat_file(library: Library) -> bytes:
 def csv_file(library: Library) -> bytes:
     """Long format: comment lines, column names, then one row per (speed, grip, k), k fastest.
 
-    Numbers have as many digits as it takes to read back the same double.
+    Numbers have enough digits to read back as the same double.
     """
     grid, meta = library.time_grid(), library.meta
     named, drive = library.axes.targets, library.driven_by
@@ -89,7 +89,7 @@ def csv_file(library: Library) -> bytes:
         **_each("direction", "target_m_s2", library.target_m_s2),
     }
     comments = [
-        # JSON keeps the name on one line, whatever is in it.
+        # JSON keeps the name on one line, whatever characters it contains.
         f"transopt library, scene {json.dumps(meta['scene']['name'])}, {HASH_FIELD} {library.content_sha256}",
         "SI units; the target begins at time 0"
         if named
@@ -114,14 +114,14 @@ def csv_file(library: Library) -> bytes:
 
 
 def _each(what: str, name: str, courses: FloatArray) -> dict[str, FloatArray]:
-    """One column, or one for each of several motors or directions."""
+    """One column, or one per motor or direction if there are several."""
     if courses.ndim == 3:
         return {name: courses}
     return {f"{what}_{j + 1}_{name}": courses[:, :, j] for j in range(courses.shape[2])}
 
 
 def _second_columns(cool: Library) -> dict[str, FloatArray]:
-    """Columns of the cool commands, with less heat."""
+    """Columns of the cool commands, which cause less heat."""
     return {
         "cool_command_A": cool.command,
         "cool_transient_command_A": cool.transient_command,
@@ -131,16 +131,16 @@ def _second_columns(cool: Library) -> dict[str, FloatArray]:
 
 
 def _cell(value: object) -> str:
-    """A number with all its digits; a name in quotes, as CSV has it."""
+    """A number with all its digits; a name in CSV quotes."""
     return '"' + value.replace('"', '""') + '"' if isinstance(value, str) else repr(value)
 
 
 def wav_file(library: Library) -> bytes:
     """16 bit mono at 48 kHz, to listen to the accelerations.
 
-    For every entry, speeds outermost: the recorded r, then what the seed's clipped inversion makes of it at the
-    library's transient limit, then the library's own command; 0.3 s of silence after each. One scale for the whole
-    file, its peak at -1 dBFS, so that loudness compares.
+    For every entry, speeds outermost: the recorded r, then the motion under the seed's clipped inversion at the
+    library's transient limit, then the motion under the library's own command; each is followed by 0.3 s of silence.
+    The whole file has one scale, its peak at -1 dBFS, so that loudness can be compared.
     """
     library.scene().check_one_motor("export as .wav")
     grid = library.time_grid()
@@ -155,7 +155,7 @@ def wav_file(library: Library) -> bytes:
             inversion = _made(library, iv, ig, stage, command)
             for sound in (library.recorded_m_s2[iv, ig], inversion + free, library.acceleration_m_s2[iv, ig] + free):
                 pieces += [sound, silence]
-    # Resampled as one stretch, so that the filter rings out into the silences instead of being cut off.
+    # Resampled in one piece, so that the filter rings out into the silences instead of being cut off.
     ratio = Fraction(SOUND_RATE_HZ * grid.dt_s).limit_denominator(1000)
     sound = scipy.signal.resample_poly(np.concatenate(pieces), ratio.numerator, ratio.denominator)
     peak = float(np.abs(sound).max())
@@ -167,7 +167,7 @@ def wav_file(library: Library) -> bytes:
 
 
 def sounds(library: Library) -> str:
-    """What `wav_file` writes, in one sentence."""
+    """Content of the file that `wav_file` writes, in one sentence."""
     count, seconds = library.command[..., 0].size, library.command.shape[-1] * library.time_grid().dt_s + SILENCE_S
     of = f"{count} target{'s' * (count > 1)}" if library.axes.targets else f"{count} tap{'s' * (count > 1)}"
     return (
@@ -177,7 +177,7 @@ def sounds(library: Library) -> str:
 
 
 def _made(library: Library, iv: int, ig: int, stage: StageModel, command: FloatArray) -> FloatArray:
-    """(N,) y'' of a command on an entry's device; silence from where a nonlinear one's motion has no value."""
+    """(N,) y'' of a command on an entry's device; zero where a nonlinear plant's motion is not finite."""
     if not library.nonlinear:
         return stage.rollout(command)[0]
     # Only a library of a nonlinear plant needs this import.

@@ -1,7 +1,7 @@
-"""Reading a library file: nothing in it is used before all of it has been checked.
+"""Reading a library file: every part of it is checked before any part is used.
 
-What is checked here is that the file is whole and describes a problem of a possible size. That its waveforms are
-optimal and keep their limits is another question, which `transopt.library.proven` answers.
+The checks here ensure that the file is intact and describes a problem of an admissible size.
+`transopt.library.proven` checks that its waveforms are optimal and keep their limits.
 """
 
 import json
@@ -35,13 +35,13 @@ if TYPE_CHECKING:  # which loads pydantic
     from transopt.scene.scene import Scene
 
 ADVICE = "give a library.npz written by `transopt solve`"
-TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of meta, from which nothing is computed
-# What a reader of a file that may hold anything may meet.
+TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # nothing is computed from these tables
+# Exceptions that reading arbitrary content can raise.
 BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError, ArithmeticError, RecursionError, MemoryError)
 
 
 def _in_words(error: Exception) -> str:
-    """What an error of this project says, in parentheses; of Python's own, nothing."""
+    """This project's error message in parentheses; empty for an exception of Python's own."""
     return f" ({error})" if isinstance(error, InputError) else ""
 
 
@@ -52,7 +52,7 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         return {name: archive[name] for name in archive}
     except ValueError as error:
         raise InputError(f"{path}: {error}; {ADVICE}") from None
-    except Exception:  # zipfile, zlib, struct, the parser of heads: any broken archive ends here
+    except Exception:  # zipfile, zlib, struct, header parser: any damaged archive ends here
         raise InputError(f"{path}: damaged or not an .npz file; {ADVICE}") from None
 
 
@@ -76,7 +76,7 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
 
 
 def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted path and value of all numbers in tables and lists; the items of a list have the path of the list."""
+    """Dotted path and value of all numbers in tables and lists; the items of a list have the list's path."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _leaves(inner, f"{place}.{key}" if place else str(key))
@@ -88,7 +88,7 @@ def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, int], prefix: str = "") -> None:
-    """Every array against its declaration; `sizes` gets what the letters of the declared shapes stand for."""
+    """Check every array against its declaration; `sizes` receives the size of each letter of the shapes."""
     for declared, declaration in ARRAYS.items():
         name = prefix + declared
         if name not in arrays or (prefix and not is_of_entries(declared)):
@@ -126,14 +126,14 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, 
             raise InputError(f"{path}: {size} {what}, at most {most}; solve a smaller scene")
     named = "targets" in arrays
     for name in ("grips_N",) if named else ("speeds_m_s", "grips_N"):
-        # Each grip of an arm stands there once for each of its places.
+        # An arm repeats each grip once per place.
         nodes = np.array([*dict.fromkeys(arrays[name].tolist())]) if sizes["i"] > 1 else arrays[name]
         if nodes.size == 0 or np.any(np.diff(nodes) <= 0):
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 
 def _check_multipliers(path: Path, prefix: str, arrays: dict[str, NDArray[Any]], sizes: dict[str, int]) -> None:
-    """Check the multipliers of limits that not every library has: one number for every command."""
+    """Check the multipliers that not every library has: finite, one number for every command."""
     shape = (sizes["v"], sizes["g"], sizes["N"])
     for name, array in arrays.items():
         if array.shape != shape or array.dtype.kind != "f" or not np.all(np.isfinite(array)):
@@ -141,12 +141,12 @@ def _check_multipliers(path: Path, prefix: str, arrays: dict[str, NDArray[Any]],
 
 
 def load_library(path: str | Path) -> Library:
-    """Read a library file and check it whole before anything is used.
+    """Read a library file, checking all of it before any of it is used.
 
     Raises
     ------
-    InputError : missing, damaged, foreign, pickled, changed since it was written, an array missing or misshapen, a
-        number or a size that no library has.
+    InputError : the file is missing, damaged, foreign, pickled or changed since it was written; an array is missing
+        or misshapen; a number or a size is beyond what a library can have.
     """
     path = Path(path)
     arrays = _read_arrays(path)
@@ -155,7 +155,7 @@ def load_library(path: str | Path) -> Library:
             raise InputError(f"{path}: no array {name}: not a library of this project; solve the scene again")
     meta = _check_meta(path, arrays["meta"])
     try:
-        with np.errstate(all="ignore"):  # what overflows is found as not finite
+        with np.errstate(all="ignore"):  # an overflow shows as a value that is not finite
             return _checked(path, arrays, meta)
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(f"{path}: ") else f"{path}: {error}") from None
@@ -171,7 +171,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     has_cool = "cool" in meta
     if has_cool is not (scene.grid.cool_share is not None):
         raise InputError(f"{path}: meta.cool does not go with its scene's grid.cool_share; solve the scene again")
-    # The cool commands first, which need what they share with the first ones.
+    # Cool commands have `left_out` of their own, which determines the arrays that they must have.
     files = [(COOL, {**meta, "left_out": _left_out_of(path, meta["cool"])})] if has_cool else []
     files.append(("", meta))
     optional = {prefix: absent(ARRAYS, stated(scene, own)) for prefix, own in files}
@@ -196,7 +196,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     _check_arrays(path, arrays, sizes)
 
     def known(prefix: str) -> dict[str, NDArray[Any]]:
-        """Arrays by their names without a prefix, zero or empty where nothing asks for them."""
+        """Arrays by their names without the prefix; zero or empty where the file needs none."""
         names = [name for name in (*ARRAYS, *further) if not prefix or is_of_entries(name)]
         found = {name: arrays[prefix + name] for name in names if prefix + name in arrays}
         _check_multipliers(path, prefix, {name: found[name] for name in further}, sizes)
@@ -215,21 +215,21 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
 
 
 def _several(scene: "Scene") -> dict[str, int]:
-    """Letter -> size of inputs and tracked accelerations, of which an arm has several."""
+    """Letter -> size of the dimensions that an arm has several of: inputs, tracked accelerations, devices."""
     if not scene.axes.places:
         return {"i": 1, "o": 1, "q": 0}
     return {**dict.fromkeys("imop", len(scene.arm().motor_shares)), **dict.fromkeys("gq", len(scene.axes.grips_N))}
 
 
 def _left_out_of(path: Path, cool: Any) -> Any:
-    """What `meta.cool` says of parts that are left out."""
+    """The parts left out of the cool commands' problems, from `meta.cool`."""
     if not (isinstance(cool, dict) and set(cool) == {"left_out"}):
         raise InputError(f"{path}: meta.cool is not of the form that a solve writes; solve the scene again")
     return cool["left_out"]
 
 
 def _check_words(path: Path, library: Library) -> None:
-    """What `meta` says of the entries has the shape of the grid, and its words are words."""
+    """Check that what `meta` states per entry has the shape of the grid and the right types."""
     meta, (nv, ng) = library.meta, library.command.shape[:2]
     left_out = meta["left_out"]
     fit = {
@@ -249,7 +249,7 @@ def _check_words(path: Path, library: Library) -> None:
 
 
 def _is_reason(said: Any, nv: int, ng: int) -> bool:
-    """Why a part is left out: words, or words or null for every entry."""
+    """Whether this is a reason to leave a part out: text, or for every entry text or None."""
     return isinstance(said, str) or _is_table(said, nv, ng, lambda each: each is None or isinstance(each, str))
 
 
@@ -258,13 +258,13 @@ def _is_spread(each: Any) -> bool:
 
 
 def _is_table(said: Any, nv: int, ng: int, fits: Callable[[Any], bool]) -> bool:
-    """Whether something is said of every entry, row by row."""
+    """Whether this is a table with one fitting value per entry, row by row."""
     rows = said if isinstance(said, list) and len(said) == nv else [None]
     return all(isinstance(row, list) and len(row) == ng and all(map(fits, row)) for row in rows)
 
 
 def _check_problem(path: Path, library: Library) -> None:
-    """The file must make a problem; only the first entry's is tried."""
+    """Check that the file poses a problem; only the first entry is tried."""
     if not ((library.axes.targets or library.speeds_m_s[0] > 0) and library.grips_N[0] >= 0):
         raise InputError(f"{path}: speeds_m_s must be > 0 and grips_N >= 0; solve the scene again")
     scene = library.scene()

@@ -1,4 +1,4 @@
-"""The arrays that a library file holds: name, shape, unit, meaning, and how each is made of an entry."""
+"""The arrays of a library file: name, shape, unit, meaning, and how each is computed from an entry."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from transopt.base.signals import FloatArray
 from transopt.library.arrays import kept
 from transopt.problem.limits import OF_OUTPUTS
 
-INPUT = "A or V"  # unit of commands and of what drives the plant; `meta` says which of the two
+INPUT = "A or V"  # unit of commands and plant input; `meta` states which of the two
 
 
 @dataclass(frozen=True, kw_only=True)
 class Held:
-    """Arrays of a library beside those of multipliers; each states its shape, unit and meaning beside its name."""
+    """Arrays of a library except the multipliers; each states its shape, unit and meaning beside its name."""
 
     # fmt: off
     speeds_m_s: FloatArray = kept("v", "m/s", "incoming speeds of the grid, rising; 0 for named targets")

@@ -1,4 +1,4 @@
-"""A library: waveforms over (speed, grip) with all it takes to check and to play them."""
+"""A library: waveforms over (speed, grip) with all that is needed to check and to play them."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
     from matplotlib.figure import Figure
 
 
-COOL = "cool_"  # before the name of an array in the file: it is of the cool commands
+COOL = "cool_"  # prefix of the arrays of the cool commands in the file
 
 
 @dataclass(frozen=True)
@@ -35,40 +35,41 @@ class Library(Posed):
     """A solved library, as `library.npz` holds it.
 
     Every array states its shape, unit and meaning beside its name (`transopt.library.held`), in the letters of
-    `transopt.library.arrays.Array`; `meta` is the file's JSON: the scene, numbers derived from it, the recordings and
-    the versions used. The problem of an entry is that of the scene with the plants and the targets in the file;
-    nothing else states it.
-    `multipliers_of` has the array of every side of every limit's row by its name in the file, mu_<row>_<side>: which
-    these are follows from the list of limits (`MULTIPLIERS`).
+    `transopt.library.arrays.Array`. `meta` is the file's JSON: the scene, numbers derived from it, the recordings and
+    the versions used. The problem of an entry is the scene's, with the plants and the targets of the file; nothing
+    else states it.
+    `multipliers_of` maps each array name mu_<row>_<side> of the file to its array, one for each side of each limit's
+    row. The list of limits determines the names (`MULTIPLIERS`).
 
-    What was recorded is r, how the stylus accelerates without a command a_free. What J asks of y'', which the command
-    adds, is the target r - a_free.
+    r is the recorded acceleration, a_free the acceleration of the stylus without a command. J compares y'', which the
+    command adds, with the target r - a_free.
 
     In a library that was refined on its device (`meta["refinement"]`) `correction_m_s2` is added to the target, so
-    that the device, which is not quite the model, makes r. All of its certificate is of that problem; `tap_error` and
-    `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
+    that the real device, which differs from the model, reproduces r. The certificate is that of the corrected
+    problem; `tap_error` and `floor` still compare the model with r, and `meta["refinement"]` states what the device
+    measured.
 
-    Where the scene's plant is nonlinear, `plant_A` to `plant_Ce` are the plant as it is at rest, and commands,
-    predictions, errors and multipliers are of the nonlinear plant (`transopt.library.nonlinear`). Such an entry is a
-    stationary point and no proven optimum: its `lower_bound` is 0, below which no J is. `floor` is that of the plant
-    at rest.
+    If the scene's plant is nonlinear, `plant_A` to `plant_Ce` are the plant at rest, and commands, predictions,
+    errors and multipliers are those of the nonlinear plant (`transopt.library.nonlinear`). Such an entry is a
+    stationary point and no proven optimum: its `lower_bound` is 0, because J is never negative. `floor` is that of
+    the plant at rest.
 
-    `cool` is the library of the cool commands, one of every node with less heat (`grid.cool_share`), and None where
-    the scene asks for none. It shares everything that is not of a command; in the file its own arrays have `cool_`
-    before their names.
+    `cool` is the library of the cool commands, one per node with less heat (`grid.cool_share`); None if the scene
+    asks for none. It shares all arrays that do not depend on a command; in the file its own arrays have the prefix
+    `cool_`.
     """
 
     cool: "Library | None" = None
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
-        """From all arrays by their names in the file; those of multipliers are mu_<row>_<side>."""
+        """Make a library from all arrays by their names in the file; multipliers are named mu_<row>_<side>."""
         named = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
         multipliers = {name: array for name, array in arrays.items() if name.startswith("mu_") and name not in named}
         return cls(**named, multipliers_of=multipliers, meta=meta, cool=None)
 
     def with_cool(self, arrays: Mapping[str, NDArray[Any]]) -> "Library":
-        """This library with cool commands, from the arrays of their entries by the names of the first ones'."""
+        """This library with cool commands, from the per-entry arrays by their names without the prefix."""
         shared = {name: self.array(name) for name in ARRAYS if not is_of_entries(name)}
         meta = {**self.meta, "left_out": self.meta["cool"]["left_out"]}
         return replace(self, cool=Library.of({**shared, **arrays}, meta))
@@ -83,7 +84,7 @@ class Library(Posed):
         )
 
     def _repr_html_(self) -> str:
-        """Table and figure in a notebook."""
+        """Table and figure for a notebook."""
         shown = self.table((*FIGURES, "peak", "binding"))
         return html_table(repr(self), shown.heads, shown.cells) + html_figure(self.plot())
 
@@ -95,7 +96,7 @@ class Library(Posed):
         return EntryTable(self.axes.columns, names, rows, self.driven_by.unit, limits).known
 
     def row(self, iv: int, ig: int) -> TableRow:
-        """What tables show of an entry."""
+        """The row of an entry in tables."""
         found: dict[str, Any] = {
             "linear": (self.tap_error_promised[iv, ig], self.tap_error_linear[iv, ig]),
             "repeats": self._repeatability(iv, ig),
@@ -115,7 +116,7 @@ class Library(Posed):
     def verdict(self, iv: int, ig: int) -> str:
         """How good an entry is, see `transopt.problem.answer.verdict`.
 
-        The floor of a library whose plant is nonlinear is that of another plant, the one at rest, and is no measure.
+        For a nonlinear plant the floor is that of another plant, the plant at rest, so it is not used.
         """
         several = self.command.ndim > 3
         return verdict(
@@ -125,53 +126,53 @@ class Library(Posed):
             normal_levels(self.told(iv, ig), self.acceleration_m_s2[iv, ig], self.dt_s),
             str(self.binding[iv, ig]),
             named=bool(self.axes.targets),
-            # No motor of several pulls by itself.
+            # The sign of one motor's current does not say whether the surface pulls if there are several motors.
             least_input=None if several else (float(self.plant_input[iv, ig].min()), self.driven_by.unit),
         )
 
     def figures(self, iv: int, ig: int) -> Figures:
-        """How near an entry comes to the recorded tap, as the file says."""
+        """Distance of an entry from the recorded tap, as the file states it."""
         stored = (self.tap_error, self.felt_error, self.felt_dB, self.speed_change, self.bump_m_s2)
         after = (self.error_after, self.peak_after_m_s2)
         return Figures(*(float(array[iv, ig]) for array in (*stored, *after)))
 
     def _repeatability(self, iv: int, ig: int) -> float:
-        """Trial-to-mean error of the recordings of an entry; NaN where there is one."""
+        """Trial-to-mean error of the recordings of an entry; NaN if there is only one recording."""
         spread = self.meta["repeatability"][iv][ig]
         return NAN if spread is None else float(spread)
 
     def plot(self) -> "Figure":
         """Every waveform over time: acceleration beside its reference, current beside its limit.
 
-        The figure is matplotlib's; `savefig` writes it to a file.
+        It is a matplotlib figure; `savefig` writes it to a file.
         """
         from transopt.report.transients import library_figure
 
         return library_figure(self)
 
     def at(self, speed_m_s: float, grip_N: float, normal: float = 1.0, posture: float = 1.0) -> Waveform:
-        """Linear blend at any speed and grip; outside the grid the nearest edge is taken and reported.
+        """Linear blend at any speed and grip; outside the grid the nearest edge is used and reported.
 
         A convex combination of feasible currents is feasible, so every limit on the current holds between the nodes
-        too; with a wall as far as the device's own feedback is the predicted one.
-        Of an arm it is linear in the places along the lists of normals and postures too: 1.5 lies half-way between
+        too; with a wall only as far as the device's actual feedback is the predicted one.
+        For an arm it is also linear in the places along the lists of normals and postures: 1.5 lies half-way between
         the first and the second (`Arm.normal_along`, `Arm.posture_along`). All limits of an arm are boxes on each
-        motor's current and command, the same at every node, so that every blend is admissible there as well.
-        Below `grip_min_N` the command is zero, since a free stylus would be thrown; a library of the free
-        device (its only grip is 0) has no such bound. A stylus that does not come in (speed <= 0) taps nothing.
+        motor's current and command, equal at every node, so every blend is admissible there as well.
+        Below `grip_min_N` the command is zero, since it would throw a free stylus; a library of the free device (its
+        only grip is 0) has no such bound. At speed <= 0 the stylus does not approach, so the command is zero too.
 
         Raises
         ------
-        InputError : speed, grip or place is not a finite number.
+        InputError : speed, grip or place is not a finite number; a library of named targets has neither.
         """
         return self.blend(self.located(speed_m_s, grip_N, normal, posture))
 
     def located(self, speed_m_s: float, grip_N: float, normal: float = 1.0, posture: float = 1.0) -> Place:
-        """Locate a measured tap on the grid.
+        """Locate a measured tap on the grid, clamped to it.
 
         Raises
         ------
-        InputError : speed, grip or place is not a finite number.
+        InputError : speed, grip or place is not a finite number; a library of named targets has neither.
         """
         if self.axes.targets:
             raise InputError(f"this library has no speeds but targets: ask for one of {', '.join(self.axes.targets)}")
@@ -188,7 +189,7 @@ class Library(Posed):
         return replace(found, normal=at[0], posture=at[1], place_clamped=at != [*asked])
 
     def blend(self, place: Place) -> Waveform:
-        """The nodes' commands at a place; zero where it is silent."""
+        """Interpolate the nodes' commands at a place; zero where the place is silent."""
         by_speed = interpolation_weights(self.speeds_m_s, place.speed_m_s)
         axes, by_device = self.axes, np.ones(1)
         numbered = [(np.arange(1.0, size + 1), at) for size, at in zip(axes.sizes[1:], place.at, strict=True)]
@@ -201,7 +202,7 @@ class Library(Posed):
         return Waveform(**vars(place), command=command, transient_command=transient)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
+        """Content of the file by name: the arrays, `meta` as text, and the hash of the content."""
         arrays = {name: self.array(name) for name in self.stored()}
         if self.cool is not None:
             arrays |= {COOL + name: self.cool.array(name) for name in self.cool.stored() if is_of_entries(name)}
@@ -210,18 +211,18 @@ class Library(Posed):
         return arrays
 
     def stored(self) -> list[str]:
-        """Names of the arrays that its file has of it."""
+        """Names of the arrays that this library has in its file, `meta` and the hash excepted."""
         missing = absent(ARRAYS, stated(self.scene(), self.meta))
         named = [name for name in ARRAYS if name not in missing]
         return named + self.further
 
     @property
     def further(self) -> list[str]:
-        """Names of its multipliers that not every library has."""
+        """Names of its multiplier arrays that not every library has."""
         return further_arrays(self.posing(), self.spread_A.shape[1], most_parts(self.meta))
 
     def array(self, name: str) -> NDArray[Any]:
-        """One array by its name here; zeros for multipliers of a limit that is not in force."""
+        """One array by its attribute name; zeros for the multipliers of a limit that the problem does not have."""
         if name.startswith("mu_") and name != "mu_end":
             found = self.multipliers_of.get(name)
             return np.zeros_like(self.command) if found is None else found

@@ -1,6 +1,6 @@
-"""What a library's `meta` holds, declared once, and which parts a problem was solved without.
+"""Declarations of all that a library's `meta` holds, and the parts that a problem was solved without.
 
-The reader of a library refuses files by these declarations, and the manual's table is made of them.
+The reader of a library refuses files by these declarations, and the manual's table is generated from them.
 """
 
 import itertools
@@ -22,14 +22,14 @@ SCHEMA = 4
 
 @dataclass(frozen=True)
 class Stated:
-    """Declaration of one thing that `meta` states.
+    """Declaration of one key of `meta`.
 
     Attributes
     ----------
-    meaning : what it says.
-    null : what null stands for; empty where it is never null.
-    needed : a file that lacks it is refused.
-    whole : a table or a list that is kept as it came, whose keys are not declared one by one.
+    meaning : what the value is.
+    null : what null means; empty if the value is never null.
+    needed : whether a file without it is refused.
+    whole : whether it is a table or list that is stored as given, without a declaration of its keys.
     """
 
     meaning: str
@@ -42,7 +42,7 @@ def _needed(meaning: str, null: str = "", *, whole: bool = False) -> Stated:
     return Stated(meaning, null, True, whole)
 
 
-# Dotted path -> what stands there. What a name ends in is its unit (`transopt.base.units`).
+# Dotted path -> declaration. The ending of a name is its unit (`transopt.base.units`).
 META = {
     "schema": _needed("which form the file has: 4"),
     "scene": _needed("the scene as it was read, every key; `transopt scene keys` says what they are", whole=True),
@@ -84,14 +84,14 @@ META = {
 
 
 def lacking(meta: dict[str, Any]) -> list[str]:
-    """Keys of what a file has to state and does not; tables are compared with their scene where they are proven."""
+    """Required top-level keys that a file lacks; nested keys are compared with the scene by `statements`."""
     return [path for path, stated in META.items() if stated.needed and "." not in path and path not in meta]
 
 
 def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
-    """What an array of a library may need (`Array.needs`) and this one has.
+    """Conditions (`Array.needs`) that this library fulfils.
 
-    The temperature is among it where it is a constraint of at least one entry, and not shown to be none of all.
+    The temperature is among them if it is a constraint of at least one entry.
     """
     several = scene.model.kind == "arm"
     said = {
@@ -109,17 +109,17 @@ def stated(scene: "Scene", meta: dict[str, Any]) -> set[str]:
         and scene.limits.current_A is not None
         and FollowingCurrentLimit.suits(scene.circuit()),
     }
-    # Each of several motors has multipliers of its own.
+    # An arm stores multipliers for each motor (`further_arrays`) in place of these.
     limits = {key for key, value in scene.limits.asked().items() if value is not None and not several}
     return {name for name, has in said.items() if has} | (limits - {TemperatureLimit.key})
 
 
 def parts_of(instants_within: Any) -> int:
-    """Parts of a servo period that end at so many instants within it, and at its end.
+    """Number of parts into which this many instants divide a servo period.
 
     Raises
     ------
-    InputError : a number that no library has.
+    InputError : the number of instants is none of those that `PARTS` allows.
     """
     number = isinstance(instants_within, int | float) and not isinstance(instants_within, bool)
     if not number or instants_within + 1 not in PARTS:
@@ -129,12 +129,12 @@ def parts_of(instants_within: Any) -> int:
 
 
 def most_parts(meta: Mapping[str, Any]) -> int:
-    """The most of `parts_of` that an entry of a library has."""
+    """The largest number of parts (`parts_of`) that an entry of a library has."""
     return parts_of(meta.get("instants_within", 0))
 
 
 def heat_is_in(left_out: Mapping[str, Any]) -> bool:
-    """Whether an entry has the temperature as a constraint: neither it nor all limits are left out there."""
+    """Whether the temperature is a constraint of at least one entry: neither it nor all limits are left out."""
     reasons = [left_out[part] for part in (TemperatureLimit.name, "limits") if part in left_out]
     if any(isinstance(said, str) for said in reasons):
         return False
@@ -143,7 +143,7 @@ def heat_is_in(left_out: Mapping[str, Any]) -> bool:
 
 
 def shared_left_out(left_out: Sequence[Sequence[dict[str, str]]]) -> dict[str, Any]:
-    """Part -> reason, or -> reasons per entry (nv, ng) where they differ (null: the part is in), as `meta` has it."""
+    """Part -> reason, or -> (nv, ng) reasons if entries differ, None where the part is kept; the form in `meta`."""
     parts = dict.fromkeys(part for row in left_out for entry in row for part in entry)
     shared: dict[str, Any] = {}
     for part in parts:
@@ -154,6 +154,6 @@ def shared_left_out(left_out: Sequence[Sequence[dict[str, str]]]) -> dict[str, A
 
 
 def entry_left_out(meta: dict[str, Any], iv: int, ig: int) -> dict[str, str]:
-    """What `shared_left_out` says of one entry."""
+    """The parts left out of one entry, with reasons, from the form of `shared_left_out`."""
     reasons = {p: said if isinstance(said, str) else said[iv][ig] for p, said in meta["left_out"].items()}
     return {part: reason for part, reason in reasons.items() if reason is not None}

@@ -1,4 +1,4 @@
-"""Multipliers of a library by their names in the file, and the declarations of all its arrays."""
+"""A library's multipliers by their names in the file, and the declarations of all its arrays."""
 
 import itertools
 from collections.abc import Sequence
@@ -24,18 +24,18 @@ def _multiplier_arrays() -> dict[str, tuple[str, Array]]:
             name, meaning = f"mu_{row}_{side}", f"multiplier of the {side} bound on the {kind.label}"
             unit = f"1/{kind.step_unit}"
             if name in found and (before := found[name][1].unit) != unit:
-                unit = f"{before} or {unit}"  # of the same limit on an input of the other unit
+                unit = f"{before} or {unit}"  # a limit on both kinds of input has both units
             found[name] = row, Array("vgN", unit, meaning, needs=kind.stored_with(row) or "one motor")
     return found
 
 
-# Array -> the row it belongs to, and what it is; in the order of the limits.
+# Array -> (row it belongs to, declaration), in the order of the limits.
 MULTIPLIERS = _multiplier_arrays()
 ARRAYS = {**declared(Held), **{name: array for name, (_, array) in MULTIPLIERS.items()}}
 
 
 def is_of_entries(name: str) -> bool:
-    """Whether an array is made of the answers, and not of what they were asked."""
+    """Whether an array holds answers; otherwise it states the problems."""
     return name not in ARRAYS or name in MULTIPLIERS or ARRAYS[name].made is not None
 
 
@@ -46,7 +46,7 @@ def multiplier_arrays(
 
     Parameters
     ----------
-    further : those that not every library has, see `further_arrays`.
+    further : names of multiplier arrays that not every library has, see `further_arrays`.
     """
     found = {}
     for name in (*MULTIPLIERS, *further):
@@ -54,26 +54,26 @@ def multiplier_arrays(
         array = found[name] = np.zeros((len(of_entries), len(of_entries[0]), of_entries[0][0].stages))
         for to_speed, of_speed in zip(array, of_entries, strict=True):
             for to_entry, entry in zip(to_speed, of_speed, strict=True):
-                # Most are zero, and zeros that nobody writes to take no memory.
+                # Most are zero. Memory of zeros that is never written to is not allocated.
                 if row in entry.pairs and np.count_nonzero(entry.pairs[row][side]):
                     to_entry[:] = entry.pairs[row][side]
     return found
 
 
 def row_of(array: str) -> str:
-    """The row whose multipliers on one side are stored under a name."""
+    """The row whose multipliers an array holds."""
     return array.removeprefix("mu_").rsplit("_", 1)[0]
 
 
 def further_arrays(posing: Posing, spread: int, parts: int) -> list[str]:
-    """Names of the multipliers that not every library has, from its limits and its input.
+    """Names of the multiplier arrays that not every library has, from its limits and its input.
 
-    They are those of each of several motors, those of a user's own limits, those of limits on outputs within the
-    servo periods and, for each further device of a spread, those of the limits on the motion.
+    They belong to the limits of each of several motors, to the user's own limits, to limits on outputs at instants
+    within the servo periods and, for each further device of a spread, to the limits on its motion.
 
     Parameters
     ----------
-    spread : number of further devices. parts : the most of a servo period at whose ends a limit is stated.
+    spread : number of further devices. parts : largest number of parts of a servo period at whose ends a limit holds.
     """
     limits, drive = posing.asked, posing.driven_by
     own, kinds = limits.get(OwnLimit.key) or [], kinds_for(drive, posing.circuit)

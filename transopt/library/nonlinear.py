@@ -1,9 +1,9 @@
 """The problems of a library whose plant is nonlinear.
 
-The file holds the plant as it is at rest, as of every library, and the formulas of `[model.nonlinear]`, as the scene
-in it has them. The nonlinear plant is made from that scene; `transopt.library.proven` refuses a file whose formulas,
-or whose plant at rest, are others. Limits, weights and references are those of the linear problem: only the device
-over a period is another one.
+The file holds the plant at rest, like every library, and the scene with the formulas of `[model.nonlinear]`. The
+nonlinear plant is made from that scene; `transopt.library.proven` refuses a file whose formulas or whose plant at
+rest differ from it. Limits, weights and references are those of the linear problem; only the map of the device over
+one period differs.
 """
 
 import numpy as np
@@ -20,11 +20,11 @@ def nonlinear_problem(library: Posed, iv: int, ig: int, plant: NonlinearCoil | N
 
     Parameters
     ----------
-    plant : that of the library's scene, where it is known already.
+    plant : the nonlinear plant of the library's scene, if the caller has it.
 
     Raises
     ------
-    InputError : a scene without a nonlinear plant; steps of the stage that no design takes.
+    InputError : the scene has no nonlinear plant, or the number of substeps is none that a design takes.
     """
     steps = float(library.substeps[iv, ig])
     if not (1 <= steps <= MOST_SUBSTEPS and steps == np.rint(steps)):

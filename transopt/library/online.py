@@ -1,9 +1,9 @@
-"""One tap solved anew for what was measured: speed, grip and the coil's temperature.
+"""Solves one tap for its measured speed, grip and coil temperature.
 
-A library's blend between nodes is feasible but not optimal, and knows one start temperature and one set of limits.
-Here the problem of its nodes is posed for the measured point and solved by the compiled interior point, with the
-certificate of an entry. Nothing loads CasADi: stage data are those of `stage_data`, which a test holds to the CasADi
-statement.
+A library's blend between nodes is feasible but not optimal, and assumes one start temperature and one set of limits.
+Here the problem of the nodes is posed for the measured point and solved by the compiled interior point, with the
+same certificate as an entry. CasADi is not loaded: the stage data come from `stage_data`, which a test compares with
+the CasADi statement.
 """
 
 import time
@@ -46,22 +46,22 @@ from transopt.solvers.stage_data import Stages, stages, without_limits
 if TYPE_CHECKING:  # which loads pydantic
     from transopt.scene.scene import Scene
 
-TOLERANCE = 1e-9  # of gap and residuals: three digits to the certificate's, as in the designer
-MOST_ITERATIONS = 60  # a tap takes 10 to 30; who needs more gets the blend
-MOST_MASKS = 3  # solves until the wall pushes exactly where it was assumed to
-FAMILIES = 64  # grips whose stage models are kept
+TOLERANCE = 1e-9  # on gap and residuals: three digits tighter than the certificate, as in the designer
+MOST_ITERATIONS = 60  # a tap takes 10 to 30; beyond this the blend is played
+MOST_MASKS = 3  # solves until the assumed pressing of the wall agrees with the answer
+FAMILIES = 64  # number of grips whose stage models are cached
 
 
 @dataclass(frozen=True)
 class OnlineTap:
-    """What to play for one measured tap.
+    """The waveform to play for one measured tap.
 
     Attributes
     ----------
-    wave : the command, with what was clamped, as the library's own blend has it.
-    certificate : of the optimum; None where the blend is played, or nothing.
-    remark : why the blend is played instead of an optimum, or nothing; empty for an optimum.
-    elapsed_s : from the call to the answer, certificate included.
+    wave : the command, with what was clamped, in the form of the library's own blend.
+    certificate : of the optimum; None if the blend or nothing is played.
+    remark : why the blend or nothing is played instead of an optimum; empty for an optimum.
+    elapsed_s : wall time from the call to the answer, certificate included.
     """
 
     wave: Waveform
@@ -88,19 +88,20 @@ class _Found(_Answer):
 
 
 class Online:
-    """The optimum for a measured tap, by a solver whose memory is laid out once; for one thread at a time.
+    """Solves for the optimum of a measured tap with memory allocated once; for use by one thread at a time.
 
     Parameters
     ----------
-    library : references, limits, grid, start temperatures. A speed between its nodes has the reference that
+    library : gives references, limits, grid and start temperatures. A speed between its nodes has the reference that
         `transopt.recordings.reference.between` states.
-    plant : device of any grip on the library's grid; that of the scene the library was solved from without it.
-    spread : further devices that a robust library's command shall serve at a grip; without it those of the library's
-        own scene, or none where a plant is given.
+    plant : makes the device for any grip on the library's grid; default: the plant of the library's scene.
+    spread : makes the further devices that a robust library's command serves at a grip; default: those of the
+        library's scene, or none if `plant` is given.
 
     Raises
     ------
-    InputError : the extension is not built, or the problem has too many states for it.
+    InputError : the extension is not built, the problem has too many states for it, or an argument has the wrong
+        type.
     """
 
     @one_blas_thread()
@@ -136,7 +137,7 @@ class Online:
         self._parts = {name: max(parts[name] for parts in entries) for name in entries[0]}
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
         problem = self._posed(self._posing, fastest, firmest, self._coil)
-        # Memory of all that a tap can come to: without limits, with and without the temperature.
+        # Allocate memory for all problems of a tap: without limits, with and without the temperature.
         linear_passes([_small_enough(without_limits(problem))], TOLERANCE)
         for each in (problem, problem.without(TemperatureLimit.name)):
             self._by_interior_point(each)
@@ -145,7 +146,7 @@ class Online:
         return f"Online({self._library!r})"
 
     def _devices(self, posing: Posing, grip_N: float) -> tuple[StageModel, ...]:
-        """The device of a grip and those of its spread, discretised with the amplifier and the outputs it takes."""
+        """The device at a grip and those of its spread, discretised with the amplifier and the outputs it limits."""
         key = (grip_N, posing.amplifier, posing.watched)
         found = self._stages.get(key)
         if found is None:
@@ -161,12 +162,12 @@ class Online:
         stage, *spread = self._devices(posing, grip_N)
         wanted = library.wanted(speed_m_s, grip_N)
         if self._corrected:
-            # What the device was found to need at the nodes, blended as it is between them.
+            # The correction learnt on the device at the nodes, interpolated between them.
             own = interpolation_weights(library.speeds_m_s, speed_m_s)
             by_grip = interpolation_weights(library.grips_N, grip_N)
             correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
             wanted = replace(wanted, target=wanted.target.moved(correction))
-        # A limit within the periods has the instants of the node that has the most.
+        # A limit on an output is stated at as many instants within a period as in the node with the most.
         problem = posing.problem(wanted, stage, tuple(spread), coil).within(self._parts)
         if posing.objective == "intensity":
             problem = replace(problem, intensity=self._price(speed_m_s, grip_N))
@@ -175,10 +176,11 @@ class Online:
         return pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
 
     def _price(self, speed_m_s: float, grip_N: float) -> float:
-        """lam between the nodes, bilinear: the optimum at any lam is the nearest waveform with the energy it has.
+        """lam between the nodes, bilinear.
 
-        Where lam would have to be another for exactly the energy that the scene asks for, the tap is a little
-        stronger or weaker than that. What is solved is proven at its own lam.
+        At any lam, the optimum is the nearest waveform among those of equal energy.
+        Exactly the energy that the scene asks for may need a slightly different lam; the tap is then a little
+        stronger or weaker. The certificate is that of the problem with the lam used.
         """
         library = self._library
         by_speed = interpolation_weights(library.speeds_m_s, speed_m_s)
@@ -198,15 +200,15 @@ class Online:
 
         Parameters
         ----------
-        winding_C, housing_C : temperatures at the start; the library's own without them. Without a housing's the
-            library's is taken, but none that is hotter than the winding.
-        limits : values in place of the library's own, by the keys that a scene's `limits` has, `command` of the
-            amplifier and `temperature_C` of the winding. Without a certified optimum the blend is then played only
-            if it keeps them, and nothing otherwise.
+        winding_C, housing_C : temperatures at the start; default: the library's own. Without a housing temperature
+            the library's is used, lowered to the winding's if that is colder.
+        limits : values in place of the library's own, by the keys of a scene's `limits`, `command_A` for the
+            amplifier's range and `temperature_C` for the winding. Without a certified optimum the blend is then
+            played only if it keeps these limits; otherwise nothing.
 
         Raises
         ------
-        InputError : speed, grip or temperature is not a finite number; a limit that is unknown, not > 0, or of a part
+        InputError : speed, grip or temperature is not a finite number; a limit is unknown, not > 0, or needs a part
             that the library's scene does not have.
         """
         start = time.perf_counter()
@@ -220,7 +222,7 @@ class Online:
         found = remark if problem is None else self._optimum(problem)
         if isinstance(found, str):
             wave = self._library.blend(place)
-            if limits and problem is None:  # too hot to begin with
+            if limits and problem is None:  # the coil is too hot at the start
                 wave = _silent(wave)
             elif limits and problem is not None and not inside(problem, wave.command):
                 wave = _silent(wave)
@@ -232,7 +234,7 @@ class Online:
         return OnlineTap(wave, answer.proof, "", time.perf_counter() - start)
 
     def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
-        """The problem, its wall pressing where the answer makes it press, and that answer; or why there is none."""
+        """The problem, with the wall pressing as the answer makes it press, and that answer; or why there is none."""
         for _ in range(MOST_MASKS):
             found = self._solved(problem)
             if found is None or not found.proof.accepted:
@@ -241,14 +243,14 @@ class Online:
                 return problem, found
             again = pressing_under(problem, found.command)
             assert again.wall is not None
-            first = max(problem.free_stages - 1, 0)  # the tick before the hand-over, which the prefilter remembers
+            first = max(problem.free_stages - 1, 0)  # the prefilter remembers the last tick before the hand-over
             if np.array_equal(again.wall.pressing[first:], problem.wall.pressing[first:]):
                 return problem, found
             problem = again
         return "the wall pushes elsewhere after every solve"
 
     def _solved(self, problem: TransientProblem) -> _Found | None:
-        """The smallest problem that has the answer: without limits, without the temperature, whole."""
+        """The answer from the smallest problem that has it: without limits, without the temperature, or complete."""
         if problem.reference_is_zero:
             return self._proven(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
@@ -266,7 +268,7 @@ class Online:
         return self._limited(problem, small, hot=hot)
 
     def _limited(self, problem: TransientProblem, small: TransientProblem, *, hot: bool) -> _Found | None:
-        """The answer within the limits; `hot`, a guess whether the winding's binds, only says what comes first."""
+        """The answer under limits; `hot`, a guess that the temperature binds, sets only the order of attempts."""
         cold, found = small.without(TemperatureLimit.name), None
         attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
         for attempt in attempts:
@@ -275,7 +277,8 @@ class Online:
                 continue
             command, multipliers = answer.command, answer.multipliers
             if attempt.thermal is not None and multipliers.upper(TEMPERATURE).max() <= BINDING_MULTIPLIER:
-                # The winding does not bind: as the answer of the problem without it this is proven, or not at all.
+                # The winding does not bind. Without its multipliers the certificate is that of the problem without
+                # it.
                 multipliers = multipliers.with_pair(TEMPERATURE, np.zeros(command.size), np.zeros(command.size))
             effect = Effect(problem, command)
             if (
@@ -313,7 +316,7 @@ class Online:
 
 
 def _small_enough(given: Stages) -> Stages:
-    """The stage data of a problem that the extension takes."""
+    """The stage data, refused if the problem has too many states for the extension."""
     states = given.sizes["states"] + given.sizes["nodes"]
     if states > MOST_STATES:
         raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
@@ -321,7 +324,7 @@ def _small_enough(given: Stages) -> Stages:
 
 
 def _overheats(effect: Effect) -> bool:
-    """Whether a command without limits would be too hot even with its current cut off: a guess at what will bind."""
+    """Whether an unlimited command overheats even with its current clipped: a guess that the limit will bind."""
     thermal, limit = effect.problem.thermal, effect.problem.limits.input_limit
     assert thermal is not None
     model = thermal.model
@@ -336,14 +339,14 @@ def _overheats(effect: Effect) -> bool:
 
 
 def _table(limits: Any) -> Mapping[str, float]:
-    """The limits of a tap as a caller gives them."""
+    """The limits that a caller gave for a tap, checked to be a table."""
     if limits is not None and not isinstance(limits, Mapping):
         raise InputError(f"limits = {cut(repr(limits))}: must be a table such as {{'current_A': 3.0}}")
     return limits or {}
 
 
 def _made(make: Callable[[float], Any], grip_N: float, kind: str) -> tuple[StateSpace, ...]:
-    """The devices that a caller's function makes for a grip."""
+    """The devices that a caller's function makes for a grip, checked for their type."""
     made = make(grip_N)
     devices = made if isinstance(made, tuple) else (made,)
     if (kind == "plant" and len(devices) != 1) or not all(isinstance(each, StateSpace) for each in devices):
@@ -358,14 +361,14 @@ def _none(grip_N: float) -> tuple[StateSpace, ...]:
 
 
 def _spread(scene: "Scene", grip_N: float) -> tuple[StateSpace, ...]:
-    """Further devices of a scene at a grip."""
+    """The further devices of a scene at a grip."""
     return tuple(of.plant(grip) for of, grip in scene.spread(grip_N))
 
 
 def _heated(
     coil: CoilModel | None, limit_C: float | None, winding_C: float | None, housing_C: float | None
 ) -> tuple[CoilModel | None, str]:
-    """The coil with its measured start and, if given, another limit; and why that start allows no tap, or empty."""
+    """The coil at its measured start and with the given limit; and why that start allows no tap, or empty."""
     if coil is None:
         return coil, ""
     limit_C = coil.limit_C if limit_C is None else float(limit_C)
@@ -379,6 +382,6 @@ def _heated(
 
 
 def _silent(wave: Waveform) -> Waveform:
-    """Nothing at the same place."""
+    """The waveform with zero commands, at the same place."""
     nothing = np.zeros_like(wave.command)
     return replace(wave, silent=True, command=nothing, transient_command=nothing)

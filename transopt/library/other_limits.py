@@ -1,4 +1,4 @@
-"""Limits of a single tap in place of those that a library was solved for."""
+"""Limits for a single tap, in place of those that a library was solved for."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,7 +12,7 @@ from transopt.problem.limits import KINDS
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 
-AMPLIFIER = "command_A"  # the amplifier's range, which a scene states there and not among its limits
+AMPLIFIER = "command_A"  # the amplifier's range; a scene states it for the amplifier and not among its limits
 BY_KEY = {kind.key: kind for kind in KINDS if kind.key}
 NAMES = (*BY_KEY, AMPLIFIER)
 
@@ -22,12 +22,12 @@ def with_limits(limits: Mapping[str, float], posing: Posing) -> Posing:
 
     Parameters
     ----------
-    limits : keys of a scene's `limits`, and `command` for the amplifier's range. `temperature_C` is checked here
-        and is the coil's, see `CoilModel.limit_C`.
+    limits : keys of a scene's `limits`, and `command_A` for the amplifier's range. `temperature_C` is only checked
+        here; it belongs to the coil, see `CoilModel.limit_C`.
 
     Raises
     ------
-    InputError : an unknown limit, one that is not > 0 and finite, or one of a part that the library does not have.
+    InputError : a limit is unknown, not > 0 and finite, or needs a part that the library does not have.
     """
     for name, value in limits.items():
         if name not in NAMES:

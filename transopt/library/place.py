@@ -1,4 +1,4 @@
-"""Locates a measured tap on the grid of a library, and gives the waveform for it."""
+"""Location of a measured tap on the grid of a library, and the waveform for it."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,9 +17,10 @@ class Place:
     Attributes
     ----------
     speed_m_s, grip_N : after clamping to the grid.
-    speed_clamped, grip_clamped : whether the wanted point lay outside the grid.
-    silent : no transient is played, for want of speed or grip.
-    normal, posture : of an arm, places along their lists from 1, after clamping. place_clamped : whether they were.
+    speed_clamped, grip_clamped : whether the measured value lay outside the grid.
+    silent : no transient is played, because grip or speed is too small.
+    normal, posture : for an arm, places along its lists, counted from 1, after clamping. place_clamped : whether
+        clamped.
     """
 
     speed_m_s: float
@@ -33,18 +34,18 @@ class Place:
 
     @property
     def at(self) -> tuple[float, float]:
-        """Places along the lists of normals and postures."""
+        """Places along the lists of normals and of postures."""
         return self.normal, self.posture
 
 
 @dataclass(frozen=True)
 class Waveform(Place):
-    """A command for a place: zero where it is silent, else a blend of the nodes' or what was solved for it.
+    """A command for a place: zero if the place is silent, else a blend of the nodes or a solved command.
 
     Attributes
     ----------
-    command : (N,), or (m, N) of several motors, total command c_k, issued at -lead + k dt and held [A].
-    transient_command : (N,) what a device with the library's wall plays on top of its feedback [A].
+    command : (N,), or (m, N) with m motors, total command c_k, issued at -lead + k dt and held [A].
+    transient_command : (N,) what a device with the library's wall adds to its feedback [A].
     """
 
     command: FloatArray = field(kw_only=True)
@@ -67,7 +68,7 @@ def finite(what: str, value: Any, unit: str) -> float:
 
 
 def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
-    """(n,) weights of linear interpolation at `value`, which lies inside the nodes."""
+    """(n,) weights of linear interpolation at `value`, which lies within the nodes' range."""
     weights, after = np.zeros(nodes.size), int(np.searchsorted(nodes, value))
     share = 1.0 if after == 0 else (value - nodes[after - 1]) / (nodes[after] - nodes[after - 1])
     weights[after - 1], weights[after] = 1 - share, share
@@ -75,7 +76,7 @@ def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
 
 
 def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
-    """(nv,) weights by which references of the nodes make that of a speed on the grid (`reference.between`).
+    """(nv,) weights that blend the references of the nodes into that of a speed on the grid (`reference.between`).
 
     r = v ((1 - w) r_1 / v_1 + w r_2 / v_2): the shape r / v is linear in speed.
     """

@@ -1,4 +1,4 @@
-"""The problems that a library file states, from its scene and arrays: devices, limits, targets, nominal motions."""
+"""The problems that a library file states, by its scene and arrays: devices, limits, targets, nominal motions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
     from transopt.scene.scene import Scene
 
 PLANT = ("A", "B", "C", "D", "Ce")
-# What is proven of the commands of a nonlinear plant, in the words of whatever shows such a library.
+# What is proven for commands of a nonlinear plant; every display of such a library prints it.
 NONLINEAR_CLAIM = (
     "nonlinear plant: each command is a certified stationary point, replayed on that plant; no bound says that there "
     "is no better one, and floor is of the plant as it is at rest"
@@ -42,9 +42,9 @@ NONLINEAR_CLAIM = (
 
 @dataclass(frozen=True)
 class Posed(Held):
-    """What a library was asked; `transopt.library.library.Library` has the answers.
+    """The problems of a library; `transopt.library.library.Library` adds the answers.
 
-    The problem of an entry is that of the scene in `meta` with the plants and the targets of the arrays; nothing else
+    The problem of an entry is the scene's in `meta`, with the plants and the targets of the arrays; nothing else
     states it.
     """
 
@@ -58,15 +58,15 @@ class Posed(Held):
 
     @property
     def claim(self) -> str:
-        """What is proven of its commands where that is not that each is an optimum, in a sentence; empty else."""
+        """One sentence on what is proven if the commands are not proven optima; empty if they are."""
         return NONLINEAR_CLAIM if self.nonlinear else ""
 
     def check_linear(self, what: str) -> None:
-        """Refuse what only a linear plant with one motor allows.
+        """Refuse an operation that needs a linear plant with one motor.
 
         Raises
         ------
-        InputError : a nonlinear plant, or one with several motors.
+        InputError : the plant is nonlinear or has several motors.
         """
         self.scene().check_one_motor(what)
         if self.nonlinear:
@@ -77,54 +77,54 @@ class Posed(Held):
 
     @property
     def axes(self) -> Axes:
-        """What its entries are for: speeds and grips, or named targets."""
+        """The axes of its entries: speeds and grips, or named targets."""
         names = tuple(map(str, self.targets)) if self.scene().targets else ()
         places = self.scene().axes.places
         return Axes(tuple(self.speeds_m_s.tolist()), tuple(self.grips_N.tolist()), names, places)
 
     @property
     def dt_s(self) -> float:
-        """The servo period."""
+        """Servo period."""
         return self.time_grid().dt_s
 
     @property
     def lead_s(self) -> float:
-        """How long before contact the first command is issued."""
+        """Time from the first command to contact."""
         return self.time_grid().lead_s
 
     @property
     def hand_over_samples(self) -> int:
-        """So many commands at the end are the wall's own, zero without one."""
+        """Number of commands at the end that are the wall's own feedback; zero without a wall."""
         return self.posing().hand_over_samples
 
     @property
     def grip_min_N(self) -> float:
-        """Below this grip nothing is played; 0 for the free device, which has no such bound."""
+        """Grip below which nothing is played; 0 for the free device, which has no such bound."""
         return 0.0 if self.grips_N[0] == 0 else self.scene().grid.grip_min_N
 
     @property
     def input_limit(self) -> float:
-        """The transient limit on the plant's input."""
+        """Transient limit on the plant input."""
         return float(self.posing().asked[f"{self.driven_by.name}_{self.driven_by.unit}"])
 
     @property
     def steady_input(self) -> float:
-        """What the actuator stands for ever, at which the baselines are looked at besides."""
+        """Limit on the plant input that the actuator bears continuously; the baselines are computed at it too."""
         return float(self.posing().asked[f"steady_{self.driven_by.name}_{self.driven_by.unit}"])
 
     @property
     def yardstick(self) -> Yardstick:
-        """How its entries are compared with the recorded taps."""
+        """The measures that compare its entries with the recorded taps."""
         named = bool(self.axes.targets)
         grid = self.time_grid()
         return Yardstick(grid, grid.end_s if named else self.posing().intention_s, named)
 
     def scene(self) -> "Scene":
-        """The scene that the library was solved from, as the file tells it.
+        """The scene that the library was solved from, as stated in the file.
 
         Raises
         ------
-        InputError : a scene of another version, or changed by hand.
+        InputError : the scene is from another version, or was changed by hand.
         """
         return self._scene
 
@@ -133,7 +133,7 @@ class Posed(Held):
         return scene_in(self.meta)
 
     def posing(self) -> Posing:
-        """What the problems of all taps with these limits share; of a nonlinear plant as it is at rest."""
+        """What the problems of all taps share; for a nonlinear plant, those of the plant at rest."""
         return self._posing
 
     @cached_property
@@ -141,20 +141,20 @@ class Posed(Held):
         return with_laws(posing_of(self.scene()))
 
     def time_grid(self) -> TimeGrid:
-        """Ticks and switching instants, and how many samples after them count."""
+        """Ticks, switching instants, and the number of samples after them that count."""
         return self.posing().grid
 
     @property
     def driven_by(self) -> Input:
-        """What drives the plant: a current, or a voltage."""
+        """The plant input: a current or a voltage."""
         return self.posing().driven_by
 
     def coil(self) -> CoilModel | None:
-        """The motor's coil; None where nothing is known of it."""
+        """The motor's coil; None if the scene does not state one."""
         return self.posing().coil
 
     def wall(self) -> Wall | None:
-        """The virtual wall; None without one."""
+        """The virtual wall; None without a wall."""
         return self.posing().wall
 
     def amplifier(self) -> Amplifier | None:
@@ -162,14 +162,14 @@ class Posed(Held):
         return self.posing().amplifier
 
     def plant(self, ig: int) -> StateSpace:
-        """The device of one grip, with the outputs that limits of a user's own look at."""
-        by_grip = self.meta.get("outputs")  # not there where no limit looks at any
+        """The device at one grip, with the outputs that the user's own limits need."""
+        by_grip = self.meta.get("outputs")  # missing if no limit needs an output
         A, B, C, D, Ce = (getattr(self, f"plant_{name}")[ig] for name in PLANT)
         outputs = _outputs(by_grip[ig] if by_grip else {})
         return StateSpace.from_matrices(A, B, C, D, Ce, outputs, self.driven_by)
 
     def stage(self, ig: int) -> StageModel:
-        """Stage model of one grip, discretised anew from the plant in the file."""
+        """Stage model at one grip, discretised from the plant in the file."""
         return self.posing().stage(self.plant(ig))
 
     def spread(self, ig: int) -> tuple[StageModel, ...]:
@@ -183,10 +183,10 @@ class Posed(Held):
         return tuple(found)
 
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
-        """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it.
+        """The problem that entry (iv, ig) claims to solve; the entry's own motion determines where a wall presses.
 
-        Of a nonlinear plant it is the problem of the plant as it is at rest, whose limits and objective
-        `transopt.library.nonlinear.nonlinear_problem` puts on the nonlinear one.
+        For a nonlinear plant this is the problem of the plant at rest; `transopt.library.nonlinear.nonlinear_problem`
+        puts its limits and objective on the nonlinear plant.
         """
         wanted = self.wanted_of(iv, ig)
         wanted = replace(wanted, target=self.told(iv, ig).moved(self.correction_m_s2[iv, ig]))
@@ -204,11 +204,11 @@ class Posed(Held):
         return pressing_under(problem, self.command[iv, ig])
 
     def parts(self, iv: int, ig: int) -> dict[str, int]:
-        """Name of a limit on an output -> parts of a servo period at whose ends an entry has it.
+        """Name of a limit on an output -> number of parts of a servo period at whose ends the entry states it.
 
         Raises
         ------
-        InputError : a number of parts that no entry of the library has.
+        InputError : a number of parts that no entry of a library has.
         """
         stated = self.instants_within[iv, ig].tolist()
         found = {kind.name: parts_of(within) for kind, within in zip(OF_OUTPUTS, stated, strict=True)}
@@ -217,14 +217,14 @@ class Posed(Held):
         return found
 
     def _shares(self, iv: int, ig: int) -> FloatArray:
-        """(S,) shares of the devices in the worst one's J, the own first."""
+        """(S,) weights of the devices in the J of the worst device, the nominal device first."""
         others = self.spread_share[iv, ig]
         return np.append(max(1.0 - others.sum(), 0.0), others)
 
     def lasting(self, iv: int, ig: int) -> tuple[FloatArray, FloatArray]:
-        """(N + M,) y'' and i of an entry at the switching instants, as predicted through its window and after it."""
+        """(N + M,) predicted y'' and plant input of an entry at the switching instants, also after the window."""
         if self.nonlinear:
-            # Only a nonlinear plant needs this import, which takes the scene with all that reads one.
+            # Only a nonlinear plant needs this import, which loads the scene and its readers.
             from transopt.library.nonlinear import nonlinear_problem
             from transopt.proof.nonlinear import NonlinearEffect
 
@@ -234,24 +234,24 @@ class Posed(Held):
         return problem.stage.rollout(problem.continued(self.command[iv, ig]))
 
     def told(self, iv: int, ig: int) -> Target:
-        """r - a_free of an entry, against which errors are told; a correction is none of it."""
+        """r - a_free of an entry, which errors are measured against; it contains no correction."""
         return self.wanted_of(iv, ig).target
 
     def wanted_of(self, iv: int, ig: int) -> Wanted:
-        """What was recorded for an entry, and the nominal motion under it; a correction is none of it."""
+        """The recorded target of an entry and the nominal motion under it; it contains no correction."""
         ends_s = float(self.target_ends_s[iv]) if self.axes.targets else np.inf
         known = self.meta["slow_part_known"][iv][ig]
         return self._wanted(float(self.speeds_m_s[iv]), lambda course: course[iv, ig], ends_s, known)
 
     def wanted(self, speed_m_s: float, grip_N: float) -> Wanted:
-        """What a tap between the nodes asks for: the shape r / v linear in speed (`speed_weights`), and in grip."""
+        """Target and motion of a tap between the nodes: r / v is linear in speed (`speed_weights`) and in grip."""
         by_grip = interpolation_weights(self.grips_N, grip_N)
         weights = np.outer(speed_weights(self.speeds_m_s, speed_m_s), by_grip)
         known = bool(np.all(np.array(self.meta["slow_part_known"])[weights > 0]))
         return self._wanted(speed_m_s, lambda course: np.tensordot(weights, course, 2), np.inf, known)
 
     def _wanted(self, speed_m_s: float, of: Callable[[FloatArray], FloatArray], ends_s: float, known: bool) -> Wanted:
-        """What is wanted, `of` being what picks or blends a course (vg...) of the nodes."""
+        """Target and motion; `of` selects or blends a course (v, g, ...) of the nodes."""
         free, before, after = of(self.free_m_s2), of(self.free_before_m_s2), of(self.free_after_m_s2)
         target = Target(
             of(self.recorded_m_s2) - free,
@@ -284,9 +284,9 @@ def scene_in(meta: dict[str, Any]) -> "Scene":
 
     Raises
     ------
-    InputError : a scene of another version, or changed by hand.
+    InputError : the scene is from another version, or was changed by hand.
     """
-    # A program that only names a library's type loads no pydantic.
+    # Imported here so that a program which only names a library's type does not load pydantic.
     from pydantic import ValidationError
 
     from transopt.scene.file import explain
@@ -299,7 +299,7 @@ def scene_in(meta: dict[str, Any]) -> "Scene":
 
 
 def posing_of(scene: "Scene") -> Posing:
-    """How the problems of a scene are posed; of a nonlinear plant those of the plant as it is at rest."""
+    """What the problems of a scene share; for a nonlinear plant, those of the plant at rest."""
     return scene.at_rest().posing()
 
 

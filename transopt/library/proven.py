@@ -1,15 +1,16 @@
-"""Whether what a library plays is proven: its certificates made again from the model in the file, in milliseconds.
+"""Proof of a library: its certificates computed again from the model in the file, in milliseconds.
 
-A file's hash tells that the file is whole, not who made it: whoever changes a number can hash the file again. What
-stands in a library is therefore not believed before it plays, is shown or leaves for another program:
+A file's hash shows that the file is intact, not who made it: whoever changes a number can hash the file again.
+Therefore a library is checked before it is played, shown or exported:
 
-- what it states of its problems follows from its scene and its recordings (`transopt.library.statements`);
-- every command keeps all limits and is optimal by its own multipliers (`transopt.proof.certify`); where the copper's
-  warming makes that a stationary point, a convex problem bounds J from below; on a nonlinear plant a stationary point
-  is all that is claimed;
-- current, acceleration, errors, peaks and what binds are made again from the command, and compared (`departures`).
+- its statements on its problems follow from its scene and its recordings (`transopt.library.statements`);
+- every command is feasible and, by its own multipliers, optimal (`transopt.proof.certify`). Where warming copper
+  makes it a stationary point only, a convex problem bounds J from below; on a nonlinear plant a stationary point is
+  all that is claimed;
+- current, acceleration, errors, peaks and binding limits are computed again from the command and compared
+  (`departures`).
 
-`transopt verify` compares by the same function, with what a replay by another integrator makes.
+`transopt verify` uses the same comparison with a replay by another integrator.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -41,22 +42,22 @@ from transopt.solvers.native.extension import (
 )
 from transopt.solvers.stage_data import stages, without_limits
 
-FIGURE = 1e-4  # relative, between a stated figure of an entry and the predicted one
-REPLAYED = 1e-6  # relative, between a stated figure and the replayed one
-ROUNDING = 1e-9  # absolute, for figures that are zero
-LEVEL_dB = 1e-4  # absolute, of the energy
-STEADY = 3e-3  # relative, between two steady states
-WARM_K = 2e-3  # between the winding's peak at the switching instants and that at all times
-PASS_GAP = 1e-9  # of the optimum without limits, relative
-MOST_ITERATIONS = 60  # of the method that bounds a hot entry from below
+FIGURE = 1e-4  # relative difference allowed between a stated figure of an entry and the predicted one
+REPLAYED = 1e-6  # relative difference allowed between a stated figure and the replayed one
+ROUNDING = 1e-9  # absolute difference allowed, for figures that are zero
+LEVEL_dB = 1e-4  # absolute difference allowed for levels
+STEADY = 3e-3  # relative difference allowed between two computed steady states
+WARM_K = 2e-3  # difference allowed between the winding's peak at the switching instants and that at all times
+PASS_GAP = 1e-9  # relative duality gap of the optimum without limits
+MOST_ITERATIONS = 60  # iterations of the interior point that bounds an entry with a binding temperature from below
 
 
 def load_proven(path: str | Path) -> Library:
-    """Read a library file and prove it before anything of it is used; about two milliseconds an entry.
+    """Read a library file and prove it before any of it is used; takes about two milliseconds per entry.
 
     Raises
     ------
-    InputError : what `load_library` refuses, and what is not proven: the first thing, in one line.
+    InputError : what `load_library` refuses, or the first statement that is not proven, in one line.
     """
     library = load_library(path)
     doubt = next(doubts(library), None)
@@ -69,9 +70,9 @@ def load_proven(path: str | Path) -> Library:
 
 
 def doubts(library: Library) -> Iterator[str]:
-    """What is not proven of a library, one phrase each; none if all is."""
+    """What is not proven of a library, one phrase each; empty if everything is proven."""
     try:
-        with np.errstate(all="ignore"):  # what overflows is found as not finite
+        with np.errstate(all="ignore"):  # an overflow shows as a value that is not finite
             yield from misstatements(library)
             for ig in range(library.grips_N.size):
                 yield from _of_grip(library, ig)
@@ -128,12 +129,12 @@ def _bound_by_interior_point(relaxed: TransientProblem) -> float:
 
 
 def _boundable(problem: TransientProblem) -> bool:
-    """Whether a bound from below can be had here: not of a user's own limit that is bent, nor without the solver."""
+    """Whether a lower bound can be computed here: not for a user's nonlinear limit, nor without the extension."""
     return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
 
 
 def _unlimited(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
-    """(N,) the optima of J without limits by the compiled pass; None without it, or where it loses digits."""
+    """(N,) optima of J without limits by the compiled pass; None if unavailable or if its gap is too large."""
     if problems and problems[0].stage.motors > 1:
         # Only a library of several motors needs this import.
         from transopt.solvers import several
@@ -152,14 +153,14 @@ def _unlimited(problems: Sequence[TransientProblem]) -> list[FloatArray | None]:
 
 
 def _peak(course: Any) -> float:
-    """Largest size in a course, or the size of one number, for which numpy takes ten times as long."""
+    """Largest magnitude in a course or of one number; numpy would take ten times as long for a number."""
     if isinstance(course, float):
         return abs(float(course))
     return float(np.abs(course).max(initial=0.0))
 
 
 def _size(again: Answered) -> float:
-    """Largest acceleration that is asked for [m/s^2]."""
+    """Largest acceleration of the target [m/s^2]."""
     return _peak(again.told.window_m_s2)
 
 
@@ -168,12 +169,12 @@ def _scale(again: Answered) -> float:
 
 
 def _violation(again: Answered) -> float:
-    # The largest over A, V and K is stored; only where A is all there is the limit tells how exact it has to be.
+    # One number is stored, the largest over A, V and K. Only if all limits are in A does the limit set the tolerance.
     limits = again.problem.limits
     return tolerated(limits.input_limit) if all(each.unit.startswith("A") for each in limits) else VIOLATION_TOLERANCE
 
 
-# Array -> by how much what a file states may be off the value of an answer that was not replayed.
+# Array -> largest difference allowed between the file and the value of an answer that was not replayed.
 WITHIN: dict[str, Callable[[Answered, Any], float]] = {
     "plant_input": lambda again, value: SAME * again.problem.limits.input_limit,
     "acceleration_m_s2": lambda again, value: SAME * max(_size(again), _peak(value)),
@@ -200,7 +201,7 @@ WITHIN: dict[str, Callable[[Answered, Any], float]] = {
     "tap_error_promised": lambda again, value: FIGURE * value + ROUNDING,
     "tap_error_linear": lambda again, value: FIGURE * value + ROUNDING,
 }
-# One method may have a value of these arrays where another has none.
+# Arrays that may be NaN by one method and known by another.
 MAY_BE_UNKNOWN = ("objective", "primal_violation", "duality_gap", "dual_residual", "floor", "tap_error_linear")
 
 
@@ -213,13 +214,13 @@ def departures(
     replayed: bool = False,
     of_bound: float = Certificate.BOUND_TOLERANCE,
 ) -> Iterator[str]:
-    """What a file states of an entry and the answer that was made again does not have, one phrase each.
+    """Differences between what a file states of an entry and the answer computed again, one phrase each.
 
     Parameters
     ----------
-    again : what `Array.made` reads of an entry.
-    replayed : whether its figures are those of a replay, so that all that is replayed (`Array.replayed`) is compared.
-    of_bound : relative, by which the stated lower bound may lie above the one found; other methods find others.
+    again : the answer computed again, which `Array.made` reads.
+    replayed : whether its figures come from a replay, so that all replayed arrays (`Array.replayed`) are compared.
+    of_bound : relative excess of the stated lower bound over the one computed here; methods find different bounds.
     """
     for name, array in ARRAYS.items():
         by_replay = replayed and array.replayed
@@ -242,8 +243,8 @@ def departures(
 def _off_bound(claimed: float, proof: Certificate, of_bound: float) -> Iterator[str]:
     """What speaks against a stated lower bound.
 
-    A bound is a claim from below: one that says less than what can be proven is true as well. It still has to be one
-    by which the entry was accepted, or the file calls optimal what its own figures do not prove.
+    A bound below the one that can be proven is true as well. It must still be high enough to accept the entry;
+    otherwise the file calls an entry optimal that its own figures do not prove.
     """
     scale, least = max(proof.objective, OBJECTIVE_SCALE), proof.lower_bound
     if not claimed <= least + of_bound * scale and np.isfinite(least):
@@ -253,10 +254,10 @@ def _off_bound(claimed: float, proof: Certificate, of_bound: float) -> Iterator[
 
 
 def _peaks(library: Library, iv: int, ig: int, again: Answered) -> Iterator[str]:
-    """Peaks in the file that lie off the predicted ones by more than instants lie off the times between them."""
+    """Peaks in the file that differ from the predicted ones by more than sampling at the instants explains."""
     problem, unit = again.problem, again.unit
     stored, peak = float(library.peak_input[iv, ig]), _peak(again.plant_input)
-    # A wall pushes on after the waveform; its limit there is the replay's to check.
+    # A wall keeps pressing after the waveform; the replay checks the limit there.
     most = problem.limits.input_limit * (1 + SAME) if problem.wall is not None else peak * (1 + FIGURE) + ROUNDING
     if not peak * (1 - FIGURE) - ROUNDING <= stored <= most:
         yield f"peak_input says {stored:.6g} {unit}, recomputed {peak:.6g} {unit}"
@@ -267,7 +268,7 @@ def _peaks(library: Library, iv: int, ig: int, again: Answered) -> Iterator[str]
         return
     model, coil = problem.thermal.model, problem.thermal.coil
     hottest = max(float((again.designed.effect.rise_K[1:, 0] + model.unpowered_C).max()), coil.start_winding_C)
-    # For taps without end the two methods find the steady state, and the rise from ambient, by different sums.
+    # For endless taps the two methods sum the steady state, and so the rise from ambient, in different ways.
     rise_K = 0.0 if model.closure is None else abs(hottest - coil.ambient_C)
     if not abs(stored - hottest) <= WARM_K + STEADY * rise_K:
         yield f"peak_temperature_C says {stored:.5g} C, recomputed {hottest:.5g} C"

@@ -1,4 +1,4 @@
-"""The references of a library file, from which its scene is solved again where the recordings are not at hand."""
+"""The references in a library file, to solve its scene again without the recordings."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from transopt.recordings.references import References
 
 
 def references_of_library(library: Library) -> References:
-    """The references that a library was designed for, as its file has them; the recordings are not at hand."""
+    """The references that a library was designed for, read from its file instead of the recordings."""
     rows, (nv, ng) = library.axes.rows, library.command.shape[:2]
     return References(
         tuple(_reference(library, iv, ig) for iv in range(nv) for ig in range(1 if rows[iv][1] else ng))
@@ -16,7 +16,7 @@ def references_of_library(library: Library) -> References:
 
 
 def _reference(library: Library, iv: int, ig: int) -> Reference:
-    """One cell of them."""
+    """The reference of one entry."""
     wanted = library.wanted_of(iv, ig)
     speed, name = library.axes.rows[iv]
     spread = library.meta["repeatability"][iv][ig]

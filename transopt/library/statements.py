@@ -1,7 +1,7 @@
-"""Whether a library states what follows from the scene and the recordings that it carries, all entries alike.
+"""Whether a library's statements follow from the scene and the recordings in its file, over all entries.
 
-Its plants, its nodes and the numbers in `meta.derived` are those of the scene, which alone states limits, weights and
-time axis; its targets and nominal motions follow from what was recorded.
+Its plants, its nodes and the numbers in `meta.derived` must be those of the scene, which alone states limits, weights
+and time axis; its targets and nominal motions must follow from the recorded accelerations.
 """
 
 import math
@@ -19,13 +19,13 @@ from transopt.library.posed import PLANT
 from transopt.plant.discretise import TimeGrid
 from transopt.proof.certify import BINDING_MULTIPLIER
 
-SAME = 1e-6  # relative, between what a file states of its scene and what the scene it carries comes to
-MOTION = 1e-2  # relative, between a motion that was integrated in fine steps and in those of the file
-COOLER = 1e-4  # relative, by which a cool command's heat may lie above the first one's
+SAME = 1e-6  # relative difference allowed between a statement and its value by the scene
+MOTION = 1e-2  # relative difference allowed between motions integrated in fine steps and in the file's steps
+COOLER = 1e-4  # relative excess allowed of a cool command's heat over that of the first command
 
 
 def misstatements(library: Library) -> Iterator[str]:
-    """Statements of a library that differ from the scene and the recordings it carries, all entries alike."""
+    """Statements of a library that differ from its scene and recordings, over all entries."""
     yield from _against_scene(library)
     yield from _targets(library)
     yield from _nominal(library)
@@ -36,7 +36,7 @@ def misstatements(library: Library) -> Iterator[str]:
 
 
 def _against_scene(library: Library) -> Iterator[str]:
-    """Differences between the file's problem and the scene that it carries: limits, weights, time axis, plants."""
+    """Differences between the file's problem and its scene: limits, weights, time axis, plants."""
     scene, at_rest = library.scene(), library.scene().at_rest()
     problems = [library.problem(iv, 0) for iv in range(library.speeds_m_s.size)]
     warm = heat_is_in(library.meta["left_out"])
@@ -45,7 +45,7 @@ def _against_scene(library: Library) -> Iterator[str]:
     if stray_targets := set(library.axes.targets) - set(scene.axes.targets):
         yield f"targets: {min(stray_targets)} is no target of its scene"
     for name, nodes in (("speeds_m_s", scene.axes.speeds_m_s), ("grips_N", scene.grid.grips_N)):
-        # A library may be a part of what its scene asked for.
+        # A library may hold a part of its scene's nodes.
         stray = [node for node in getattr(library, name) if not np.isclose(node, nodes, rtol=SAME, atol=0).any()]
         if stray:
             yield f"{name}: {stray[0]:g} is no node of its scene"
@@ -62,9 +62,9 @@ def _against_scene(library: Library) -> Iterator[str]:
 
 
 def _nominal(library: Library) -> Iterator[str]:
-    """Nominal motions that are not the integrals of a_free, from minus the speed and the surface on."""
+    """Nominal motions that are not the integrals of a_free, starting from minus the speed at the surface."""
     grid, free, after = library.time_grid(), library.free_m_s2, library.free_after_m_s2
-    if free.ndim > 3:  # the hand moves along the normal
+    if free.ndim > 3:  # the nominal motion is along the normal
         free, after = free[..., 0, :], after[..., 0, :]
     times = grid.switching_times_s
     for iv, ig in np.ndindex(free.shape[:2]):
@@ -87,7 +87,7 @@ def _nominal(library: Library) -> Iterator[str]:
 
 
 def _targets(library: Library) -> Iterator[str]:
-    """Targets that are not the recorded acceleration less the free one, with the correction of a refined library."""
+    """Targets that differ from r - a_free plus the correction of a refined library."""
     for part, correction in (("before_", 0.0), ("", library.correction_m_s2), ("after_", 0.0)):
         target, recorded, free = (getattr(library, f"{of}_{part}m_s2") for of in ("target", "recorded", "free"))
         size = max(float(np.abs(course).max(initial=0.0)) for course in (target, recorded, free))
@@ -97,7 +97,7 @@ def _targets(library: Library) -> Iterator[str]:
 
 
 def _heat_prices(library: Library) -> Iterator[str]:
-    """Prices on heat that are not the scene's, and cool commands that are no cooler than the first."""
+    """Heat prices that differ from the scene's, and cool commands that are no cooler than the first ones."""
     stated, own = library.heat_price, library.posing().heat_price
     if not np.allclose(stated, own, rtol=SAME, atol=0):
         yield f"heat_price reaches {stated.max():.4g}, its scene says {own:.4g}"
@@ -110,22 +110,22 @@ def _heat_prices(library: Library) -> Iterator[str]:
 
 
 def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:
-    """(M,) position at the ticks after the window, from that at tau_(N-1) on and its second derivative (M + 1,)."""
+    """(M,) position at the ticks after the window, from the state at tau_(N-1) and the acceleration (M + 1,)."""
     velocity = velocity_m_s + integral(rate_m_s2, grid.dt_s)
     course = position_m + integral(velocity, grid.dt_s)
     return np.asarray((course - grid.delay_s * velocity)[1:])
 
 
 def _from_contact(times_s: FloatArray, rate: FloatArray) -> FloatArray:
-    """(N,) integral of a rate by the trapezoidal rule, zero at contact, which may lie before the first instant."""
+    """(N,) integral of a rate by the trapezoidal rule, zero at contact, which may precede the first instant."""
     steps = 0.5 * np.diff(times_s) * (rate[1:] + rate[:-1])
     course = np.append(0.0, np.cumsum(steps))
-    before = min(times_s[0], 0.0) - times_s[0]  # of the first instant, where contact comes before it
+    before = min(times_s[0], 0.0) - times_s[0]  # minus the first instant, if contact precedes it
     return np.asarray(course - np.interp(0.0, times_s, course) - before * rate[0])
 
 
 def _different(name: str, stated: Any, own: Any) -> Iterator[str]:
-    """Numbers and words in `stated` that differ from those of the same place in `own`, the scene's."""
+    """Numbers and words of `stated` that differ from their counterparts in `own`, the scene's."""
     if is_dataclass(own) and type(stated) is type(own):
         for field in fields(own):
             yield from _different(f"{name}.{field.name}", getattr(stated, field.name), getattr(own, field.name))
