@@ -1,9 +1,10 @@
-"""How the stylus came: offset and incoming acceleration told apart, the slow part of a tap completed.
+"""The approach before contact: separates offset from incoming acceleration and completes the slow part of a tap.
 
-The baseline before contact is the sensor's offset plus a0, the acceleration that the hand comes with. An
-accelerometer alone cannot separate them. The position can: twice integrated, the acceleration must be its course, and
-what is missing to that is the offset. The same fit completes what a sensor with a low cut-off loses. Its reading b of
-an acceleration a passes a first-order high-pass of angular frequency w, whose inverse is known but for a start value:
+The baseline before contact is the sum of the sensor's offset and a0, the hand's acceleration during the approach. An
+accelerometer alone cannot separate them, but a recorded position can: the acceleration, integrated twice, must give
+the position's course, and the constant that is missing is the offset. The same fit completes what a sensor with a low
+cut-off loses. Its reading b of an acceleration a passes a first-order high-pass of angular frequency w, whose inverse
+is known up to a start value:
 
     b = s / (s + w) a,     so     a(t) = b(t) + w (integral of b) + p + q t,
 
@@ -12,7 +13,7 @@ with p and q, start value and offset, fitted to the position
     z(t) = z0 + v0 t + (double integral of b + w (integral of b)) + p t^2 / 2 + q t^3 / 6.
 
 A sensor that reads down to 0 Hz has w = 0 and q = 0. Then only the approach is fitted, where an error of the sensor's
-scale does not count; else the course from the approach to behind the tap.
+scale has no effect; otherwise the course from the approach to after the tap.
 """
 
 from dataclasses import dataclass, replace
@@ -22,28 +23,28 @@ import numpy as np
 from transopt.base.signals import FloatArray, Signal, integral
 from transopt.recordings.speed import fitted
 
-GUARD_S = 1e-3  # kept free before contact, whose low-passed foot reaches so far
-INCOMING_S = 10e-3  # the incoming acceleration is the mean of so long before contact
-FIT_BEFORE_S, FIT_AFTER_S = 50e-3, 150e-3  # beside contact; over longer the noise's double integral outgrows a count
+GUARD_S = 1e-3  # left out before contact, because the low-passed rise of the tap reaches that far
+INCOMING_S = 10e-3  # the incoming acceleration is the mean over this time before contact
+FIT_BEFORE_S, FIT_AFTER_S = 50e-3, 150e-3  # about contact; over longer times integrated noise exceeds a count
 LEAST_SAMPLES = 8
-LEAST_M_S2 = 0.1  # a smaller incoming acceleration changes the speed by 3 mm/s in 30 ms, and is taken as none
-REST_S, LEAVING_S = 20e-3, 5e-3  # shortest rest, and its end, where the hand sets out within one count
-REST_M = 25e-6  # a finer position moves by so much at rest
-TRUSTED_Hz = 1.0  # a cut-off up to here loses little of 30 ms, 6 % of the change of speed where nothing completes it
+LEAST_M_S2 = 0.1  # a smaller incoming acceleration changes the speed by 3 mm/s in 30 ms and counts as 0
+REST_S, LEAVING_S = 20e-3, 5e-3  # shortest rest, and its end to leave out, where the hand moves within one count
+REST_M = 25e-6  # motion of a finer position that still counts as rest
+TRUSTED_Hz = 1.0  # a lower cut-off loses little in 30 ms, at most 6 % of the change of speed
 SEPARATED, AT_REST, STATED, UNSEPARATED = "position", "rest", "stated offset", "unknown"
 
 
 @dataclass(frozen=True)
 class Approach:
-    """An acceleration whose offset and slow part are put right, and what it is before contact.
+    """An acceleration with its offset and slow part corrected, and its value before contact.
 
     Attributes
     ----------
     acceleration : z'' of the stylus [m/s^2].
-    offset_error_m_s2 : what was taken away too much as the offset.
-    incoming_m_s2 : a0, the acceleration that the hand comes with; 0 where it is not known or not told from 0.
-    source : how a0 is known: `position`, `rest`, `stated offset` or `unknown`.
-    slow_part_known : whether the acceleration holds what is slower than the tap.
+    offset_error_m_s2 : amount by which the offset subtracted before was too large.
+    incoming_m_s2 : a0, the acceleration during the approach; 0 if unknown or not distinguishable from 0.
+    source : what a0 is known from: `position`, `rest`, `stated offset` or `unknown`.
+    slow_part_known : whether the acceleration contains frequencies below those of the tap.
     notes : what a user should know, one sentence each.
     """
 
@@ -58,15 +59,15 @@ class Approach:
 def find_approach(
     x: Signal, position: Signal | None, onset_s: float, noise_m_s2: float, trusted_from_Hz: float, *, stated: bool
 ) -> Approach:
-    """Tell offset and incoming acceleration apart, and complete what is slower than the sensor reads.
+    """Separate offset from incoming acceleration, and complete frequencies below the sensor's cut-off.
 
     Parameters
     ----------
     x : less its baseline, or less the offset that the user `stated`, positive where the tap decelerates the stylus.
     position : along the surface normal, positive out of the object [m]; None if it was not recorded.
-    onset_s : contact.
+    onset_s : time of contact.
     noise_m_s2 : rms of the white noise in `x`.
-    trusted_from_Hz : cut-off of the sensor's first-order high-pass; 0 for one that reads a constant.
+    trusted_from_Hz : cut-off of the sensor's first-order high-pass; 0 for a sensor that reads a constant.
     """
     if trusted_from_Hz > 0:
         return _completed(x, position, onset_s, trusted_from_Hz)
@@ -91,12 +92,12 @@ def find_approach(
 
 
 def _coming(x: Signal, onset_s: float) -> slice:
-    """The samples whose mean is the incoming acceleration."""
+    """Samples whose mean is the incoming acceleration."""
     return slice(x.until(onset_s - GUARD_S - INCOMING_S), x.before(onset_s - GUARD_S))
 
 
 def _at_rest(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> tuple[float, float, str] | None:
-    """What lacks to zero at rest, with its 95 % interval; None where the record does not begin at rest."""
+    """Correction to zero at rest, with its 95 % interval and source; None if the record does not begin at rest."""
     z = position.values
     left = np.abs(z - z[0]) > 1.5 * max(position.count, REST_M)
     leaves_s = position.start_s + position.dt_s * int(np.argmax(left)) if left.any() else position.end_s
@@ -107,19 +108,20 @@ def _at_rest(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> 
 
 
 def _by_position(x: Signal, position: Signal, onset_s: float, noise_m_s2: float) -> tuple[float, float, str] | None:
-    """What lacks to the position's course over the approach, with its 95 % interval; None of too few samples."""
+    """Correction that fits the position over the approach, with 95 % interval and source; None if too few samples."""
     inside = slice(position.until(max(onset_s - FIT_BEFORE_S, x.start_s)), position.before(onset_s - GUARD_S))
     samples = inside.stop - inside.start
     if samples < LEAST_SAMPLES:
         return None
     solution, interval = _fitted(x, position, inside, onset_s, 3)
-    # The noise's double integral is no scatter about the parabola: it bends it, as a mean over so long would be off.
+    # Doubly integrated noise bends the fitted parabola instead of scattering about it, like a biased mean
+    # acceleration.
     bent = 3 * noise_m_s2 * float(np.sqrt(x.dt_s / (position.dt_s * (samples - 1))))
     return 2 * float(solution[2]), float(np.hypot(2 * interval[2], bent)), SEPARATED
 
 
 def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_Hz: float) -> Approach:
-    """Acceleration with the slow part that the position tells; without one as it was recorded."""
+    """Acceleration with its slow part completed from the position; unchanged if there is no position."""
     said = f"the sensor reads from {trusted_from_Hz:g} Hz on"
     inside = slice(0, 0)
     if position is not None:
@@ -148,9 +150,9 @@ def _completed(x: Signal, position: Signal | None, onset_s: float, trusted_from_
 
 
 def _fitted(x: Signal, position: Signal, inside: slice, onset_s: float, terms: int) -> tuple[FloatArray, FloatArray]:
-    """What lacks to some samples of the position after twice integrating x: `fitted` over the time from contact."""
+    """Fit (`fitted`, over the time from contact) of the position minus the doubly integrated acceleration x."""
     t = position.times_s[inside]
-    known = slice(0, x.before(t[-1]) + 1)  # through the first sample behind
+    known = slice(0, x.before(t[-1]) + 1)  # up to the first sample after the position's last one
     moved = integral(integral(x.values[known], x.dt_s), x.dt_s)
     rest = position.values[inside] - np.interp(t, x.times_s[known], moved)
     return fitted(float(t[0]) - onset_s, position.dt_s, rest, position.count, terms)

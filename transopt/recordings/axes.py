@@ -1,4 +1,4 @@
-"""The axes of an accelerometer made one signal, since a tap moves the stylus along one line."""
+"""Joins the axes of an accelerometer into one signal, since a tap moves the stylus along one line."""
 
 from collections.abc import Mapping
 
@@ -7,21 +7,21 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
-BLOCK_S = 0.05  # over which the earth's field is averaged
-APPROACH_S, RINGING_S = 0.03, 0.1  # before and after a tap, which tell nothing of the field
-LOUD = 0.1  # of the largest deviation from rest: a tap, or what rings behind it
-FIELD = 0.1  # of its size, that a sensor at rest may read the earth's field off
-TURNED_DEG = 2.0  # less is a sensor's noise
-ALL = "all"  # the way to join axes that keeps what lies across the main direction beside it
-STRONG = 0.5  # of the largest deviation from rest: samples of at least so much show the direction of a tap
+BLOCK_S = 0.05  # length of the blocks over which the earth's field is averaged
+APPROACH_S, RINGING_S = 0.03, 0.1  # times before and after a tap that are unusable for the field
+LOUD = 0.1  # share of the largest deviation from rest that marks a tap or its ringing
+FIELD = 0.1  # relative error of the earth's field that a sensor at rest may read
+TURNED_DEG = 2.0  # a smaller turn is sensor noise
+ALL = "all"  # way of joining that also keeps the acceleration across the main direction
+STRONG = 0.5  # share of the largest deviation from rest, from which on samples show the direction of a tap
 
 
 def without_turning(axes: Mapping[str, FloatArray], step_s: float) -> tuple[dict[str, FloatArray], str]:
-    """Axes of a sensor that turned in the earth's field, with its change taken off, and a sentence that says so.
+    """Remove from the axes the change of gravity of a sensor that turned, and say so in a sentence.
 
-    Gravity is averaged over what is quiet, interpolated across the taps, and kept at the size that it has: a hand
-    that speeds up along it is left in the signal. A sensor that does not read gravity, or was not quiet before and
-    after, is left as it is.
+    Gravity is averaged over quiet stretches, interpolated across the taps, and kept at its mean magnitude, so that an
+    acceleration of the hand along it stays in the signal. The axes are unchanged if the sensor does not read gravity
+    or was not quiet before and after the taps.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ def without_turning(axes: Mapping[str, FloatArray], step_s: float) -> tuple[dict
 
 
 def joined(axes: Mapping[str, FloatArray], way: str) -> tuple[FloatArray, str]:
-    """One signal (n,) of two or three axes, and a sentence that says how it was made of them.
+    """Join two or three axes into one signal (n,), and say in a sentence how.
 
-    `main` projects onto the direction in which the tap is strongest, found among its strong samples by singular
-    values; along the sensor's axis that is nearest to it, it counts positive. `dft321` keeps the energy of all axes,
-    gravity taken off, with the phase of their sum (Landin, Romano, McMahan and Kuchenbecker, EuroHaptics 2010).
+    `main` projects onto the direction in which the tap is strongest, found among its strong samples by singular value
+    decomposition and signed so that the nearest sensor axis counts positive. `dft321` keeps the energy of all axes,
+    without gravity, and the phase of their sum (Landin, Romano, McMahan and Kuchenbecker, EuroHaptics 2010).
 
     Parameters
     ----------
@@ -98,21 +98,21 @@ def joined(axes: Mapping[str, FloatArray], way: str) -> tuple[FloatArray, str]:
 
 
 def _main(moved: FloatArray) -> FloatArray:
-    """(a,) direction in which a tap (a, n) is strongest, positive along the axis that is nearest to it."""
+    """(a,) direction in which a tap (a, n) is strongest, signed to be positive along the nearest axis."""
     size = np.linalg.norm(moved, axis=0)
     direction = np.linalg.svd(moved[:, size >= STRONG * size.max()], full_matrices=False)[0][:, 0]
     return np.asarray(direction * np.sign(direction[np.argmax(np.abs(direction))]))
 
 
 def across(axes: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """What lies across a tap's main direction (`joined`): (n,) along two tangents [m/s^2].
+    """(n,) acceleration along each of two tangents, across the tap's main direction (`joined`) [m/s^2].
 
-    The sensor is turned by the smallest angle that takes its axis nearest to the main direction onto it. The other
-    two, in the order x, y, z, x, are the tangents then, so that the three are right-handed.
+    The sensor's frame is turned by the smallest angle that takes the axis nearest to the main direction onto it. The
+    tangents are then the other two axes, in cyclic order x, y, z, so that the three are right-handed.
 
     Raises
     ------
-    InputError : other than three axes.
+    InputError : there are not three axes.
     """
     if len(axes) != len("xyz"):
         listed = ", ".join(axes)
@@ -123,7 +123,7 @@ def across(axes: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
     normal = _main(table - np.median(table, axis=1, keepdims=True))
     nearest = int(np.argmax(normal))
     start = np.eye(3)[nearest]
-    half = start + normal  # half a turn about `start` and half a turn about this is the smallest turn
+    half = start + normal  # a half turn about `start`, then one about this, compose the smallest turn
     turned = (2 * np.outer(half, half) / (half @ half) - np.eye(3)) @ (2 * np.outer(start, start) - np.eye(3))
     first, second = (turned @ np.eye(3)[(nearest + step) % 3] for step in (1, 2))
     return np.asarray(first @ table), np.asarray(second @ table)

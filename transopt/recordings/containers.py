@@ -1,7 +1,7 @@
-"""Files of spreadsheets and loggers, each opened by the library that is kept for it: the extra `formats`.
+"""Opens spreadsheets and loggers' files, each by its own library: the extra `formats`.
 
-A sheet becomes the text that its program would have exported; TDMS and HDF5 become named variables. What they mean is
-`transopt.recordings.formats`' business.
+A sheet becomes the text that its program would have exported; TDMS and HDF5 become named variables.
+`transopt.recordings.formats` interprets them.
 """
 
 import io
@@ -24,20 +24,20 @@ from transopt.base.sizes import MOST_ROWS, MOST_UNPACKED_BYTES, megabytes
 from transopt.recordings.names import quote
 from transopt.recordings.rates import Rate
 
-HDF5_TIME_S = 8.0  # the largest file that is sound, 268 MB, took 1.3 s
+HDF5_TIME_S = 8.0  # the largest valid file, 268 MB, took 1.3 s
 HDF5 = b"\x89HDF\r\n\x1a\n"
 MOST_CELLS = 32 * MOST_ROWS
 
 
 @dataclass(frozen=True)
 class Channels:
-    """What a logger's file holds.
+    """Variables of a logger's file.
 
     Attributes
     ----------
-    values : name, with its unit in brackets where the file states it -> array, read when it is asked for.
-    rate : of the samples, where the file states it.
-    place : where a user finds the sample of an index.
+    values : name, with the unit in brackets where the file states it -> array, read on access.
+    rate : sample rate, if the file states it.
+    place : names the place of a sample index for the user.
     """
 
     values: Mapping[str, Any]
@@ -47,7 +47,7 @@ class Channels:
 
 @contextmanager
 def guarded(what: str, remedy: str) -> Iterator[None]:
-    """Run a reader on unchecked bytes: whatever it raises or warns of, nothing but InputError comes out."""
+    """Run a reader on unchecked bytes: every exception or warning it raises becomes an InputError."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -58,11 +58,11 @@ def guarded(what: str, remedy: str) -> Iterator[None]:
 
 
 def _library(module: str, package: str, what: str) -> ModuleType:
-    """The library that reads a format.
+    """Import the library that reads a format.
 
     Raises
     ------
-    InputError : it is not installed.
+    InputError : the library is not installed.
     """
     try:
         return import_module(module)
@@ -74,11 +74,11 @@ def _library(module: str, package: str, what: str) -> ModuleType:
 
 
 def sheet_as_text(data: bytes) -> bytes:
-    """The longest sheet of a workbook (.xlsx, .xls, .ods) as text between semicolons.
+    """The longest sheet of a workbook (.xlsx, .xls, .ods) as text with semicolons between cells.
 
     Raises
     ------
-    InputError : no workbook, none with rows, or the library is missing.
+    InputError : the file is no workbook, has no rows or too many cells, or the library is missing.
     """
     calamine = _library("python_calamine", "python-calamine", "a spreadsheet")
     with guarded("not a readable workbook", "export the sheet as CSV"):
@@ -99,30 +99,30 @@ def _cell(value: object) -> str:
 
 
 def tdms_channels(data: bytes) -> Channels:
-    """The channels of a LabVIEW TDMS file, with the step of its waveforms.
+    """The channels of a LabVIEW TDMS file, with the time step of its waveforms.
 
     Raises
     ------
-    InputError : not of the format, or the library is missing.
+    InputError : the file is not TDMS, or the library is missing.
     """
     nptdms = _library("nptdms", "npTDMS", "a TDMS file")
     log_manager = _library("nptdms.log", "npTDMS", "a TDMS file").log_manager
-    log_manager.set_level(logging.CRITICAL)  # else it tells its own log of every damaged byte
+    log_manager.set_level(logging.CRITICAL)  # otherwise it logs every damaged byte
     with guarded("not a readable TDMS file", "export it as CSV"):
         channels = [channel for group in nptdms.TdmsFile(io.BytesIO(data)).groups() for channel in group.channels()]
         values = {labelled(each.name, each.properties.get("unit_string")): each[:] for each in channels}
         steps = {float(step) for each in channels if (step := each.properties.get("wf_increment"))}
         starts = {float(each.properties.get("wf_start_offset", 0.0)) for each in channels}
-    # Channels of several rates have lengths of their own, which are refused where they are compared.
+    # Channels of different rates differ in length; `RawTable.rows` refuses them.
     return Channels(values, Rate(min(steps), min(starts, default=0.0)) if steps else None)
 
 
 def hdf5_datasets(data: bytes) -> Channels:
-    """The numeric arrays of an HDF5 file, as MATLAB -v7.3 and loggers write it, by path.
+    """The numeric arrays of an HDF5 file, as MATLAB -v7.3 and loggers write it, by their paths.
 
     Raises
     ------
-    InputError : not of the format, too large unpacked, damaged, or the library is missing.
+    InputError : the file is not HDF5, unpacks to too much, is damaged, or the library is missing.
     """
     _library("h5py", "h5py", "an HDF5 file (also MAT -v7.3)")
     command = [sys.executable, "-I", str(Path(__file__).with_name("hdf5_variables.py")), str(MOST_UNPACKED_BYTES)]
@@ -136,5 +136,5 @@ def hdf5_datasets(data: bytes) -> Channels:
 
 
 def labelled(name: str, unit: object) -> str:
-    """A name with its unit in brackets, where a file states one."""
+    """A name with its unit in brackets, if the file states one."""
     return f"{name} [{unit}]" if isinstance(unit, str) and unit.strip() else name

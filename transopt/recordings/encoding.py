@@ -1,4 +1,4 @@
-"""How the text of a file is stored: encodings, told by marks, by zero bytes and by the units that can be read."""
+"""Text encoding of a file, recognised by byte-order marks, by zero bytes and by readable units."""
 
 import codecs
 import re
@@ -6,22 +6,22 @@ import re
 from transopt.base.errors import InputError
 from transopt.recordings.units import is_unit
 
-HEAD = 65536  # bytes in which a file's units stand, and which tell how it is stored
-_ZERO_BYTES = 0.4  # of every second byte: more are zero in UTF-16, whose other bytes are hardly ever
+HEAD = 65536  # leading bytes in which units are looked for and the encoding is recognised
+_ZERO_BYTES = 0.4  # share of zeros among every second byte: above it in UTF-16 of mostly ASCII text
 _CODE_PAGES = ("cp1252", "cp850", "mac_roman")  # Windows, its console and DOS, Mac OS before X: western Europe
-_CONTROLS = "".join(map(chr, [*range(9), *range(14, 26), *range(28, 32)]))  # which no text in a code page has
+_CONTROLS = "".join(map(chr, [*range(9), *range(14, 26), *range(28, 32)]))  # absent from text in any page
 _BEYOND_ASCII = re.compile(r"[^\s,;:\"()\[\]{}]*[^\x00-\x7f\s][^\s,;:\"()\[\]{}]*")
 
 
 def encoding_of(data: bytes) -> str:
-    """How the text of a file is stored: by its mark, by its pattern of zero bytes, as UTF-8, or in a code page.
+    """Name of the encoding: by the byte-order mark, the pattern of zero bytes, as UTF-8, or a code page.
 
-    Code pages make different characters of the same bytes, and statistics of a few of them cannot tell the pages
-    apart. The page under which a unit can be read is the file's.
+    Code pages map the same bytes to different characters, and a few such bytes are too few for statistics. The first
+    page under which a unit can be read is chosen.
 
     Raises
     ------
-    InputError : bytes that no text holds.
+    InputError : the bytes are text in no known encoding.
     """
     pairs = data[: min(len(data), HEAD) // 2 * 2]
     even, odd = (2 * pairs[k::2].count(0) / max(len(pairs), 1) for k in (0, 1))
@@ -42,7 +42,7 @@ def encoding_of(data: bytes) -> str:
 
 
 def _undecodable(data: bytes, name: str, controls: str) -> int | None:
-    """Place of the first byte that an encoding does not know, or of a control character; None if all are known."""
+    """Position of the first undecodable byte or control character; None if there is none."""
     try:
         text = data.decode(name)
     except UnicodeDecodeError as error:
@@ -52,6 +52,6 @@ def _undecodable(data: bytes, name: str, controls: str) -> int | None:
 
 
 def _has_units(text: str) -> bool:
-    """Whether a word with a sign beyond ASCII is a unit, or ends in one behind a stroke."""
+    """Whether a word with a non-ASCII character is a unit, or ends in a unit after a slash."""
     words = {word for found in _BEYOND_ASCII.findall(text) for word in (found, found.partition("/")[2])}
     return any(map(is_unit, words))

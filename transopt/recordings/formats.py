@@ -1,8 +1,8 @@
-"""The file formats of signals, each read as it stands in the file: text, arrays, loggers' files and WAV.
+"""The file formats of signals, each read as the file states it: text, arrays, loggers' files and WAV.
 
-Each format has one function that returns the file's columns in the file's own units; nothing is checked but the
+Each format has one function that returns the file's columns in the file's own units. It checks nothing but the
 columns' names (`transopt.recordings.names`), for which the reader has a `Vocabulary`. `transopt.recordings.table`
-checks and converts all of them alike.
+checks and converts the columns of all formats.
 """
 
 import io
@@ -48,27 +48,27 @@ from transopt.recordings.universal_file import universal_columns
 
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
-OF_A_LIBRARY = {"meta", "command", "speeds_m_s"}  # arrays of a file that `transopt solve` wrote
+OF_A_LIBRARY = {"meta", "command", "speeds_m_s"}  # arrays that show that `transopt solve` wrote the file
 UNIVERSAL = (".uff", ".unv", ".u58")
 _AXES = "xyz"
-# Fields of a structure in which programs note the unit of the others; the last is that of Simcenter Testlab.
+# Fields of a structure that hold the unit of its other fields; the last is that of Simcenter Testlab.
 UNIT_FIELDS = ("unit", "units", "quantity.label")
-FULL_SCALES_G = (50.0, 10.0, 5.0, 100.0, 16.0, 2.0, 500.0, 1.0)  # of usual sensors and their recorders
+FULL_SCALES_G = (50.0, 10.0, 5.0, 100.0, 16.0, 2.0, 500.0, 1.0)  # full scales of common sensors and their recorders
 
 
 def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
-    """Read the bytes of a file in the format that its suffix names.
+    """Read the bytes of a file in the format named by its suffix.
 
     Parameters
     ----------
     suffix : with its dot, in any case.
     data : the file's bytes.
     layout : what the user states about the file.
-    words : names of columns and scalars.
+    words : the vocabulary of columns and scalars.
 
     Raises
     ------
-    InputError : an unknown format or column, or content that is not of the format.
+    InputError : the format or a column is unknown, or the content is not of the format.
     """
     words = words.knowing(layout.units or {})
     stated = None if layout.rate_Hz is None else Rate(1 / layout.rate_Hz)
@@ -80,7 +80,7 @@ def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> Raw
 
 
 def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable, Rate | None]:
-    """The columns of a file, and the rate that it states in place of times."""
+    """The columns of a file, and the sample rate that it states in place of times."""
     if suffix.lower() == ".wav":
         return _read_wav(data, layout)
     opened = universal_columns(data, layout, words) if suffix.lower() in UNIVERSAL else _opened(suffix, data)
@@ -88,7 +88,7 @@ def _read(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> tuple[
 
 
 def _opened(suffix: str, data: bytes) -> bytes | Channels:
-    """The text of a file, or its variables."""
+    """The text of a file, or its variables, by suffix."""
     match suffix.lower():
         case ".csv" | ".txt" | ".dat" | ".tsv" | ".lvm" | ".log" | ".asc":
             return data
@@ -112,7 +112,7 @@ def _opened(suffix: str, data: bytes) -> bytes | Channels:
 
 
 def columns_of(path: Path, words: Vocabulary) -> dict[str, FloatArray]:
-    """The columns of a file as far as they are numbers, whatever they mean; nothing of a file that has none."""
+    """The numeric columns of a file, whatever they mean; empty if there are none or the file is unreadable."""
     with suppress(InputError):
         data = read_file(path, MOST_RECORD_BYTES, "")
         if path.suffix.lower() == ".wav":
@@ -123,15 +123,15 @@ def columns_of(path: Path, words: Vocabulary) -> dict[str, FloatArray]:
 
 
 def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
-    """Refuse what a user states about files of which none has a use for it.
+    """Refuse settings of the layout that none of the files can use.
 
     Parameters
     ----------
-    suffixes : of all files that the layout is for, with their dots, in any case.
+    suffixes : suffixes of all files that the layout is for, with their dots, in any case.
 
     Raises
     ------
-    InputError : one line that names the option and what to do instead.
+    InputError : one line with the option and a remedy.
     """
     kinds = {suffix.lower() for suffix in suffixes}
     of_sounds, of_others = kinds == {".wav"}, bool(kinds) and ".wav" not in kinds
@@ -155,11 +155,11 @@ def refuse_idle(layout: Layout, suffixes: Collection[str]) -> None:
 
 
 def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple[RawTable, Rate | None]:
-    """The chosen columns among the variables; without a choice, all whose names end in a unit or are given one.
+    """The chosen variables as columns; without a choice, those whose names end in a unit or are given one.
 
     Returns
     -------
-    The columns, and the rate that the file states in place of times.
+    The columns, and the sample rate that the file states in place of times.
     """
     units, reads = layout.units or {}, _parted(found.values, words)
     if words.lacks(reads):
@@ -188,11 +188,11 @@ def _from_variables(found: Channels, layout: Layout, words: Vocabulary) -> tuple
 
 
 def _chosen(reads: Mapping[str, Callable[[], object]], words: Vocabulary, units: Mapping[str, str]) -> list[str]:
-    """The variables that are columns: all whose names end in a unit or are given one, and what else is needed.
+    """The variables that are columns: those with a unit in their name or a stated unit, and others that are required.
 
     Raises
     ------
-    UnclearError : a response whose unit nobody states.
+    UnclearError : the unit of a response is not stated.
     """
     candidates = [name for name in reads if name not in words.header]
     known = [name for name in candidates if quantity_of(name, words) is not None]
@@ -204,12 +204,12 @@ def _chosen(reads: Mapping[str, Callable[[], object]], words: Vocabulary, units:
         _refuse_unstated(reads, [name for name in candidates if name not in chosen], words, chosen)
     if chosen and (absent := lacking({quantity_of(name, words) for name in chosen}, words)):
         chosen += [name for name in numeric(reads) if quantity_of(name, words) in absent]
-    # Names that mean something are asked about where none has a unit.
+    # If no name has a unit, names with a meaning are returned, and their units are asked for.
     return chosen or known or candidates
 
 
 def _scalars(reads: Mapping[str, Callable[[], object]]) -> list[str]:
-    """The variables that are one number, as lines of a text would state them."""
+    """The variables that hold one number, as `name = value` lines."""
     found = list[str]()
     for name in reads:
         with suppress(InputError):
@@ -220,7 +220,7 @@ def _scalars(reads: Mapping[str, Callable[[], object]]) -> list[str]:
 
 
 def numeric(reads: Mapping[str, Callable[[], object]]) -> dict[str, FloatArray]:
-    """The variables that are rows or columns of real numbers, as long as most of them are."""
+    """The variables that are rows or columns of real numbers, of the greatest length among them."""
     found = dict[str, FloatArray]()
     for name in reads:
         with suppress(InputError):
@@ -232,15 +232,15 @@ def numeric(reads: Mapping[str, Callable[[], object]]) -> dict[str, FloatArray]:
 def _refuse_unstated(
     reads: Mapping[str, Callable[[], object]], names: Sequence[str], words: Vocabulary, chosen: Sequence[str]
 ) -> None:
-    """Ask for the unit of a complex array, which is a response if anything is.
+    """Ask for the unit of a complex array, since a complex array is most likely a response.
 
     Parameters
     ----------
-    names : of the arrays whose unit nobody states. chosen : of the others.
+    names : arrays without a stated unit. chosen : the columns chosen among the others.
 
     Raises
     ------
-    UnclearError : there is one.
+    UnclearError : one of the arrays is complex.
     """
     is_known = any(quantity_of(name, words) == "frequency" for name in chosen)
     for name in names:
@@ -254,7 +254,10 @@ def _refuse_unstated(
 
 
 def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callable[[], object]]:
-    """What reads each variable, by its name within a structure where that is clear; axes of an acceleration apart."""
+    """Reader of each variable, by its name within a structure if that is unique; the rows of a matrix become columns.
+
+    A matrix of three rows that is an acceleration becomes the axes x, y and z.
+    """
     short = Counter(name.rpartition(".")[2] for name in named)
     found: dict[str, Callable[[], object]] = {}
     for name in named:
@@ -281,7 +284,7 @@ def _parted(named: Mapping[str, object], words: Vocabulary) -> dict[str, Callabl
 
 
 def _column(read: Callable[[], object], name: str, *, is_complex: bool = False) -> NDArray[Any]:
-    with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable when it is asked for
+    with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable on access
         values = np.asarray(read())
     if values.dtype.kind not in ("iufc" if is_complex else "iuf") or values.size != max(values.shape, default=1):
         found = f"{quote(str(values.dtype))} of shape {values.shape}"
@@ -291,12 +294,12 @@ def _column(read: Callable[[], object], name: str, *, is_complex: bool = False) 
 
 
 def full_scales() -> list[Answer]:
-    """What the full scale of a WAV file may be."""
+    """Possible full scales of a WAV file, as answers to a question."""
     return [{"full_scale_m_s2": float(f"{g * STANDARD_GRAVITY_M_S2:.4g}")} for g in FULL_SCALES_G]
 
 
 def _read_wav(data: bytes, layout: Layout) -> tuple[RawTable, Rate]:
-    """One channel of a sound, and its rate."""
+    """One channel of a WAV file, and its rate."""
     full_scale_m_s2, channel = layout.full_scale_m_s2, layout.channel
     if full_scale_m_s2 is None:
         raise UnclearError("the acceleration of a WAV file's full scale is not stated, in m/s^2", full_scales())
@@ -318,12 +321,12 @@ def _read_wav(data: bytes, layout: Layout) -> tuple[RawTable, Rate]:
 
 
 def _sound(data: bytes) -> tuple[float, FloatArray]:
-    """Sample rate [Hz] and (n, channels) samples of a WAV file, full scale 1."""
+    """Sample rate [Hz] and samples (n, channels) of a WAV file, at full scale 1."""
     with guarded("not a readable WAV file", "export it again as PCM or float WAV"):
         rate_Hz, samples = scipy.io.wavfile.read(io.BytesIO(data))
     check_size(samples.shape[0])
     values = np.asarray(samples.reshape(samples.shape[0], -1), dtype=float)
-    if samples.dtype.kind == "u":  # 8 bits and less are stored with an offset
+    if samples.dtype.kind == "u":  # WAV stores 8 bits and less as unsigned with an offset
         values = (values - 128.0) / 128.0
     elif samples.dtype.kind == "i":
         values = values / 2.0 ** (8 * samples.dtype.itemsize - 1)

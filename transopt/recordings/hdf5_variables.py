@@ -1,7 +1,7 @@
-"""A program of its own: an HDF5 file from standard input, its numeric arrays as NPZ to standard output.
+"""A separate program: reads an HDF5 file from standard input, writes its numeric arrays as NPZ to standard output.
 
-The HDF5 library crashes or never ends on some damaged files. `transopt.recordings.containers` therefore runs this
-beside itself, and ends it when its time is over.
+The HDF5 library crashes or hangs on some damaged files. `transopt.recordings.containers` therefore runs it in this
+process of its own, with a time limit.
 """
 
 import io
@@ -15,11 +15,11 @@ UNITS = ("unit", "units", "Unit", "Units")
 
 
 def arrays(data: bytes, most_bytes: int) -> dict[str, Any]:
-    """Every numeric dataset by its path, parted by dots, with its unit in brackets where an attribute states it.
+    """Numeric datasets by path, separated by dots, with the unit in brackets if an attribute states it.
 
     Raises
     ------
-    ValueError : they come to more than so many bytes.
+    ValueError : the arrays exceed this number of bytes.
     """
     found: dict[str, Any] = {}
     room = most_bytes

@@ -1,7 +1,7 @@
-"""What the columns of a file mean, by their names and by the units that file or user state; what is open is asked.
+"""Meanings of a file's columns, from their names and from units in the file or stated by the user.
 
-Nothing here reads a file: a reader hands over the names that it found, and gets a meaning for each or an error that
-says what is missing, with answers that may be tried.
+This module reads no file: a reader passes the names it found. It gets a meaning for each, or an error that says what
+is missing, with answers to try.
 """
 
 import itertools
@@ -42,20 +42,20 @@ from transopt.recordings.units import (
 )
 
 MOST_ANSWERS = 40
-SAME_SPAN = 0.01  # of a record's length, by which two columns of its times may differ
+SAME_SPAN = 0.01  # relative difference in length up to which two columns of times span the same record
 Seen = Callable[[], Mapping[str, FloatArray]]
 
 
 def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
-    """Quantity and unit of a column whose name means something.
+    """Quantity and unit of a column whose name has a known meaning.
 
     Parameters
     ----------
-    units : as a user states them, see `Layout`; they take the place of the unit in the file.
+    units : units that the user states, see `Layout`; they override the unit in the file.
 
     Raises
     ------
-    InputError : a unit that is none of the quantity.
+    InputError : the unit is not one of the quantity.
     """
     quantity = quantity_of(name, words)
     assert quantity is not None
@@ -71,12 +71,12 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
             answers = [{"units": {apart(name)[0]: each}} for each in sensed(stated)]
             raise UnclearError(f"{problem} without the sensitivity of the sensor", answers)
         problem = f"{problem}; known: {', '.join(known_units(quantity))}{remedy_of(stated)}"
-        if user is None and not remedy_of(stated):  # a range as X (100g), or a unit as "g rms"
+        if user is None and not remedy_of(stated):  # a range such as X (100g), or a unit such as "g rms"
             likely, below = likely_units(quantity), parts(label)[1]
             of_input = [each for each in likely if below and parts(each)[1] == below]
             raise UnclearError(problem, [{"units": {quantity: each}} for each in of_input or likely])
         raise InputError(problem)
-    # A file that states an acceleration alone says nothing against any input.
+    # A file whose unit is of an acceleration without an input does not contradict a stated input.
     compared = unit if own is None or own.per else read_unit(parts(stated)[0], quantity)
     agrees = own is not None and compared is not None and compared.means(own)
     note = f"the file's column is {quote(name)}, --units says {stated}, which is taken"
@@ -85,7 +85,7 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> Meaning:
 
 
 def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearError:
-    """Columns that mean nothing here, or a quantity that is not there, with what they may be."""
+    """The question about columns without a meaning, or about a missing quantity, with possible answers."""
     unknown = [name for name in names if name != SKIPPED and quantity_of(name, words) is None]
     electrical = {base: unit for base, unit in map(apart, unknown) if unit and is_electrical(unit)}
     acceleration = "acceleration" in words.quantities
@@ -117,7 +117,7 @@ def _unknown(names: Sequence[str], words: Vocabulary, seen: Seen) -> UnclearErro
 
 
 def _untimed(names: Sequence[str], words: Vocabulary) -> UnclearError:
-    """The question for the sample rate of a file that has no times."""
+    """The question for the sample rate of a file without times."""
     choice = " or ".join(words.names_of("time"))
     problem = f"0 time columns in {quote(', '.join(names))}: must be 1; name one {choice}, or state the sample rate"
     return UnclearError(problem, [{"rate_Hz": rate} for rate in RATES_HZ])
@@ -130,16 +130,17 @@ def meanings(
     found: Sequence[str] = (),
     seen: Seen = dict,
 ) -> dict[str, Meaning]:
-    """What all columns but the skipped ones mean.
+    """Meanings of all columns except skipped ones.
 
     Parameters
     ----------
-    found : the variables that a file has, where the columns are chosen from them.
-    seen : reads the columns as numbers, for what may be proposed.
+    found : all variables of the file, if the columns are chosen from variables.
+    seen : reads the columns as numbers, to propose answers.
 
     Raises
     ------
-    InputError : see `meaning`; a name that means nothing here; a quantity twice, or a required one not at all.
+    InputError : see `meaning`; a name without a meaning; a quantity that occurs twice, or a required one that is
+        missing.
     """
     present = quote(", ".join(found or names))
     used = [name for name in names if name != SKIPPED]
@@ -175,12 +176,14 @@ def one_clock(
     column: Callable[[int], FloatArray],
     said: list[str],
 ) -> list[str]:
-    """Names with one column of times left, where several have a unit and last equally long: the one of finest steps.
+    """The names with all columns of times skipped but the one of finest resolution, if they span the same time.
+
+    Only columns of times with a known unit are compared.
 
     Parameters
     ----------
-    column : the numbers (n,) of a column, by its place.
-    said : takes a sentence that names the column that is left.
+    column : returns the numbers (n,) of a column by its index.
+    said : receives a sentence that names the column kept.
     """
     rivals = [at for at, name in enumerate(names) if quantity_of(name, words) == "time"]
     factors = dict[int, float]()
@@ -197,11 +200,11 @@ def one_clock(
 
 
 def _refuse_unstated(without: Sequence[str], words: Vocabulary, seen: Seen) -> None:
-    """Ask for the units of columns, by their quantities.
+    """Ask for the units of columns that lack one, quantity by quantity.
 
     Raises
     ------
-    UnclearError : there are such columns.
+    UnclearError : at least one column lacks a unit.
     """
     wanted = list(dict.fromkeys(quantity_of(name, words) or name for name in without))
     if wanted:
@@ -219,7 +222,7 @@ def _refuse_unstated(without: Sequence[str], words: Vocabulary, seen: Seen) -> N
 
 
 def _refuse_rivals(used: Sequence[str], names: Sequence[str], present: str, words: Vocabulary) -> None:
-    """Refuse several columns of one quantity but for the axes of a sensor, with the choices that there are."""
+    """Refuse several columns of one quantity, except the axes of a sensor; the error lists the choices."""
     for quantity in words.quantities:
         rivals = [at for at, name in enumerate(names) if name in used and quantity_of(name, words) == quantity]
         several = {axis_of(names[at]) for at in rivals}

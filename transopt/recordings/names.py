@@ -1,15 +1,15 @@
-"""What the columns of a file are called: names that the project knows, names that instruments write, and their units.
+"""Names of columns in files: the project's own names, names that instruments write, and their units.
 
 A name in a file is understood in one of three ways:
 
-- `acceleration_g`, quantity and unit in one word, as the project's own names are, or `acc_g`;
-- `acc [g]`, `time (ms)`, `Force/N`: a usual name of the quantity with its unit behind it;
+- `acceleration_g`, quantity and unit in one word, as in the project's own names, or `acc_g`;
+- `acc [g]`, `time (ms)`, `Force/N`: a common name of the quantity followed by its unit;
 - `acc` with a unit that the user states (`--units acc=g`, or `units = { acc = "g" }` in a scene).
 
-Where no name is a usual one for a quantity that is needed, those count that have its unit, as `Dev1/ai0 [g]`, or one
-of its usual names among their words, as `field.linear_acceleration.x`.
+If a required quantity has none of these names, a column counts that has one of its units, such as `Dev1/ai0 [g]`, or
+one of its common names among its words, such as `field.linear_acceleration.x`.
 
-A unit is never guessed: 9.81 lies between the two that are usual for an acceleration.
+A unit is never guessed from the values: g and m/s^2, both common for an acceleration, differ by a factor of 9.81.
 """
 
 import re
@@ -22,34 +22,34 @@ from transopt.base.errors import InputError
 from transopt.recordings.units import RATIOS, is_electrical, is_unit, read_unit
 
 SKIPPED = "-"
-MOST_CHOICES = 8  # among columns of one quantity
-SMALLEST = "min"  # behind a name not the minutes, but the least of something
-# A unit behind a name: in brackets, behind a stroke, or behind "in". A number in brackets is an element's place.
+MOST_CHOICES = 8  # most choices offered among columns of one quantity
+SMALLEST = "min"  # after a name not the unit minutes, but a minimum
+# A unit after a name: in brackets, after a slash, or after "in". A number in brackets is an element's index.
 _WITH_UNIT = (
     re.compile(r"(?P<base>[^\[\](){}]+?)\s*[\[({](?!\d+[\])}])(?P<unit>([^\[\](){}]|\([^()]*\))*)[\])}]"),
     re.compile(r"(?P<base>[^\[\](){}/]+?)\s*(?:/|\sin\s)\s*(?P<unit>\S+)"),
 )
-# A bracket with a note behind it, as "Time (s) Run #1", or a unit before a note, as "Accel, g (sensor 101)".
+# A bracket followed by a note, such as "Time (s) Run #1", or a unit before a note, such as "Accel, g (sensor 101)".
 _NOTED = (
     re.compile(r"(?P<base>[^\[\](){}]+?)\s*[\[({](?P<unit>[^\[\](){}]+)[\])}]\s*(?P<note>.+)"),
     re.compile(r"(?P<base>.+?)\s+(?P<unit>\S+)\s*(?P<note>\(.*\))"),
 )
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")  # of a name, in camel case too
-# Names of times that say their unit: of programs, of LabVIEW's text, of a processor's counters.
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")  # one word of a name, also in camel case
+# Names of times that imply their unit, in programs, in LabVIEW's text, and of a processor's counters.
 NAMED_UNITS = {
     **dict.fromkeys(("second", "seconds", "sec", "seconds elapsed", "x value", "in s"), "s"),
     **dict.fromkeys(("millis", "milliseconds", "ms"), "ms"),
     **dict.fromkeys(("micros", "microseconds", "us"), "us"),
 }
 STEMS = ("linear acceleration", "acceleration", "accelerometer", "accel", "acc", "a", "gf")
-INITIALS = {"a": "acceleration"}  # that mean a quantity only beside a unit: a channel A, in volts too, is any
-# Words of names whose column in g is sooner a weight in grams than an acceleration.
+INITIALS = {"a": "acceleration"}  # mean a quantity only beside its unit; a channel A in volts may be any
+# Words in the name of a column in g that suggest grams, a weight, rather than an acceleration.
 WEIGHED = frozenset(
     ("load", "loadcell", "cell", "weight", "mass", "scale", "balance", "gram", "grams", "force", "thrust", "hx")
 ) | frozenset(("last", "gewicht", "masse", "waage", "kraft", "gramm"))
-# One of three axes, as in accel_x or ay; an underscore is read as a blank.
+# Names of one of three axes, such as accel_x or ay; an underscore counts as a blank.
 AXES = tuple(f"{stem}{mark}{axis}" for stem in STEMS for mark in ("", " ") for axis in "xyz")
-# Quantity -> what else it is called, in small letters.
+# Quantity -> its other names, in lower case.
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": (
         *(
@@ -83,14 +83,14 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Scalar:
-    """A number in the file's head.
+    """A number in the head of a file.
 
     Attributes
     ----------
-    quantity : what it is, "speed" for example.
+    quantity : such as "speed".
     factor : from the file's unit to SI.
-    unit : the file's unit, as messages write it.
-    zero : whether it may be zero.
+    unit : the file's unit, as in messages.
+    zero : whether zero is allowed.
     """
 
     quantity: str
@@ -100,15 +100,15 @@ class Scalar:
 
 
 class Meaning(NamedTuple):
-    """What a column of a file means.
+    """Meaning of a column of a file.
 
     Attributes
     ----------
-    quantity : "acceleration" for example.
+    quantity : such as "acceleration".
     factor : from the file's unit to SI; `units.LEVEL` for a level in dB.
-    per : what a response is to, "current" or "voltage"; empty where nobody states it.
-    stated : the unit as user or file state it; empty where neither does.
-    note : that the user states another unit than the file, in one sentence; empty where both agree.
+    per : the input of a response, "current" or "voltage"; empty if it is not stated.
+    stated : the unit as stated by user or file; empty if neither states it.
+    note : one sentence if the user states another unit than the file; empty if both agree.
     slopes : see `units.Unit`.
     """
 
@@ -122,15 +122,15 @@ class Meaning(NamedTuple):
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """What a reader's files may hold.
+    """The columns and scalars that a reader's files may hold.
 
     Attributes
     ----------
-    columns : names of the project's own, quantity and unit in one word; one that has no unit is in SI.
+    columns : the project's own names, quantity and unit in one word; a name without unit is in SI.
     header : name in the file -> scalar.
-    required : quantities that every file has.
+    required : quantities that every file must have.
     step_s : shortest and longest median time step [s].
-    called : name of a column without its unit -> quantity, as a user states it.
+    called : name of a column without its unit -> quantity, as the user states it.
     """
 
     columns: Sequence[str]
@@ -140,19 +140,20 @@ class Vocabulary:
     called: Mapping[str, str] = field(default_factory=dict)
 
     def knowing(self, units: Mapping[str, str]) -> "Vocabulary":
-        """The words, and a user's own names whose stated unit only one quantity has, as CH1 in "V @ 0.1 V/g"."""
+        """This vocabulary with the user's own names whose stated unit fits one quantity only."""
         own = {name: [of for of in self.quantities if read_unit(unit, of)] for name, unit in units.items()}
-        # A response's unit is that of its magnitude; a complex array is parted into its two parts.
+        # A unit of a response is that of its magnitude; `formats` splits a complex array into real and imaginary
+        # part.
         clear = {name: of[0] for name, of in own.items() if len(of) == 1 or (of and set(of) <= set(RATIOS))}
         called = {name: of for name, of in clear.items() if quantity_of(name, self) is None}
         return replace(self, called=called) if called else self
 
     def lacks(self, names: Iterable[str]) -> bool:
-        """Whether a required quantity is among none of the names."""
+        """Whether a required quantity is missing among these names."""
         return bool(lacking({quantity_of(name, self) for name in names}, self))
 
     def labelled(self, names: Sequence[str]) -> "Vocabulary":
-        """The words, and names of a required quantity that no other has: by their unit, or by one of their words."""
+        """This vocabulary with names for missing required quantities, found by unit or by one of their words."""
         absent = lacking({quantity_of(name, self) for name in names}, self)
         own = [apart(name) for name in names if quantity_of(name, self) is None and not is_weighed(name)]
         called = {base: of for of in absent for base, unit in own if unit and read_unit(unit, of)}
@@ -164,7 +165,7 @@ class Vocabulary:
 
     @cached_property
     def quantities(self) -> tuple[str, ...]:
-        """Every quantity that a column may have, once."""
+        """Every quantity that a column may have, without repetition."""
         return tuple(
             dict.fromkeys(filter(None, (_quantity_called(apart(name)[0], ALIASES) for name in self.columns)))
         )
@@ -174,7 +175,7 @@ class Vocabulary:
         return [name for name in self.columns if quantity_of(name, self) == quantity]
 
     def is_meant(self, name: str) -> bool:
-        """Whether a name ends in a unit, as that of a quantity, known or misspelt; others are the user's own."""
+        """Whether a name ends in a unit, so that it must mean a quantity, even if misspelt."""
         tails = [name[at + 1 :] for at, mark in enumerate(name) if mark == "_"]
         known = {scalar.unit for scalar in self.header.values() if scalar.unit}
         return name in self.columns or any(
@@ -185,17 +186,17 @@ class Vocabulary:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a user states about files that do not state it themselves.
+    """What a user states about files that the files do not state themselves.
 
     Attributes
     ----------
-    columns : names of the file's columns, "-" for one to skip. In text they replace the header row, in NPZ and MAT
+    columns : names of the file's columns, "-" for one to skip. In text they replace the header row; in NPZ and MAT
         they choose the variables.
     units : unit of a column, by its name or by its quantity.
-    full_scale_m_s2 : acceleration of full scale of WAV files [m/s^2].
-    channel : of a WAV file with several, counted from 1.
-    rate_Hz : sample rate of all files but WAV, which goes before what a column of times says.
-    axis : how several axes of an accelerometer become one signal, see `axes.joined`; empty for the default.
+    full_scale_m_s2 : acceleration at full scale of WAV files [m/s^2].
+    channel : number of the channel in a file with several, counted from 1.
+    rate_Hz : sample rate of all files but WAV; it overrides a column of times.
+    axis : how the axes of an accelerometer are joined, see `axes.joined`; empty for the default.
     """
 
     columns: Sequence[str] = ()
@@ -207,7 +208,7 @@ class Layout:
 
 
 def with_axes(names: Sequence[str]) -> list[str]:
-    """Names of columns in which x, y and z, alone in a name and together, are the axes of an accelerometer."""
+    """The names, with x, y and z marked as axes of an acceleration if all three occur by their letters alone."""
     alone = [_small(apart(name)[0]) for name in names]
     are_axes = set(alone) >= set("xyz") and not any(read_unit(apart(name)[1] or "", "position") for name in names)
     return [
@@ -216,28 +217,28 @@ def with_axes(names: Sequence[str]) -> list[str]:
 
 
 def _small(base: str) -> str:
-    """A name in small letters, of which an axis is called by its letter alone."""
+    """A name in lower case with blanks for underscores, without a trailing "axis"."""
     return base.strip().lower().replace("_", " ").removesuffix("-axis").removesuffix(" axis")
 
 
 def _words(base: str) -> set[str]:
-    """The words of a name, in small letters."""
+    """The words of a name, in lower case."""
     return set(map(str.lower, _WORD.findall(base)))
 
 
 def is_weighed(name: str) -> bool:
-    """Whether a column in g may hold grams by its name."""
+    """Whether the name of a column in g suggests grams, a weight, rather than an acceleration."""
     base, unit = apart(name)
     said = _words(base)
     return unit in ("g", "mg") and not WEIGHED.isdisjoint(said) and said.isdisjoint(STEMS)
 
 
 def stated_units(text: str) -> dict[str, str]:
-    """The units of a command line, `time=ms,acc=g`, by name of the column or quantity.
+    """Units from a command line, `time=ms,acc=g`, by name of the column or quantity.
 
     Raises
     ------
-    InputError : something else.
+    InputError : the text has another form.
     """
     pairs = [pair.partition("=") for pair in text.split(",") if pair.strip()]
     for name, mark, unit in pairs:
@@ -247,11 +248,11 @@ def stated_units(text: str) -> dict[str, str]:
 
 
 def split_names(line: str, *, by_blanks: bool = True) -> list[str]:
-    """The names in a header row, whatever stands between them; a unit in brackets belongs to the name before it.
+    """The names in a header row, with any delimiter; a unit in brackets belongs to the name before it.
 
     Parameters
     ----------
-    by_blanks : whether blanks part the names of a row that has no other marks.
+    by_blanks : whether blanks separate the names of a row without other delimiters.
     """
     mark = next((mark for mark in (";", ",", "\t") if mark in line.strip(" \t;,")), None)
     if mark is None and not by_blanks:
@@ -262,7 +263,7 @@ def split_names(line: str, *, by_blanks: bool = True) -> list[str]:
 
 
 def called_quantity(base: str, words: Vocabulary) -> str | None:
-    """The quantity that a name without unit means, None if none."""
+    """The quantity that a name without unit means; None if it means none."""
     if base in words.called:
         return words.called[base]
     return _quantity_called(base, words.quantities)
@@ -274,14 +275,14 @@ def _quantity_called(base: str, quantities: Iterable[str]) -> str | None:
 
 
 def quantity_of(name: str, words: Vocabulary) -> str | None:
-    """The quantity that a column means by its name, with or without a unit; None if none."""
+    """The quantity that a column's name means, with or without a unit; None if it means none."""
     base, unit = apart(name)
     initial = INITIALS.get(base.lower()) if unit and not is_electrical(unit) else None
     return initial if initial in words.quantities else called_quantity(base, words)
 
 
 def axis_of(name: str) -> str:
-    """The axis that the name of an acceleration has, as accel_x or ay_g, or by its place, acc[0]; empty if none."""
+    """The axis in the name of an acceleration, as in accel_x, ay_g or acc[0]; empty if none."""
     base = apart(name)[0]
     if _small(base) in AXES:
         return _small(base)[-1]
@@ -290,13 +291,13 @@ def axis_of(name: str) -> str:
 
 
 def spared(names: Sequence[str], words: Vocabulary, said: list[str]) -> list[str]:
-    """Columns without those that mean nothing here, where the others suffice.
+    """The names with columns of no meaning skipped, if the others suffice.
 
-    A name that ends in a unit may be a misspelt quantity: it stays, and is refused.
+    A name that ends in a unit may be a misspelt quantity: it is kept, and later refused.
 
     Parameters
     ----------
-    said : takes a sentence that names what is left out.
+    said : receives a sentence that names the columns skipped.
     """
     idle = [name for name in names if quantity_of(name, words) is None and not words.is_meant(name)]
     idle = [name for name in idle if name != SKIPPED]
@@ -308,19 +309,19 @@ def spared(names: Sequence[str], words: Vocabulary, said: list[str]) -> list[str
 
 
 def lacking(present: Collection[str | None], words: Vocabulary) -> list[str]:
-    """Required quantities that are absent; a velocity stands for the acceleration, which is its slope."""
+    """Required quantities that are missing; a velocity replaces the acceleration, which is its derivative."""
     lacking = [of for of in words.required if of not in present]
     return [of for of in lacking if of != "acceleration" or "velocity" not in present]
 
 
 def stated_for(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
-    """Whether a user states a unit for a name that means a quantity."""
+    """Whether the user states a unit for a name with a known quantity."""
     quantity = called_quantity(apart(name)[0], words)
     return quantity is not None and stated_unit(name, quantity, units) is not None
 
 
 def apart(name: str) -> tuple[str, str | None]:
-    """A name without its unit, and the unit."""
+    """A name without its unit, and the unit or None."""
     found = next(filter(None, (pattern.fullmatch(name.strip()) for pattern in _WITH_UNIT)), None)
     small = name.strip().lower().replace("_", " ")
     if found is None and (unit := NAMED_UNITS.get(small, "g" if small[:2] == "gf" and small in AXES else None)):
@@ -336,7 +337,7 @@ def apart(name: str) -> tuple[str, str | None]:
 
 
 def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
-    """Quantity and unit of a name like acc_g or pos_mm, parted at an underscore; None if they are none."""
+    """Quantity and unit of a name such as acc_g or pos_mm, split at this underscore; None if they are none."""
     base, unit = name[:at].strip(), name[at + 1 :].strip()
     small = base.lower().replace("_", " ")
     of = (
@@ -348,12 +349,12 @@ def _unit_in_word(name: str, at: int) -> tuple[str, str] | None:
 
 
 def stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | None:
-    """The unit of a column as a user states it; None if no user does."""
+    """The unit that the user states for a column; None if the user states none."""
     return next((units[key] for key in (*keys_of(name), quantity) if key in units), None)
 
 
 def keys_of(name: str) -> tuple[str, ...]:
-    """What a user may call a column by: its name, that without unit, that without axis, and the axis alone."""
+    """Keys by which the user may name a column: full name, name without unit, without axis, axis alone."""
     base, axis = apart(name)[0], axis_of(name)
     return (name, base, base.removesuffix(axis).strip(" _"), axis) if axis else (name, base)
 

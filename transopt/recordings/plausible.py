@@ -1,25 +1,25 @@
-"""Whether a recording can be a tap at all, which a wrong unit makes impossible.
+"""Plausibility of a recording as a tap, to detect wrong units.
 
-A column that is called by a wrong unit is off by a factor of 9.81, 60 or 1000 and looks like any other. Two figures
-give it away, and neither depends on the object that was struck:
+A column read in a wrong unit is off by a factor of 9.81, 60 or 1000 and looks like any other. Two figures reveal it,
+neither of which depends on the object that was struck:
 
-- how long the pulse lasts. Taps on metal last some tenths of a millisecond, on foam some tens; the unit of the time
-  decides it, the other units do not touch it.
-- how much it changes the stylus's speed, over the speed that the stylus came with. To stop, the stylus has to lose
-  all of its speed, and an object that throws it back gives it at most as much again:
+- the length of the pulse. Taps on metal last some tenths of a millisecond, on foam some tens of milliseconds. It
+  depends on the unit of the time only.
+- the change of the stylus' speed over its incoming speed. To stop, the stylus has to lose all of its speed, and an
+  object that throws it back gives it at most as much again:
 
-      q = max over t of (integral of a from contact to t) / v,   about 1 to 2 whatever the object.
+      q = max over t of (integral of a from contact to t) / v,   about 1 to 2 for every object.
 
-  The taps of the built-in scenes have 0.78 (soft rubber, which the hand helps) to 1.38 (metal), the shock-table
-  impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies by it.
+  The taps of the built-in scenes have 0.78 (soft rubber, assisted by the hand) to 1.38 (metal), the shock-table
+  impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies it.
 
-Where nobody knows the speed, the height of the peak is the only thing to go by. Units of speed and acceleration that
-are wrong in step leave q alone, and show by the speed, of which a hand's has bounds.
+If the speed is unknown, only the height of the peak is checked. Wrong units of speed and acceleration that cancel in
+q show in the speed itself, because the speed of a hand is bounded.
 
-A response, acceleration over current or voltage, is looked at in the same way. Its largest size, its resonance and
-how far a constant input moves the actuator lie within bounds that a mistaken unit leaves. On either side of the
-resonance it goes with powers of the frequency, by which an acceleration, a velocity and a displacement differ. What a
-sheet states tells the rest: off by 9.81, 1000 or 2 pi is a unit and no tolerance.
+A response, acceleration over current or voltage, is checked in the same way. Its maximum, its resonance and the
+displacement per constant input have bounds that a wrong unit exceeds. Below and above the resonance it follows powers
+of the frequency, which differ between acceleration, velocity and displacement. A data sheet reveals the rest: a
+factor of 9.81, 1000 or 2 pi is a unit and not a tolerance.
 """
 
 import math
@@ -30,39 +30,39 @@ import numpy as np
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray, Signal
 from transopt.recordings.settings import Recordings
 
-PULSE_S = (30e-6, 0.1)  # at half its height
-SPEED_CHANGE = (0.25, 5.0)  # over the incoming speed
-THROWN_BACK = 2.0  # over the incoming speed, what an object can give at most: above it the height is looked at too
+PULSE_S = (30e-6, 0.1)  # length of the pulse at half its height
+SPEED_CHANGE = (0.25, 5.0)  # change of speed over the incoming speed
+THROWN_BACK = 2.0  # largest change of speed over the incoming speed on an object; above it the height is checked too
 USUAL_SPEED_CHANGE = 1.2
-CHANGE_WITHIN_S = 0.05  # of contact; later the hand lifts the stylus
-PEAK_G = (0.3, 60.0)  # of taps by hand: the built-in ones have up to 19
+CHANGE_WITHIN_S = 0.05  # after contact; later the hand lifts the stylus
+PEAK_G = (0.3, 60.0)  # peaks of taps by hand; the built-in ones reach 19
 HAND_M_S = (0.01, 3.0)  # speeds that a hand taps with
-FINE = 100_000  # samples that a recording is looked at with
-GAIN = (0.02, 2e4)  # m/s^2 per A or V, largest of a response: an LRA's case has 1 to 50, a tweeter's dome 2000
+FINE = 100_000  # number of samples to which a recording is reduced for this check
+GAIN = (0.02, 2e4)  # m/s^2 per A or V, maximum of a response: an LRA's case has 1 to 50, a tweeter's dome 2000
 RESONANCE_HZ = (2.0, 3e3)
 STILL_M = (1e-10, 0.02)  # m per A or V below the resonance: a phone's case moves 1e-6, a soft shaker 2e-3
-SLOPE, SLOPE_POINTS = 0.35, 4  # powers of the frequency, and points that tell them, on either side of a resonance
-SHEET = 1.4  # times: what specimens and mountings differ by
-THIRD = 2 ** (1 / 3)  # of an octave
+SLOPE, SLOPE_POINTS = 0.35, 4  # tolerance on a power of the frequency; fewest points that one is fitted to
+SHEET = 1.4  # ratio by which specimens and mountings may differ from the data sheet
+THIRD = 2 ** (1 / 3)  # one third of an octave, as a frequency ratio
 TINY = 1e-300
-GROWTH = 1.2  # from one length to the next that is tried as the pulse's
+GROWTH = 1.2  # ratio of the successive lengths tried for the pulse
 
 
 def pulse_length_s(x: Signal) -> float:
-    """How long a pulse lasts at about half its height [s].
+    """Duration of a pulse at about half its height [s].
 
-    It is the longest stretch whose mean is half of the peak, which noise and ringing on the pulse do not shorten. The
-    median of the recording counts as rest, so that an offset that nobody knows does not lengthen it, and the larger
-    deviation from it as up.
+    It is the longest stretch whose mean is half of the peak; noise and ringing on the pulse do not shorten it. The
+    median of the recording counts as rest, so that an unknown offset does not lengthen it, and the larger deviation
+    from rest counts as up.
     """
-    # For a long recording means of a few samples are enough, to a hundred thousandth of its length.
+    # In a long recording, means of a few samples suffice, accurate to a hundred thousandth of its length.
     few = max(x.values.size // FINE, 1)
     values = x.values[: x.values.size // few * few].reshape(-1, few).mean(axis=1)
     values -= np.median(values)
     values *= np.sign(values[np.argmax(np.abs(values))])
     total = np.concatenate([[0.0], np.cumsum(values)])
     half, longest, length = 0.5 * float(values.max()), 1, 1
-    # No stretch has a larger mean than the better one of its halves: beyond twice the longest there is none.
+    # A stretch has no larger mean than the better of its halves, so nothing beyond twice the longest can qualify.
     while length < min(values.size, 2 * GROWTH * longest + 1):
         if float((total[length:] - total[:-length]).max()) >= half * length:
             longest = length
@@ -71,7 +71,7 @@ def pulse_length_s(x: Signal) -> float:
 
 
 def implausible_time(x: Signal) -> str:
-    """Why the times of a recording cannot be those of a tap; empty if they can.
+    """Why the times of a recording cannot be those of a tap; empty if they can be.
 
     Parameters
     ----------
@@ -90,22 +90,22 @@ def implausible_time(x: Signal) -> str:
 
 
 def speed_changes_m_s(x: Signal, onset_s: float) -> tuple[float, float]:
-    """The most by which an acceleration raises and lowers the speed soon after contact."""
+    """Largest increase and largest decrease of the speed soon after contact, by integrating the acceleration."""
     during = slice(x.before(onset_s), x.until(onset_s + CHANGE_WITHIN_S))
     change = np.cumsum(x.values[during]) * x.dt_s
     return float(change.max(initial=0.0)), float(-change.min(initial=0.0))
 
 
 def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Recordings, *, fitted: bool) -> str:
-    """Why acceleration and speed cannot be those of one tap, and which unit to check; empty if they can.
+    """Why acceleration and speed cannot belong to one tap, and which unit to check; empty if they can.
 
     Parameters
     ----------
     x : without offset, positive where the tap decelerates the stylus [m/s^2], in the recording's own time.
-    onset_s : contact.
-    speed_m_s : incoming speed before any scaling; NaN where it is unknown.
-    settings : for what they state themselves, which may be what is wrong.
-    fitted : whether the speed is fitted to a position, whose unit is then the one to check.
+    onset_s : time of contact.
+    speed_m_s : incoming speed before any scaling; NaN if unknown.
+    settings : the scene's settings, which may be the wrong part.
+    fitted : whether the speed is fitted to a position, so that the position's unit is the one to check.
     """
     by_hand = (settings.time_scale, settings.amplitude_scale) == (1.0, 1.0)
     height = _height(float(x.values.max()) / STANDARD_GRAVITY_M_S2) if by_hand else ""
@@ -149,13 +149,13 @@ def _height(peak_g: float) -> str:
 def implausible_response(
     frequencies_Hz: FloatArray, response: ComplexArray | FloatArray, resonances_Hz: Sequence[float], unit: str
 ) -> str:
-    """Why a frequency response cannot be that of an actuator's acceleration; empty if it can.
+    """Why a frequency response cannot be that of an actuator's acceleration; empty if it can be.
 
     Parameters
     ----------
     frequencies_Hz : (m,) increasing, above 0. response : (m,) [m/s^2 per A or V].
-    resonances_Hz : of a fit to it.
-    unit : "A" or "V", of what it is to.
+    resonances_Hz : resonances of a fit to the response.
+    unit : unit of its input, "A" or "V".
     """
     f, size = frequencies_Hz, np.abs(response)
     peak = float(size.max())
@@ -170,7 +170,7 @@ def implausible_response(
     if first.sum() >= SLOPE_POINTS and not nearby and _power(f[first], size[first]) < -1:
         inverse = f"{'volts' if unit == 'V' else 'amperes'} over acceleration"
         return f"it grows towards low frequencies, as {inverse}: are the columns exchanged?"
-    inside = [each for each in resonances_Hz if f[0] <= each <= f[-1]]  # elsewhere a fit may put what it likes
+    inside = [each for each in resonances_Hz if f[0] <= each <= f[-1]]  # a fit is arbitrary outside its band
     if not inside:
         return ""
     at = max(inside, key=lambda each: float(np.interp(each, f, size)))
@@ -202,11 +202,11 @@ def implausible_response(
 
 
 def against_sheet(found: float, stated: float, what: str, unit: str) -> str:
-    """Why a figure contradicts that of a sheet, and the unit that makes such a difference; empty if it agrees.
+    """Why a figure contradicts the data sheet, with the unit that explains the ratio; empty if it agrees.
 
     Parameters
     ----------
-    found, stated : in one unit. what : is compared.
+    found, stated : in the same unit. what : name of the figure.
     """
     ratio = found / stated
     if 1 / SHEET < ratio < SHEET:
@@ -220,12 +220,12 @@ def against_sheet(found: float, stated: float, what: str, unit: str) -> str:
 
 
 def _power(f: FloatArray, size: FloatArray) -> float:
-    """Power of the frequency by which a size grows."""
+    """Exponent of the frequency with which a magnitude grows, by a fit in logarithms."""
     return float(np.polyfit(np.log(f), np.log(size + TINY), 1)[0])
 
 
 def _likely(value: float, bounds: tuple[float, float], factors: Mapping[str, float]) -> str:
-    """The slip that a value outside its bounds comes of, as a question; empty where none leads into them."""
+    """The most likely slip that moved a value out of its bounds, as a question; empty if none explains it."""
     by = {name: value * (1 / factor if value > bounds[1] else factor) for name, factor in factors.items()}
     middle = math.log(bounds[0] * bounds[1]) / 2
     inside = {name: abs(math.log(each) - middle) for name, each in by.items() if bounds[0] <= each <= bounds[1]}

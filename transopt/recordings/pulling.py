@@ -1,30 +1,30 @@
-"""Recordings whose own hand pulls the stylus back while the waveform that is made from them still plays.
+"""Detects recordings in which the hand pulls the stylus back while the waveform made from them still plays.
 
-A struck object throws the stylus back and then slows down: what it gives back it gives at once, and it pushes no
-further than to where its surface was. A stylus that comes out of the object ever faster is pulled by the hand, as is
-seen by an encoder. Such a pull belongs to the recording, and a player's hand that does not pull has another tap: the
-error above 30 Hz was 14 % where a yielding hand's was 5 %.
+A struck object throws the stylus back and the stylus then slows down: the object returns its energy at once and
+pushes no further than its undeformed surface. A stylus that leaves the object with increasing speed is pulled by the
+hand; the encoder shows it. Such a pull belongs to the recording, but with a player's hand that does not pull the tap
+is a different one: the error above 30 Hz was 14 %, against 5 % with a yielding hand.
 """
 
 import numpy as np
 
 from transopt.base.signals import Signal
 
-LOOKED_AT_S = np.arange(50e-3, 0.111, 10e-3)  # after contact, at each of which the way of the 40 ms before is judged
-HALF_S = 20e-3  # longer than a stylus rings on an object in a hand
-GROWTH = 1.2  # of the speed outwards, from one half to the next; one that the object gives away decreases
-LEAST_SHARE = 0.2  # of the depth, come back in the second half: in a braking hand at most 0.08, in a pulling one 0.3
-LEAST_COUNTS = 3.0  # of the encoder, come back in the second half
-FINEST_M = 10e-6  # what counts as a count where positions are not counted
+LOOKED_AT_S = np.arange(50e-3, 0.111, 10e-3)  # after contact: ends of the 40 ms stretches that are judged
+HALF_S = 20e-3  # longer than the ringing of a stylus on an object in the hand
+GROWTH = 1.2  # of the outward speed from one half to the next; a speed given by the object decreases
+LEAST_SHARE = 0.2  # of the depth, returned in the second half: a braking hand has up to 0.08, a pulling one 0.3
+LEAST_COUNTS = 3.0  # encoder counts returned in the second half
+FINEST_M = 10e-6  # resolution assumed for positions without counts
 
 
 def pulled_back_after_s(position: Signal, onset_s: float) -> float | None:
-    """How long after contact it is seen that the hand pulls the stylus back [s]; None where it is not.
+    """Time after contact at which the hand is seen to pull the stylus back [s]; None if it does not.
 
     Parameters
     ----------
     position : along the surface normal, positive out of the object [m].
-    onset_s : contact.
+    onset_s : time of contact.
     """
     t, z = position.times_s - onset_s, position.values
     counts_m = LEAST_COUNTS * max(position.count, FINEST_M)

@@ -1,4 +1,4 @@
-"""The sample rate of a file that has no times, as its head, its remarks or its scalar variables state it."""
+"""The sample rate of a file without times, as stated in its head, its remarks or its scalar variables."""
 
 import math
 import re
@@ -8,7 +8,7 @@ from typing import NamedTuple
 from transopt.recordings.names import quote
 from transopt.recordings.units import read_unit
 
-# What a number is preceded and followed by: a unit in brackets or none, a mark, and a unit or none.
+# What precedes and follows a number: an optional unit in brackets, a mark, and an optional unit.
 _VALUE = (
     r"\s*(?:[\[(]\s*(?P<before>[a-zµ/]+)\s*[\])])?\s*[:=,;\t ]+\s*(?P<number>[-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
     r"\s*(?P<behind>[a-zµ]+(?:/s)?)?(?![\w.:])"
@@ -21,7 +21,7 @@ _STEP = (
 _STATED = {of: re.compile(names + _VALUE, re.IGNORECASE) for of, names in (("frequency", _RATE), ("time", _STEP))}
 _START = re.compile(r"(?:t?start|x[ _]?0|t[ _]?0)\w* *[:=] *([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?)", re.IGNORECASE)
 _GROUPED = re.compile(r"\d{1,3},\d{3}")
-_SAMPLES = re.compile(r"sp?s|sa?/s|", re.IGNORECASE)  # per second, or nothing behind a k
+_SAMPLES = re.compile(r"sp?s|sa?/s|", re.IGNORECASE)  # samples per second, or nothing after a k
 
 
 class Rate(NamedTuple):
@@ -29,8 +29,8 @@ class Rate(NamedTuple):
 
     Attributes
     ----------
-    step_s, start_s : of the samples.
-    line : of a text that states the rate; empty for a user's word, or a format that has a field for it.
+    step_s, start_s : time step and time of the first sample.
+    line : the line of text that states the rate; empty if it comes from the user or from a field of the format.
     """
 
     step_s: float
@@ -39,7 +39,7 @@ class Rate(NamedTuple):
 
     @property
     def note(self) -> str:
-        """A sentence that says where the times of the rows come from; empty where that goes without saying."""
+        """A sentence that says where the times of the rows come from; empty if no line of text states the rate."""
         if not self.line:
             return ""
         rate = f"the sample rate of {1 / self.step_s:g} Hz is that of the file's line {quote(self.line)}"
@@ -47,18 +47,18 @@ class Rate(NamedTuple):
 
 
 def rate_of(lines: Sequence[str], told: Sequence[str] = ()) -> Rate | None:
-    """The sample rate that lines state; None where none or more than one is stated.
+    """The sample rate that the lines state; None if none or several different rates are stated.
 
     Parameters
     ----------
-    told : lines that may state the time of the first sample besides; it is 0 where none does.
+    told : lines that may also state the time of the first sample, which is 0 otherwise.
     """
     found: list[tuple[float, str]] = []
     for line in (*lines, *told):
         for of, pattern in _STATED.items():
             for each in pattern.finditer(line.replace('"', "")):
                 if of == "frequency" and _GROUPED.fullmatch(each["number"]):
-                    return None  # 10,000 Hz is 10 kHz to some and 10 Hz to others
+                    return None  # 10,000 Hz means 10 kHz to some and 10 Hz to others
                 factor = _factor(each["before"] or each["behind"] or "", of)
                 if factor is not None and (value := factor * float(each["number"].replace(",", "."))) > 0:
                     found.append((1 / value if of == "frequency" else value, line.strip()))
@@ -69,7 +69,7 @@ def rate_of(lines: Sequence[str], told: Sequence[str] = ()) -> Rate | None:
 
 
 def _factor(unit: str, quantity: str) -> float | None:
-    """What makes SI of a rate or a step, as kHz, kS/s, ksps or a k alone; SI where no unit stands."""
+    """Factor to SI of a rate or step unit, such as kHz, kS/s, ksps or k alone; 1 if there is no unit."""
     if quantity == "frequency" and unit[:1] in "kM" and _SAMPLES.fullmatch(unit[1:]):
         return {"": 1.0, "k": 1e3, "M": 1e6}[unit[:1]]
     if quantity == "frequency" and _SAMPLES.fullmatch(unit):

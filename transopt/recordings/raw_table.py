@@ -1,4 +1,4 @@
-"""What a file holds before it is checked and converted, whatever its format."""
+"""The content of a file, in any format, before it is checked and converted."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -11,20 +11,20 @@ from transopt.base.sizes import MOST_ROWS
 from transopt.recordings.names import Meaning, Vocabulary
 from transopt.recordings.rates import Rate
 
-LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
+LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope do not overflow a float
 MIN_SAMPLES = 8
 
 
 @dataclass(frozen=True)
 class RawTable:
-    """What a file holds, in the file's own units.
+    """The content of a file, in the file's own units.
 
     Attributes
     ----------
     columns : name in the file -> (n,) numbers.
     meanings : name in the file -> quantity and unit.
-    header : name in the file -> what stands there, unchecked.
-    place : where in the file a user finds the sample of an index, for messages.
+    header : name in the file -> its value, unchecked.
+    place : names the place of a sample index in the file, for messages.
     notes : what a user should know about how the columns were found, one sentence each.
     """
 
@@ -39,7 +39,7 @@ class RawTable:
 
         Raises
         ------
-        InputError : columns of several lengths.
+        InputError : the columns differ in length.
         """
         sizes = {name: values.size for name, values in self.columns.items()}
         if len(set(sizes.values())) > 1:
@@ -48,7 +48,7 @@ class RawTable:
         return next(iter(sizes.values()))
 
     def timed(self, rate: Rate) -> "RawTable":
-        """The table with times of the rows, which the file does not have, before its other columns."""
+        """The table with a column of times from a rate, before its other columns."""
         size = max((values.size for values in self.columns.values()), default=0)
         times_s = np.asarray(rate.start_s + rate.step_s * np.arange(size), dtype=float)
         meanings = {"time_s": Meaning("time", 1.0), **self.meanings}
@@ -57,16 +57,16 @@ class RawTable:
 
 
 def without_times(words: Vocabulary) -> Vocabulary:
-    """The words of files whose times follow from a rate."""
+    """The vocabulary for files whose times follow from a rate: times are not required."""
     return replace(words, required=tuple(of for of in words.required if of != "time"))
 
 
 def check_size(samples: int) -> None:
-    """Refuse more rows than a recording may have.
+    """Refuse more samples than a recording may have.
 
     Raises
     ------
-    InputError : more.
+    InputError : there are more.
     """
     if samples > MOST_ROWS:
         raise InputError(f"{samples} samples, at most {MOST_ROWS}; cut the taps out of it")

@@ -1,8 +1,8 @@
-"""One recorded contact, and reading it from a file.
+"""One recorded contact, and its reading from a file.
 
-A file is read in three steps: `formats` returns its columns as they stand in it, `table` checks and converts them to
-SI signals on one uniform time grid, and `load_recording` makes a `Recording` of them. g, mm, mm/s and ms exist in the
-vocabularies of readers and on the axes of figures, and nowhere else in the project.
+A file is read in three steps: `formats` returns its columns unchanged, `table` checks and converts them to SI signals
+on one uniform time grid, and `load_recording` makes a `Recording` of them. g, mm, mm/s and ms exist only in the
+vocabularies of readers and on the axes of figures.
 """
 
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ VOCABULARY = Vocabulary(
     columns=(
         *("time_s", "time_ms"),
         *("acceleration_m_s2", "acceleration_g"),
-        "velocity_m_s",  # of a vibrometer, whose slope is the acceleration
+        "velocity_m_s",  # from a vibrometer; its derivative is the acceleration
         *("position_m", "position_mm"),
         *("force_N", "current_A"),
-        "command_A",  # as the simulator records it; a tap on a real object has none
+        "command_A",  # recorded by the simulator; a tap on a real object has no command
     ),
     header={
         "speed_m_s": Scalar("speed", 1.0, "m/s"),
@@ -31,33 +31,33 @@ VOCABULARY = Vocabulary(
         "grip_N": Scalar("grip", 1.0, "N", zero=True),
     },
     required=("time", "acceleration"),
-    step_s=(1e-9, 0.05),  # slower than 20 Hz nothing of a tap's band (10 Hz to 1 kHz) is left
+    step_s=(1e-9, 0.05),  # below 20 Hz nothing of a tap's band (10 Hz to 1 kHz) is left
 )
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Acceleration of one tap over time, and what else was recorded with it.
+    """Acceleration of one tap over time, and the other signals recorded with it.
 
-    Units are SI, signs and time as recorded: offset, polarity and onset are found by `transopt.recordings.tap`.
+    Units are SI; signs and time are as recorded. `transopt.recordings.tap` finds offset, polarity and onset.
 
     Attributes
     ----------
-    name : what messages and reports call it, usually the file name.
+    name : its name in messages and reports, usually the file name.
     source : where it comes from: a path, or a sentence for a simulated one.
-    sha256 : of the file's bytes, empty for a simulated one.
+    sha256 : hash of the file's bytes, empty for a simulated one.
     acceleration : [m/s^2].
     position : along the surface normal, positive out of the object [m].
     force : surface force [N].
     current : motor current [A].
-    across_1, across_2 : acceleration along two tangents, where all directions are asked for [m/s^2].
+    across_1, across_2 : acceleration along two tangents, if all directions are asked for [m/s^2].
     speed_m_s : incoming speed if the recording states it, > 0.
     grip_N : grip force if the recording states it, >= 0.
     notes : what a user should know about how it was read, one sentence each.
 
     Raises
     ------
-    InputError : a speed outside 1e-4 to 100 m/s, a negative or infinite grip force.
+    InputError : the speed is outside 1e-4 to 100 m/s, or the grip force is negative or infinite.
     """
 
     name: str
@@ -97,7 +97,7 @@ def load_recording(path: Path, layout: Layout | None = None) -> Recording:
 
     Raises
     ------
-    InputError : one line, whatever is wrong with the file.
+    InputError : one line that says what is wrong with the file.
     """
     table = read_table(path, VOCABULARY, layout)
     acceleration = table.signals["acceleration"].values
@@ -112,6 +112,6 @@ def load_recording(path: Path, layout: Layout | None = None) -> Recording:
         speed_m_s=table.scalars.get("speed"),
         grip_N=table.scalars.get("grip"),
         notes=tuple(filter(None, [table.missing, *table.notes])),
-        # A command, which a simulated tap may have, is not part of a recording: nobody drives a real object.
+        # A simulated tap may have a command. It is not part of the recording, because nothing drives a real object.
         **{name: signal for name, signal in table.signals.items() if name != "command"},
     )

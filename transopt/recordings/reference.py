@@ -1,8 +1,8 @@
-"""From recordings to references: what was recorded, and how the stylus moves without current.
+"""From recordings to references: the recorded acceleration, and the motion of the stylus without current.
 
-The recorded acceleration r is what the stylus shall feel; nothing is taken away from it. The motor has to make what
-the hand does not do by itself, r - a_free. Integrated twice from the incoming speed, a_free gives the nominal motion
-z_nom: where the stylus would be without the motor. All is sampled at the switching instants of the problem's grid.
+The stylus shall feel the recorded acceleration r, unchanged. The motor has to add what the hand does not do by
+itself, r - a_free. a_free, integrated twice from the incoming speed, gives the nominal motion z_nom: the motion of
+the stylus without the motor. All courses are sampled at the switching instants of the problem's grid.
 """
 
 import math
@@ -20,13 +20,13 @@ from transopt.plant.discretise import TimeGrid
 from transopt.problem.objective.target import Target, along_normal
 from transopt.recordings.tap import PreparedTap
 
-# From speed [m/s], grip [N] and a0 [m/s^2] to a_free over time, how the hand of a recording moves without current.
+# (speed [m/s], grip [N], a0 [m/s^2]) -> a_free as a function of time: the motion of the hand without current.
 Free = Callable[[float, float, float], Callable[[FloatArray], FloatArray]]
 
-ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
+ALIGNMENT_S = 1e-3  # largest shift of repeats against each other
 SETTLING_S = 20e-3  # the filters start this long before contact
 
-# Fields of a reference that are courses over time, blended alike.
+# Fields of a reference that are courses over time; all are blended by the same rule.
 COURSES = (
     "recorded_m_s2",
     "recorded_before_m_s2",
@@ -42,33 +42,34 @@ COURSES = (
 
 @dataclass(frozen=True)
 class Reference:
-    """What the device has to do at one grid speed, at the switching instants.
+    """The motion that the device has to produce at one grid speed, at the switching instants.
 
     Attributes
     ----------
     speed_m_s : incoming speed.
     grip_N : grip force of the hand.
-    recorded_m_s2, recorded_before_m_s2, recorded_after_m_s2 : (N,), (L,), (M,) r, the recorded acceleration, at the
-        switching instants of the window, at those from contact on that come before tau_0 and no command can reach,
-        and at those after the window; zero where the recording has ended. Where all directions were asked for it is
-        (3, N) and so on, along the normal and two tangents.
-    free_m_s2, free_before_m_s2, free_after_m_s2 : (N,), (L,), (M,) a_free, how the stylus accelerates without
+    recorded_m_s2, recorded_before_m_s2, recorded_after_m_s2 : (N,), (L,), (M,) r, the recorded acceleration: at the
+        switching instants of the window; at those between contact and tau_0, which no command can reach; and at those
+        after the window. Zero after the end of the recording. If all directions were asked for, (3, N) and so on,
+        along the normal and two tangents.
+    free_m_s2, free_before_m_s2, free_after_m_s2 : (N,), (L,), (M,) a_free, acceleration of the stylus without
         current.
     nominal_position_m : (N,) z_nom.
-    nominal_velocity_m_s : (N,) its derivative.
+    nominal_velocity_m_s : (N,) derivative of z_nom.
     nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks t_k, where the encoder is read.
     repeatability : mean relative error of the aligned repeats against their mean; NaN for one tap.
-    repeatability_unaligned : the same before they were aligned.
+    repeatability_unaligned : the same error before alignment.
     taps : the n recordings used.
-    factors : (n,) by which each was scaled to the grid speed.
-    between_m_s : the two recorded speeds that it is blended of; None if the speed was recorded itself.
-    of_grips_N : recorded grips that it is made of: its own or the nearest one, or those that it is blended of; none
-        where its taps state no grip and serve every one.
-    slow_part_known : whether what is slower than the tap was recorded, so that the error as it is means something.
-    name : of a named target, which has no speed; empty for a tap.
-    ends_s : when a named target is over; a tap goes on as it was recorded.
-    peak_m_s2 : largest size of a named target, between the instants too.
-    sha256 : of the file that a named target was read from; empty for one that is stated by parameters.
+    factors : (n,) factors that scaled them to the grid speed.
+    between_m_s : the two recorded speeds that it is blended from; None if its speed was recorded.
+    of_grips_N : recorded grips that it is made from: its own or the nearest one, or those it is blended from; empty
+        if its taps state no grip and serve every grip.
+    slow_part_known : whether frequencies below those of the tap were recorded, so that the unfiltered error has
+        meaning.
+    name : name of a named target, which has no speed; empty for a tap.
+    ends_s : end of a named target; infinite for a tap.
+    peak_m_s2 : largest magnitude of a named target, also between the instants; NaN for a tap.
+    sha256 : hash of the file of a named target; empty for one stated by parameters.
     """
 
     speed_m_s: float
@@ -98,11 +99,11 @@ class Reference:
 
     @cached_property
     def stacked(self) -> FloatArray:
-        """(K,) all its courses one behind the other, direction by direction, as `with_courses` takes them."""
+        """(K,) all its courses concatenated, in the form that `with_courses` takes."""
         return np.concatenate([getattr(self, name).ravel() for name in COURSES])
 
     def with_courses(self, stacked: FloatArray, **others: Any) -> "Reference":
-        """Give it other courses, which are parts of one array (K,), and other values of further fields."""
+        """A copy with courses from one array (K,), in the order of `stacked`, and other values of fields."""
         shapes = {name: getattr(self, name).shape for name in COURSES}
         ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
         parts: dict[str, Any] = {
@@ -115,10 +116,10 @@ class Reference:
 
     @property
     def target(self) -> Target:
-        """What the device has to do at this speed."""
+        """Target of the device at this speed: r - a_free and a_free itself."""
         recorded = self.recorded_m_s2, self.recorded_after_m_s2, self.recorded_before_m_s2
         free = self.free_m_s2, self.free_after_m_s2, self.free_before_m_s2
-        if recorded[0].ndim > free[0].ndim:  # the hand moves along the normal
+        if recorded[0].ndim > free[0].ndim:  # a_free is along the normal only
             now, after, before = (along_normal(each, len(recorded[0])) for each in free)
             free = now, after, before
         window, tail, lost = (of - by for of, by in zip(recorded, free, strict=True))
@@ -126,27 +127,27 @@ class Reference:
 
     @property
     def said(self) -> str:
-        """What it is of, in a sentence."""
+        """Name of the target or speed of the tap, for messages."""
         return self.name or f"the tap at {self.speed_m_s:g} m/s"
 
     @property
     def incoming_acceleration_m_s2(self) -> float:
-        """a0 of its taps in the mean, at its speed; 0 of a named target."""
+        """Mean a0 of its taps, scaled to its speed; 0 for a named target."""
         own = [factor * tap.incoming_acceleration_m_s2 for factor, tap in zip(self.factors, self.taps, strict=True)]
         return float(np.mean(own)) if own else 0.0
 
     @property
     def scalings(self) -> FloatArray:
-        """(n,) by which each recorded acceleration was multiplied in all."""
+        """(n,) total factor on each recorded acceleration."""
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
 
 
 def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArray) -> FloatArray:
-    """(c, m) of courses (c, K) at instants (m,), by a spline up to sample `ended` and another one from there on.
+    """(c, m) courses (c, K) at instants (m,), by one spline up to sample `ended` and another one from there on.
 
-    Where a recording ends r jumps to zero, and one spline through it all would ring around the jump.
+    r jumps to zero at the end of a recording, and a single spline would ring around the jump.
     """
-    if times_s.size - ended < 4:  # all instants lie before
+    if times_s.size - ended < 4:  # all instants lie before the end
         return splined(times_s, courses, at_s)
     early, late = slice(0, ended), slice(ended, None)
     parts = [splined(times_s[part], courses[:, part], at_s, beyond=True) for part in (early, late)]
@@ -154,10 +155,10 @@ def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArr
 
 
 def _lags(repeats: FloatArray, step_s: float) -> FloatArray:
-    """(n,) shift [s] by which each repeat (n, K) is later than their mean, to a fraction of the step."""
+    """(n,) delay of each repeat (n, K) against their mean [s], to a fraction of the step."""
     reach = round(ALIGNMENT_S / step_s)
     length = fast_length(repeats.shape[1] + reach)
-    # The correlation is cyclic, with room behind the signals for the lags looked at; negative lags stand at the end.
+    # The correlation is cyclic, padded for the lags considered; negative lags are at the end.
     spectra = np.fft.rfft(repeats, length)
     matches = np.fft.irfft(spectra * spectra.mean(axis=0).conj(), length)
     lags = []
@@ -173,7 +174,7 @@ def _lags(repeats: FloatArray, step_s: float) -> FloatArray:
 
 
 def _spread(repeats: FloatArray) -> float:
-    """Mean relative error of repeats (n, K) against their mean; NaN for one."""
+    """Mean relative error of repeats (n, K) against their mean; NaN for one repeat."""
     if repeats.shape[0] < 2:
         return float("nan")
     mean = repeats.mean(axis=0)
@@ -185,20 +186,20 @@ def build_reference(
 ) -> Reference:
     """Scale, align and average the taps of one grid speed and grip.
 
-    Their mean is r, which ends where the shortest tap does. z_nom integrates a_free twice from z = 0,
-    dz/dt = -speed at contact.
+    Their mean is r, up to the end of the shortest tap. z_nom integrates a_free twice from z = 0, dz/dt = -speed at
+    contact.
 
     Parameters
     ----------
-    speed_m_s, grip_N : of the cell.
+    speed_m_s, grip_N : of the reference.
     taps : n taps.
-    factors : (n,) by which their accelerations are multiplied to be of that speed.
-    grid : where the reference is sampled.
-    free : how the hand moves on without current.
+    factors : (n,) factors that scale their accelerations to that speed.
+    grid : time axis of the reference.
+    free : motion of the hand without current.
 
     Raises
     ------
-    InputError : a tap that ends before the horizon does.
+    InputError : a tap ends before the horizon does.
     """
     needed = float(grid.switching_times_s[-1])
     for tap in taps:
@@ -210,7 +211,7 @@ def build_reference(
     # At least ten points per servo period, with t = 0 among them.
     step_s = min(grid.dt_s / 10, 1e-5)
     contact = math.ceil((SETTLING_S + grid.lead_s) / step_s)
-    # How alike the taps are, and how late, is a matter of the window, whatever comes after it.
+    # Similarity and delay of the taps are computed over the window, independently of what follows it.
     ends_s = grid.end_s, grid.end_s + grid.after_stages * grid.dt_s
     compared, count = (contact + math.ceil(max(end_s, 0.0) / step_s) + 2 for end_s in ends_s)
     times = np.asarray(step_s * np.arange(-contact, count - contact), dtype=float)
@@ -226,7 +227,7 @@ def build_reference(
     if len(taps) > 1:
         as_recorded = scaled(shifts, compared)
         unaligned, lags = _spread(as_recorded), _lags(as_recorded, step_s)
-        # The mean onset stays where it is: alignment must not move the contact.
+        # Subtract the mean, so that alignment does not move the contact.
         shifts = lags - lags.mean()
     repeats = scaled(shifts, count)
     end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
@@ -242,10 +243,10 @@ def build_reference(
     velocity += -speed_m_s - velocity[contact]
     position = integral(velocity, step_s)
     position -= position[contact]
-    # In memory as a spline takes them.
+    # Memory layout of a spline.
     courses = np.stack([recorded, by_itself, position, velocity, *across], axis=1).T
 
-    # One spline through it all for all instants, which are told apart again afterwards.
+    # One spline evaluation for all instants, split by kind afterwards.
     instants = (grid.switching_times_s, grid.after_times_s, grid.before_times_s, grid.all_issue_times_s)
     sampled_at = _pieces(times, courses, ended, np.concatenate(instants))
     window, after, before, ticks = np.split(sampled_at, np.cumsum([each.size for each in instants])[:-1], axis=1)

@@ -1,8 +1,8 @@
-"""All references of a scene: a cell for every recorded speed and grip, and what lies between them.
+"""All references of a scene: one cell per recorded speed and grip, and blends between them.
 
-A tap is another one in another hand, so recordings of different grips are never averaged: each grip is a cell. What
-was not recorded is blended: in grip linearly, as commands are, in speed by the shape r / v. Beyond the recorded grips
-the nearest serves. Taps that state no grip serve every grip.
+A tap differs from hand to hand, so recordings of different grips are never averaged: each grip is a cell. Speeds and
+grips that were not recorded are blended: linearly in grip, as commands are, and in speed by the shape r / v. Outside
+the recorded grips the nearest one is used. Taps that state no grip are used for every grip.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,15 +21,15 @@ from transopt.recordings.reference import COURSES, Free, Reference, build_refere
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, check_usable, prepare
 
-ALIKE = 0.05  # of a grip, within which a grip sensor's hysteresis tells no two apart
-ROUNDING = 1e-9  # of a grip or a speed, within which it is a recorded one
+ALIKE = 0.05  # relative difference of grips that the hysteresis of a grip sensor cannot resolve
+ROUNDING = 1e-9  # relative difference up to which a grip or speed is a recorded one
 COST = "a 3 N tap as target raises the error above 30 Hz from 6.4 to 17 % at 1 N, from 7.9 to 15.5 % at 5 N"
 Scaled = tuple[PreparedTap, float]  # a tap and the factor that scales it to a grid speed
 
 
 @dataclass(frozen=True)
 class Cells:
-    """References of a grid, which share their memory with the arrays of their courses.
+    """References of a grid as views into common arrays of their courses.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Cells:
 
     @classmethod
     def of(cls, made: Callable[[int, int], Reference], rows: int, grips: int) -> "Cells":
-        """Move references into common arrays, as they are made one by one for a row and a grip."""
+        """Copy references into common arrays, as `made` produces them for a row and a grip."""
         courses: dict[str, FloatArray] = {}
 
         def moved(i: int, j: int) -> Reference:
@@ -59,12 +59,12 @@ class Cells:
 
 @dataclass(frozen=True)
 class References:
-    """References of one scene, iterated cell by cell.
+    """References of one scene, iterable cell by cell.
 
     Attributes
     ----------
-    cells : one for each recorded speed and grip, speeds outermost and both rising; or one for each named target.
-    notes : what a user should know about their making, one sentence each.
+    cells : one per recorded speed and grip, speeds outermost and both increasing; or one per named target.
+    notes : what a user should know about how they were made, one sentence each.
     """
 
     cells: tuple[Reference, ...] = ()
@@ -80,7 +80,7 @@ class References:
 
     @cached_property
     def _rows(self) -> dict[float, list[Reference]]:
-        """Cells of each speed, grips rising."""
+        """Speed -> its cells, grips increasing."""
         rows: dict[float, list[Reference]] = {}
         for cell in self.cells:
             rows.setdefault(cell.speed_m_s, []).append(cell)
@@ -88,12 +88,12 @@ class References:
 
     @property
     def speeds_m_s(self) -> tuple[float, ...]:
-        """Recorded speeds, rising."""
+        """Recorded speeds, increasing."""
         return tuple(self._rows)
 
     @property
     def grips_N(self) -> tuple[float, ...]:
-        """Grips of all cells, rising."""
+        """Grips of all cells, increasing."""
         return tuple(sorted({cell.grip_N for cell in self.cells if not cell.name}))
 
     def named(self, name: str) -> Reference:
@@ -101,7 +101,7 @@ class References:
 
         Raises
         ------
-        InputError : there is none of that name.
+        InputError : there is no target of that name.
         """
         found = next((cell for cell in self.cells if cell.name == name), None)
         if found is None:
@@ -109,20 +109,20 @@ class References:
         return found
 
     def at(self, speed_m_s: float, grip_N: float) -> Reference:
-        """The reference of any speed within the recorded ones and of any grip; of a recorded cell the cell itself.
+        """The reference at any speed within the recorded range and at any grip; a recorded cell is returned itself.
 
         Between recorded speeds v1 < v < v2 the shape r / v is interpolated, with w = (v - v1) / (v2 - v1):
 
             r = v ((1 - w) r_1 / v_1 + w r_2 / v_2)
 
-        Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). All
-        courses follow the rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = a_free. Within one speed r is
-        linear in grip, and beyond the outermost grip that was recorded at that speed it is that grip's.
-        The taps of all cells that it is made of are listed, scaled; the repeatability is the largest of theirs.
+        Near a recorded speed this is the scaling by v / v1 of a tap near a grid speed (`assign`). All courses follow
+        the rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = a_free. At one speed r is linear in grip;
+        outside the grips recorded at that speed it is that of the nearest one.
+        The result lists the scaled taps of all cells it is made from; its repeatability is the largest of theirs.
 
         Raises
         ------
-        InputError : a speed outside the recorded ones.
+        InputError : the speed is outside the recorded range.
         """
         speeds = np.asarray(self.speeds_m_s)
         if not (speeds.size and speeds[0] <= speed_m_s <= speeds[-1]):
@@ -156,9 +156,9 @@ class References:
         return replace(_blend(low, high, w), grip_N=grip_N, of_grips_N=(*low.of_grips_N, *high.of_grips_N))
 
     def remarks(self, grips_N: Sequence[float]) -> list[str]:
-        """What a design for some grips rests on that was not recorded, one sentence each; `notes` among them."""
-        held = [F for F in grips_N if F > 0]  # nobody holds a free device, whoever struck for it
-        speeds: dict[str, list[float]] = {}  # at which the same is to be said
+        """Parts of a design at these grips that rest on taps of other grips, one sentence each; `notes` included."""
+        held = [F for F in grips_N if F > 0]  # nobody holds a free device, whatever the grip of its recordings
+        speeds: dict[str, list[float]] = {}  # sentence -> speeds it holds for
         for speed, row in self._rows.items():
             known = [grip for cell in row for grip in cell.of_grips_N]
             beyond = [F for F in held if known and not _within(F, known)]
@@ -181,7 +181,7 @@ def _listed(values: Sequence[float]) -> str:
 
 
 def _among(grip_N: float, grips_N: Sequence[float]) -> bool:
-    """Whether a grip is one of those, as far as a sensor can tell."""
+    """Whether a grip equals one of these within a sensor's accuracy."""
     return any(abs(grip_N - each) <= ALIKE * each for each in grips_N)
 
 
@@ -190,7 +190,7 @@ def _within(grip_N: float, grips_N: Sequence[float]) -> bool:
 
 
 def _blend(a: Reference, b: Reference, w: float, scale_a: float = 1.0, scale_b: float = 1.0) -> Reference:
-    """(1 - w) of one reference and w of another, each scaled to the speed of the blend; of the grip of the first."""
+    """(1 - w) of one reference and w of another, each scaled to the blend's speed; the first one's grip is kept."""
     return a.with_courses(
         (1 - w) * scale_a * a.stacked + w * scale_b * b.stacked,
         repeatability=float(np.maximum(a.repeatability, b.repeatability)),
@@ -202,15 +202,15 @@ def _blend(a: Reference, b: Reference, w: float, scale_a: float = 1.0, scale_b: 
 
 
 def assign(taps: Sequence[PreparedTap], speeds_m_s: Sequence[float], settings: Recordings) -> list[list[Scaled]]:
-    """For each grid speed its taps, each with the factor that scales it to that speed.
+    """The taps of each grid speed, each with the factor that scales it to that speed.
 
-    A tap belongs to the nearest grid speed, if it lies within `speed_tolerance` of it; taps that serve every
-    grid speed belong to all.
+    A tap belongs to the nearest grid speed, which must be within `speed_tolerance`; taps that serve every grid speed
+    belong to all.
 
     Raises
     ------
-    InputError : a tap of unknown speed or in implausible units (`check_usable`), or too far from every grid speed;
-        a grid speed without a tap; taps with and taps without a grip.
+    InputError : a tap has no known speed or implausible units (`check_usable`), or is too far from every grid speed;
+        a grid speed has no tap; some taps state a grip and others do not.
     """
     silent = [tap.recording.name for tap in taps if tap.recording.grip_N is None]
     if silent and len(silent) < len(taps):
@@ -246,7 +246,7 @@ def assign(taps: Sequence[PreparedTap], speeds_m_s: Sequence[float], settings: R
 
 
 def grip_groups(grips_N: Sequence[float]) -> list[list[float]]:
-    """Sorted grips in groups that are alike within 5 %, each told apart from the next."""
+    """Sorted grips in groups within 5 % of the group's smallest grip."""
     groups: list[list[float]] = []
     for grip in sorted(grips_N):
         if groups and grip <= groups[-1][0] * (1 + ALIKE):
@@ -265,12 +265,12 @@ def build_references(
     settings: Recordings,
     free: Free,
 ) -> References:
-    """References of all recordings of a scene: of each grid speed a cell for every grip that was recorded.
+    """References from all recordings of a scene: one cell per grid speed and recorded grip.
 
     Parameters
     ----------
-    grips_N : of the scene; taps that state no grip have a cell for each of them.
-    free : how the hand of a recording moves on without current.
+    grips_N : grips of the scene; taps that state no grip get a cell for each of them.
+    free : motion of the hand of a recording without current.
 
     Raises
     ------
@@ -308,11 +308,11 @@ def _cell(
 
 
 def sampled_again(references: References, grid: TimeGrid, free: Free) -> References:
-    """References of the same taps on another time axis.
+    """References from the same taps on another time axis.
 
     Raises
     ------
-    InputError : a recording that does not fit the time axis, or that is not at hand.
+    InputError : a recording does not cover the time axis, or is not available.
     """
     for cell in references:
         if not cell.taps:

@@ -1,7 +1,7 @@
 """Measured frequency responses, acceleration over current or voltage: read from CSV, text, NPZ, MAT and UFF files.
 
-Tables have a column of frequencies and either magnitude and phase or real and imaginary part, named and with units as
-instruments write them (`transopt.recordings.names`). A universal file holds them as its dataset 58
+Tables have a column of frequencies and either magnitude and phase or real and imaginary part, with names and units as
+instruments write them (`transopt.recordings.names`). A universal file holds a response in its dataset 58
 (`transopt.recordings.universal_file`).
 """
 
@@ -23,7 +23,7 @@ from transopt.recordings.raw_table import MIN_SAMPLES, RawTable
 from transopt.recordings.unclear import located
 from transopt.recordings.units import INPUTS, RATIOS, parts
 
-LARGEST = 1e9  # m/s^2 per A or V: far above every actuator, and its square still fits
+LARGEST = 1e9  # m/s^2 per A or V: far above every actuator, and its square does not overflow
 WORDS = Vocabulary(
     columns=(
         *("frequency_Hz", "frequency_kHz"),
@@ -46,7 +46,7 @@ class MeasuredResponse:
     ----------
     frequencies_Hz : (m,) increasing, above 0.
     response : (m,) complex acceleration over input [m/s^2 per A or V].
-    driven_by : "current" or "voltage" where file or user state what the response is to; empty where they do not.
+    driven_by : input of the response, "current" or "voltage", if file or user state it; else empty.
     notes : what a user should know about the units, one sentence each.
     """
 
@@ -67,13 +67,13 @@ def read_response(
     ----------
     path : .csv, .txt, .dat, .npz, .mat (-v6 or -v7), .unv, .uff or .u58.
     layout : names and units of columns that the file does not state.
-    scale : what the response is multiplied with to be in m/s^2 per A or V.
-    driven_by : what the user says that it is to, "current" or "voltage"; empty where that is left to the file.
+    scale : factor that converts the response to m/s^2 per A or V.
+    driven_by : the input that the user states, "current" or "voltage"; empty to take it from the file.
 
     Raises
     ------
-    InputError : one line, file first, whatever is wrong; an option that says nothing of a response, or that
-        contradicts the file.
+    InputError : one line, file first, that says what is wrong; also for an option that does not apply to a response
+        or contradicts the file.
     """
     data = read_file(path, MOST_RECORD_BYTES, "name a file with a measured frequency response")
     layout = layout or Layout()
@@ -85,7 +85,7 @@ def read_response(
         if layout.rate_Hz is not None:
             raise InputError(f"--rate-Hz {layout.rate_Hz:g}: a response has frequencies and no times; leave it out")
         refuse_idle(layout, [path.suffix])
-        with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the check
+        with np.errstate(all="ignore"):  # an overflow from absurd values becomes inf, which the check refuses
             raw = read_raw(path.suffix, data, layout, WORDS)
             frequencies_Hz, response, said = _of_table(raw)
             found = _checked(frequencies_Hz, scale * response)
@@ -93,7 +93,7 @@ def read_response(
     except InputError as error:
         raise located(error, path) from error
     notes = [each.note for each in raw.meanings.values()]
-    # A level in dB has no unit that is converted: there the scale states what 0 dB stands for.
+    # A level in dB is not converted; its scale states the value at 0 dB.
     stated = next((each.stated for each in said.values() if each.stated and not math.isnan(each.factor)), "")
     if stated and not math.isclose(abs(scale), 1.0):
         notes.append(
@@ -105,13 +105,13 @@ def read_response(
 
 
 def _agreeing(said: Mapping[str, Meaning], driven_by: str) -> None:
-    """Refuse a user's word about the input against the unit's.
+    """Refuse a stated input that contradicts the unit.
 
     Parameters
     ----------
-    said : what the columns mean that have a unit of the response.
+    said : meanings of the columns that have a unit of the response.
     """
-    # The parts of a complex array have one unit.
+    # Both parts of a complex array have the same unit.
     keys = ["magnitude" if name.endswith(" part)") else each.quantity for name, each in said.items()]
     for each in said.values():
         if driven_by and each.per and each.per != driven_by:
@@ -124,7 +124,7 @@ def _agreeing(said: Mapping[str, Meaning], driven_by: str) -> None:
 
 
 def _checked(frequencies_Hz: FloatArray, response: ComplexArray) -> MeasuredResponse:
-    """The points above 0 Hz, in increasing order."""
+    """The points above 0 Hz, in increasing order of frequency."""
     bad = ~(np.isfinite(frequencies_Hz) & (np.abs(response) <= LARGEST))
     if bad.any():
         k = int(bad.argmax())
@@ -134,7 +134,7 @@ def _checked(frequencies_Hz: FloatArray, response: ComplexArray) -> MeasuredResp
         )
     order = np.argsort(frequencies_Hz, kind="stable")
     f, G = frequencies_Hz[order], response[order]
-    f, G = f[f > 0], G[f > 0]  # an analyser's first line is that of 0 Hz, of which an accelerometer knows nothing
+    f, G = f[f > 0], G[f > 0]  # an analyser's first line is at 0 Hz, where an accelerometer measures nothing
     twice = np.flatnonzero(np.diff(f) <= 0)
     if twice.size:
         raise InputError(f"{f[twice[0]]:g} Hz stands there twice; average repeated measurements first")
@@ -144,7 +144,7 @@ def _checked(frequencies_Hz: FloatArray, response: ComplexArray) -> MeasuredResp
 
 
 def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Meaning]]:
-    """Frequencies [Hz], response [m/s^2 per A or V], and what its columns with a unit of the response mean."""
+    """Frequencies [Hz], response [m/s^2 per A or V], and the meanings of the columns in a unit of the response."""
     columns = {each.quantity: (raw.columns[name], each.factor) for name, each in raw.meanings.items()}
     raw.rows()
     pair = next((pair for pair in PAIRS if all(part in columns for part in pair)), None)
@@ -160,7 +160,7 @@ def _of_table(raw: RawTable) -> tuple[FloatArray, ComplexArray, Mapping[str, Mea
     values, factor = columns["frequency"]
     (one, by), (other, other_by) = columns[pair[0]], columns[pair[1]]
     frequencies_Hz = values * factor
-    # A vibrometer's mobility, or a receptance, becomes an accelerance.
+    # Mobility and receptance are differentiated to an accelerance.
     slopes = max(each.slopes for each in said.values())
     slope = np.asarray((2j * np.pi * frequencies_Hz) ** slopes, dtype=complex)
     if pair[0] == "real":

@@ -1,22 +1,22 @@
-"""A second hit within the time that a waveform plays: a stylus that was thrown back and came again.
+"""Detects a second hit while the waveform plays: a stylus that was thrown back and struck again.
 
-What rings after a hit dies away; a hit comes out of the quiet. Between the two the stylus flies, and for some
-milliseconds nothing accelerates it but the hand.
+Ringing after a hit decays, whereas a hit rises from a quiet signal. Between two hits the stylus flies, and for some
+milliseconds only the hand accelerates it.
 """
 
 import numpy as np
 
 from transopt.base.signals import Signal
 
-LOOKED_AT_S = 0.1  # after contact: windows end sooner, and what comes later is a tap of its own (`split`)
-FIRST_S = 0.02  # after contact, in which the first hit has its peak, on soft rubber as well
-QUIET, QUIET_S = 0.08, 3e-3  # of the first peak, and for how long: the stylus flies
-HIT = 0.2  # of the first peak
-RISE_S = 3e-3  # in which a hit rises out of the quiet, and a hand does not
+LOOKED_AT_S = 0.1  # after contact: waveforms end sooner, and later hits are separate taps (`split`)
+FIRST_S = 0.02  # after contact: the first hit has its peak within it, even on soft rubber
+QUIET, QUIET_S = 0.08, 3e-3  # of the first peak, and for how long: the stylus is in flight
+HIT = 0.2  # of the first peak: least height of a second hit
+RISE_S = 3e-3  # longest rise of a hit from the quiet; a hand is slower
 
 
 def second_hit(x: Signal, onset_s: float) -> tuple[float, float] | None:
-    """Time after contact [s] and share of the first peak of a second hit; None where there is none.
+    """Time after contact [s] of a second hit and its peak over the first; None if there is none.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def second_hit(x: Signal, onset_s: float) -> tuple[float, float] | None:
         return None
     quiet, rise = max(round(QUIET_S / x.dt_s), 1), max(round(RISE_S / x.dt_s), 1)
     still = np.concatenate([[0], np.cumsum(np.abs(a) < QUIET * first)])
-    flown = np.flatnonzero(still[quiet:] - still[:-quiet] == quiet) + quiet  # samples just behind so long a quiet
+    flown = np.flatnonzero(still[quiet:] - still[:-quiet] == quiet) + quiet  # samples right after such a quiet
     flown = flown[flown > int(np.argmax(begun))]
     for at in flown[:-1]:
         ahead = a[at : at + rise]

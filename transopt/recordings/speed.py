@@ -1,8 +1,8 @@
-"""The speed that the stylus came with: as the file states it, or fitted to the position before contact.
+"""The incoming speed of the stylus: stated by the file, or fitted to the position before contact.
 
-The fit is a quadratic over the last 10 ms, whose slope at contact is the speed. With less before contact, or with a
-coarse encoder, that slope soon means nothing: for n readings of scatter s over a time T its standard deviation is
-about s sqrt(192 / n) / T. So it comes with an interval, which is said where it is wide.
+The fit is a quadratic over the last 10 ms, whose slope at contact is the speed. With a shorter record or a coarse
+encoder that slope is soon meaningless: for n readings of scatter s over a time T its standard deviation is about
+s sqrt(192 / n) / T. The speed therefore has a confidence interval, which is reported where it is wide.
 """
 
 import math
@@ -14,22 +14,22 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.recordings.recording import Recording
 
-UNKNOWN = "unknown"  # source of a speed that nobody knows
-FITTED = "position"  # of one that is fitted
+UNKNOWN = "unknown"  # source of a speed that is not known
+FITTED = "position"  # source of a fitted speed
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
 LEAST_SAMPLES = 8
-UNSURE_SPEED = 0.05  # of the speed, half of its 95 % interval: beyond it a note says so
-UNKNOWN_SPEED = 0.2  # beyond it the fit says nothing
-LAST_STEP = 1e-9  # of Newton's method, whose next one would be its square; a smaller one may be rounding for ever
+UNSURE_SPEED = 0.05  # half the 95 % interval over the speed, above which a note reports it
+UNKNOWN_SPEED = 0.2  # half the 95 % interval over the speed, above which the fit is refused
+LAST_STEP = 1e-9  # relative step of Newton's method at which it stops; the next would be its square, below rounding
 
 
 def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, list[str]]:
-    """Incoming speed [m/s], NaN where nobody knows it; its source and notes.
+    """Incoming speed [m/s], NaN if unknown; its source and notes.
 
     Raises
     ------
-    InputError : a position with too few samples before contact, that goes the other way, or that scatters so much
-        that the speed is known to no better than 20 %.
+    InputError : the position has too few samples before contact, moves the other way, or scatters so much that the
+        speed is uncertain by more than 20 %.
     """
     if recording.speed_m_s is not None:
         return recording.speed_m_s, "stated", []
@@ -61,19 +61,19 @@ def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, li
 
 
 def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of a polynomial in time through (n,) samples, lowest power first, and half their 95 % intervals.
+    """Polynomial in time fitted to (n,) samples: coefficients, lowest power first, and half their 95 % intervals.
 
-    The scatter is that of the residuals, and at least that of an encoder with the given count, count / sqrt(12): a
-    few counts may happen to lie on a parabola.
+    The scatter is that of the residuals, but at least that of an encoder with this count, count / sqrt(12), because a
+    few counts may lie on a parabola by chance.
 
     Parameters
     ----------
-    first_s : of the samples, from the time in which the polynomial is. dt_s : between them.
+    first_s : time of the first sample. dt_s : time step of the samples.
     terms : number of coefficients, below n.
     """
     powers, inverse = _polynomials(z.size, terms)
     half_s = 0.5 * dt_s * (z.size - 1)
-    # Taylor's rule takes the coefficients by u, from -1 to 1, to those by the time t = half (u - start).
+    # The binomial theorem converts coefficients in u, from -1 to 1, into those in t = half_s (u - start).
     start, j = -(first_s + half_s) / half_s, np.arange(terms)
     choose = np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)])
     of_time = choose * start ** np.maximum(j - j[:, None], 0) / (half_s ** j[:, None])
@@ -84,19 +84,20 @@ def fitted(first_s: float, dt_s: float, z: FloatArray, count: float, terms: int)
     return of_time @ found, errors
 
 
-@lru_cache(maxsize=8)  # taps of one rate have as many points
+@lru_cache(maxsize=8)  # taps of one rate have the same number of points
 def _polynomials(n: int, terms: int) -> tuple[FloatArray, FloatArray]:
-    """Powers (n, terms) of n numbers evenly from -1 to 1, and their pseudo-inverse (terms, n)."""
+    """Powers (n, terms) of n evenly spaced numbers from -1 to 1, and their pseudo-inverse (terms, n)."""
     powers = np.vander(np.linspace(-1.0, 1.0, n), terms, increasing=True)
     return powers, np.asarray(np.linalg.pinv(powers), dtype=float)
 
 
-@lru_cache(maxsize=64)  # taps of one rate have as many points
+@lru_cache(maxsize=64)  # taps of one rate have the same number of points
 def two_sided(free: int) -> float:
     """Quantile t of Student's distribution with |T| < t in 95 %, for `free` >= 1 degrees of freedom.
 
-    Newton's method from below on the finite sum for the probability (Abramowitz and Stegun 26.7.3 and 26.7.4). It is
-    concave, so that no step goes too far. Loading scipy.special takes longer than preparing a hundred recordings.
+    Newton's method from below on the finite sum for the probability (Abramowitz and Stegun 26.7.3 and 26.7.4), which
+    is concave, so that no step overshoots. Loading scipy.special would take longer than preparing a hundred
+    recordings.
     """
     odd = free % 2
     j = np.arange(1 + odd, free - 1, 2)

@@ -1,7 +1,7 @@
-"""Several taps in one file: where each begins and ends, and which of them a user has chosen.
+"""Several taps in one file: finds where each begins and ends, and selects those that the user chose.
 
-A session is often recorded in one go. Taken as one tap it would be the tap of its highest peak, and the others would
-be what rings behind it; so it is cut into its taps, each a record of its own with the name `FILE#2`.
+A session is often recorded in one file. As a single tap, only its highest peak would count and the others would look
+like ringing; so the file is cut into taps, each a recording of its own with the name `FILE#2`.
 """
 
 import math
@@ -17,29 +17,28 @@ from transopt.base.filters import highpass
 from transopt.base.signals import FloatArray, Signal, median
 from transopt.recordings.recording import Recording
 
-PAUSE_S = 0.1  # between two taps: a rebound comes sooner and belongs to its tap, no hand taps as fast
-LEAST_SHARE = 0.15  # of the highest peak: taps of 0.1 and 0.4 m/s differ by a factor of four
-LEAST_TO_NOISE = 10.0  # times its rms: the highest of a million samples of noise is five times as large
+PAUSE_S = 0.1  # between two taps: a rebound comes sooner and belongs to its tap; no hand taps that fast
+LEAST_SHARE = 0.15  # of the highest peak: taps at 0.1 and 0.4 m/s differ by a factor of four
+LEAST_TO_NOISE = 10.0  # times the rms of the noise: a million samples of noise peak at five times
 NORMAL_QUARTILE = 0.6744897501960817  # median of |x| of normally distributed x, in standard deviations
 START_S = 2e-3
-SLOWEST_HZ = 8.0  # below it the hand moves and turns the sensor in the earth's field
-SIGNALS = ("acceleration", "position", "force", "current", "across_1", "across_2")  # of a recording
+SLOWEST_HZ = 8.0  # below it the hand moves, and turns the sensor in the earth's field
+SIGNALS = ("acceleration", "position", "force", "current", "across_1", "across_2")  # all are cut alike
 
 
 def bounds(x: Signal) -> list[tuple[int, int]]:
-    """First sample and end of every tap of a signal, in order; the whole signal where there is one tap or none.
+    """First sample and end of every tap of a signal, in order; the whole signal if there is at most one tap.
 
-    A tap is where the signal without its slow share exceeds a threshold in the direction of its highest peak,
-    together with all that follows less than `PAUSE_S` later. Two taps are parted in the middle of the quiet stretch
-    between them.
+    A tap is where the high-passed signal exceeds a threshold in the direction of its highest peak, together with all
+    that follows within `PAUSE_S`. Two taps are separated in the middle of the quiet stretch between them.
     """
     whole = [(0, x.values.size)]
     if x.values.size * x.dt_s < PAUSE_S or x.rate_Hz < 5 * SLOWEST_HZ:
         return whole
-    # From the level that the file begins with, or the filter would see a step there.
+    # Subtract the level at the start of the file; otherwise the filter would see a step there.
     rest = np.median(x.values[: max(int(START_S / x.dt_s), 1)])
     quick = highpass(replace(x, values=x.values - rest), SLOWEST_HZ).values
-    # A force that is let go, or a stylus that is lifted, moves the other way than a tap.
+    # A released force or a lifted stylus moves in the opposite direction of a tap.
     quick = quick * np.sign(quick[np.argmax(np.abs(quick))])
     loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * white_noise(x)))
     if loud.size == 0:
@@ -51,7 +50,7 @@ def bounds(x: Signal) -> list[tuple[int, int]]:
 
 
 def white_noise(x: Signal) -> float:
-    """Size (rms) of the white noise in a recording, from its steps: the tap itself is smooth and adds little."""
+    """Rms of the white noise in a recording, from its differences, to which the smooth tap adds little."""
     steps = x.values[1:] - x.values[:-1]
     return median(np.abs(steps - median(steps))) / (NORMAL_QUARTILE * math.sqrt(2))
 
@@ -67,11 +66,11 @@ def peak_times(x: Signal, pieces: Sequence[tuple[int, int]]) -> FloatArray:
 
 
 def chosen(name: str, count: int, times_s: FloatArray, wanted: Mapping[str, Sequence[int]]) -> list[int]:
-    """Which taps of a file to take, counted from 1: all, unless a pattern that its name matches says which.
+    """Numbers of the taps to take from a file, from 1: all, unless a pattern that matches its name selects some.
 
     Raises
     ------
-    InputError : a tap that the file does not have.
+    InputError : the file does not have a selected tap.
     """
     own = [taps for pattern, taps in wanted.items() if fnmatchcase(name, pattern)]
     numbers = sorted({number for taps in own for number in taps}) if own else list(range(1, count + 1))
@@ -84,7 +83,7 @@ def chosen(name: str, count: int, times_s: FloatArray, wanted: Mapping[str, Sequ
 
 
 def split(recording: Recording, wanted: Mapping[str, Sequence[int]]) -> list[Recording]:
-    """The chosen taps of a file; the recording itself where it holds one.
+    """The selected taps of a file; the recording itself if it holds one tap.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ def split(recording: Recording, wanted: Mapping[str, Sequence[int]]) -> list[Rec
 
     Raises
     ------
-    InputError : a tap that the file does not have.
+    InputError : the file does not have a selected tap.
     """
     pieces = bounds(recording.acceleration)
     times_s = peak_times(recording.acceleration, pieces)

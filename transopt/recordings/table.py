@@ -1,8 +1,8 @@
-"""The columns of a file, checked and converted: SI signals on one uniform time grid.
+"""Checks and converts the columns of a file to SI signals on one uniform time grid.
 
-Taps on real objects (`transopt.recordings.recording`) and runs of a device (`transopt.identify.measurement`) are both
-read by `read_table`, each with its own vocabulary. Errors are raised without the file's name; `read_table` puts it in
-front of all of them.
+`read_table` reads both taps on real objects (`transopt.recordings.recording`) and runs of a device
+(`transopt.identify.measurement`), each with its own vocabulary. Errors are raised without the file's name;
+`read_table` adds it in front.
 """
 
 import hashlib
@@ -26,30 +26,31 @@ from transopt.recordings.raw_table import LARGEST, MIN_SAMPLES, RawTable
 from transopt.recordings.unclear import UnclearError, located
 from transopt.recordings.units import likely_units
 
-_UNIFORM = 0.01  # steps: stamps nearer than that to the uniform grid are taken as on it
-_ASTRAY = 0.45  # steps: a stamp farther off the grid than this says nothing; its sample counts as missing
-_MISSING = 0.01  # of all samples: so many may be missing and are interpolated
-_IN_A_ROW = 1  # missing samples, beyond which a spline invents what it should interpolate
-_JITTER = 0.35  # steps, rms: beyond it nobody knows when the samples were taken
-_BESIDE = 8  # stamps on either side of a long step that say whether a row was lost
-_DISORDER = 0.1  # of all steps: with so many that go back, it is no time at all
+_UNIFORM = 0.01  # steps: stamps closer than this to the uniform grid count as on it
+_ASTRAY = 0.45  # steps: a stamp farther off the grid carries no time; its sample counts as missing
+_MISSING = 0.01  # share of all samples that may be missing and are interpolated
+_IN_A_ROW = 1  # missing samples in a row that a spline can interpolate
+_JITTER = 0.35  # steps, rms: above it the sampling instants are unknown
+_BESIDE = 8  # stamps on either side of a long step, which show whether a row was lost
+_DISORDER = 0.1  # share of steps that go back, above which the column is no time
 _TINY = 1e-300
-_NEIGHBOURS = 21  # stamps that a stamp is compared with
+_NEIGHBOURS = 21  # stamps that each stamp is compared with
 
 
 @dataclass(frozen=True)
 class Table:
-    """What one file held.
+    """Content of one file, in SI.
 
     Attributes
     ----------
     signals : quantity -> signal in SI, all on the uniform grid of the mean time step, resampled to it by a cubic
         spline if a time stamp lay off that grid by more than 1 % of a step or a sample was missing.
-    scalars : quantity -> SI value, of those that the file states.
-    sha256 : of the file's bytes.
-    off_grid : how far time stamps lay off the uniform grid, rms, in steps.
-    missing : what was interpolated, in one sentence; empty where no sample was missing.
-    notes : how axes were joined, what was not used, units that a user states against the file; one sentence each.
+    scalars : quantity -> SI value, for those that the file states.
+    sha256 : hash of the file's bytes.
+    off_grid : rms distance of the time stamps from the uniform grid, in steps.
+    missing : one sentence on what was interpolated; empty if no sample was missing.
+    notes : how axes were joined, which columns were not used, stated units that contradict the file; one sentence
+        each.
     """
 
     signals: Mapping[str, Signal]
@@ -66,9 +67,9 @@ class _Clock:
 
     Attributes
     ----------
-    start_s, step_s : of the grid.
+    start_s, step_s : start and step of the grid.
     kept : (n,) rows of the file whose samples are kept.
-    size : of the grid.
+    size : number of grid points.
     off_grid, missing : see `Table`.
     uniform : whether every stamp is on the grid and none is missing.
     """
@@ -93,7 +94,7 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
 
     Raises
     ------
-    InputError : one line, file first, whatever is wrong.
+    InputError : one line, file first, that says what is wrong.
     """
     data = read_file(
         path, MOST_RECORD_BYTES, "name a recording, or several as tap_*.csv or FOLDER/*, in pieces if it is too long"
@@ -101,7 +102,7 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
     try:
         if not data:
             raise InputError("is empty (0 bytes); record or export it again")
-        with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the checks
+        with np.errstate(all="ignore"):  # an overflow from absurd values becomes inf, which the checks refuse
             layout = layout or Layout()
             raw = read_raw(path.suffix, data, layout, words)
             joining: list[str] = []
@@ -118,12 +119,12 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
 
 
 def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -> tuple[dict[str, Signal], _Clock]:
-    """Every quantity of the table but time, in SI, on one uniform grid; and that grid.
+    """Every quantity of the table except time, in SI, on one uniform grid; and that grid.
 
     Parameters
     ----------
     way : how axes are joined, see `axes.joined`; empty for the default.
-    joining : takes a sentence that says how they were.
+    joining : receives sentences that say how they were joined.
     """
     size = table.rows()
     if size < MIN_SAMPLES:
@@ -153,7 +154,7 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
     velocity = si.pop("velocity", None)
     if velocity is not None and "acceleration" not in si:
         joining.append("the acceleration is the slope of the velocity")
-        in_order = bool(np.all(np.diff(times) > 0))  # else `_clock` refuses them
+        in_order = bool(np.all(np.diff(times) > 0))  # if not, `_clock` refuses them
         slope = scipy.interpolate.CubicSpline(times, velocity)(times, 1) if in_order else velocity
         si["acceleration"] = np.asarray(slope)
     clock = _clock(times, table.place, words.step_s)
@@ -169,11 +170,11 @@ def _signals(table: RawTable, words: Vocabulary, way: str, joining: list[str]) -
 
 
 def _stamped_late(as_read: Mapping[str, FloatArray], moved: Mapping[str, FloatArray]) -> bool:
-    """Whether samples were taken on the grid and only stamped off it, as by a host that stamps what a timer sampled.
+    """Whether the samples were taken on the grid and only their stamps are off, as when a host stamps timed samples.
 
-    Moved to where their stamps say, such samples become rougher; those that were taken off the grid become smoother.
-    The roughness is that of fourth differences, mean of its logarithm over the quantities. A command is a staircase,
-    which no interpolation makes smoother.
+    Interpolated to the grid from their stamps, such samples become rougher, while samples truly taken off the grid
+    become smoother. Roughness is the energy of fourth differences; its logarithm is averaged over the quantities. A
+    command is left out, because interpolation never makes a staircase smoother.
     """
     ratios = [
         np.log((np.sum(np.diff(moved[name], 4) ** 2) + _TINY) / (np.sum(np.diff(values, 4) ** 2) + _TINY))
@@ -194,11 +195,11 @@ def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
 
 
 def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[float, float]) -> _Clock:
-    """The uniform grid that the stamps (n,) [s] were taken on.
+    """The uniform grid of the stamps (n,) [s].
 
-    Stamps are judged by their rms distance from the grid: the largest of 20 000 harmless ones is four times as large.
-    A stamp far off its place, late by most of a step for example, is no time for its sample, which is then missing
-    like that of a lost row.
+    The rms distance from the grid decides: the largest of 20 000 harmless distances is four times as large. A stamp
+    far off the grid, such as late by most of a step, is no valid time; its sample counts as missing, like that of a
+    lost row.
     """
     steps = np.diff(times)
     median = float(np.median(steps))
@@ -208,7 +209,7 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
         many = np.count_nonzero(steps <= 0) > _DISORDER * steps.size
         begins = np.flatnonzero(steps > 0) + 1
         if many and (steps >= 0).all() and begins.size > 1:
-            # The first and the last group may be cut short; between them every group has its full length.
+            # The first and the last group may be incomplete; all between have full length.
             rate_Hz = (begins[-1] - begins[0]) / (times[begins[-1]] - times[begins[0]])
             raise UnclearError(
                 f"{place(at + 1)}: the times repeat, in groups of {np.diff(begins).mean():.3g} rows, as of a "
@@ -253,9 +254,9 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
 
 
 def _periods(times: FloatArray, median_s: float) -> FloatArray:
-    """(n - 1,) periods between stamps (n,): one, but where a step is long and the stamps behind it stay behind.
+    """(n - 1,) periods between stamps (n,): 1, or more where a step is long and all later stamps are late as well.
 
-    Behind a lost row all stamps are late by a period; behind a stamp that is late itself they are not.
+    After a lost row all stamps are late by a period; after a single late stamp they are not.
     """
     periods = np.ones(times.size - 1)
     long = np.flatnonzero(np.diff(times) > 1.5 * median_s)
@@ -270,12 +271,12 @@ def _periods(times: FloatArray, median_s: float) -> FloatArray:
 
 
 def _against_grid(times: FloatArray, index: FloatArray) -> tuple[float, float, FloatArray, FloatArray]:
-    """Start and step [s] of the grid of stamps (n,) at places (n,); how late each is, also against its neighbours.
+    """Start and step [s] of the grid through stamps (n,) with indices (n,); lateness, also against neighbours.
 
-    Places count from 0, lateness is in steps. The stamps are compared, not the steps: steps 1 % too long and later
-    1 % too short would each pass, yet shift the middle of 1000 samples by five. A clock may well run fast and then
-    slow; a single stamp that is late shows against the median of its neighbours. The first and the last stamp are no
-    better than the others: where any is off, the grid is the line through all that say something.
+    Indices count from 0; lateness is in steps. Stamps are compared instead of steps: steps that are first 1 % too
+    long and later 1 % too short would each pass, yet shift the middle of 1000 samples by five. A clock may drift, so
+    a single late stamp is judged against the median of its neighbours. The first and the last stamp are no better
+    than the others: if any is off, the grid is the regression line through all valid stamps.
     """
     mean = float((times[-1] - times[0]) / index[-1])
     late = (times - times[0]) / mean - index
@@ -289,7 +290,7 @@ def _against_grid(times: FloatArray, index: FloatArray) -> tuple[float, float, F
 
 
 def _stated(header: Mapping[str, object], quantity: str, words: Vocabulary) -> float | None:
-    """The quantity in SI as the file states it, else None."""
+    """The quantity in SI as the file states it; None if the file does not state it."""
     of = {key for key, scalar in words.header.items() if scalar.quantity == quantity}
     stated = {key: value for key, value in header.items() if key in of}
     if not stated:
@@ -299,7 +300,7 @@ def _stated(header: Mapping[str, object], quantity: str, words: Vocabulary) -> f
     key, raw = next(iter(stated.items()))
     scalar = words.header[key]
     with guarded(f"{key} is {quote(str(raw))}: must be one number, without a unit", "correct it"):
-        value = float(np.asarray(raw).item())  # of a string from text, a number or an array of one
+        value = float(np.asarray(raw).item())  # a string from text, a number, or an array of one number
     limit, is_allowed = (">= 0", value >= 0) if scalar.zero else ("> 0", value > 0)
     if not (is_allowed and value <= LARGEST):
         raise InputError(f"{key} = {value:g} {scalar.unit}: must be {limit} and finite; correct it or leave it out")

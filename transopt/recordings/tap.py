@@ -1,7 +1,7 @@
-"""Recordings made ready for a reference: offset, polarity, onset, speed, similarity scaling, low-pass.
+"""Prepares recordings for a reference: offset, polarity, onset, speed, similarity scaling, low-pass.
 
-An accelerometer shows gravity as a static offset, may be mounted upside down, and does not know when the contact is.
-All of it is found in the recording, unless the scene states it.
+An accelerometer reads gravity as a static offset, may be mounted upside down, and does not mark the contact. All of
+these are found in the recording unless the scene states them.
 """
 
 import glob
@@ -29,26 +29,26 @@ from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
 from transopt.recordings.split import SLOWEST_HZ, split, white_noise
 from transopt.recordings.unclear import UnclearError
 
-AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
-BASELINE_SAMPLES = 8  # fewer are no baseline
-LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
-CLIPPED_RUN = 3  # samples; two that are alike may be chance
-CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
-USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # that a hand taps with
-TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of the error: contact is then put where the pulse begins
-TOE_LEVEL = 5e-3  # of the peak, from which on it has begun; below it lies no energy to speak of
-TOE_TO_NOISE = 3.0  # nor is it told from noise below this
+AT_THE_START_S = 0.5e-3  # an onset this close to the start of the record has no baseline
+BASELINE_SAMPLES = 8  # fewest samples of a baseline
+LEAST_PEAK_TO_NOISE = 6.0  # below it no tap stands out
+CLIPPED_RUN = 3  # samples; two equal ones may be chance
+CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may exceed the 30 % of the peak by which the onset is found
+USUAL_SPEEDS_M_S = (0.2, 0.1, 0.3, 0.05, 0.5)  # common speeds of a tapping hand
+TOE_SHARE = 1e-4  # of a pulse's energy before its onset, 1 % of the error; above it contact moves to its start
+TOE_LEVEL = 5e-3  # of the peak: level at which a pulse begins; the energy below it is negligible
+TOE_TO_NOISE = 3.0  # times the noise: least such level
 
 
 def _paths(settings: Recordings) -> list[Path]:
-    """Files of the scene; an entry that is no file itself is a pattern, expanded in sorted order."""
+    """Files of the scene; an entry that is no existing file is a pattern, expanded in sorted order."""
     paths: list[Path] = []
     for entry in settings.files:
         literal = Path(settings.folder) / entry
         if is_file(literal) or not any(character in entry for character in "*?["):
             paths.append(literal)
             continue
-        # The folder is no pattern, whatever characters its name has; an absolute entry stands for itself.
+        # The folder is not a pattern, whatever characters it has; an absolute entry ignores the folder.
         matches = glob.iglob(str(Path(glob.escape(settings.folder)) / entry))  # noqa: PTH207
         found = sorted(itertools.islice(matches, MOST_FILES + 1))
         if len(found) > MOST_FILES:
@@ -66,16 +66,16 @@ def _paths(settings: Recordings) -> list[Path]:
 
 
 def read_recordings(settings: Recordings) -> list[Recording]:
-    """Load the files that a scene names; one that holds several taps gives a recording of each.
+    """Load the files that a scene names; a file with several taps gives one recording per tap.
 
-    `speed_by_file_m_s` overrides what a file states, for all its taps by the file's name or for one by `FILE#2`;
-    `speed_m_s` and `grip_N` serve files that state none. `taps_by_file` says which taps of a file to take. Where the
-    scene states the onset, that is in a file's own time, and no file is split.
+    `speed_by_file_m_s` overrides a file's speed, for all taps by the file's name or for one by `FILE#2`; `speed_m_s`
+    and `grip_N` apply to files that state none. `taps_by_file` selects taps. A stated onset is in a file's own time,
+    so the file is not split then.
 
     Raises
     ------
-    InputError : a pattern that matches nothing, a setting that none of the files has a use for, a file name in
-        `speed_by_file_m_s` or `taps_by_file` that is not among the files, or whatever a file itself is refused for.
+    InputError : a pattern matches nothing; no file can use a setting; a name in `speed_by_file_m_s` or `taps_by_file`
+        is not among the files; or a file itself is refused.
     """
     paths, by_file = _paths(settings), settings.speed_by_file_m_s
     for pattern in settings.taps_by_file:
@@ -85,7 +85,7 @@ def read_recordings(settings: Recordings) -> list[Recording]:
     found = []
     for path in paths:
         whole = load_recording(path, settings.layout())
-        # In times of a wrong unit every ripple would be a tap.
+        # If the unit of time is wrong, every ripple looks like a tap.
         entire = settings.onset_s != "auto" or (
             settings.implausible == "refuse" and implausible_time(whole.acceleration)
         )
@@ -107,26 +107,26 @@ def read_recordings(settings: Recordings) -> list[Recording]:
 
 @dataclass(frozen=True)
 class PreparedTap:
-    """A recording made ready: SI, contact at t = 0, positive where the tap decelerates the stylus.
+    """A prepared recording: SI, contact at t = 0, positive where the tap decelerates the stylus.
 
     Attributes
     ----------
-    recording : as it came from the file.
+    recording : as read from the file.
     acceleration : low-passed, similarity-scaled, not yet scaled to a grid speed [m/s^2].
-    speed_m_s : incoming speed after similarity scaling; NaN where the recording serves every grid speed.
-    speed_source : how the speed is known, in words.
-    offset_m_s2 : static offset of the sensor, as found in the recording or stated.
-    incoming_acceleration_m_s2 : a0, the acceleration that the hand comes with, similarity-scaled; 0 if not known.
-    incoming_source : how a0 is known, in words.
-    slow_part_known : whether the acceleration holds what is slower than the tap.
-    polarity : 1, or -1 where the sensor was upside down.
+    speed_m_s : incoming speed after similarity scaling; NaN if the recording serves every grid speed.
+    speed_source : what the speed is known from.
+    offset_m_s2 : static offset of the sensor, found in the recording or stated.
+    incoming_acceleration_m_s2 : a0, acceleration of the hand before contact, similarity-scaled; 0 if unknown.
+    incoming_source : what a0 is known from.
+    slow_part_known : whether the acceleration contains frequencies below those of the tap.
+    polarity : 1, or -1 if the sensor was upside down.
     onset_s : contact in the recording's own time.
-    peak_m_s2 : of the low-passed acceleration.
-    amplitude : similarity factor that `acceleration` has been multiplied by.
-    clipped_samples : samples that sit at the sensor's end stop.
+    peak_m_s2 : peak of the low-passed acceleration.
+    amplitude : similarity factor already applied to `acceleration`.
+    clipped_samples : number of samples at the end of the sensor's range.
     notes : what a user should know about this recording, one sentence each.
-    implausible : why it cannot be a tap in the units that are stated; empty if it can, and where it was simulated.
-    across : the same as `acceleration` along two tangents, from rest; none where one direction was asked for.
+    implausible : why it cannot be a tap in the stated units; empty if it can be or was simulated.
+    across : acceleration along two tangents, processed alike, relative to rest; empty for one direction.
     """
 
     recording: Recording
@@ -150,14 +150,14 @@ class PreparedTap:
 
 
 def _behind_last_below(values: FloatArray, level: float) -> int:
-    """Number of the values up to the last one below a level; 0 if none is."""
+    """Number of values up to and including the last one below a level; 0 if none is below."""
     below = values[::-1] < level
     last = int(np.argmax(below)) if below.size else 0
     return values.size - last if below.any() else 0
 
 
 def _crossing(x: Signal, before: int, level: float) -> float:
-    """Last time before sample `before` at which a signal rises through `level`; the first sample if none."""
+    """Last time before sample `before` at which a signal rises through `level`; the first sample's if never."""
     j = _behind_last_below(x.values[:before], level) - 1
     if j < 0:
         return x.start_s
@@ -168,9 +168,9 @@ def _crossing(x: Signal, before: int, level: float) -> float:
 def find_onset(x: Signal) -> float:
     """Contact time of a tap without offset and with positive polarity [s].
 
-    The line through the first rise's 10 % and 30 % points (of the highest peak) is followed back to zero. A
-    threshold alone would be late by a part of the rise, and a servo tick of error costs 8 % of error; and the highest
-    peak need not be the first.
+    The line through the 10 % and 30 % points (of the highest peak) of the first rise is extrapolated to zero. A
+    threshold alone would be late by a part of the rise, and an error of one servo tick costs 8 %. The highest peak
+    need not be the first.
     """
     height = float(x.values.max())
     risen = int(np.argmax(x.values >= 0.3 * height))
@@ -179,16 +179,16 @@ def find_onset(x: Signal) -> float:
 
 
 def _toe(x: Signal, smooth: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
-    """Find where a pulse begins, at most at its onset [s], and the share of its energy between the two.
+    """Find where a pulse begins, at or before its onset [s], and the share of its energy between the two.
 
-    A pulse between soft bodies rises from nothing, and the line by which the onset is found meets zero long after it
-    has begun. What lies before contact is played only as far as the waveform's lead reaches; the rest would be
-    neither played nor counted. The energy is that behind a high-pass at 8 Hz: a hand that slows down before contact
-    is no part of the pulse.
+    A pulse between soft bodies rises gradually, and the onset line reaches zero long after the pulse has begun.
+    Before contact only the waveform's lead is played; an earlier part of the pulse would be neither played nor
+    counted. Energy is measured after a high-pass at 8 Hz, because a hand that slows down before contact is not part
+    of the pulse.
 
-    The pulse is followed back from the onset to where it cannot be told from nothing, in the low-passed signal. Its
-    energy is that of the recorded signal less the noise's, because a low-pass of no phase brings some of a hard pulse
-    before its onset.
+    In the low-passed signal the pulse is traced back from the onset to where it cannot be distinguished from zero.
+    Its energy is that of the recorded signal less that of the noise, because a zero-phase low-pass would move part of
+    a hard pulse before its onset.
     """
     slowest_Hz = settings.time_scale * SLOWEST_HZ
     if slowest_Hz >= 0.45 * x.rate_Hz:
@@ -204,9 +204,9 @@ def _toe(x: Signal, smooth: Signal, onset_s: float, noise_m_s2: float, settings:
 
 
 def _baseline(x: Signal) -> float | None:
-    """Mean of the samples before the tap without the lowest and the highest fifth of them; None of too few.
+    """Mean of the samples before the tap without their lowest and highest fifth; None if there are too few.
 
-    So a bump while the hand moves does not count.
+    The trimming ignores a bump caused by the moving hand.
     """
     centred = x.values - median(x.values)
     upright = Signal(x.start_s, x.dt_s, centred * np.sign(centred[np.argmax(np.abs(centred))]))
@@ -219,7 +219,7 @@ def _baseline(x: Signal) -> float | None:
 
 
 def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
-    """Sign of the larger peak and notes."""
+    """Sign of the larger peak, and notes."""
     high, low = float(values.max()), float(-values.min())
     if settings.polarity != "auto":
         return (1 if settings.polarity == "positive" else -1), []
@@ -230,9 +230,10 @@ def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]
 
 
 def _clipped(values: FloatArray, offset: float) -> int:
-    """Samples in runs of `CLIPPED_RUN` or more that sit exactly at the largest or smallest value.
+    """Number of samples in runs of at least `CLIPPED_RUN` that equal the largest or smallest value.
 
-    Only an extreme at least half as far from the offset as the other is an end stop; a silent baseline is none.
+    An extreme counts only if it is at least half as far from the offset as the other; a constant baseline is not
+    clipped.
     """
     count = 0
     extremes = float(values.min()), float(values.max())
@@ -249,7 +250,7 @@ def _clipped(values: FloatArray, offset: float) -> int:
 
 
 def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
-    """What makes a recording an unlikely tap; none of it refuses the file."""
+    """Notes on what makes a recording an unlikely tap; none of them refuses the file."""
     notes = []
     if peak_m_s2 < CLEAR_PEAK_TO_NOISE * noise_m_s2:
         notes.append(f"peak is only {peak_m_s2 / noise_m_s2:.1f} times the noise: the onset may be wrong")
@@ -261,13 +262,13 @@ def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) 
 
 
 def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
-    """Offset, polarity, onset, speed, similarity scaling and low-pass of one recording.
+    """Find offset, polarity, onset and speed of one recording; scale it by similarity and low-pass it.
 
-    What nobody states and no position tells has the speed NaN and the source `UNKNOWN`; `check_usable` refuses it.
+    A speed that is neither stated nor fitted is NaN with the source `UNKNOWN`; `check_usable` refuses it.
 
     Raises
     ------
-    InputError : no tap in the recording, an onset outside of it, or a position that no speed can be fitted to.
+    InputError : the recording has no tap, the onset lies outside of it, or no speed can be fitted to the position.
     """
     raw = recording.acceleration
     baseline, notes, stated = _baseline(raw), [], settings.offset_m_s2 != "baseline"
@@ -281,7 +282,7 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
             "check recordings.polarity and recordings.offset_m_s2"
         )
-    # What rises from the baseline is the tap; over a stated offset that may be the incoming acceleration.
+    # The tap rises from the baseline; relative to a stated offset, the baseline may be the incoming acceleration.
     rest = 0.0 if baseline is None else polarity * (baseline - offset)
     risen = Signal(raw.start_s, raw.dt_s, upright.values - rest)
     onset = find_onset(risen) if settings.onset_s == "auto" else float(settings.onset_s)
@@ -325,12 +326,12 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     try:
         speed, source, unsure = incoming_speed(recording, onset)
     except InputError:
-        if doubtful:  # a speed cannot be fitted over times of a wrong unit, and that is what has to be said
+        if doubtful:  # the wrong unit of time, not the failed fit of a speed, has to be reported
             raise InputError(f"{recording.name}: {doubtful}") from None
         raise
     more += unsure
     if not (settings.simulated or doubtful):
-        # If no baseline gave the offset, the signal holds gravity, which the median takes out.
+        # If no baseline gave the offset, the signal contains gravity, which the median removes.
         gravity = median(upright.values) if notes else 0.0
         freed = replace(upright, values=upright.values - gravity)
         doubtful = implausible_motion(freed, onset, speed, settings, fitted=source == FITTED)
@@ -380,9 +381,9 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
 def _across(
     recording: Recording, settings: Recordings, onset_s: float, polarity: int, factor: float
 ) -> tuple[Signal, ...]:
-    """What was recorded along two tangents, as the tap itself is made ready.
+    """Acceleration along two tangents, processed like the tap itself; empty if it was not recorded.
 
-    It is told from its mean before contact. A sensor that is upside down is turned about its first tangent.
+    It is relative to its mean before contact. A sensor that is upside down is turned about its first tangent.
     """
     if recording.across_1 is None or recording.across_2 is None:
         return ()
@@ -396,11 +397,11 @@ def _across(
 
 
 def check_speed(tap: PreparedTap) -> None:
-    """Refuse a tap whose speed nobody knows.
+    """Refuse a tap of unknown speed.
 
     Raises
     ------
-    UnclearError : it is such a one.
+    UnclearError : the speed is unknown.
     """
     if tap.speed_source == UNKNOWN:
         name = tap.recording.name
@@ -413,11 +414,11 @@ def check_speed(tap: PreparedTap) -> None:
 
 
 def check_usable(tap: PreparedTap, settings: Recordings) -> None:
-    """Refuse a tap that no library should be made from: of unknown speed, or implausible unless that is accepted.
+    """Refuse a tap unfit for a library: of unknown speed, or implausible unless the settings accept that.
 
     Raises
     ------
-    InputError : it is such a one.
+    InputError : the tap is unfit.
     """
     check_speed(tap)
     if tap.implausible and settings.implausible == "refuse":

@@ -1,4 +1,4 @@
-"""Targets by name: what an actuator shall make that nobody taps with, a click, a thud, a texture.
+"""Named targets: motions other than taps that an actuator shall make, such as a click, a thud, a texture.
 
 A target has no incoming speed, no grip and no hand: it begins at time 0, and the motor has to make all of it. It is
 stated by parameters or read from a file. Shapes, over the time t from 0 on with w = 2 pi f:
@@ -27,8 +27,8 @@ from transopt.recordings.reference import Reference
 from transopt.recordings.references import References
 from transopt.recordings.settings import Recordings
 
-FINE = 4000  # instants at which the largest value of a shape is looked for
-GONE = 1e-4  # of its peak, where a decay has ended
+FINE = 4000  # number of instants at which the largest value of a shape is searched
+GONE = 1e-4  # of its peak: a decay ends at this level
 
 
 class TargetTable(Section):
@@ -82,7 +82,7 @@ class TargetTable(Section):
 
     @property
     def lasts_s(self) -> float:
-        """How long a shape is; a decay until next to nothing of it is left."""
+        """Duration of a shape; a decay ends at the share `GONE` of its peak."""
         assert self.frequency_Hz is not None
         if self.shape == "decay":
             assert self.decay_s is not None
@@ -90,7 +90,7 @@ class TargetTable(Section):
         return 0.5 / self.frequency_Hz if self.shape == "half_sine" else (self.cycles or 0.0) / self.frequency_Hz
 
     def course(self, times_s: FloatArray) -> FloatArray:
-        """Acceleration of a shape at any instants, of their shape [m/s^2]."""
+        """Acceleration of a shape at these instants, in an array of the same shape [m/s^2]."""
         found = self._form(np.linspace(0.0, self.lasts_s, FINE))
         assert self.peak_m_s2 is not None
         inside = (times_s >= 0) & (times_s <= self.lasts_s)
@@ -109,7 +109,7 @@ class TargetTable(Section):
 
 
 def _of_file(target: TargetTable, settings: Recordings) -> tuple[Signal, str]:
-    """The acceleration of a target's file from its beginning on, and what the file is."""
+    """The acceleration in a target's file, low-passed, and the file's SHA-256."""
     assert target.file is not None
     path = Path(settings.folder) / target.file
     recording = load_recording(path, settings.layout())
@@ -124,11 +124,11 @@ def _of_file(target: TargetTable, settings: Recordings) -> tuple[Signal, str]:
 
 
 def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) -> Reference:
-    """What the device has to do for a target, at the switching instants.
+    """The reference of a target at the switching instants.
 
     Raises
     ------
-    InputError : a file that cannot be read or is too short; a target that goes on when the waveform has ended.
+    InputError : the file cannot be read or is too short; the target lasts longer than the waveform.
     """
     signal: Signal | None = None
     sha256 = ""
@@ -178,7 +178,7 @@ def target_reference(target: TargetTable, grid: TimeGrid, settings: Recordings) 
 
 
 def target_references(targets: Sequence[TargetTable], grid: TimeGrid, settings: Recordings) -> References:
-    """One reference for each target of a scene.
+    """The references of all targets of a scene.
 
     Raises
     ------

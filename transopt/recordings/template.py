@@ -1,13 +1,13 @@
-"""A recording to fill in: remarks, names with units, and an invented tap in the place of the user's own."""
+"""A recording to fill in: remarks, names with units, and an invented tap in place of the user's own."""
 
 import numpy as np
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 RATE_HZ = 10_000
-BEFORE_S, AFTER_S = 0.05, 0.1  # of contact: the least that speed, offset and ringing are found from
+BEFORE_S, AFTER_S = 0.05, 0.1  # before and after contact: enough to find speed, offset and ringing
 SPEED_M_S, PULSE_S = 0.2, 4e-3
-BACK = 0.2  # of the speed, with which the stylus is thrown back
+BACK = 0.2  # of the incoming speed: speed with which the stylus is thrown back
 REMARKS = """\
 # One tap on a real object, for `transopt taps` and `transopt solve`. Lines with # are remarks, but for these two:
 # speed_m_s: {speed:g}
@@ -21,11 +21,11 @@ REMARKS = """\
 
 
 def template() -> str:
-    """Text of a CSV file that is read as it is: a half sine of 4 ms between an approach and a way back."""
+    """Text of a CSV file that can be read unchanged: a half sine of 4 ms between an approach and a return."""
     t = np.arange(round((BEFORE_S + AFTER_S) * RATE_HZ)) / RATE_HZ - BEFORE_S
     touching = np.clip(t / PULSE_S, 0.0, 1.0)
     peak = (1 + BACK) * SPEED_M_S * np.pi / (2 * PULSE_S)
-    # Twice integrated, from the approach on; g reads 1 where the sensor's axis points up.
+    # z is the double integral of a from the approach on; the sensor reads +1 g where its axis points up.
     a = np.where((t > 0) & (t < PULSE_S), peak * np.sin(np.pi * touching), 0.0)
     swing = PULSE_S / np.pi * (touching * PULSE_S - PULSE_S / np.pi * np.sin(np.pi * touching))
     z = -SPEED_M_S * t + peak * (swing + 2 * PULSE_S / np.pi * np.maximum(t - PULSE_S, 0.0))

@@ -1,4 +1,4 @@
-"""Recordings as text: remarks, names, units and rows of numbers as scopes, loggers and spreadsheets write them."""
+"""Recordings as text: remarks, names, units and rows of numbers, as scopes, loggers and spreadsheets write them."""
 
 import math
 import re
@@ -25,18 +25,18 @@ _DATE = re.compile(r"\d:\d|\d-\d+-\d|\d/\d+/\d|\d\.\d+\.\d")
 
 
 def text_columns(data: bytes, words: Vocabulary) -> dict[str, FloatArray]:
-    """The columns of a text as far as they are numbers, by their names or places."""
+    """The numeric columns of a text, by their names or numbers."""
     text = parted_text(data, words)
     width = len(cells_of(text.rows[0])) if text.rows else 0
     return _seen(text.rows, text.names or [f"column {at + 1}" for at in range(width)])
 
 
 def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable, Rate | None]:
-    """Remarks, at most one row of names and one of units, rows of numbers; counted as an editor counts them.
+    """Read remarks, at most one row of names and one of units, and rows of numbers; rows count as in an editor.
 
     Returns
     -------
-    The columns, and the rate that the file states in place of a column of times.
+    The columns, and the sample rate that the file states in place of a column of times.
     """
     rows, numbers, found, header, head, told, footer = parted_text(data, words, len(layout.columns))
     if not rows and not (layout.columns or found):
@@ -47,11 +47,11 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable,
     names = untimed(_chosen(layout.columns, found, words) if layout.columns else found, layout, words)
     for k, (name, cell) in enumerate(zip(names, cells_of(rows[0]) if rows else [], strict=False)):
         if not cell and quantity_of(name, words) == "time":
-            names[k] = SKIPPED  # a column of times that no row has a cell for, as in text of LabVIEW
+            names[k] = SKIPPED  # a column of times without cells, as in LabVIEW's text
     words = words.labelled(names)
     at, clock = _clock_of(rows, names, layout, words)
     if clock is not None:
-        names[at] = "time_s"  # whatever a user or the file says of a time of day
+        names[at] = "time_s"  # overrides what the user or the file states about a time of day
     rate = rate_of(head, told) if is_untimed(names, words) else None
     if rate is not None:
         words = without_times(words)
@@ -75,7 +75,7 @@ def read_text(data: bytes, layout: Layout, words: Vocabulary) -> tuple[RawTable,
 
 
 def _nameless(rows: Sequence[str], numbers: Sequence[int], words: Vocabulary) -> UnclearError:
-    """The question what the columns of numbers are that have no names."""
+    """The question about the meaning of columns without names."""
     places = [str(at) for at in range(len(cells_of(rows[0])))]
     problem = f"row {numbers[0]}: {quote(rows[0])} has no row of names above it"
     seen = _seen(rows, places) if "acceleration" in words.quantities else {}
@@ -84,16 +84,16 @@ def _nameless(rows: Sequence[str], numbers: Sequence[int], words: Vocabulary) ->
 
 
 def _seen(rows: Sequence[str], names: Sequence[str]) -> dict[str, FloatArray]:
-    """The columns as far as they are numbers, for what may be proposed."""
+    """The columns as numbers, to propose answers; NaN where a column is not numeric."""
     wanted = {at: name for at, name in enumerate(names) if name != SKIPPED}
-    with suppress(InputError):  # all at once, as where all are numbers
+    with suppress(InputError):  # all columns at once, if all are numbers
         table, _ = _parse(rows, range(len(rows)), [str(at) for at in range(len(names))])
         return {name: table[str(at)] for at, name in wanted.items()}
     return {name: _column(rows, at) for at, name in wanted.items()}
 
 
 def _column(rows: Sequence[str], at: int) -> FloatArray:
-    """One column (n,) of numbers, or of the seconds of its times of day; NaN where it holds neither."""
+    """One column (n,) of numbers, or of the seconds of its times of day; NaN if it holds neither."""
     if (times := _clocked(rows, at)) is not None:
         return times
     parted = [cells for row in rows if len(cells := with_points(cells_of(row))) > at]
@@ -105,7 +105,7 @@ def _column(rows: Sequence[str], at: int) -> FloatArray:
 def _clock_of(
     rows: Sequence[str], names: Sequence[str], layout: Layout, words: Vocabulary
 ) -> tuple[int, FloatArray | None]:
-    """Which column holds dates or times of day, and its seconds: one that means the time, or that nobody knows."""
+    """Index and seconds of a column of dates or times of day: one that means the time, or has no known meaning."""
     if layout.rate_Hz or "time" not in words.required:
         return 0, None
     timed = [at for at, name in enumerate(names) if name != SKIPPED and quantity_of(name, words) == "time"]
@@ -116,9 +116,9 @@ def _clock_of(
 
 
 def _clocked(rows: Sequence[str], at: int) -> FloatArray | None:
-    """Seconds since the first row (n,) of a column of dates or times of day; None where it holds none.
+    """Seconds since the first row (n,) of a column of dates or times of day; None if it holds none.
 
-    Half a day is as long as a clock of twelve hours needs to begin anew, and more than lies between two rows.
+    Times are unwrapped by half a day: a clock of twelve hours restarts after it, and no two rows are further apart.
     """
     times = list[float]()
     for row in rows:
@@ -134,7 +134,7 @@ def _clocked(rows: Sequence[str], at: int) -> FloatArray | None:
 
 
 def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> list[str]:
-    """The columns as a user names them; where that leaves the unit out, it is the one in the file."""
+    """The column names that the user states, each with the file's unit where the user states none."""
     columns = with_axes(columns)
     if len(columns) != len(found):
         return list(columns)
@@ -146,42 +146,42 @@ def _chosen(columns: Sequence[str], found: Sequence[str], words: Vocabulary) -> 
 
 
 def is_untimed(names: Collection[str], words: Vocabulary) -> bool:
-    """Whether times are needed, and none of the names means them."""
+    """Whether times are required and none of the names means them."""
     return "time" in words.required and not any(quantity_of(name, words) == "time" for name in names)
 
 
 def untimed(names: Sequence[str], layout: Layout, words: Vocabulary) -> list[str]:
-    """Names of columns, those of times skipped where a user states the rate: they may be dates, or repeat."""
+    """The names, with columns of times skipped if the user states the rate: they may be dates, or repeat."""
     return [SKIPPED if layout.rate_Hz and quantity_of(name, words) == "time" else name for name in names]
 
 
 def _parse(
     rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]
 ) -> tuple[dict[str, FloatArray], dict[str, list[int]]]:
-    """Columns (n,) of the rows' numbers, and the rows in which one is blank; skipped columns may hold anything.
+    """Columns (n,) of the rows' numbers, and for each column its blank rows; skipped columns may hold anything.
 
     Parameters
     ----------
-    numbers : of the rows in the file, for messages.
+    numbers : row numbers in the file, for messages.
     """
     used = {name: at for at, name in enumerate(names) if name != SKIPPED}
     delimiter = delimiter_of(rows[0]) if rows else None
     if rows and len(used) == len(names) and delimiter != ";":
-        # Rows of nothing but numbers, as nearly all are; what is not so is read below, which says where and why.
+        # Fast path for purely numeric rows; the loop below handles others and says what is wrong where.
         with suppress(ValueError):
             table = np.loadtxt(rows, delimiter=delimiter, comments=None, ndmin=2)
             if table.shape[1] == len(names):
                 return {name: table[:, at].copy() for name, at in used.items()}, {}
     columns, blanks = {name: array("d") for name in used}, dict[str, list[int]]()
     for row, (number, line) in enumerate(zip(numbers, rows, strict=True)):
-        # Between semicolons and tabs a comma can only be a decimal comma.
+        # Between semicolons or tabs, a comma can only be a decimal comma.
         cells = line.split(delimiter, len(names) + 1)
         if delimiter in (";", "\t") and "," in line:
             cells = with_points(cells, f"row {number}")
         if not "".join(cells[len(names) :]).strip(" ;,\t"):
             del cells[len(names) :]  # spreadsheets end every row with delimiters if one row needs them
         if len(cells) < len(names) and set(names[len(cells) :]) == {SKIPPED}:
-            cells += [""] * (len(names) - len(cells))  # a column that has no cells, as of comments
+            cells += [""] * (len(names) - len(cells))  # a column without cells, such as comments
         if len(cells) != len(names):
             listed = quote(", ".join(names))
             remedy = "correct the row or the columns' names (decimal commas? write points)"
@@ -204,21 +204,21 @@ def _parse(
 def _fill(
     columns: dict[str, FloatArray], blanks: Mapping[str, Sequence[int]], numbers: "array[int]"
 ) -> dict[str, int]:
-    """Interpolate channels that were recorded more slowly than the others, which leave regular blanks.
+    """Interpolate channels recorded at a lower rate than the others, which leave regular blanks.
 
-    Rows before the first and behind the last value of such a channel are cut off, since nobody knows it there.
+    Rows before the first and after the last value of such a channel are removed, because it is unknown there.
 
     Parameters
     ----------
-    columns, numbers : are changed.
+    columns, numbers : are modified.
 
     Returns
     -------
-    Name of the channel -> the rows from one of its values to the next.
+    Name of the channel -> number of rows from one of its values to the next.
 
     Raises
     ------
-    InputError : a blank among values of all rows, or blanks that are not regular.
+    InputError : a blank in a channel of full rate, or blanks at irregular intervals.
     """
     strides, first, end = dict[str, int](), 0, len(numbers)
     for name, rows in blanks.items():

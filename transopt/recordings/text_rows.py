@@ -1,7 +1,7 @@
-"""A text parted into what stands above the numbers, their names and units, and rows of cells.
+"""Splits a text into the lines above the numbers, names and units of the columns, and rows of cells.
 
-Instruments and loggers put names below remarks, units into a row of their own or among their notes, notes beside the
-numbers, and a label before each of them.
+Instruments and loggers write names below remarks, units in a separate row or among their notes, notes beside the
+numbers, or a label before each number.
 """
 
 import io
@@ -20,39 +20,39 @@ from transopt.recordings.units import is_unit
 
 _REMARKS: tuple[str, ...] = ("#", "*", "%", "//")
 _HEADER_LINE = re.compile(r"(?:[#*%]|//)\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
-_HEAD_ROWS = 4  # last rows above the numbers, among which names, units and comments of columns stand
-_WHEN = re.compile(r"\d:\d|\d/\d+/\d|\d-\d+-\d")  # a date or a time of day, which is no name
+_HEAD_ROWS = 4  # rows above the numbers that are searched for names, units and comments of columns
+_WHEN = re.compile(r"\d:\d|\d/\d+/\d|\d-\d+-\d")  # a date or a time of day, which is no column name
 _UNITS_OF_VALUES = ("verticalunits", "yunitlabel", "yunits", "vunit", "units")  # as instruments call them
 _UNITS_OF_TIMES = ("horizontalunits", "xunits", "hunit")
 _UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
 _METADATA = re.compile(r"([A-Za-z]\w*)\s*[:=,;\t]\s*(.*)")
 _NOTE = re.compile(r"[#*%/;\"\s]*([A-Za-z][\w -]*?)[\s\":]*[:=,;\t]+\s*(.*)")
 _QUOTED = re.compile(r'"([^"]*)"')
-MOST_BELOW = 50  # lines below the numbers; of more nobody knows what they are
-_LAST_ROWS = 20  # of a file, which show how its rows are divided
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
-_THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # in a row that has decimal points
+MOST_BELOW = 50  # most lines below the numbers that are left out; more are of unknown meaning
+_LAST_ROWS = 20  # rows at the end of a file that show how its rows are divided
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # a single number contains no other comma
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")  # commas between thousands, in a row with decimal points
 _POINTED = re.compile(r"[-+]?[1-9]\d{0,2}((\.\d{3})+,\d*|(\.\d{3}){2,})")  # points between thousands
-_EITHER = re.compile(r"[-+]?[1-9]\d{0,2}\.\d{3}")  # 1.069, which is 1069 beside decimal commas
-_POINT = re.compile(r"(?<![\d.:])\d+\.\d+(?![\d.])")  # of a number, not of a date or a time of day
+_EITHER = re.compile(r"[-+]?[1-9]\d{0,2}\.\d{3}")  # 1.069, which means 1069 beside decimal commas
+_POINT = re.compile(r"(?<![\d.:])\d+\.\d+(?![\d.])")  # a decimal point, not one in a date or a time of day
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|")  # or an empty cell
 _STAMP = re.compile(r"[-+]?(nan|inf)|[-+\d.,:/TZE ]+", re.IGNORECASE)  # a number, a date or a time of day
-_WORTH = re.compile(r"\d|nan|inf", re.IGNORECASE)  # a stamp of strokes alone has none of it
+_WORTH = re.compile(r"\d|nan|inf", re.IGNORECASE)  # required in a stamp, so that dashes alone are none
 _STATED = re.compile(r"[A-Za-z]\w*\s*=\s*[-+.\d]\S*")
 _LABELLED = re.compile(r"([A-Za-z]\w*)\s*[:=]\s*([-+.\d][^\s,;]*)")
-_SERIAL_STAMP = re.compile(r"\d+:\d+:\d+[.,]\d+ -> ")  # that the serial monitor of Arduino puts before a line
+_SERIAL_STAMP = re.compile(r"\d+:\d+:\d+[.,]\d+ -> ")  # prefix of each line in Arduino's serial monitor
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 
 class Text(NamedTuple):
-    """A text parted into its pieces.
+    """The parts of a text.
 
     Attributes
     ----------
-    rows, numbers : lines of numbers, and where each stands in the file.
-    names : of the columns with their units, as the file has them; empty where it has none.
-    header : what remarks state.
-    head, told : lines above and below the numbers; what cells beside names and numbers state.
+    rows, numbers : lines of numbers, and the row number of each in the file.
+    names : names of the columns with their units, as in the file; empty if it has none.
+    header : name -> value of what remarks state.
+    head, told : lines above and below the numbers; statements in cells beside names and numbers.
     footer : lines below the numbers, which are left out.
     """
 
@@ -66,11 +66,11 @@ class Text(NamedTuple):
 
 
 def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
-    """The pieces of a text, of which a user names so many columns.
+    """Split a text into its parts; `columns` is the number of columns that the user names.
 
     Raises
     ------
-    InputError : no rows, or more columns than there may be.
+    InputError : there are no rows, or too many columns.
     """
     header: dict[str, object] = {}
     rows, numbers, remark = _lines(data, header, words)
@@ -105,11 +105,11 @@ def parted_text(data: bytes, words: Vocabulary, columns: int = 0) -> Text:
 
 
 def _below(rows: list[str], numbers: "array[int]") -> list[str]:
-    """What a logger writes below its numbers: a mark of the end, statistics, or a row that was cut short.
+    """Remove the lines that a logger writes below its numbers: an end mark, statistics, or an incomplete row.
 
     Parameters
     ----------
-    rows, numbers : lose these lines.
+    rows, numbers : the lines are removed from these.
     """
     usual = rows[len(rows) // 2]
     mark = delimiter_of(usual)
@@ -133,7 +133,7 @@ def _below(rows: list[str], numbers: "array[int]") -> list[str]:
 
 
 def _labelled(rows: list[str]) -> list[str]:
-    """Names that stand before each number of a row, as a serial plotter's; they are taken out of the rows."""
+    """Names that precede each number of a row, as for a serial plotter; they are removed from the rows."""
     usual = rows[len(rows) // 2]
     names = [found[1] for found in _LABELLED.finditer(usual)]
     unit = _LABELLED.sub("", usual).strip(" ,;\t")
@@ -146,11 +146,11 @@ def _labelled(rows: list[str]) -> list[str]:
 
 
 def _beside(rows: list[str]) -> list[str]:
-    """What an oscilloscope (Tektronix TDS) notes in the cells before the numbers of its first rows.
+    """Notes that an oscilloscope (Tektronix TDS) writes in the cells before the numbers of its first rows.
 
     Parameters
     ----------
-    rows : lose these cells.
+    rows : the cells are removed from these.
     """
     cells = [row.split(",") for row in (rows[0], rows[-1])]
     notes = next((at for at, cell in enumerate(cells[-1]) if cell.strip()), 0)
@@ -164,12 +164,12 @@ def _beside(rows: list[str]) -> list[str]:
 
 
 def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[str]:
-    """The names of columns with sources and units that an instrument notes elsewhere in the file.
+    """The column names, with sources and units that an instrument notes elsewhere in the file.
 
     Parameters
     ----------
-    width : cells of a row of numbers.
-    notes : lines, `Vertical Units,V` for example.
+    width : number of cells in a row of numbers.
+    notes : lines such as `Vertical Units,V`.
     """
     pairs = [(parted[1], parted[2]) for note in notes if (parted := _NOTE.fullmatch(note))]
     stated = {
@@ -187,7 +187,7 @@ def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[st
     for at, name in enumerate(names):
         is_time = at == 0 and width > 1
         unit = of_times if is_time else ""
-        if not is_time and used < len(units) and name != "X_Value":  # of which LabVIEW writes one for each channel
+        if not is_time and used < len(units) and name != "X_Value":  # LabVIEW repeats it for each channel
             unit, used = units[used].rpartition(":")[2], used + 1
         called = sources[at - 1] if name == "Value" and 0 < at <= len(sources) else name
         found.append(
@@ -197,26 +197,26 @@ def described(names: Sequence[str], width: int, notes: Sequence[str]) -> list[st
 
 
 def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[list[str], "array[int]", str]:
-    """Lines that are neither empty nor remarks, their numbers in the file, and the last remark above them.
+    """Lines that are neither empty nor remarks, their row numbers, and the last remark above the numbers.
 
     Parameters
     ----------
-    header : takes what remarks state.
+    header : receives what remarks state.
     """
     remark, marks = "", _REMARKS
-    rows, numbers = list[str](), array("l")  # by the million: no object more than there must be
+    rows, numbers = list[str](), array("l")  # up to millions of rows, so no list of int objects
     check_size(max(data.count(b"\n"), data.count(b"\r")))
     for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), encoding_of(data), newline=None), 1):
         if len(line) > MOST_IN_A_ROW:
             remedy = "put one sample in a row, and only the columns that are needed; shorten a remark"
             raise InputError(f"row {number}: {len(line)} characters, at most {MOST_IN_A_ROW}; {remedy}")
         content = (_QUOTED.sub(_unquoted, line).replace('"', "") if '"' in line else line).strip(" \r\n\0\f\v")
-        content = content if content.strip() else ""  # a tab that begins a row is the end of an empty cell
+        content = content if content.strip() else ""  # a tab at the start of a row ends an empty cell
         if number == 1:
-            # A logger that parts its cells by commas may begin its remarks with semicolons.
+            # A logger that separates cells by commas may begin its remarks with semicolons.
             marks = _REMARKS + (";",) * (content[:1] == ";" and "," in content)
             if content.lower().startswith("sep="):
-                continue  # a spreadsheet's own note about its delimiter
+                continue  # a spreadsheet's note on its delimiter
         content = _SERIAL_STAMP.sub("", content, count=1) if " -> " in content else content
         if content.startswith(marks):
             _read_header_line(number, content, header, words)
@@ -228,10 +228,10 @@ def _lines(data: bytes, header: dict[str, object], words: Vocabulary) -> tuple[l
 
 
 def _unquoted(cell: re.Match[str]) -> str:
-    """What a spreadsheet has put in quotes; a comma in a cell is a decimal one, or part of a name."""
+    """Content of a quoted cell; a comma in it becomes a decimal point, or a blank in a name."""
     inside = cell[1].strip()
     if cell[0] == cell.string.strip():
-        return inside  # a whole row
+        return inside  # the whole row is quoted
     if _THOUSANDS.fullmatch(inside) and _POINT.search(cell.string):
         return inside.replace(",", "")
     return inside.replace(",", "." if _DECIMAL_COMMA.fullmatch(inside) else " ")
@@ -242,11 +242,11 @@ def cells_of(row: str) -> list[str]:
 
 
 def with_points(cells: list[str], where: str = "") -> list[str]:
-    """Cells of a row between semicolons or tabs with decimal points in place of commas; points between thousands go.
+    """Cells between semicolons or tabs with decimal points for commas; points between thousands are removed.
 
     Raises
     ------
-    InputError : a point beside decimal commas that may be either.
+    InputError : beside decimal commas, a point may be either decimal or between thousands.
     """
     numbers = [cell.strip() for cell in cells]
     if any("," in cell and (_DECIMAL_COMMA.fullmatch(cell) or _POINTED.fullmatch(cell)) for cell in numbers):
@@ -258,10 +258,10 @@ def with_points(cells: list[str], where: str = "") -> list[str]:
 
 
 def _first_of_numbers(rows: Sequence[str]) -> int:
-    """Place of the first row of numbers: it begins with one, and is divided as the last rows are or has no words.
+    """Index of the first row of numbers: it begins with a number, and is divided like the last rows or has no words.
 
-    Names, units and what an instrument notes about a record stand above it. Where no row is such a one, the first
-    that has a number anywhere counts.
+    Names, units and an instrument's notes stand above it. If no row qualifies, it is the first row with a number
+    anywhere.
     """
     usual = Counter((delimiter_of(row), len(cells_of(row))) for row in rows[-_LAST_ROWS:]).most_common(1)[0][0]
 
@@ -276,12 +276,12 @@ def _first_of_numbers(rows: Sequence[str]) -> int:
 
 
 def _names_above(above: list[list[str]], width: int, words: Vocabulary, told: list[str]) -> list[str]:
-    """Names and units of the columns among the last rows above the numbers; nothing if none of them has as many.
+    """Names and units of the columns from the last rows above the numbers; empty if no row has enough cells.
 
     Parameters
     ----------
-    width : cells of a row of numbers.
-    told : takes what a row of units states as a number below a name, `Increment: 1e-4`; such a column has no rows.
+    width : number of cells in a row of numbers.
+    told : receives numbers in a row of units below their names, such as `Increment: 1e-4`; such columns have no rows.
     """
     lines = [cells for cells in above if len(cells) >= width or cells is above[-1]]
     if lines and any(map(_WHEN.search, lines[-1])):
@@ -303,7 +303,7 @@ def _names_above(above: list[list[str]], width: int, words: Vocabulary, told: li
 
 
 def _read_statements(above: Sequence[str], header: dict[str, object], words: Vocabulary) -> None:
-    """Add what rows above the names state to `header`, as `speed_m_s,0.21`; an instrument states much else there."""
+    """Add statements above the names, such as `speed_m_s,0.21`, to `header`; others are ignored."""
     for row in above:
         if (found := _METADATA.fullmatch(row)) and found[1] in words.header:
             header[found[1]] = _scalar(found[2])
@@ -314,14 +314,14 @@ def _with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
 
 
 def _units_of(cells: Sequence[str], columns: int) -> list[str]:
-    """The units of a row below the names, in brackets or bare; nothing if the row has none."""
+    """Units in a row below the names, in brackets or bare; empty if the row has none."""
     inside = [found[1] for cell in cells if (found := _UNIT_CELL.fullmatch(cell))]
     units = inside if len(inside) == len(cells) else [cell for cell in cells if is_unit(cell)]
     return units if len(units) == len(cells) == columns else []
 
 
 def _read_header_line(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:
-    """Add `# key: value` to `header`; a comment that merely has a colon in it stays a comment."""
+    """Add `# key: value` to `header`; a remark that happens to contain a colon is ignored."""
     found = _HEADER_LINE.fullmatch(line)
     key, value = found.groups() if found else ("", "")
     value = _scalar(value)
@@ -335,14 +335,14 @@ def _read_header_line(number: int, line: str, header: dict[str, object], words: 
 
 
 def _scalar(value: str) -> str:
-    """A number in a file's head; spreadsheets pad short rows with delimiters."""
+    """A number in a file's head, without the delimiters that spreadsheets pad rows with."""
     value = value.rstrip(";, \t")
     return value.replace(",", ".") if _DECIMAL_COMMA.fullmatch(value) else value
 
 
 def delimiter_of(line: str) -> str | None:
-    """What divides the cells of a row; None for white space."""
-    # Between tabs, where each cell is one number, and between semicolons a comma is a decimal comma.
+    """Delimiter of the cells in a row; None for white space."""
+    # Between tabs with one number per cell, and between semicolons, a comma is a decimal comma.
     if "\t" in line:
         cells = [cell.strip() for cell in line.split("\t")]
         if all(_NUMBER.fullmatch(cell) or (_STAMP.fullmatch(cell) and _WHEN.search(cell)) for cell in cells) and (

@@ -1,7 +1,7 @@
-"""What a file leaves open: a fact that it does not state, and the answers that may be tried on it.
+"""Facts that a file does not state, and the answers to try.
 
-An answer holds what a user would have stated: settings of `[recordings]` by their keys. A command tries the answers
-on the file and asks, or proposes those that read it (`transopt.cli.questions`); nothing here is taken by itself.
+An answer holds what a user would state: settings of `[recordings]` by their keys. A command tries the answers on the
+file and asks, or proposes those with which the file can be read (`transopt.cli.questions`); none is applied unasked.
 """
 
 import itertools
@@ -18,7 +18,7 @@ from transopt.base.signals import FloatArray
 from transopt.recordings.units import UNITS, likely_units
 
 Answer = Mapping[str, Any]
-# Key of an answer -> option of a command line, where its name is not the key's.
+# Key of an answer -> command-line option, if its name differs from the key.
 OPTIONS = {
     "speed_m_s": "speed",
     "grip_N": "grip",
@@ -27,20 +27,20 @@ OPTIONS = {
     "implausible": "accept",
 }
 RATES_HZ = (10_000.0, 1000.0, 3200.0, 44_100.0, 48_000.0, 25_600.0, 51_200.0, 100_000.0, 1e6)
-STEPS_S = (1e-7, 0.02)  # of a column that may hold the times of a tap
-STEADY = 0.5  # of the median step: the most that a step of such a column differs in the mean
-LEAST_COUNTS = 50  # that a tap makes in a converter; a few whole numbers may be anything
-MOST_COLUMNS = 3  # that may be the acceleration, the one with the highest peak first
+STEPS_S = (1e-7, 0.02)  # time steps of a column that may hold the times of a tap
+STEADY = 0.5  # mean deviation of such a column's steps from the median step, relative
+LEAST_COUNTS = 50  # least span of a tap in converter counts; a few whole numbers may be anything
+MOST_COLUMNS = 3  # columns offered as the acceleration, that with the highest crest first
 
 
 class UnclearError(InputError):
-    """A file leaves a fact open.
+    """A file does not state a fact that is needed.
 
     Attributes
     ----------
-    problem : what is not known, one sentence.
-    answers : what the fact may be, at least one; the likeliest first.
-    file : where it is not known; None as long as the reader does not know its name.
+    problem : what is unknown, one sentence.
+    answers : possible values of the fact, at least one; the likeliest first.
+    file : the file; None until the reader's caller adds its name.
     """
 
     def __init__(self, problem: str, answers: Sequence[Answer], file: Path | None = None) -> None:
@@ -52,12 +52,12 @@ class UnclearError(InputError):
 
 
 def printable(text: str) -> str:
-    """One line, with an escape in place of what a terminal might obey: names of columns may be anything."""
+    """One line, with escapes for unprintable characters, which column names may contain and a terminal might obey."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def shown_path(file: Path | None) -> str:
-    """The beginning of a message about a file: a message is one line, a file's name need not be."""
+    """Prefix of a message with the file's name, escaped if it does not fit on one line."""
     if file is None:
         return ""
     return f"{file if str(file).isprintable() else repr(str(file))}: "
@@ -71,18 +71,18 @@ def located(error: InputError, file: Path) -> InputError:
 
 
 def joined(stated: Answer, more: Answer) -> dict[str, Any]:
-    """What is stated with an answer, which goes before it; units are stated column by column."""
+    """The stated settings merged with an answer, which has precedence; units are merged column by column."""
     units = {**(stated.get("units") or {}), **more.get("units", {})}
     return {**stated, **more, **({"units": units} if units else {})}
 
 
 def option_of(key: str) -> str:
-    """The option by which a command line states a setting."""
+    """The command-line option of a setting."""
     return f"--{OPTIONS.get(key, key).replace('_', '-')}"
 
 
 def options(answer: Answer) -> str:
-    """The options of a command line that state an answer."""
+    """The command-line options that state an answer."""
     return " ".join(_options(answer))
 
 
@@ -101,7 +101,7 @@ def _options(answer: Answer) -> Iterator[str]:
 
 
 def proposal(answer: Answer) -> str:
-    """An answer as a command line and as a scene states it."""
+    """An answer as command-line options and as keys of a scene."""
     return f"{options(answer)} (in a scene {keys(answer)})"
 
 
@@ -111,9 +111,9 @@ def keys(answer: Answer) -> str:
 
 
 def toml(value: object) -> str:
-    """A value as TOML spells it: as JSON, but for the pairs of a table."""
+    """A value in TOML: as in JSON, except for tables."""
     if isinstance(value, Mapping):
-        # A key of letters, figures and the like needs no quotes.
+        # A key of ASCII letters, digits and underscores needs no quotes.
         pairs = (
             (key if key.replace("_", "").isalnum() and key.isascii() else json.dumps(key), one)
             for key, one in value.items()
@@ -125,20 +125,20 @@ def toml(value: object) -> str:
 def guesses(
     table: Mapping[str, FloatArray], units: Sequence[str], *, is_named: bool, needs_time: bool = True
 ) -> list[Answer]:
-    """Which columns of numbers may be the times and the acceleration of a tap, with their units.
+    """Possible choices of the times and the acceleration of a tap among columns of numbers, with their units.
 
     Parameters
     ----------
-    table : name of a column, or its place -> (n,) numbers, NaN for what is none.
-    units : that the acceleration may be in; none where it is known already.
-    is_named : whether units may be stated by the columns' names; if not, names and units are stated for all.
+    table : name or number of a column -> (n,) numbers, NaN where a cell is no number.
+    units : possible units of the acceleration; empty if it is known already.
+    is_named : whether units can be stated by the columns' names; if not, names and units are stated for all columns.
     needs_time : whether no column is known to hold the times.
     """
     steady = [name for name, values in table.items() if _rises(values)] if needs_time else []
     loud = {name: _crest(values) for name, values in table.items() if name not in steady and _crest(values) > 0}
     loudest = sorted(loud, key=lambda name: -loud[name])[:MOST_COLUMNS]
     found: list[Answer] = []
-    # Rows are counted as well as timed: what rises by one is the time only where nothing else is.
+    # A row counter also rises steadily: a column that rises by one is the time only if no other rises.
     timed = [name for name in steady if np.ptp(np.diff(table[name])) > 0 or np.diff(table[name])[0] != 1]
     for time in timed or steady or [""]:
         of_time = times_in(table[time]) if time else [""]
@@ -155,13 +155,13 @@ def guesses(
 
 
 def usual_first(units: Sequence[str], values: FloatArray) -> list[str]:
-    """Units that a column (n,) may be in: whole numbers are counts of a converter sooner than accelerations."""
+    """The units, with converter counts first if the column (n,) holds whole numbers over a wide span."""
     is_whole = bool(values.size and np.ptp(values) > LEAST_COUNTS and np.all(values == np.rint(values)))
     return sorted(units, key=lambda unit: is_whole and "LSB" not in unit)
 
 
 def times_in(values: FloatArray) -> list[str]:
-    """Units in which a column (n,) may hold the times of a tap."""
+    """Units in which a column (n,) could be the times of a tap."""
     step = float(np.median(np.diff(values))) if values.size > 1 else 0.0
     return [unit for unit in likely_units("time") if STEPS_S[0] <= UNITS["time"][unit] * step <= STEPS_S[1]]
 
@@ -172,7 +172,7 @@ def _rises(values: FloatArray) -> bool:
 
 
 def _crest(values: FloatArray) -> float:
-    """How far the highest peak stands out of a column; 0 of one that is constant, or holds what is no number."""
+    """Deviation of the highest peak over the standard deviation; 0 for a constant or non-finite column."""
     if values.size == 0 or not np.isfinite(values).all() or np.ptp(values) == 0:
         return 0.0
     away = values - np.median(values)

@@ -1,9 +1,9 @@
-"""Units as instruments and people write them, and what makes SI of each: one table for all readers.
+"""Units as instruments and people write them, with their factors to SI: one table for all readers.
 
-A unit means what it says whatever signs, words or capitals spell it: m/s², M/S^2, m/sec**2 and m s-2 are one unit. A
-capital that changes the meaning counts: MV is no millivolt. A response has an acceleration, a velocity or a
-position over an input, g/V for example; its parts are looked up in the rows of these quantities. What a sensor gives
-before anybody has divided by its sensitivity is written with it: "mV @ 100 mV/g", "counts @ 3.9 mg/count".
+The spelling of a unit does not matter: m/s², M/S^2, m/sec**2 and m s-2 are one unit. A capital that changes the
+meaning does: MV is not a millivolt. A response has the unit of an acceleration, velocity or position over that of an
+input, g/V for example; both parts are looked up in the table. A sensor's raw reading is written with its sensitivity:
+"mV @ 100 mV/g", "counts @ 3.9 mg/count".
 """
 
 import math
@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
-# In the place of a factor: a magnitude of so many dB is 10^(dB / 20), re 1 m/s^2 per A or V.
+# In place of a factor: a level L in dB is the magnitude 10^(L / 20), re 1 m/s^2 per A or V.
 LEVEL = math.nan
 INPUTS: Mapping[str, str] = {"current": "A", "voltage": "V"}  # quantity that may drive an actuator -> its SI unit
 _CURRENT = {"A": 1.0, "mA": 1e-3, "uA": 1e-6}
 _TEMPERATURE = {"C": 1.0, "degC": 1.0, "°C": 1.0}
-# Quantity -> unit -> factor to SI; other spellings are found by `_plain`.
+# Quantity -> unit -> factor to SI; `_plain` maps other spellings to these.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "acceleration": {
@@ -48,11 +48,11 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
 RATIOS = ("magnitude", "real", "imaginary")  # quantities that are an acceleration over an input
-MOST_LIKELY = {"time": 4, "acceleration": 4}  # units that are usual for these
+MOST_LIKELY = {"time": 4, "acceleration": 4}  # number of common units of these quantities
 SENSITIVITIES = ("100 mV/g", "10 mV/g", "500 mV/g", "1000 mV/g", "300 mV/g", "50 mV/g", "1 mV/g")
-# Converters of 16 bits with ranges of 2, 4, 8 and 16 g; ADXL345 and ADXL375.
+# 16-bit converters with ranges of 2, 4, 8 and 16 g; ADXL345 and ADXL375.
 RESOLUTIONS = ("16384 LSB/g", "8192 LSB/g", "4096 LSB/g", "2048 LSB/g", "3.9 mg/LSB", "49 mg/LSB")
-_COUNTS = ("count", "counts", "LSB", "digit", "digits")  # of a converter
+_COUNTS = ("count", "counts", "LSB", "digit", "digits")  # units of a converter's reading
 _AMOUNT = re.compile(r"\s*(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)?\s*(?P<unit>\S.*?)\s*")
 _SIGNS = str.maketrans({"²": "2", "⁻": "-", "µ": "u", "μ": "u", "·": " ", "*": " ", "^": None})
 _WORD = re.compile(
@@ -68,13 +68,13 @@ _PER_SECOND = re.compile(r"_s$", re.IGNORECASE)
 
 
 class Unit(NamedTuple):
-    """What a unit means.
+    """Meaning of a unit.
 
     Attributes
     ----------
     factor : to SI; `LEVEL` for a level in dB.
-    per : what a response is to, "current" or "voltage"; empty where the unit does not say it.
-    slopes : how often a response is differentiated to be an acceleration's: once a velocity's, twice a position's.
+    per : input of a response, "current" or "voltage"; empty if the unit does not state it.
+    slopes : number of derivatives that make the response one of acceleration: 1 for a velocity, 2 for a position.
     """
 
     factor: float
@@ -82,7 +82,7 @@ class Unit(NamedTuple):
     slopes: int = 0
 
     def means(self, other: "Unit") -> bool:
-        """Whether another unit is the same, however it is spelled."""
+        """Whether another unit has the same meaning."""
         levels = math.isnan(self.factor), math.isnan(other.factor)
         same = (self.per, self.slopes) == (other.per, other.slopes)
         return same and (all(levels) or math.isclose(self.factor, other.factor))
@@ -95,7 +95,7 @@ def _symbol(word: re.Match[str]) -> str:
 
 
 def _plain(unit: str) -> str:
-    """One spelling of a unit's many: no superscripts, words or signs that keyboards lack."""
+    """The normal spelling of a unit, without superscripts, words or special characters."""
     plain = " ".join(_BRACKETS.sub(r"\1", unit).replace("**", "").translate(_SIGNS).split())
     return _PER_SECOND.sub("/s", _PER_SECOND_TWICE.sub("/s2", _WORD.sub(_symbol, plain)))
 
@@ -105,19 +105,19 @@ _SMALL = {of: {unit.lower(): factor for unit, factor in table.items()} for of, t
 
 
 def _factor(unit: str, quantity: str) -> float | None:
-    """What makes SI of a unit; None for one that this quantity does not have."""
+    """Factor of a unit to SI; None if the quantity does not have this unit."""
     if "@" in unit:
         return _sensed(unit, quantity)
     plain, exact = _SPELT.get(_plain(unit), _plain(unit)), _EXACT[quantity]
     if plain in exact:
         return exact[plain]
     if plain[:1] == "M" and plain[1:] in exact:
-        return None  # mega, which small letters would make milli
+        return None  # mega, which lower case would turn into milli
     return _SMALL[quantity].get(plain.lower())
 
 
 def _sensed(unit: str, quantity: str) -> float | None:
-    """What makes SI of a sensor's volts or counts by its sensitivity, which may be written either way up."""
+    """Factor to SI of a sensor's volts or counts, from its sensitivity, which may be written either way up."""
     signal, _, sensitivity = unit.partition("@")
     read, pieces = _electrical(signal), sensitivity.split("/")
     for at in range(1, len(pieces) if read else 0):
@@ -131,7 +131,7 @@ def _sensed(unit: str, quantity: str) -> float | None:
 
 
 def _electrical(unit: str) -> tuple[str, float] | None:
-    """Kind and size of what a sensor gives, in volts or counts; None for something else."""
+    """Kind and size of a sensor's electrical unit, volts or counts; None for any other unit."""
     if unit.strip() in _COUNTS:
         return "counts", 1.0
     factor = _factor(unit.strip(), "voltage")
@@ -139,23 +139,23 @@ def _electrical(unit: str) -> tuple[str, float] | None:
 
 
 def sensed(unit: str) -> list[str]:
-    """A unit of volts or counts with the sensitivities of usual sensors."""
+    """A unit of volts or counts with the sensitivities of common sensors."""
     return [f"{unit} @ {by}" for by in (RESOLUTIONS if unit in _COUNTS else SENSITIVITIES)]
 
 
 def is_electrical(unit: str) -> bool:
-    """Whether a unit is what a sensor gives, volts or counts."""
+    """Whether a unit is a sensor's electrical unit, volts or counts."""
     return _electrical(unit) is not None
 
 
 def is_sensed(stated: str, label: str) -> bool:
-    """Whether a unit with a sensitivity reads the volts or counts that a file's label says."""
+    """Whether a stated unit with a sensitivity applies to the volts or counts of the file's label."""
     read, mark, _ = stated.partition("@")
     return bool(mark) and (not label or _electrical(label) == _electrical(read))
 
 
 def parts(unit: str) -> tuple[str, str]:
-    """The unit of an acceleration and that of an input, of a unit like g/V; the second is empty where it has none."""
+    """Split a unit such as g/V into that of the acceleration and that of the input; the second may be empty."""
     above, _, below = re.sub(r"\s+per\s+", "/", unit).rpartition("/")
     if above and any(_factor(below, per) is not None for per in INPUTS):
         return above.strip(" ()"), below
@@ -163,20 +163,20 @@ def parts(unit: str) -> tuple[str, str]:
 
 
 def input_unit(unit: str) -> Unit | None:
-    """What one over a unit of an input means in a response; None for a unit that is none of an input."""
+    """Meaning of 1 / (unit of an input) in a response; None if the unit is not that of an input."""
     factors = {per: _factor(unit, per) for per in INPUTS}
     return next((Unit(1 / factor, per) for per, factor in factors.items() if factor is not None), None)
 
 
 def with_input(unit: str, other: str) -> str:
-    """A unit of an acceleration over the input that another unit has, where it has none itself."""
+    """A unit without an input, such as g, over the input of another unit; unchanged if it has an input itself."""
     below = parts(other)[1]
     is_bare = any(_factor(unit, of) is not None for of in ("acceleration", "velocity", "position"))
     return f"{unit}/{below}" if is_bare and below else unit
 
 
 def read_unit(unit: str, quantity: str) -> Unit | None:
-    """The meaning of a unit as instruments write it; None for one that this quantity does not have."""
+    """Meaning of a unit as instruments write it; None if the quantity does not have this unit."""
     factor = _factor(unit, quantity)
     if factor is not None or quantity not in RATIOS:
         return None if factor is None else Unit(factor)
@@ -194,7 +194,7 @@ def is_unit(text: str) -> bool:
 
 
 def remedy_of(unit: str) -> str:
-    """What to do with a column in a unit of another quantity than the wanted one; empty where that is not known."""
+    """Remedy for a column in the unit of another quantity than expected; empty if none is known."""
     above = parts(unit)[0]
     if _factor(above, "velocity") is not None:
         return "; that is a velocity: name the column so, velocity for example"
@@ -202,12 +202,12 @@ def remedy_of(unit: str) -> str:
 
 
 def known_units(quantity: str) -> list[str]:
-    """Units of a quantity, for messages; the first is that in SI."""
+    """Units of a quantity, for messages; the first is SI."""
     ratios = [f"{unit}/{per}" for unit in ("m/s^2", "g", "mm/s^2") for per in INPUTS.values()]
     return (ratios if quantity in RATIOS else []) + list(UNITS[quantity])
 
 
 def likely_units(quantity: str) -> list[str]:
-    """Units that a column without one is likely in; of an acceleration also volts and counts of usual sensors."""
+    """Likely units of a column without one; for an acceleration also volts and counts of common sensors."""
     sensors = [*sensed("V")[:3], *sensed("mV")[:3], *sensed("LSB")] if quantity == "acceleration" else []
     return [*known_units(quantity)[: MOST_LIKELY.get(quantity, 6)], *sensors]

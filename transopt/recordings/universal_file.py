@@ -1,9 +1,8 @@
-"""Functions in dataset 58 of a universal file, over frequency or over time, in the units that their labels state.
+"""Functions over frequency or time in dataset 58 of a universal file, in the units of their labels.
 
 SDRC, "Universal File Format", dataset 58: Function at Nodal DOF. Records 8 to 10 describe abscissa, ordinate and
-denominator: a type, three exponents, the axis' label and the label of its unit. Software for measurements writes a
-response in g per V as often as one in SI, and says so there alone. A binary dataset, 58b, has these
-records as text too.
+denominator: a type, three exponents, the axis' label and the label of its unit. Measurement software writes responses
+in g per V as often as in SI, and states the unit only there. In a binary dataset, 58b, these records are text too.
 """
 
 import math
@@ -21,7 +20,7 @@ from transopt.recordings.unclear import UnclearError
 from transopt.recordings.units import UNITS, input_unit, parts
 
 TIME_RESPONSE, FREQUENCY_RESPONSE = 1, 4  # function types of record 6
-# Specific data types of records 8 to 10. Of a general quantity exponents of length, force and temperature are stated.
+# Specific data types in records 8 to 10. A general quantity is described by exponents of length, force, temperature.
 UNKNOWN, GENERAL, ACCELERATION, TIME, FREQUENCY = 0, 1, 12, 17, 18
 TYPES = {
     UNKNOWN: "",
@@ -43,19 +42,19 @@ TYPES = {
 }
 MAY_ACCELERATE = ("", TYPES[ACCELERATION], "length^1 force^0 temperature^0")
 MARK = b"    -1"
-# Ordinate type of record 7 -> parts of a number, and type in a binary dataset; single or double precision.
+# Ordinate type in record 7 -> (1 for real or 2 for complex, number type), in single or double precision.
 ORDINATES = {2: (1, "f4"), 4: (1, "f8"), 5: (2, "f4"), 6: (2, "f8")}
-WIDTHS = {"f4": 13, "f8": 20}  # characters of a number
+WIDTHS = {"f4": 13, "f8": 20}  # characters of a number in text
 ABSCISSA_WIDTH = 13
 LINE_WIDTH = 80
-HEAD_LINES = 11  # of the dataset, before its numbers
-LENGTHS = {1: 1.0, 5: 1e3, 6: 1e2, 8: 1e3, 10: 1e3}  # to the metre, by the units code of a dataset 164
+HEAD_LINES = 11  # lines of the dataset before its numbers
+LENGTHS = {1: 1.0, 5: 1e3, 6: 1e2, 8: 1e3, 10: 1e3}  # metres to the file's length, by the code of dataset 164
 UNIT_LABEL = slice(47, 67)  # columns of the unit's label in records 8 to 11
 NOT_STATED = ("", "NONE")
 
 
 class _Dataset(NamedTuple):
-    """One dataset: its number, its lines, and for a binary one the bytes and their order behind eleven lines."""
+    """One dataset: its number and lines, and for a binary one the data after eleven lines, with byte order."""
 
     kind: str
     lines: list[str]
@@ -64,19 +63,19 @@ class _Dataset(NamedTuple):
 
 
 def universal_columns(data: bytes, layout: Layout, words: Vocabulary) -> Channels:
-    """One function among the datasets 58 of a universal file, in ASCII or binary, named by the labels of its axes.
+    """One function of the datasets 58 of a universal file, ASCII or binary; the axes' labels name its columns.
 
-    Where frequencies are looked for it is a frequency response, in columns frequency and accelerance; else what was
-    recorded over time, in columns time and acceleration.
+    If the vocabulary requires frequencies it is a frequency response, in columns frequency and accelerance; otherwise
+    a time record, in columns time and acceleration.
 
     Parameters
     ----------
-    layout : `channel` is which of several functions; the types of the file count where `units` states no other.
+    layout : `channel` selects among several functions; `units` overrides the types and labels of the file.
 
     Raises
     ------
-    InputError : a file that holds none; a function that is no acceleration by its types and labels.
-    UnclearError : several functions; a response whose label states its input alone.
+    InputError : the file holds no such function, or the function is no acceleration by its types and labels.
+    UnclearError : there are several functions, or the label of a response states its input alone.
     """
     is_response = "frequency" in words.required
     abscissa, ordinate = ("frequency", "accelerance") if is_response else ("time", "acceleration")
@@ -99,11 +98,11 @@ def universal_columns(data: bytes, layout: Layout, words: Vocabulary) -> Channel
 
 
 def _unit_of_164(dataset: _Dataset) -> str:
-    """The unit of accelerations that a dataset 164 states by its factor from SI to the file's length.
+    """Unit of accelerations from dataset 164, which states the factor from metres to the file's length.
 
     Raises
     ------
-    InputError : a length that no acceleration is known in.
+    InputError : no known unit of acceleration has this length.
     """
     code = _whole(dataset.lines, 0, 0, 10, "units code of dataset 164")
     factor = _number(dataset.lines[1][:25], 2) if len(dataset.lines) > 1 else LENGTHS.get(code, 0.0)
@@ -119,7 +118,7 @@ def _unit_of_164(dataset: _Dataset) -> str:
 
 
 def _chosen(functions: Sequence[_Dataset], channel: int | None, *, is_response: bool) -> _Dataset:
-    """The frequency or time response that is wanted, counted from 1 among those of its kind."""
+    """The frequency or time response chosen, counted from 1 among those of its kind."""
     wanted, what = (FREQUENCY_RESPONSE, "frequency") if is_response else (TIME_RESPONSE, "time")
     found = [each for each in functions if _whole(each.lines, 5, 0, 5, "function type") == wanted]
     if not found:
@@ -136,7 +135,7 @@ def _chosen(functions: Sequence[_Dataset], channel: int | None, *, is_response: 
 
 
 def _datasets(data: bytes) -> list[_Dataset]:
-    """Every dataset: they stand between two lines of -1, and a binary one states how long it is."""
+    """All datasets of a file: each stands between two lines of -1, and a binary one states its length."""
     found, at = list[_Dataset](), 0
 
     def line() -> bytes | None:
@@ -165,7 +164,7 @@ def _datasets(data: bytes) -> list[_Dataset]:
 
 
 def _decoded(line: bytes) -> str:
-    """A line in UTF-8, or where it is none in the code page of Windows, which lacks few bytes."""
+    """A line decoded as UTF-8, or else by the Windows code page, which defines almost all bytes."""
     try:
         return line.decode()
     except UnicodeDecodeError:
@@ -173,7 +172,7 @@ def _decoded(line: bytes) -> str:
 
 
 def _whole(block: Sequence[str], line: int, start: int, end: int, what: str, empty: int | None = None) -> int:
-    """A whole number in columns of a line of a dataset; `empty` where they are blank, if blanks are allowed."""
+    """Whole number in columns of a dataset's line; `empty` for blank columns, if given."""
     cell = block[line][start:end].strip() if line < len(block) else ""
     if not cell and empty is not None and line < len(block):
         return empty
@@ -186,7 +185,7 @@ def _whole(block: Sequence[str], line: int, start: int, end: int, what: str, emp
 
 
 def _numbers(dataset: _Dataset, parts_of: int) -> FloatArray:
-    """(points, 1 + parts) abscissa and so many parts of the ordinate."""
+    """(points, 1 + parts_of) abscissa and parts of the ordinate."""
     block = dataset.lines
     kind = _whole(block, 6, 0, 10, "ordinate type")
     points = _whole(block, 6, 10, 20, "number of points")
@@ -214,12 +213,12 @@ def _numbers(dataset: _Dataset, parts_of: int) -> FloatArray:
 
 
 def _axis(block: Sequence[str], line: int, what: str) -> tuple[int, str, str]:
-    """Fields of one of the records 8 to 10, which describe an axis.
+    """Fields of one of the records 8 to 10, each of which describes an axis.
 
     Returns
     -------
-    Number of the type; label of the unit, empty where none is stated; what the type says, for messages. A general
-    quantity is described by its exponents of length, force and temperature, and by nothing if all are zero.
+    Type number; label of the unit, empty if not stated; meaning of the type, for messages. A general quantity is
+    described by its exponents of length, force and temperature, or by an empty text if all are zero.
     """
     kind = _whole(block, line, 0, 10, f"type of the {what}", empty=UNKNOWN)
     label = block[line][UNIT_LABEL].strip()
@@ -232,17 +231,17 @@ def _axis(block: Sequence[str], line: int, what: str) -> tuple[int, str, str]:
 
 
 def _label(block: Sequence[str], unit: str, *, is_response: bool, is_stated: bool) -> str:
-    """The unit of the ordinate over its denominator: labels go before types, which may refuse the function.
+    """Unit of the ordinate over that of its denominator; labels override types, which may refuse the function.
 
     Parameters
     ----------
-    unit : of accelerations, as a dataset 164 states it; empty where none does.
-    is_stated : whether the user says what the function is.
+    unit : unit of accelerations from dataset 164; empty without one.
+    is_stated : whether the user states the unit of the function.
 
     Raises
     ------
-    InputError : an ordinate that is no acceleration, or a denominator that is no input.
-    UnclearError : a denominator's label without one of the ordinate.
+    InputError : the ordinate is no acceleration, or the denominator is no input.
+    UnclearError : the denominator has a label and the ordinate has none.
     """
     kind, above, ordinate = _axis(block, 8, "ordinate")
     _, below, denominator = _axis(block, 9, "denominator") if is_response else (UNKNOWN, "", "")
@@ -267,7 +266,7 @@ def _label(block: Sequence[str], unit: str, *, is_response: bool, is_stated: boo
 
 
 def _cells(lines: Sequence[str], widths: Sequence[int], wanted: int) -> FloatArray:
-    """(n,) numbers of fixed width, at most as many as wanted: neighbours may touch."""
+    """(n,) numbers of fixed width, at most `wanted`; neighbours may touch."""
     ends = np.cumsum(widths)
     numbers: list[float] = []
     for k, line in enumerate(lines):
