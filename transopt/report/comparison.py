@@ -1,4 +1,4 @@
-"""Two libraries side by side: the entries that both have, those of only one, and what was stated differently."""
+"""Comparison of two libraries: entries of both, entries of only one, and values stated differently."""
 
 import json
 from collections.abc import Iterator
@@ -13,12 +13,12 @@ from transopt.base.tables import Table
 from transopt.library.columns import NAN, UNKNOWN, EntryTable, TableRow
 from transopt.library.library import Library
 
-LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
+LONGEST_VALUE = 60  # characters shown of a value; a longer list or text is shown by its size
 CHANGE_COLUMNS = ("stated", "A", "B")
 LEGEND = "One figure where both libraries print the same, A -> B where they differ."
 ABSENT = "not stated"
 
-# Speed [m/s] and grip [N], to nine digits: nodes computed by refinement differ in their last; or a target's name.
+# Speed [m/s] and grip [N], to nine digits since refined nodes differ in the last ones; or the name of a target.
 Node = tuple[str, ...]
 
 
@@ -32,13 +32,13 @@ class Comparison:
     Attributes
     ----------
     both : node -> its row in the tables of A and of B.
-    apart : node -> largest difference of the two commands; NaN where they are issued at different instants.
-    only_first, only_second : nodes of one of them.
-    changes : (dotted path in `meta`, value in A, value in B) of what differs.
-    same_content : whether both files hold the same, to the last bit.
-    columns : heads of what a node is.
-    unit : of the commands.
-    claims : what is proven of A and of B where that is not that each command is an optimum; empty else.
+    apart : node -> largest difference of the two commands; NaN if they are issued at different instants.
+    only_first, only_second : nodes of only one of them.
+    changes : (dotted path in `meta`, value in A, value in B) of all differences.
+    same_content : whether both files have identical content.
+    columns : heads of the columns that identify a node.
+    unit : unit of the commands.
+    claims : what is proven of A and of B if not that each command is an optimum; else empty.
     """
 
     both: dict[Node, tuple[TableRow, TableRow]]
@@ -57,7 +57,7 @@ class Comparison:
 
         Raises
         ------
-        InputError : one has speeds and the other targets, or their commands are a current and a voltage.
+        InputError : one has speeds and the other targets, or one has commands in A and the other in V.
         """
         for what, (one, other) in (
             ("entries", (first.axes.columns, second.axes.columns)),
@@ -85,7 +85,7 @@ class Comparison:
 
     @property
     def table(self) -> EntryTable:
-        """The columns that are compared, without rows."""
+        """The columns compared, without rows."""
         return EntryTable(self.columns, FIGURES, (), self.unit)
 
     @property
@@ -96,12 +96,12 @@ class Comparison:
 
 
 def _instants(library: Library) -> tuple[float, float, int]:
-    """Servo period [s], how long before contact the first command is issued [s], and how many commands there are."""
+    """Servo period [s], time from the first command to contact [s], and number of commands."""
     return library.dt_s, library.lead_s, library.command.shape[-1]
 
 
 def _entries(library: Library) -> dict[Node, tuple[int, int]]:
-    """Node -> where its entry stands in the library."""
+    """Node -> indices (iv, ig) of its entry."""
     axes, (nv, ng) = library.axes, library.command.shape[:2]
 
     def node(iv: int, ig: int) -> Node:
@@ -114,7 +114,7 @@ def _entries(library: Library) -> dict[Node, tuple[int, int]]:
 
 
 def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted paths of tables within tables; a list is one value."""
+    """Dotted path and value of each leaf of nested tables; a list is one value."""
     if isinstance(value, dict) and value:
         for name, inner in value.items():
             yield from _flat(inner, f"{path}.{name}" if path else name)
@@ -124,13 +124,13 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def _changes(first: dict[str, Any], second: dict[str, Any]) -> list[tuple[str, str, str]]:
     ours, theirs = dict(_flat(first)), dict(_flat(second))
-    # A table that only one library has stands as its keys; that the other states null in its place says no more.
+    # A table that only one library has is compared key by key; a null at its path in the other one is not shown.
     paths = [path for path in dict.fromkeys([*ours, *theirs]) if ours.get(path) != theirs.get(path)]
     return [(path, *_shown(ours.get(path), theirs.get(path))) for path in paths]
 
 
 def _shown(first: Any, second: Any) -> tuple[str, str]:
-    """Two different values as text, each cut where it is long; of long lists, how many of their values differ."""
+    """Two different values as text, shortened if long; for long lists the number of values that differ."""
     texts = [_text(value) for value in (first, second)]
     if not (isinstance(first, list) and isinstance(second, list) and max(map(len, texts)) > LONGEST_VALUE):
         ours, theirs = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]} ..." for text in texts)
@@ -155,7 +155,7 @@ def _from_to(first: str, second: str) -> str:
 
 
 def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
-    """Cells of the entry table, and whether the verdict changed or only one library has the entry."""
+    """Cells of the entry table, and whether the row is highlighted (`entry_table`)."""
     for node, rows in found.both.items():
         pairs = zip(*(found.table.figures(row) for row in rows), strict=True)
         *figures, verdict = [_from_to(ours, theirs) for ours, theirs in pairs]
@@ -167,7 +167,7 @@ def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
 
 
 def entry_table(found: Comparison, title: str) -> Table:
-    """One row per entry; yellow where the verdict changed or only one library has the entry."""
+    """One row per entry, yellow if the verdict changed or only one library has the entry."""
     table = Table(title=title, caption=LEGEND, keys=len(found.columns))
     for column in found.heads:
         table.add_column(column, justify="left" if column == "verdict" else "right", overflow="fold")
@@ -177,7 +177,7 @@ def entry_table(found: Comparison, title: str) -> Table:
 
 
 def change_table(found: Comparison) -> Table:
-    """What the two libraries state differently, by dotted path."""
+    """The values that the two libraries state differently, by dotted path."""
     table = Table(title="stated differently")
     for column in CHANGE_COLUMNS:
         table.add_column(column, overflow="fold", no_wrap=column == CHANGE_COLUMNS[0])
@@ -187,7 +187,7 @@ def change_table(found: Comparison) -> Table:
 
 
 def comparison_summary(found: Comparison) -> str:
-    """One line: how many entries, where the error changes most, how much is stated differently."""
+    """One line: number of entries, largest change of the error, number of values stated differently."""
     claims = [f"{name}: {claim}" for name, claim in zip("AB", found.claims, strict=True) if claim]
     if found.same_content:
         return "; ".join([f"{len(found.both)} entries; A and B hold the same content", *claims[:1]])

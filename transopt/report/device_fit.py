@@ -1,7 +1,7 @@
-"""How an identified device is shown: its tables and verdict, and a figure.
+"""Presents an identified device: tables, verdict and a figure.
 
-The figure has the responses of all grips, as in the seed's Fig. 7, and beside them for each grip what the model is
-off by and one recorded motion that was kept out of the fit, measured and predicted.
+The figure shows the responses at all grips, as in the seed's Fig. 7. Beside them, for each grip, it shows the error
+of the model and one recorded motion that was held out of the fit, measured and predicted.
 """
 
 from collections.abc import Mapping
@@ -27,22 +27,22 @@ from transopt.report.fits import value_table
 
 POINTS = 300
 BAND_COLOUR = "0.82"
-MAGNITUDE_G_A = 1e-3  # below, a response is all noise
-SHOWN_DEG = 60.0  # a wider phase interval than this is drawn as no interval at all
-SHOWN_S, BEFORE = 40e-3, 0.25  # of a motion that was kept out, and which part of it before its peak
+MAGNITUDE_G_A = 1e-3  # a response below it is noise
+SHOWN_DEG = 60.0  # a phase interval wider than this is not drawn
+SHOWN_S, BEFORE = 40e-3, 0.25  # length of a held-out motion, and the share of it before its peak
 OFF_PERCENT = 0.01, 100.0
 ROW_IN, LEAST_IN, HEAD_IN, FOOT_IN = 1.35, 5.4, 0.6, 0.5
 
 
 def device_figure(result: DeviceResult) -> Figure:
-    """Left: magnitude and phase of all grips; right: a row per grip with error over frequency and motion over time.
+    """Left: magnitude and phase at all grips; right: per grip the error over frequency and a motion over time.
 
-    The accelerometer's pole is in measurement and model, so that both are the same quantity.
+    The accelerometer's pole is in both measurement and model, so that they are comparable.
     """
     grips = result.grips
     high_in = max(LEAST_IN, ROW_IN * len(grips) + HEAD_IN + FOOT_IN)
     figure = Figure(figsize=(12.0, high_in))
-    # Stated, since to find room for all labels takes longer than to draw them.
+    # Stated here, because an automatic layout takes longer than drawing.
     ends = {"top": 1 - HEAD_IN / high_in, "bottom": FOOT_IN / high_in}
     left = figure.add_gridspec(2, 1, left=0.062, right=0.38, hspace=0.08, **ends)
     right = figure.add_gridspec(len(grips), 2, left=0.43, right=0.988, wspace=0.13, hspace=0.14, **ends)
@@ -60,7 +60,7 @@ def device_figure(result: DeviceResult) -> Figure:
         for axes in (off, motion):
             axes.tick_params(labelbottom=j == len(grips) - 1)
     assert first is not None
-    # The height is stated, or Matplotlib would lay out the panel once more to find it.
+    # y is stated, because finding it would make Matplotlib lay out the panel once more.
     first[0].set_title("model off by [% of the response]", fontsize=LABEL_PT, y=1.0)
     first[1].set_title("kept out of the fit: acceleration [g]", fontsize=LABEL_PT, y=1.0)
     above.set_ylabel("acceleration / current [g/A]", fontsize=LABEL_PT)
@@ -86,7 +86,7 @@ def _handles(result: DeviceResult) -> list[Line2D | Patch]:
 
 
 def _response(above: Axes, below: Axes, chosen: Candidate, grip: Grip, colour: tuple[float, ...]) -> None:
-    """One grip among all: measured magnitude and phase, and the model's."""
+    """Draw the measured magnitude and phase at one grip, and the model's."""
     estimate = grip.response.estimate
     measured_Hz, size = estimate.frequencies_Hz, np.abs(estimate.response) / STANDARD_GRAVITY_M_S2
     dense_Hz = np.geomspace(measured_Hz[0], measured_Hz[-1], POINTS)
@@ -94,7 +94,7 @@ def _response(above: Axes, below: Axes, chosen: Candidate, grip: Grip, colour: t
     model_deg = np.degrees(np.unwrap(np.angle(response)))
     if model_deg[0] < -SHOWN_DEG:
         model_deg += 360.0
-    # The measured phase is drawn on the turn that lies next to the model's.
+    # The measured phase is shifted by whole turns to lie next to the model's.
     at = np.interp(measured_Hz, dense_Hz, model_deg)
     phase = at + (np.degrees(np.angle(estimate.response)) - at + 180.0) % 360.0 - 180.0
     half = estimate.phase_half_width_deg()
@@ -119,7 +119,7 @@ def _response(above: Axes, below: Axes, chosen: Candidate, grip: Grip, colour: t
 
 
 def _error(axes: Axes, chosen: Candidate, grip: Grip, colour: tuple[float, ...]) -> None:
-    """What the model is off by at each bin, over what the noise alone makes of a right one."""
+    """Relative error of the model at each bin, above the error that noise alone causes."""
     estimate = grip.response.estimate
     scale = np.abs(estimate.response)
     model = modelled(chosen.model, grip.grip_N, chosen.instrument, estimate.frequencies_Hz)
@@ -134,7 +134,7 @@ def _error(axes: Axes, chosen: Candidate, grip: Grip, colour: tuple[float, ...])
 
 
 def _motion(axes: Axes, transients: list[Transient]) -> None:
-    """The loudest stretch of one record: of a tap at the amplitude of use where there is one, else of a sweep."""
+    """The loudest stretch of one held-out record: of a tap at usual amplitude if there is one, else of a sweep."""
     style(axes)
     if not transients:
         axes.text(0.5, 0.5, "nothing was kept out", ha="center", va="center", transform=axes.transAxes)
@@ -151,13 +151,13 @@ def _motion(axes: Axes, transients: list[Transient]) -> None:
 
 
 def _say(axes: Axes, at: float, side: Literal["center", "right"], words: str, size: float) -> None:
-    """Words at the top of a panel, on paper of their own."""
+    """Text at the top of a panel, on a white background."""
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
     axes.annotate(words, (at, 0.95), xycoords="axes fraction", ha=side, va="top", fontsize=size, bbox=paper)
 
 
 def show(console: Console, result: DeviceResult) -> None:
-    """Tables, what is wrong with the records, and what to record again."""
+    """Print the tables, the findings about the records, and what to record again."""
     if result.chosen.kind is Kind.DRIVE and result.chain is not None:
         names, values, _, intervals = result.chain.stated()
         stated = np.column_stack([values, intervals]).tolist()

@@ -1,9 +1,8 @@
 """Figures of a build: methods, trade-offs, device, nonlinear plants, prepared recordings.
 
-All through matplotlib's object interface.
-
-pyplot is never imported: no window system, no global list of figures. Colours run through viridis, cut before it
-is too light for white paper; markers and line styles carry the same information into grey print.
+They use matplotlib's object interface; pyplot is never imported, because it needs a window system and keeps a global
+list of figures. Colours run through viridis, cut where it is too light for white paper; markers and line styles carry
+the same information in grey print.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +38,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.bands import JUST_NOTICED_dB
 from transopt.report.transients import QUIET, grip_label, legend_above
 
-if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
+if TYPE_CHECKING:  # these load casadi and pydantic, which a figure of a library file does not need
     from transopt.design.build import Build
     from transopt.design.entry import Entry
     from transopt.design.trade_off import TradeOff
@@ -47,14 +46,14 @@ if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a libra
 
 LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (8, 2)))
 
-MOST_LABELLED = 60  # entries that have a label each
+MOST_LABELLED = 60  # most entries that are labelled one by one
 
 BODE_HZ = (1.0, 2000.0)
 BODE_POINTS = 500
 
-LOWEST_dB, HIGHEST_dB = -12.0, 8.0  # what of the path is drawn; beyond it all entries go on alike
+LOWEST_dB, HIGHEST_dB = -12.0, 8.0  # range of the energy drawn; beyond it all paths look alike
 
-MOST_TARGETS = 6  # that one figure shows legibly
+MOST_TARGETS = 6  # most targets that one figure shows legibly
 WANTED: dict[str, Any] = {"color": DARK, "linewidth": 2.2, "alpha": 0.35}
 LINEAR: dict[str, Any] = {"color": CLIPPED, "linewidth": 1.0, "linestyle": "--"}
 OWN: dict[str, Any] = {"color": OPTIMUM, "linewidth": 1.0}
@@ -66,7 +65,7 @@ BOUND: dict[str, Any] = {"color": DARK, "linewidth": 1.0, "linestyle": ":"}
 
 @dataclass(frozen=True)
 class _Method:
-    """One series of `method_figure`: where its tap error is found and how it is drawn."""
+    """One series of `method_figure`: how its tap error is read from an entry, and how it is drawn."""
 
     label: str
     value: Callable[["Entry"], float]
@@ -78,7 +77,7 @@ def _methods(build: "Build") -> list[_Method]:
     limits = build.scene.limits
     unit = build.scene.driven_by.unit
     high, low = f"{limits.transient_input:g} {unit}", f"{limits.steady_input:g} {unit}"
-    # A rival that heeds neither rail nor coil may lie below the optimum, which does.
+    # A baseline that ignores supply rail or coil may lie below the optimum, which keeps them.
     more = any(
         {SupplyLimit.name, TemperatureLimit.name} & set(entry.slopes)
         for entry in build.all_entries()
@@ -87,11 +86,11 @@ def _methods(build: "Build") -> list[_Method]:
     only = ", no other limit" if more else ""
 
     def dot(shape: str, colour: str, filled: bool) -> dict[str, Any]:
-        # Hollow ones are larger, so that a filled one at the same place shows inside.
+        # Hollow markers are larger, so that a filled one at the same place shows inside.
         face, size = (colour, 5.0) if filled else ("none", 7.5)
         return {"marker": shape, "markersize": size, "color": colour, "markerfacecolor": face}
 
-    # The nearest waveform with the energy of the tap may err more than a weaker one.
+    # The nearest waveform with the energy of the tap may have a larger error than a weaker one.
     optimum = "intensity" if build.scene.weights.objective == "intensity" else "optimum"
     return [
         _Method(f"{optimum}, {high}", lambda e: e.figures.tap_error, 0.0, dot("o", OPTIMUM, True)),
@@ -115,9 +114,9 @@ def _refused(entry: "Entry") -> list[str]:
 
 
 def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> None:
-    """The grip below each entry and its speed below each stripe; above, the tap error of the optimum.
+    """Label each entry with its grip and each stripe with its speed; above, state the tap error of the optimum.
 
-    Many entries are turned, each with speed and grip of its own.
+    If there are many, the labels are rotated, and each states speed and grip.
     """
     entries, positions = list(build.all_entries()), np.arange(optimum_percent.size)
     crowded = len(entries) > 20
@@ -142,15 +141,15 @@ def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> N
 
 
 def _middles(build: "Build") -> FloatArray:
-    """(number of speeds,) where the stripe of each speed has its middle."""
+    """(number of speeds,) middle of each speed's stripe, in entries."""
     sizes = np.array([len(group) for group in build.entries])
     return np.asarray(np.cumsum(sizes) - 0.5 - 0.5 * sizes)
 
 
 def method_figure(build: "Build") -> Figure:
-    """Tap error [%] of the optimum, its floor and its rivals for every entry, with the marks that tell if it matters.
+    """Tap error [%] of optimum, floor and baselines for every entry, with the repeatability of the taps.
 
-    A value of zero (a zero reference) stands at the lower edge.
+    A value of zero (a zero reference) is drawn at the lower edge.
     """
     entries = list(build.all_entries())
     methods = _methods(build)
@@ -171,7 +170,7 @@ def method_figure(build: "Build") -> Figure:
             axes.axvspan(first - 0.5, first + len(group) - 0.5, color="0.95", linewidth=0)
         first += len(group)
     for j, (method, values) in enumerate(zip(methods, percent, strict=True)):
-        # NaN and infinity stay away; zero cannot be on a logarithmic axis and is put on its edge.
+        # NaN and infinity are not drawn; zero has no place on a logarithmic axis and is drawn at its edge.
         x, y = positions + method.offset, np.maximum(values, bottom)
         axes.plot(x, y, linestyle="", zorder=9 - j, clip_on=False, label=method.label, **method.marker)
     left, right = positions - 0.45, positions + 0.45
@@ -185,7 +184,7 @@ def method_figure(build: "Build") -> Figure:
     axes.set_ylabel("tap error after replay [%]", fontsize=LABEL_PT)
     axes.set_xlim(-0.5, len(entries) - 0.5)
     if len(entries) > MOST_LABELLED:
-        # One label for each speed, and what stands in its stripe.
+        # One label for each speed.
         axes.set_xticks(_middles(build), [f"{group[0].speed_m_s:.3g}" for group in build.entries], fontsize=SMALL_PT)
         grips = [entry.grip_N for entry in build.entries[0]]
         stripes = f"speed [m/s], grips {grips[0]:g} to {grips[-1]:g} N in each stripe"
@@ -211,7 +210,7 @@ def bode_figure(library: Library) -> Figure:
         matrices = (library.plant_A, library.plant_B, library.plant_C, library.plant_D)
         response = StateSpace(*(m[ig] for m in matrices)).response(frequencies)
         degrees = np.degrees(np.unwrap(np.angle(response)))
-        degrees -= 360 * np.floor((degrees[0] + 90) / 360)  # from 180 where a spring holds the stylus, from 0 if free
+        degrees -= 360 * np.floor((degrees[0] + 90) / 360)  # from 180 if a spring holds the stylus, from 0 if free
         dashes = LINE_STYLES[ig % len(LINE_STYLES)]
         drawn: dict[str, Any] = {"color": shades[ig], "linestyle": dashes, "linewidth": 1.4}
         magnitude.plot(
@@ -225,7 +224,7 @@ def bode_figure(library: Library) -> Figure:
         style(axes)
     magnitude.set_xscale("log")
     magnitude.set_yscale("log")
-    for logarithmic in (magnitude.xaxis, magnitude.yaxis):  # drawing eight minor ticks a decade takes 0.1 s
+    for logarithmic in (magnitude.xaxis, magnitude.yaxis):  # drawing eight minor ticks per decade would take 0.1 s
         logarithmic.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         logarithmic.set_minor_formatter(NullFormatter())
     magnitude.yaxis.set_major_formatter(FuncFormatter(plain))
@@ -253,7 +252,7 @@ def _tap_label(tap: "PreparedTap") -> str:
 def taps_figure(taps: Sequence["PreparedTap"]) -> Figure:
     """Prepared recordings over each other, contact at 0, slow to fast: acceleration [g] over time [ms].
 
-    The figure ends where all of them have died away; the axis says how much of the longest that is.
+    The axis ends where all of them have decayed; its label says how much of the longest recording that is.
 
     Parameters
     ----------
@@ -285,11 +284,11 @@ def taps_figure(taps: Sequence["PreparedTap"]) -> Figure:
 
 
 def trade_off_figure(build: "Build") -> Figure:
-    """Tap error [%] over energy [dB], a line per entry from the nearest waveform on; circles, squares: the optima.
+    """Tap error [%] over energy [dB], one line per entry; circles: nearest waveform, squares: intensity.
 
     Parameters
     ----------
-    build : with at least one entry that a limit cuts.
+    build : a build in which a limit binds in at least one entry.
     """
     found = build.trade_offs
     figure = Figure(figsize=(6.4, 4.6))
@@ -330,7 +329,7 @@ def trade_off_figure(build: "Build") -> Figure:
 
 
 def _shown(found: Sequence["TradeOff"]) -> tuple[float, float]:
-    """Ends of the axis: all optima, and of the rest of the paths so much that the optima stay apart."""
+    """Ends of the energy axis: all optima, and as much of the paths as leaves the optima distinguishable."""
     optima = [point.energy_dB for each in found for point in (each.waveform, each.intensity)]
     low, high = max(min(optima), LOWEST_dB), min(max(*optima, 0.0) + 4.0, max(HIGHEST_dB, *optima) + 1)
     return low - 0.3, high
@@ -340,11 +339,11 @@ def _shown(found: Sequence["TradeOff"]) -> tuple[float, float]:
 
 
 def nonlinear_figure(entries: Sequence["Entry"]) -> Figure:
-    """Acceleration of both designs played on the nonlinear plant, above their commands; a column for each target.
+    """Acceleration of both designs on the nonlinear plant, above their commands; one column per target.
 
     Parameters
     ----------
-    entries : the first `MOST_TARGETS` of them are drawn.
+    entries : the first `MOST_TARGETS` are drawn.
     """
     shown = entries[:MOST_TARGETS]
     figure = Drawing(figsize=(max(1.0 + 2.6 * len(shown), 4.4), 5.0))

@@ -1,7 +1,7 @@
-"""The first look at a build or a library: what was designed, one matrix of the tap error, the worst entry, what next.
+"""The first look at a build or a library: the design, a matrix of tap errors, the worst entry, what to do next.
 
-Detail stands in the tables (`transopt.report.tables`). Everything here is read from the declared columns of the
-entries, and from the prices that the report has anyway.
+`transopt.report.tables` has the details. The first look reads the declared columns of the entries and the prices,
+which the report computes anyway.
 """
 
 import re
@@ -25,25 +25,25 @@ from transopt.library.library import Library
 from transopt.problem.answer import END_OF_LIMIT_NAME, MIN_FLOOR_OF_PUSHING_HAND, held_back
 from transopt.scene.scene import Scene
 
-POOR = 0.5  # tap error: half of the tap is missing
-MOST_ROWS = 8  # of the matrix; of more, those between are left to --table
-HELD, BAD, REFUSED = "*", "!", "x"  # marks behind a number, and in the place of one
-OF_A_MOTOR = re.compile(r" of motor \d+")  # the same limit of several motors is told once
+POOR = 0.5  # a larger tap error is poor: half of the tap is missing
+MOST_ROWS = 8  # rows of the matrix; `--table` shows those left out between them
+HELD, BAD, REFUSED = "*", "!", "x"  # marks after a number, and in place of one
+OF_A_MOTOR = re.compile(r" of motor \d+")  # equal limits of several motors are stated once
 LONGEST_TARGET = 28
-MOST_LIMITS = 3  # named in one line
+MOST_LIMITS = 3  # most limits named in one line
 
 
 @dataclass(frozen=True)
 class Look:
-    """What the first look reads.
+    """Data of the first look.
 
     Attributes
     ----------
-    name : of the scene.
-    axes : what the entries are for.
-    rows : [iv][ig] of the entries.
-    proof : what is proven of all admitted ones, as "proven optimal and replayed".
-    floored : whether the floors are of this plant, and not of a nonlinear one at rest.
+    name : name of the scene.
+    axes : speeds and grips, or named targets.
+    rows : [iv][ig] rows of the entries.
+    proof : what is proven of all admitted entries, such as "proven optimal and replayed".
+    floored : whether the floors belong to this plant; those of a nonlinear plant belong to the plant at rest.
     """
 
     name: str
@@ -54,14 +54,14 @@ class Look:
 
     @classmethod
     def of_build(cls, build: Build) -> "Look":
-        """From a build, whose refused entries are marked."""
+        """The first look at a build; refused entries are marked."""
         nonlinear = build.scene.nonlinear
         proof = "certified stationary and replayed" if nonlinear else "proven optimal and replayed"
         return cls(build.scene.name, build.scene.axes, build.entries, proof, not nonlinear)
 
     @classmethod
     def of_library(cls, library: Library, *, proven: bool) -> "Look":
-        """From a library. `proven`: whether its certificates were made again when it was read."""
+        """The first look at a library. `proven`: whether its certificates were checked when it was read."""
         nv, ng = library.command.shape[:2]
         rows = [[library.row(iv, ig) for ig in range(ng)] for iv in range(nv)]
         what = "stationary" if library.nonlinear else "optimal"
@@ -70,26 +70,26 @@ class Look:
 
     @property
     def what(self) -> str:
-        """What an entry is called."""
+        """Noun for an entry."""
         return "target" if self.axes.targets else "tap"
 
     def counted(self, count: int) -> str:
-        """So many entries."""
+        """A number of entries, with the noun in singular or plural."""
         return f"{count} {self.what}{'' if count == 1 else 's'}"
 
     @cached_property
     def places(self) -> list[tuple[int, int]]:
-        """Rows and columns of the entries."""
+        """Indices (iv, ig) of all entries."""
         return [(iv, ig) for iv, rows in enumerate(self.rows) for ig in range(len(rows))]
 
     @cached_property
     def refused(self) -> int:
-        """How many entries are refused."""
+        """Number of refused entries."""
         return sum(bool(row.refusal) for rows in self.rows for row in rows)
 
     @cached_property
     def poor(self) -> list[tuple[int, int]]:
-        """The entries of which half is missing, or which a hand feels to be too weak or too strong."""
+        """Entries with at least half of the tap missing, or perceptibly too weak or too strong."""
         return [(iv, ig) for iv, ig in self.places if self._is_poor(self.rows[iv][ig])]
 
     @staticmethod
@@ -103,17 +103,17 @@ class Look:
 
     @cached_property
     def worst(self) -> tuple[int, int] | None:
-        """The admitted entry with the largest tap error."""
+        """The admitted entry with the largest tap error; None if none is admitted."""
         return _largest(self.errors)
 
     @cached_property
     def costliest(self) -> tuple[int, int] | None:
-        """The admitted entry that limits cost most: the one farthest above its floor, whose prices a report has."""
+        """The admitted entry farthest above its floor, whose limits cost most and whose prices a report has."""
         floors = [[NAN if row.refusal else float(row.value("floor")) for row in rows] for rows in self.rows]
         return _largest(self.errors - np.array(floors)) if self.floored else None
 
     def held(self, iv: int, ig: int) -> list[str]:
-        """The limits that hold an entry back, each with its bound; none for a refused one."""
+        """The limits that hold an entry back, each with its bound; empty for a refused entry."""
         row = self.rows[iv][ig]
         if row.refusal:
             return []
@@ -129,19 +129,19 @@ def _largest(values: NDArray[np.float64]) -> tuple[int, int] | None:
 
 
 def stated_limit(binding: str) -> str:
-    """A limit and its bound: "4 A current" of "current +4 A at 1.2 to 3.1 ms"."""
+    """A limit and its bound: "4 A current" from "current +4 A at 1.2 to 3.1 ms"."""
     name, *rest = END_OF_LIMIT_NAME.split(OF_A_MOTOR.sub("", binding), maxsplit=1)
     bound = rest[0].split(" at ")[0].split(" with ")[0].lstrip("+-") if rest else ""
     return f"{bound} {name}".strip()
 
 
 def named_limits(limits: Sequence[str]) -> str:
-    """Limits in a sentence: "the 6 A command and the 4 A current limits"."""
+    """Limits as part of a sentence: "the 6 A command and the 4 A current limits"."""
     return f"the {' and the '.join(limits)} limit{'s' if len(limits) > 1 else ''}"
 
 
 def head(look: Look) -> str:
-    """What was designed, in a sentence: what is refused or poor before what is proven."""
+    """One sentence on the design; refused or poor entries come before what is proven."""
     total, poor = len(look.places), look.poor
     if look.refused:
         return (
@@ -163,7 +163,7 @@ def head(look: Look) -> str:
 
 
 def chosen(count: int, most: int, must: int | None) -> list[int]:
-    """At most so many of `count` places, evenly spread, the first, the last and one that must be there among them."""
+    """At most `most` of `count` indices, evenly spaced, including the first, the last and `must`."""
     if count <= most:
         return list(range(count))
     chosen = np.unique(np.linspace(0, count - 1, max(most, 2)).round().astype(int))
@@ -174,18 +174,18 @@ def chosen(count: int, most: int, must: int | None) -> list[int]:
 
 
 def matrix(look: Look, width: int) -> list[str]:
-    """The tap error over speed and grip, or of each target, in lines of at most `width` columns."""
+    """The tap error over speed and grip, or per target, in lines of at most `width` characters."""
     axes, errors = look.axes, look.errors
     if axes.targets:
         rows, columns = [cut(name, LONGEST_TARGET) for name in axes.targets], ["error %"]
     else:
         rows = [f"{speed:g} m/s" for speed in axes.speeds_m_s]
         columns = ["free" if grip == 0 else f"{grip:g} N" for grip in axes.by_grip]
-    turned = len(columns) == 1 and not axes.targets  # one grip: the speeds stand side by side
+    turned = len(columns) == 1 and not axes.targets  # with a single grip, the speeds are columns
     if turned:
         rows, columns = columns, rows
     corner = "" if axes.targets else "tap error %"
-    # Each cell has the worst of an arm's places.
+    # For an arm, each cell shows the worst of the places.
     groups = [[ig] for ig in range(len(axes.grips_N))] if axes.targets else [*axes.by_grip.values()]
     cells_of = [[_cell(look, iv, group) for group in groups] for iv in range(len(look.rows))]
     found = [list(each) for each in zip(*cells_of, strict=True)] if turned else cells_of
@@ -216,7 +216,7 @@ def matrix(look: Look, width: int) -> list[str]:
 
 
 def _cell(look: Look, iv: int, group: Sequence[int]) -> tuple[str, str]:
-    """The largest of some entries' numbers and their marks, or the mark where one is refused."""
+    """Largest number in a group of entries and their marks, or the mark of refusal if one is refused."""
     if any(look.rows[iv][ig].refusal for ig in group):
         return "", REFUSED
     held, poor = any(look.held(iv, ig) for ig in group), any((iv, ig) in look.poor for ig in group)
@@ -224,7 +224,7 @@ def _cell(look: Look, iv: int, group: Sequence[int]) -> tuple[str, str]:
 
 
 def marks(look: Look) -> list[str]:
-    """What the marks in the matrix mean, for those that are there."""
+    """Explanations of the marks that occur in the matrix."""
     lines = []
     if look.poor:
         lines.append(f"{BAD} poor: half of the {look.what} is missing, or a hand feels it too weak or too strong")
@@ -239,11 +239,11 @@ def marks(look: Look) -> list[str]:
 
 
 def worst_line(look: Look, prices: Sequence[Price]) -> str:
-    """The worst entry, and what the limit that costs most would give away; empty where none is admitted.
+    """The worst entry, and the effect of raising the costliest limit; empty if no entry is admitted.
 
     Parameters
     ----------
-    prices : of the costliest entry, the dearest first.
+    prices : prices of the costliest entry, the highest first.
     """
     worst, costliest = look.worst, look.costliest
     if worst is None:
@@ -265,7 +265,7 @@ def worst_line(look: Look, prices: Sequence[Price]) -> str:
 
 
 def _priced(price: Price, at: str) -> str:
-    """What the dearest limit costs, in a sentence without its full stop."""
+    """The effect of the highest price, as a sentence without full stop."""
     raised = f"{price.bound + price.step:.8g} {price.unit}".rstrip()
     then = f"no certified answer with {raised}" if np.isnan(price.then) else f"with {raised} {percent(price.then)} %"
     bound = f"{price.bound:.8g} {price.unit}".rstrip()
@@ -276,7 +276,7 @@ def _priced(price: Price, at: str) -> str:
 
 
 def priced(source: Build | Library | None, look: Look) -> Sequence[Price]:
-    """The prices of the costliest entry, where a limit holds it back; none of a library that is not proven."""
+    """Prices of the costliest entry if a limit holds it back; empty if there is no source to compute them from."""
     place = look.costliest
     if source is None or place is None or not look.held(*place):
         return ()
@@ -284,11 +284,11 @@ def priced(source: Build | Library | None, look: Look) -> Sequence[Price]:
 
 
 def lines(source: Build | Library | None, look: Look, width: int) -> list[tuple[str, str | None]]:
-    """Head, matrix, marks and the worst entry, each line with the colour that it is set in.
+    """Head, matrix, marks and worst entry: lines with their colours.
 
     Parameters
     ----------
-    source : by which limits are priced; None for a library that is not proven, whose numbers may make no problem.
+    source : used to price limits; None for a library that is not proven, whose numbers may pose no problem.
     """
     found = []
     if look.worst is not None:
@@ -298,12 +298,12 @@ def lines(source: Build | Library | None, look: Look, width: int) -> list[tuple[
 
 
 def next_commands(library: Path, scene: Scene) -> list[str]:
-    """Three commands that go on from a library file: detail, what a driver plays or a simulated tap, and the page."""
+    """Three commands for a library file: details, a driver's file or simulated tap, and the page or a check."""
     file = shlex.quote(str(library))
     heard = f"transopt-play tap {file} --simulate"
     if scene.targets:
         heard = f"transopt export {file} drive.wav --drive"
     if scene.axes.places:
         heard = f"transopt export {file} arm.h"
-    last = "verify" if scene.nonlinear or scene.axes.places else "page"  # which is for linear plants with one motor
+    last = "verify" if scene.nonlinear or scene.axes.places else "page"  # `page` is for linear plants with one motor
     return [f"transopt show {file} --table", heard, f"transopt {last} {file}"]

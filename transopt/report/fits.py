@@ -1,4 +1,4 @@
-"""How amplifiers, coils, hands and measured responses that were fitted are shown: their tables, and a figure each."""
+"""Presents fitted amplifiers, coils, hands and responses: tables, and a figure each."""
 
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ from transopt.base.tables import Table
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients
 from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 
-if TYPE_CHECKING:  # the fit that is drawn is loaded; the others take longer to load than a figure to draw
+if TYPE_CHECKING:  # only the fit that is drawn is loaded; loading the others takes longer than drawing
     from transopt.identify.amplifier import AmplifierFit
     from transopt.identify.black_box import ResponseFit
     from transopt.identify.coil import CoilFit
@@ -24,10 +24,10 @@ if TYPE_CHECKING:  # the fit that is drawn is loaded; the others take longer to 
     from transopt.identify.spectrum import TransferEstimate, Trial
 
 POINTS = 400
-LEAST_DRAWN = 1e-6  # of the largest magnitude: the logarithm of nothing has no place
-MOST_UNKNOWN = 0.2  # of the magnitude: where the band at either end is wider, the figure ends
-MOST_POINTS = 4000  # of a heating record that are drawn
-COIL = {  # `transopt.identify.coil.NAMES`: what each is of, and its unit
+LEAST_DRAWN = 1e-6  # smallest share of the largest magnitude that is drawn, since the logarithm of 0 is infinite
+MOST_UNKNOWN = 0.2  # of the magnitude: the figure ends where the confidence band becomes wider
+MOST_POINTS = 4000  # most points of a heating record that are drawn
+COIL = {  # name in `transopt.identify.coil.NAMES` -> what it belongs to, and its unit
     "R_wh_K_W": ("winding over housing", "K/W"),
     "R_ha_K_W": ("housing over ambient", "K/W"),
     "tau_w_s": ("winding", "s"),
@@ -42,8 +42,8 @@ HAND_PANELS = (
 
 
 def value_table(title: str, rows: Iterable[Sequence[str]]) -> Table:
-    """Fitted numbers: what each is, its value, both ends of its 95 % interval, its unit."""
-    # Names are told apart by their ends: they are folded on a narrow terminal, never cut.
+    """Fitted numbers: name, value, both ends of the 95 % interval, unit."""
+    # Names differ at their ends, so a narrow terminal folds them and never cuts them.
     numbers = (Column(head, justify="right") for head in ("value", "95 % interval"))
     table = Table(Column("quantity", overflow="fold"), *numbers, "unit", title=title)
     for name, value, low, high, unit in rows:
@@ -52,7 +52,7 @@ def value_table(title: str, rows: Iterable[Sequence[str]]) -> Table:
 
 
 def _magnitude_and_phase() -> tuple[Figure, Axes, Axes]:
-    """An empty figure of a response over frequency."""
+    """An empty figure for a response over frequency."""
     figure = Figure(figsize=(5.6, 5.2), layout="constrained")
     magnitude, phase = figure.subplots(2, 1, sharex=True)
     phase.set_ylabel("phase [deg]", fontsize=LABEL_PT)
@@ -67,14 +67,14 @@ def _magnitude_and_phase() -> tuple[Figure, Axes, Axes]:
 
 
 def response_figure(fit: "ResponseFit") -> Figure:
-    """Magnitude and phase over frequency: dots as measured, a line as fitted."""
+    """Magnitude and phase over frequency: measured as dots, fitted as a line."""
     f = fit.frequencies_Hz
     fine = np.geomspace(f[0], f[-1], POINTS)
     figure, magnitude, phase = _magnitude_and_phase()
     unit = fit.plant.driven_by.unit
     at = np.concatenate([f, fine])
     order = np.argsort(at, kind="stable")
-    # One unwrapping of both, so that no whole turn is between them.
+    # Both are unwrapped together, so that no whole turn separates them.
     turned = np.empty(at.size)
     turned[order] = np.unwrap(np.angle(fit.plant.response(at))[order])
     off = np.angle(fit.measured / fit.plant.response(f))
@@ -91,9 +91,9 @@ def response_figure(fit: "ResponseFit") -> Figure:
 
 
 def amplifier_figure(fit: "AmplifierFit") -> Figure:
-    """Magnitude and phase from command to measured current, and from wanted current through the prefilter to it.
+    """Magnitude and phase from command to measured current, without and with the prefilter before it.
 
-    Dots: the estimate; shaded: its 95 % band; lines: one pole and a delay, held and sampled.
+    Dots: the estimate; shaded: its 95 % band; lines: the fitted pole and delay, with hold and sampling.
     """
     known = fit.estimate.half_width() < MOST_UNKNOWN * np.abs(fit.estimate.response)
     estimate = fit.estimate.between(*fit.estimate.frequencies_Hz[known][[0, -1]])
@@ -116,13 +116,13 @@ def amplifier_figure(fit: "AmplifierFit") -> Figure:
 
 def prefilter_response(fit: "AmplifierFit", frequencies_Hz: FloatArray) -> ComplexArray:
     """(m,) complex response of the prefilter that inverts the fitted pole (`transopt.plant.amplifier.prefilter`)."""
-    pole = Amplifier(fit.pole_Hz, fit.delay_s, 1.0)  # the range of the command has no part in it
+    pole = Amplifier(fit.pole_Hz, fit.delay_s, 1.0)  # the range of the command has no effect here
     now, before = prefilter_coefficients(pole, fit.dt_s)
     return np.asarray(now + before * np.exp(-2j * np.pi * frequencies_Hz * fit.dt_s))
 
 
 def _draw(magnitude: Axes, phase: Axes, estimate: "TransferEstimate", colour: str, label: str) -> None:
-    """An estimate with its band."""
+    """Draw an estimate with its 95 % band."""
     f, size, (low, high) = estimate.frequencies_Hz, np.abs(estimate.response), estimate.magnitude_band()
     degrees, spread = np.degrees(np.unwrap(np.angle(estimate.response))), estimate.phase_half_width_deg()
     low = np.maximum(low, LEAST_DRAWN * size.max())
@@ -133,13 +133,13 @@ def _draw(magnitude: Axes, phase: Axes, estimate: "TransferEstimate", colour: st
 
 
 def _line(magnitude: Axes, phase: Axes, f: FloatArray, response: ComplexArray, colour: str, label: str) -> None:
-    """A fit."""
+    """Draw a fitted response."""
     magnitude.plot(f, 20 * np.log10(np.abs(response)), color=colour, linewidth=1.1, label=label)
     phase.plot(f, np.degrees(np.unwrap(np.angle(response))), color=colour, linewidth=1.1)
 
 
 def trial_table(fit: "AmplifierFit", trials: Sequence["Trial"]) -> Table:
-    """What each file played, and the gain that a linear model sees in it."""
+    """The command of each file, and the gain that a linear model finds in it."""
     table = Table(title="trials, command to current")
     table.add_column("file")
     for heading in ("length [s]", "rate [Hz]", "peak [A]", "middle [A]", "gain with crossover"):
@@ -154,7 +154,7 @@ def trial_table(fit: "AmplifierFit", trials: Sequence["Trial"]) -> Table:
 
 
 def amplifier_table(fit: "AmplifierFit") -> Table:
-    """Values with their 95 % intervals; below them what a continuous fit of the same response would say."""
+    """Values with their 95 % intervals; below them the values of a continuous-time fit to the same response."""
     late = (fit.delay_s, fit.intervals["delay_s"], 1e6)
     rows = [
         ("pole", fit.pole_Hz, fit.intervals["pole_Hz"], 1.0, 0.0, "Hz", ".1f"),
@@ -178,11 +178,11 @@ def amplifier_table(fit: "AmplifierFit") -> Table:
 
 
 def crossover_line(fit: "AmplifierFit") -> str:
-    """Whether the amplifier's dead band shows."""
+    """Whether the amplifier's crossover dead band can be seen."""
     crossover = fit.crossover
     if crossover.shows:
         h = crossover.half_width_A
-        # First harmonic of what a dead band takes off a sine of 1 A: 4 h / pi.
+        # A dead band of half-width h reduces the first harmonic of a sine of 1 A by 4 h / pi.
         lost = f"commands within {1e3 * h:.3g} mA of zero are lost, {400 * h / np.pi:.2g} % of a sine of 1 A"
         return f"crossover: {lost}; taken off before the fit, so that pole and delay are free of it"
     seen = f"none above {4e3 * crossover.deviation_A:.2g} mA" if crossover.deviation_A > 0 else "not to be seen"
@@ -220,7 +220,7 @@ def coil_figure(fit: "CoilFit") -> Figure:
 
 
 def coil_table(fit: "CoilFit") -> Table:
-    """Values with their 95 % intervals."""
+    """Thermal resistances and time constants with their 95 % intervals."""
     rows = []
     for (name, (of, unit)), (low, high) in zip(COIL.items(), fit.intervals, strict=True):
         rows.append((f"{name}, {of}", f"{getattr(fit.coil, name):.4g}", f"{low:.4g}", f"{high:.4g}", unit))
@@ -228,14 +228,14 @@ def coil_table(fit: "CoilFit") -> Table:
 
 
 def noise_line(fit: "CoilFit") -> str:
-    """Which temperatures were fitted, and how near the model comes to them."""
+    """Which temperatures were fitted, and how close the model comes to them."""
     channels = "the winding" if fit.record.housing is None else "winding and housing"
     noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
     return f"from {channels}, {noise}"
 
 
 def hand_figure(fit: "HandFit") -> Figure:
-    """Three panels: mass, damping and stiffness of each tap over grip, the line, its 95 % band, the seed's line."""
+    """Three panels: mass, damping and stiffness per tap over grip, fitted line with 95 % band, the seed's line."""
     figure = Figure(figsize=(9.0, 3.1), layout="constrained")
     for axes, line, (label, seed) in zip(figure.subplots(1, 3), fit.lines, HAND_PANELS, strict=True):
         grip, lower, upper = line.band.T
@@ -261,7 +261,7 @@ def equation(line: "GripLine") -> str:
 
 
 def line_table(fit: "HandFit") -> Table:
-    """Constants and slopes with their 95 % intervals, and how well a line describes them."""
+    """Constants and slopes with their 95 % intervals, and a test of the linear dependence on grip."""
     table = Table(title=f"hand over grip F, {len(fit.fits)} taps: F_surface = m y'' + b y' + k y")
     for heading in ("quantity", "unit"):
         table.add_column(heading)
@@ -285,7 +285,7 @@ def line_table(fit: "HandFit") -> Table:
 
 
 def chain_table(chain: "ChainFit") -> Table:
-    """The fourth-order hand: lines with their 95 % intervals, and how well the middle is known."""
+    """The fourth-order hand: lines with their 95 % intervals, and the uncertainty at the middle grip."""
     title = f"fourth order (stylus - skin - hand - arm), error of the acceleration {100 * chain.unexplained:.1f} %"
     table = Table(title=title)
     table.add_column("quantity")

@@ -1,4 +1,4 @@
-"""The error between the nodes of a library, on the scene's own grid and on the refined one."""
+"""The error between the nodes of a library, on the scene's own grid and on the refined grid."""
 
 from typing import Any
 
@@ -13,21 +13,21 @@ from transopt.base.signals import FloatArray
 from transopt.design.refine_grid import Refinement
 from transopt.scene.sections import Grid
 
-SHADES = "YlGnBu"  # light is good, dark is bad, in grey print too
+SHADES = "YlGnBu"  # light for small errors, dark for large ones, also in grey print
 SHADE_LEVELS = 41
-TOLERANCE = "#D55E00"  # Okabe and Ito's vermilion, on light and on dark
+TOLERANCE = "#D55E00"  # Okabe and Ito's vermilion, visible on light and dark
 NODE: dict[str, Any] = {"marker": "o", "linestyle": "", "markerfacecolor": "white", "markeredgecolor": "0.15"}
 WORST: dict[str, Any] = {"marker": "x", "linestyle": "", "color": TOLERANCE, "markersize": 8, "markeredgewidth": 1.8}
 
 
 def grid_figure(refinement: Refinement) -> Figure:
-    """Excess [%] of the blend over the optimum, before (left) and after (right), on one scale; nodes are circles.
+    """Excess [%] of the blend over the optimum, before (left) and after (right) refinement, on one scale.
 
-    Heat maps over (speed, grip); where the grid has one speed or one grip only, curves over the other.
+    Heat maps over (speed, grip), nodes as circles; if the grid has a single speed or grip, curves over the other one.
 
     Parameters
     ----------
-    refinement : of a grid with more than one node.
+    refinement : a refinement of a grid with more than one node.
     """
     points = refinement.points
     at = np.array([(p.speed_m_s, p.grip_N) for p in points])  # (n, 2)
@@ -72,8 +72,8 @@ def grid_figure(refinement: Refinement) -> Figure:
 
 
 def _map(axes: Axes, at: FloatArray, excess: FloatArray, grid: Grid, top: float, tolerance: float) -> Any:
-    """Heat map from scattered points, shaded linearly between them, with the line where the tolerance is reached."""
-    # Triangles in units of the axes' ranges: metres per second and newtons have no common length.
+    """Heat map from scattered points, interpolated linearly, with the contour of the tolerance."""
+    # Triangulated in units of the axes' ranges, because metres per second and newtons are not comparable.
     unit = (at - at.min(axis=0)) / np.ptp(at, axis=0)
     mesh = Triangulation(at[:, 0], at[:, 1], Triangulation(unit[:, 0], unit[:, 1]).triangles)
     levels = np.linspace(0.0, top, SHADE_LEVELS)
@@ -86,7 +86,7 @@ def _map(axes: Axes, at: FloatArray, excess: FloatArray, grid: Grid, top: float,
 
 
 def _curve(axes: Axes, where: FloatArray, excess: FloatArray, grid: Grid, single: int, tolerance: float) -> None:
-    """Excess over the one axis (0 speed, 1 grip) that is not `single`, with nodes and tolerance."""
+    """Excess over the axis (0 speed, 1 grip) other than `single`, with nodes and tolerance."""
     order = np.argsort(where)
     axes.grid(color="0.9", linewidth=0.6)
     axes.axhline(tolerance, color=TOLERANCE, linewidth=1.5)

@@ -1,4 +1,4 @@
-"""What a report says about an identified model: values, intervals, verdicts, and how far to trust a design."""
+"""What a report says about an identified model: values, intervals, verdicts, and its error beside the design's."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,11 +14,11 @@ from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS, DriveDevice, FourthOrderHand
 from transopt.scene.scene import Scene
 
-GAIN_TOLERANCE = 0.02  # of the amplifier; the design takes a commanded ampere for an ampere
+GAIN_TOLERANCE = 0.02  # of the amplifier's gain from 1; the design assumes a gain of 1
 
 
 def _use(scene: Scene, model: IdentifiedModel, name: str) -> str:
-    """What the design takes from a part, in words."""
+    """What the design uses of a part, in words."""
     match name:
         case "amplifier":
             assert model.amplifier is not None
@@ -43,7 +43,7 @@ def _use(scene: Scene, model: IdentifiedModel, name: str) -> str:
 
 
 def _value_rows(name: str, part: FittedPart) -> list[str]:
-    """Rows of a Markdown table: parameter, value, interval, deviation."""
+    """Rows of a Markdown table: parameter, value, 95 % interval, standard deviation."""
     rows = []
     for j, (parameter, value) in enumerate(zip(part.parameters, part.values(), strict=True)):
         interval = part.intervals.get(parameter)
@@ -53,7 +53,7 @@ def _value_rows(name: str, part: FittedPart) -> list[str]:
 
 
 def _spread_words(scene: Scene) -> list[str]:
-    """Which devices each command of a robust scene serves."""
+    """The devices that each command of a robust scene serves."""
     robust = scene.robust
     if robust is None:
         return []
@@ -69,7 +69,7 @@ def _spread_words(scene: Scene) -> list[str]:
 
 
 def model_errors(build: Build) -> list[tuple[Entry, float]]:
-    """Admitted entries with the error between their prediction and the device, as the model file tells it."""
+    """Admitted entries with the expected error between prediction and device, according to the model file."""
     model = build.scene.model
     if not isinstance(model, IdentifiedModel):
         return []
@@ -86,12 +86,12 @@ def model_errors(build: Build) -> list[tuple[Entry, float]]:
 
 
 def below_the_model(build: Build) -> list[Entry]:
-    """Entries whose error by design is smaller than what their model is expected to be off by."""
+    """Entries whose designed error is smaller than the expected error of their model."""
     return [entry for entry, error in model_errors(build) if entry.figures.tap_error < error]
 
 
 def model_warning(build: Build) -> str:
-    """One line on what the model itself misses, and where the design promises more; empty where nothing is known."""
+    """One line on the model's own error, and where the design promises a smaller one; empty if none is known."""
     errors = model_errors(build)
     if not errors:
         return ""
@@ -113,7 +113,7 @@ def model_warning(build: Build) -> str:
 
 
 def uncovered_line(build: Build) -> str:
-    """One line where entries ask for more current than the model's device was recorded with; empty if none does."""
+    """One line if entries need more current than the device was recorded with; empty if none does."""
     model = build.scene.model
     if not isinstance(model, IdentifiedModel) or model.device is None or model.device.error is None:
         return ""
@@ -131,7 +131,7 @@ def uncovered_line(build: Build) -> str:
 
 
 def moving_target(scene: Scene) -> str:
-    """One line where the taps to be reproduced are made with the identified device; empty if they are not."""
+    """One line if the taps to reproduce are simulated with the identified device; empty if they are not."""
     model = scene.model
     if scene.recordings.simulated is None or scene.striker is not None or not isinstance(model, IdentifiedModel):
         return ""
@@ -142,7 +142,7 @@ def moving_target(scene: Scene) -> str:
 
 
 def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
-    """A note on grips that the scene plays outside the recorded ones."""
+    """A note on grips of the scene outside the recorded ones."""
     recorded = [grip for grip in model.moving.grips_N if grip > 0]
     beyond = [f"{grip:g}" for grip in scene.grid.grips_N if grip > 0 and not recorded[0] <= grip <= recorded[-1]]
     if not beyond:
@@ -156,7 +156,7 @@ def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
 
 
 def identified_lines(build: Build) -> list[str]:
-    """The section of report.md; empty for a model that the scene states itself."""
+    """The section of report.md on an identified model; empty if the scene states the model itself."""
     scene, model = build.scene, build.scene.model
     if not isinstance(model, IdentifiedModel):
         return []
@@ -192,7 +192,7 @@ def identified_lines(build: Build) -> list[str]:
 
 
 def identified_rows(build: Build) -> dict[str, Any] | None:
-    """What `identified_lines` says, for report.json; None for a model that the scene states itself."""
+    """Content of `identified_lines` for report.json; None if the scene states the model itself."""
     model = build.scene.model
     if not isinstance(model, IdentifiedModel):
         return None
@@ -215,6 +215,6 @@ def identified_rows(build: Build) -> dict[str, Any] | None:
 
 
 def _values(part: FittedPart) -> dict[str, Any]:
-    """Values and intervals by name of the parameter."""
+    """Values and intervals by parameter name."""
     values: Sequence[float] = part.values().tolist()
     return {"values": dict(zip(part.parameters, values, strict=True)), "intervals": part.intervals}

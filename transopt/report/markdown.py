@@ -1,4 +1,4 @@
-"""The text of the two report files that a build leaves: report.md to read, report.json with the same numbers."""
+"""Content of the two report files of a build: report.md to read, report.json with the same numbers."""
 
 import json
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ CERTIFICATE_LEGEND = (
 
 
 def _between_lines(refinement: Refinement) -> list[str]:
-    """The section on what the blend between the nodes loses."""
+    """The section on the loss of the blend between the nodes."""
     lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
     if refinement.is_one_point:
         return lines
@@ -74,7 +74,7 @@ def _between_lines(refinement: Refinement) -> list[str]:
 
 
 def _recorded_lines(build: Build) -> list[str]:
-    """The table of references and the notes on their taps, or the named targets."""
+    """The table of references with notes on their taps, or the named targets."""
     references, axes = build.references, build.scene.axes
     if axes.targets:
         rows = [
@@ -117,7 +117,7 @@ def _recorded_lines(build: Build) -> list[str]:
 
 
 def _origin(build: Build) -> str:
-    """Origin of the recordings, in words."""
+    """Origin of the recordings in words."""
     if build.scene.targets:
         return f"What it shall make is stated by name: {build.scene.axes.said}."
     simulated = build.scene.recordings.simulated
@@ -138,7 +138,7 @@ def _origin(build: Build) -> str:
 
 
 def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
-    """Why parts of the problem were left out, each reason once; numbers that differ by entry are in report.json."""
+    """The reasons why parts of the problem were left out, each once; report.json has the numbers per entry."""
     holders: dict[tuple[str, str], int] = {}
     for entry in entries:
         for part, reason in entry.left_out.items():
@@ -151,14 +151,14 @@ def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def _size_cells(entry: Entry) -> list[str]:
-    """States, variables and rows of the program that an entry was solved by; dashes where there was none."""
+    """States, variables and rows of the program that was solved for an entry; dashes if there was none."""
     if entry.size is None:
         return ["-", "-", "-"]
     return [str(entry.size.states), str(entry.size.variables), str(entry.size.rows)]
 
 
 def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
-    """What the problems keep of their limits for themselves; empty where they keep nothing."""
+    """The margins that the problems keep from their limits; empty if there are none."""
     widest: dict[str, Limit] = {}
     for limit in (limit for entry in entries for limit in entry.problem.limits if limit.kept_back > 0):
         known = widest.get(limit.name)
@@ -171,13 +171,13 @@ def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def _priced(build: Build, *, full: bool) -> list[Entry]:
-    """Entries whose prices are told: all, or the one that is farthest above its floor."""
+    """Entries whose prices are reported: all, or the one farthest above its floor."""
     entries = [entry for entry in build.all_entries() if entry.admitted]
     return entries if full else sorted(entries, key=lambda entry: entry.floor - entry.figures.tap_error)[:1]
 
 
 def _price_lines(build: Build, *, full: bool) -> list[str]:
-    """The section on which limits bind, and what a wider one would buy."""
+    """The section on binding limits and the gain from wider ones."""
     priced = [(entry, price) for entry in _priced(build, full=full) for price in entry.prices]
     if not priced:
         return []
@@ -213,12 +213,12 @@ def _price_lines(build: Build, *, full: bool) -> list[str]:
 
 
 def _solved_percent(error: float, of: float) -> str:
-    """A tap error that was solved for, or why there is none."""
+    """A tap error that was solved for, or "not certified"."""
     return "not certified" if np.isnan(of) else percent(error)
 
 
 def _trade_lines(build: Build) -> list[str]:
-    """The section on the figures that the trade goes by; empty for taps, and where there is no library."""
+    """The section on the haptics trade's figures; empty for taps, and if there is no library."""
     library = build.library
     if library is None or not build.scene.targets:
         return []
@@ -232,7 +232,7 @@ def _trade_lines(build: Build) -> list[str]:
 
 
 def _spread_lines(build: Build) -> list[str]:
-    """The section on the error over the spread of devices; empty where the scene is not robust."""
+    """The section on the error over the spread of devices; empty if the scene is not robust."""
     spreads = [(entry, entry.spread) for entry in build.all_entries() if entry.spread is not None]
     if not spreads:
         return []
@@ -263,7 +263,7 @@ def _spread_lines(build: Build) -> list[str]:
 
 
 def _cool_lines(build: Build) -> list[str]:
-    """The section on the cool commands, with less heat; empty where there are none."""
+    """The section on the cool commands, which cause less heat; empty if there are none."""
     library = build.library
     if library is None or library.cool is None:
         return []
@@ -277,7 +277,7 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
 
     Parameters
     ----------
-    full : whether it has the prices of all entries, and what intensity costs each; else those of the worst entry.
+    full : whether to include the prices and the cost of intensity of all entries; else the prices of one entry.
     """
     entries = list(build.all_entries())
     lines = [f"# {build.scene.name}", ""]
@@ -338,7 +338,7 @@ def build_markdown(build: Build, *, full: bool = True) -> str:
 
 
 def _certificate_row(certificate: Certificate) -> dict[str, Any]:
-    """A certificate's numbers, one violation for each unit that a limit is stated in."""
+    """A certificate's numbers, with one violation per unit of the limits."""
     row = asdict(certificate)
     del row["violations"]
     row |= {f"primal_violation_{unit}": by for unit, by in certificate.stated_violations.items()}
@@ -346,7 +346,7 @@ def _certificate_row(certificate: Certificate) -> dict[str, Any]:
 
 
 def _which(entry: Entry) -> dict[str, Any]:
-    """Which entry it is."""
+    """Keys that identify an entry."""
     if entry.target:
         return {"target": entry.target}
     at = {} if entry.spot is None else dict(zip(("normal", "posture"), entry.spot, strict=True))
@@ -358,7 +358,7 @@ def build_json(build: Build, *, full: bool = True) -> str:
 
     Parameters
     ----------
-    full : as of `build_markdown`; what is not made is null.
+    full : as in `build_markdown`; values that are then not computed are null.
     """
     priced = _priced(build, full=full)
     peak = f"peak_{build.scene.driven_by.name}_{build.scene.driven_by.unit}"

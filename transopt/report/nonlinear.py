@@ -1,4 +1,4 @@
-"""What `transopt solve` leaves of a scene with `[model.nonlinear]`: figures of both designs, and the commands."""
+"""Files that `transopt solve` writes for a scene with `[model.nonlinear]`: figures of both designs, and commands."""
 
 import json
 from collections.abc import Callable
@@ -21,18 +21,18 @@ LIBRARY = "library.npz"
 
 
 def write_nonlinear(design: Build, folder: str | Path, *, figures: bool = True) -> list[Path]:
-    """Write `library.npz`, `nonlinear.md`, `.json`, `.png` and the proven commands as `nonlinear.csv`, all or none.
+    """Write `library.npz`, `nonlinear.md`, `.json`, `.png` and the proven commands in `nonlinear.csv`, all or none.
 
-    Where no entry is proven there is no `nonlinear.csv`; what is not written goes if an earlier design left it. A
-    library is written where every entry is proven, and an earlier one stays else.
+    Without a proven entry there is no `nonlinear.csv`; a file of an earlier design that is not written now is
+    removed. A library is written only if every entry is proven; otherwise an earlier one stays.
 
     Parameters
     ----------
-    figures : whether both designs are drawn.
+    figures : whether to draw both designs.
 
     Returns
     -------
-    The files.
+    Paths of the files written.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def nonlinear_markdown(design: Build) -> str:
 
 
 def nonlinear_json(design: Build) -> str:
-    """State a nonlinear design's figures as JSON; what has no value is null."""
+    """The figures of a nonlinear design as JSON; a missing value is null."""
     content = {
         "scene": design.scene.name,
         "elapsed_s": design.elapsed_s,
@@ -113,19 +113,19 @@ def _figures(entry: Entry) -> dict[str, Any]:
 
 
 def refusals(entry: Entry) -> list[str]:
-    """Why an entry is not proven, one sentence each; empty where it is."""
+    """Why an entry is not proven, one sentence each; empty if it is proven."""
     return [] if entry.status is Status.STATIONARY else entry.shortfalls or [entry.status.value]
 
 
 def nonlinear_table(design: Build) -> EntryTable:
-    """All targets with the linear design's errors; the figures of a refused one are shown too."""
+    """All targets with the errors of the linear design too; refused entries show their figures as well."""
     names = ("linear", "tap", "linear_after", "after", "ms", "gap", "result")
     rows = [TableRow(e.cells, {name: e.value(name) for name in names}) for e in design.all_entries()]
     return EntryTable(design.scene.axes.columns, names, rows, design.scene.driven_by.unit)
 
 
 def commands_csv(design: Build) -> str:
-    """The proven commands, a column for each target: when each value is issued [s], and the value, which is held."""
+    """The proven commands, one column per target, with the time at which each held value is issued [s]."""
     grid = design.scene.time_grid()
     unit = design.scene.driven_by.unit
     issued_s = [k * grid.dt_s - grid.lead_s for k in range(grid.stages)]

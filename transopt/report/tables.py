@@ -19,13 +19,13 @@ from transopt.scene.plausible import implausible
 from transopt.scene.scene import Scene
 from transopt.scene.sections import covering_lead_s
 
-FELT_g = 1.0  # peak error after the waveform, from which on a user is warned of it
-LOST = 1e-3  # share of a tap's energy before the first command can act, from which on a user is warned of it
-MOST_REFUSED = 3  # told in a line each
+FELT_g = 1.0  # peak error after the waveform from which on the user is warned
+LOST = 1e-3  # share of a tap's energy before the first command acts, from which on the user is warned
+MOST_REFUSED = 3  # refused entries that get a line each
 
 
 def legend(shown: EntryTable, scene: Scene) -> str:
-    """What the columns of a table of entries mean."""
+    """Explanation of the columns of a table of entries."""
     return shown.legend(scene.driven_by.name, named=bool(scene.targets))
 
 
@@ -41,8 +41,8 @@ def printed(
 
     Parameters
     ----------
-    striking : a style for each row, or None.
-    columns : after how many rows a line is drawn; 0 for nowhere.
+    striking : a style or None for each row.
+    columns : number of rows after which a line is drawn; 0 for no lines.
     """
     table = Table(title=title, caption=caption, keys=len(shown.places))
     numbers = [*(True for _ in shown.places), *(COLUMNS[name].is_number for name in shown.names)]
@@ -50,25 +50,25 @@ def printed(
         table.add_column(head, justify="right" if is_number else "left", overflow="fold")
     styles = striking or [None] * len(shown.rows)
     for number, (row, style) in enumerate(zip(shown.cells, styles, strict=True), start=1):
-        # `Text` is printed as it is; a string would be searched for markup, which takes longer.
+        # `Text` is printed unchanged; a string would be parsed for markup, which takes longer.
         table.add_row(*map(Text, row), style=style, end_section=columns > 0 and number % columns == 0)
     return table
 
 
 def refusal(entry: Entry) -> str:
-    """Why an entry is refused, and what would do."""
+    """Why an entry is refused, and what would help."""
     return ": ".join(filter(None, dict.fromkeys([entry.status.value, "; ".join(entry.shortfalls)])))
 
 
 def refused_lines(build: Build) -> list[str]:
-    """Why entries are refused: the first few in a line each, then how many more."""
+    """Why entries are refused: the first few in a line each, then the number of others."""
     found = [f"refused: {entry.place}: {refusal(entry)}" for entry in build.refused]
     more = len(found) - MOST_REFUSED
     return [*found[:MOST_REFUSED], *([f"and {more} more, see refused.md"] if more > 0 else [])]
 
 
 def entry_table(source: Build | Library, title: str) -> tuple[Table, str]:
-    """Every entry with its figures, and what the columns mean; on a nonlinear plant the linear design's too."""
+    """Every entry with its figures, for a nonlinear plant also the linear design's; explanation of the columns."""
     scene = source.scene if isinstance(source, Build) else source.scene()
     linear = ("linear",) if scene.nonlinear else ()
     shown = source.table(
@@ -81,12 +81,12 @@ def entry_table(source: Build | Library, title: str) -> tuple[Table, str]:
 
 
 def certificate_table(source: Build | Library, title: str) -> Table:
-    """What is proven of every entry: how far it leaves a limit, and how far it is from the optimum at the most."""
+    """What is proven of every entry: its largest violation of a limit and its largest distance from the optimum."""
     return printed(source.table(("violation", "gap", "ms", "binding")), title)
 
 
 def summary(build: Build) -> str:
-    """One line: error, certificate, time per entry, time in all."""
+    """One line: error, certificate, time per entry, total time."""
     entries = list(build.all_entries())
     admitted = [entry for entry in entries if entry.status is Status.OPTIMAL]
     said = []
@@ -111,9 +111,9 @@ def summary(build: Build) -> str:
 
 
 def aftermath(build: Build) -> str:
-    """One line where the error after a waveform is so large that it is felt; empty if nowhere.
+    """One line if the error after a waveform is large enough to be felt; empty if it is nowhere.
 
-    Where the scene does not look at what comes after the waveform, it is what the stylus rings on with.
+    If the scene has no samples after the waveform, the error is the ringing of the stylus.
     """
     looked = build.scene.time_grid().after_stages > 0
 
@@ -138,7 +138,7 @@ def aftermath(build: Build) -> str:
 
 
 def lost_start(build: Build) -> str:
-    """One line where too much of a tap is over before the first command acts, with the lead that would do."""
+    """One line if too much of a tap precedes the first command's effect, with the lead that would help."""
     worst = max(build.references, key=lambda reference: reference.target.lost_share)
     share, scene = worst.target.lost_share, build.scene
     if share <= LOST:
@@ -157,14 +157,14 @@ def lost_start(build: Build) -> str:
 
 
 def warnings(build: Build) -> list[str]:
-    """What deserves a second look in a build, one line each."""
+    """Points of a build that deserve a second look, one line each."""
     odd = implausible(build.scene.model_dump(exclude_none=True))
     accepted = [f"accepted as it is: {said}" for said in odd]
     return [*accepted, *(said for said in (lost_start(build), aftermath(build)) if said)]
 
 
 def cool_summary(library: Library) -> str:
-    """One line on the cool commands, with less heat; empty where a library has none."""
+    """One line on the cool commands, which cause less heat; empty if the library has none."""
     cool = library.cool
     if cool is None:
         return ""
@@ -180,7 +180,7 @@ def cool_summary(library: Library) -> str:
 
 
 def _span(shares: FloatArray) -> str:
-    """The least and the largest of some shares, in percent, or one where they print alike; NaN is left out."""
+    """Smallest and largest of some shares in percent, or one number if they print alike; NaN is ignored."""
     known = shares[np.isfinite(shares)]
     if not known.size:
         return "-"
@@ -189,7 +189,7 @@ def _span(shares: FloatArray) -> str:
 
 
 def refinement_summary(refinement: Refinement) -> str:
-    """One line: what the blend between the nodes loses against the optimum, before and after; or what is missing."""
+    """One line: excess of the blend between the nodes over the optimum before and after, or the shortfall."""
     if refinement.is_one_point:
         return "grid: one speed and one grip, nothing lies between the nodes"
     if refinement.shortfall:
@@ -205,7 +205,7 @@ def refinement_summary(refinement: Refinement) -> str:
 
 
 def verify_table(checked: Sequence[Entry], name: str) -> Table:
-    """The table that `transopt verify` prints; the figures of an entry that falls short are shown too."""
+    """The table that `transopt verify` prints; entries that fall short show their figures as well."""
     names = ("tap", "peak", "violation", "gap", "result")
     unit = checked[0].unit
     rows = []

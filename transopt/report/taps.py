@@ -1,4 +1,4 @@
-"""A look at recordings before anything is solved, for `transopt taps`: a table, and a scene file or lines for one."""
+"""A look at recordings before anything is solved, for `transopt taps`: tables, and a scene file or lines of one."""
 
 import json
 import os
@@ -19,13 +19,13 @@ from transopt.recordings.speed import UNKNOWN
 from transopt.recordings.tap import PreparedTap
 from transopt.recordings.unclear import toml
 
-NO_GRAVITY_M_S2 = 0.5  # a smaller offset is that of a sensor within 3 degrees of level, or that reads none
-MOST_LINES = 3  # of one kind; a whole folder is wrong in the same way
-CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed
+NO_GRAVITY_M_S2 = 0.5  # a smaller offset: the sensor is within 3 degrees of level, or reads no gravity
+MOST_LINES = 3  # lines of one kind; the files of a folder usually share a fault
+CLUSTER_WIDTH = 0.1  # relative width of a group of speeds; a tap may be scaled by 15 % to its grid speed
 
 
 def taps_table(taps: Sequence[PreparedTap]) -> Table:
-    """Per file: rate, onset, offset, polarity, speed and its source, grip, a0, peak, clipping, notes."""
+    """One row per tap: rate, onset, offset, polarity, speed and its source, grip, a0, peak, clipping, notes."""
     table = Table(title=f"{len(taps)} recording{'s' * (len(taps) > 1)}")
     names = (
         "file",
@@ -64,7 +64,7 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
 
 
 def cells_table(taps: Sequence[PreparedTap]) -> Table | None:
-    """How many taps each speed and grip has, and what serves where there is none; None where no grip is stated."""
+    """Number of taps per speed and grip, and what replaces missing ones; None if no grip is stated."""
     grips = grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N is not None])
     speeds = _speed_groups([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
     if not (grips and speeds):
@@ -83,7 +83,7 @@ def cells_table(taps: Sequence[PreparedTap]) -> Table | None:
 
 
 def _filled(count: int, column: int, known: NDArray[np.intp]) -> str:
-    """What a cell is made of: its taps, those of its neighbours, or those of the outermost grip of its speed."""
+    """Content of a cell: its own taps, interpolation between neighbours, or the outermost grip of its speed."""
     if count:
         return str(count)
     if known.size == 0:
@@ -92,7 +92,7 @@ def _filled(count: int, column: int, known: NDArray[np.intp]) -> str:
 
 
 def hints(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
-    """What about all of the recordings a user may have to state, one sentence each."""
+    """What the user may have to state about all recordings, one sentence each."""
     found = []
     silent = sum(tap.recording.grip_N is None for tap in taps)
     if silent == len(taps):
@@ -109,7 +109,7 @@ def hints(taps: Sequence[PreparedTap], settings: Recordings) -> list[str]:
 
 
 def implausible_lines(taps: Sequence[PreparedTap]) -> list[str]:
-    """What cannot be a tap in the units that are stated: the first few in a line each, then how many more."""
+    """Recordings that are implausible in the stated units: the first few in a line each, then how many more."""
     found = list(dict.fromkeys(f"{tap.recording.name}: {tap.implausible}" for tap in taps if tap.implausible))
     more = len(found) - MOST_LINES
     return [*found[:MOST_LINES], *([f"and {more} recordings more"] if more > 0 else [])]
@@ -122,7 +122,7 @@ def _speed_cell(tap: PreparedTap) -> str:
 
 
 def _speed_groups(speeds_m_s: Sequence[float]) -> list[list[float]]:
-    """Clusters of sorted speeds, each no wider than a tenth."""
+    """Clusters of sorted speeds, each no wider than 10 %."""
     clusters: list[list[float]] = []
     for speed in sorted(speeds_m_s):
         if clusters and speed <= clusters[-1][0] * (1 + CLUSTER_WIDTH):
@@ -139,11 +139,11 @@ def _mean(cluster: Sequence[float]) -> float:
 def _lines(
     taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings, home: Path | None
 ) -> tuple[list[str], list[str]]:
-    """TOML lines for the [grid] and the [recordings] table of a scene.
+    """TOML lines for the tables [grid] and [recordings] of a scene.
 
     Parameters
     ----------
-    home : folder of the scene, from which the recordings' folder counts; None names it whole.
+    home : folder of the scene, to which the recordings' folder is relative; None makes it absolute.
     """
     speeds = [_mean(c) for c in _speed_groups([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])]
     grips = [_mean(c) for c in grip_groups([tap.recording.grip_N for tap in taps if tap.recording.grip_N])]
@@ -152,15 +152,15 @@ def _lines(
     folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
     files = [path.resolve().relative_to(folder).as_posix() for path in paths]
     if home is not None:
-        with suppress(ValueError):  # another drive of Windows has no relative path
+        with suppress(ValueError):  # Windows has no relative path to another drive
             folder = Path(os.path.relpath(folder, home.resolve()))
-    # Strings, numbers and lists are spelt alike in JSON and TOML.
+    # Strings, numbers and lists have the same spelling in JSON and TOML.
     lines = [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
     return grid, [*lines, *(f"{key} = {toml(value)}" for key, value in stated.items())]
 
 
 def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings) -> str:
-    """TOML lines for the [grid] and [recordings] tables of a scene: speeds that serve these taps, and the files."""
+    """TOML lines for the tables [grid] and [recordings] of a scene: speeds that suit these taps, and the files."""
     grid, recordings = _lines(taps, paths, settings, None)
     replaced = "# in [recordings], in place of folder, files and simulated"
     keys = " and ".join(line.split(" = ")[0] for line in grid)
@@ -170,12 +170,12 @@ def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Re
 def scene_of_taps(
     template: str, taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings, home: Path
 ) -> str:
-    """A whole scene file: these recordings on the device of a template.
+    """A complete scene file: these recordings on the device of a template.
 
     Parameters
     ----------
     template : text of the built-in scene `own_taps`.
-    home : folder that the file is for.
+    home : folder in which the file will be.
     """
     grid, recordings = ("\n".join(lines) for lines in _lines(taps, paths, settings, home))
     device = template[template.index("motor = ") :]

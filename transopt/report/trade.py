@@ -1,4 +1,4 @@
-"""Tables of what leaves for a driver, and of the figures that the haptics trade goes by."""
+"""Tables of what is exported to a driver, and of the figures in use in the haptics trade."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ TRADE_LEGEND = (
 
 
 def trade_cells(figures: TradeFigures) -> list[str]:
-    """Under `TRADE_COLUMNS`; a dash for what is not known, and for a ring that was not seen to end."""
+    """Cells under `TRADE_COLUMNS`; a dash if a figure is unknown or the ring was not seen to end."""
     return [
         f"{figures.peak_m_s2:.3g}",
         _known(figures.pulse_to_ring, 1, "{:.1f}"),
@@ -47,7 +47,7 @@ def trade_table(library: Library, name: str) -> Table:
 
 
 def drive_table(library: Library, left: Sequence[PlayedDrive]) -> Table:
-    """What `transopt export --drive` prints: the error of the design and of what leaves, and the trade's figures."""
+    """The table of `transopt export --drive`: errors as designed and as exported, and the trade's figures."""
     driver = left[0].drive.driver
     title = (
         f"as it leaves: {driver.rate_Hz:g} Hz, {driver.depth.word}, full scale {driver.full_scale:g} {driver.unit}"
@@ -70,7 +70,7 @@ def drive_table(library: Library, left: Sequence[PlayedDrive]) -> Table:
 
 
 def drive_remarks(library: Library, left: Sequence[PlayedDrive]) -> list[str]:
-    """What deserves a second look in what leaves, one line each."""
+    """Points of an exported drive that deserve a second look, one line each."""
     driver = left[0].drive.driver
     said = [
         f"{each.drive.name}: {limit} as it leaves; more --bits, a multiple of the design's rate or a lower limit in "

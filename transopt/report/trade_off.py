@@ -1,4 +1,4 @@
-"""Waveform against intensity, as sections of report.md and rows of report.json."""
+"""The trade-off between waveform and intensity, as sections of report.md and rows of report.json."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 def _dB(value: float) -> str:
-    return "-" if np.isnan(value) else f"{round(value, 1) + 0.0:+.1f}"  # no -0.0
+    return "-" if np.isnan(value) else f"{round(value, 1) + 0.0:+.1f}"  # avoids -0.0
 
 
 def trade_off_lines(build: "Build") -> list[str]:
-    """The section of report.md; empty where nothing binds."""
+    """The section of report.md on the trade-off; empty if no limit binds."""
     found = build.trade_offs
     if not found:
         return []
@@ -64,12 +64,12 @@ def trade_off_lines(build: "Build") -> list[str]:
 
 
 def _bands(found: Sequence[TradeOff]) -> list[float]:
-    """Third octaves that any entry's tap has a part in."""
+    """Third octaves that contain a part of any entry's tap."""
     return sorted({band for each in found for band in each.waveform.levels.thirds_dB})
 
 
 def attained_lines(entries: Sequence[Entry]) -> list[str]:
-    """The section on the energy that the scene asks for; empty where it asks for none."""
+    """The section on the energy that the scene asks for; empty if it asks for none."""
     said = [(entry, entry.attained) for entry in entries if entry.attained is not None]
     if not said:
         return []
@@ -86,7 +86,7 @@ def attained_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def levels_row(levels: Levels) -> dict[str, Any]:
-    """Levels with the bands under their names."""
+    """Levels, with the bands under their names."""
     return {**asdict(levels), "thirds_dB": {f"{band:g}": value for band, value in levels.thirds_dB.items()}}
 
 
@@ -95,7 +95,7 @@ def _row(point: TradeOffPoint) -> dict[str, Any]:
 
 
 def trade_off_row(build: "Build", entry: Entry) -> dict[str, Any] | None:
-    """Trade-off for an entry's row in report.json; None where nothing binds."""
+    """Trade-off in an entry's row of report.json; None if no limit binds."""
     for each in build.trade_offs:
         if each.place == entry.place:
             return {

@@ -1,8 +1,8 @@
 """The figure of transients: every waveform of a library, a build or one entry.
 
-Drawn through matplotlib's object interface; pyplot is never imported: no window system, no global list of figures.
-Colours run through viridis, cut before it is too light for white paper; markers and line styles carry the same
-information into grey print.
+It uses matplotlib's object interface; pyplot is never imported, because it needs a window system and keeps a global
+list of figures. Colours run through viridis, cut where it is too light for white paper; markers and line styles carry
+the same information in grey print.
 """
 
 import itertools
@@ -28,24 +28,24 @@ from transopt.problem.baselines import input_bounds
 from transopt.problem.limits.limit import SIDES, motor_row
 from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
-if TYPE_CHECKING:  # a library that draws itself loads nothing of what solved it
+if TYPE_CHECKING:  # a library that draws itself does not load the designer
     from transopt.design.entry import Entry
 
 MARKERS = "os^Dv<>P"
-OTHER_MOTORS = ("--", ":")  # lines of those beside the first
+OTHER_MOTORS = ("--", ":")  # line styles of the motors after the first
 BINDING = "0.86"
-END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": "-."}  # of the waveform
+END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": "-."}  # marks the end of the waveform
 
-MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows legibly
+MOST_SPEEDS, MOST_GRIPS = 8, 6  # the number of markers; more would not be legible
 
-LEGEND_IN, LEGEND_ROW_IN = 0.1, 0.17  # height of a legend in SMALL_PT: its edges, and each row
+LEGEND_IN, LEGEND_ROW_IN = 0.1, 0.17  # height of a legend in SMALL_PT: margins, and each row
 TITLE_IN = 0.27
 
-QUIET = 0.1  # of the reference's peak: a panel of its own begins once all references stay below it
-PROMINENT = 0.7  # share of a column's width before that
-MUCH_LONGER = 1.5  # times that what follows is longer on paper at one scale, from which on it has a panel of its own
-MARGIN = 0.02  # of a column's width beyond its data, so that jumps at their ends are seen
-MARKED = 7  # samples of a line with a marker
+QUIET = 0.1  # of the reference's peak: the panel of what follows begins once all references stay below it
+PROMINENT = 0.7  # share of a column's width for the part before that
+MUCH_LONGER = 1.5  # what follows gets a panel of its own if it would be that many times wider at one scale
+MARGIN = 0.02  # share of a column's width beyond the data, so that jumps at its ends are visible
+MARKED = 7  # number of markers on a line
 TICK_STEPS = (1, 2, 5, 10)
 
 
@@ -54,9 +54,9 @@ def grip_label(grip_N: float) -> str:
 
 
 def legend_above(figure: Figure, handles: Sequence[Any], entry_in: float) -> float:
-    """One legend above all axes, in as many columns of `entry_in` inches as the figure has room for; its height [in].
+    """One legend above all axes in columns of `entry_in` inches, as many as fit; returns its height [in].
 
-    A figure without a layout engine has to leave that height.
+    A figure without a layout engine has to leave that height free.
     """
     rows = -(-len(handles) // max(int(figure.get_figwidth() / entry_in), 1))
     columns = -(-len(handles) // rows)
@@ -65,27 +65,27 @@ def legend_above(figure: Figure, handles: Sequence[Any], entry_in: float) -> flo
 
 
 def _ticks(intervals: int, start: float, end: float) -> FloatArray:
-    """Round numbers that enclose start to end, in about so many intervals."""
+    """Round numbers that enclose start to end, in about `intervals` intervals."""
     return np.asarray(MaxNLocator(intervals, steps=TICK_STEPS).tick_values(start, end))
 
 
 @dataclass(frozen=True)
 class _Span:
-    """A part of the time axis [ms], linear in itself, and its share of a column's width."""
+    """A part of the time axis [ms], linear, with its share of a column's width."""
 
     start_ms: float
     end_ms: float
     share: float
 
     def spread(self, times_ms: FloatArray, phase: float) -> list[int]:
-        """Indices of samples that lie evenly in the panel, the first at `phase` (0 to 1) of their distance."""
+        """Indices of evenly spaced samples in the panel, the first at `phase` (0 to 1) of their distance."""
         count = max(round(MARKED * self.share), 1)
         wanted = self.start_ms + (np.arange(count) + phase) / count * (self.end_ms - self.start_ms)
         return [int(k) for k in np.unique(np.searchsorted(times_ms, wanted))]
 
 
 def _time_spans(times_ms: FloatArray, end_ms: float, reference: FloatArray) -> list[_Span]:
-    """The parts in which references (nv, N) at `times_ms` (N,) are seen: one, or the tap and what comes after it."""
+    """Parts of the time axis for references (nv, N) at `times_ms` (N,): one, or the tap and what follows it."""
     size = np.abs(reference)
     loud = np.flatnonzero(np.any(size > QUIET * size.max(axis=1, keepdims=True), axis=0))
     last_ms = float(times_ms[loud[-1]]) if loud.size else end_ms
@@ -97,23 +97,24 @@ def _time_spans(times_ms: FloatArray, end_ms: float, reference: FloatArray) -> l
 
 
 def _some(count: int, most: int) -> list[int]:
-    """At most so many of 0..count-1, evenly spread, the first and the last among them."""
+    """At most `most` of 0..count-1, evenly spaced, including the first and the last."""
     return [int(j) for j in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 @dataclass(frozen=True)
 class Transients:
-    """What the figure draws; NaN where there is nothing to draw.
+    """Data of the figure; NaN is not drawn.
 
     Attributes
     ----------
     axes : speeds and grips, or named targets.
-    driven_by : what the input is.
-    target_m_s2 : (nv, ng, N + M) what is asked of y'' at the switching instants, through the window and after it.
-    acceleration_m_s2, plant_input : (nv, ng, N + M) there; of an arm (nv, ng, p, N + M) and (nv, ng, m, N + M).
-    limit : of the input. bounds : (m, 1) of each of several motors; None where the limit is that of all.
-    input_multiplier : (nv, ng, N), or (nv, ng, m, N), the larger one of the limit's two sides.
-    nonlinear : whether they are stationary points on a nonlinear plant.
+    driven_by : the plant input, a current or a voltage.
+    target_m_s2 : (nv, ng, N + M) target of y'' at the switching instants, in the window and after it.
+    acceleration_m_s2, plant_input : (nv, ng, N + M) at these instants; for an arm (nv, ng, p, N + M) and
+        (nv, ng, m, N + M).
+    limit : limit on the input. bounds : (m, 1) limit of each of several motors; None if all have the same.
+    input_multiplier : (nv, ng, N), or (nv, ng, m, N), the larger multiplier of the limit's two sides.
+    nonlinear : whether the commands are stationary points on a nonlinear plant.
     """
 
     grid: TimeGrid
@@ -130,7 +131,7 @@ class Transients:
 
     @property
     def limit_binds(self) -> NDArray[np.bool_]:
-        """(nv, ng, N) where the limit on the input of any motor binds, as in `certify.binding_limits`."""
+        """(nv, ng, N) whether the input limit of any motor binds, as in `certify.binding_limits`."""
         within = self.plant_input[..., : self.grid.stages]
         limit = self.limit if self.bounds is None else self.bounds
         at_limit = np.abs(np.abs(within) - limit) < BINDING_SLACK * limit
@@ -138,7 +139,7 @@ class Transients:
         return np.asarray(binds if self.bounds is None else binds.any(axis=2))
 
     def binding_spans_ms(self, ig: int) -> list[tuple[float, float]]:
-        """When the limit binds at a grip, for at least one speed."""
+        """Intervals in which the limit binds at a grip for at least one speed."""
         active = np.any(self.limit_binds[:, ig], axis=0)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
         start_ms, half_ms = self.grid.switching_times_s * 1e3, 0.5e3 * self.grid.dt_s
@@ -149,13 +150,13 @@ class Transients:
 
 
 def library_figure(library: Library) -> Figure:
-    """Every waveform of a library, see `transients_figure`."""
+    """Figure of every waveform of a library, see `transients_figure`."""
     grid, (nv, ng) = library.time_grid(), library.command.shape[:2]
     tail = [(0, 0)] * (library.command.ndim - 1) + [(0, grid.after_stages)]
     acceleration, current = (
         np.pad(each, tail, constant_values=np.nan) for each in (library.acceleration_m_s2, library.plant_input)
     )
-    if grid.after_stages:  # what comes after the window is not in the file, and only made for what is drawn
+    if grid.after_stages:  # what follows the window is not in the file, and is computed only for what is drawn
         for iv, ig in itertools.product(_some(nv, MOST_SPEEDS), _some(ng, MOST_GRIPS)):
             lasting = library.lasting(iv, ig)
             acceleration[iv, ig, ..., grid.stages :], current[iv, ig, ..., grid.stages :] = (
@@ -186,7 +187,7 @@ def _normal(courses: FloatArray) -> FloatArray:
 
 
 def _multiplier(library: Library) -> FloatArray:
-    """The larger multiplier of the two sides of the input's limit, of each motor."""
+    """The larger multiplier of the two sides of the input limit, for each motor."""
     name, (nv, ng, *motors, N) = library.driven_by.name, library.command.shape
     rows = [motor_row(name, j) for j in range(*motors)] if motors else [name]
     found = [np.maximum(*(library.array(f"mu_{row}_{side}") for side in SIDES)) for row in rows]
@@ -194,12 +195,12 @@ def _multiplier(library: Library) -> FloatArray:
 
 
 def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
-    """Waveforms of entries (nv, ng), speeds outermost; of a refused one, which has no waveform, the reference."""
+    """Figure of entries (nv, ng), speeds outermost; a refused entry has no waveform and shows its reference only."""
     first = entries[0][0].problem
     several, rows = first.stage.motors > 1, first.limits.input.rows(first)
 
     def drawn(entry: "Entry") -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(N + M,) acceleration and input, and (N,) the multiplier of the input's limit."""
+        """(N + M,) acceleration and input, and (N,) multiplier of the input limit."""
         N, M = first.grid.stages, first.grid.after_stages
         if entry.status is not Status.OPTIMAL:
             nothing, p = np.full((*first.rest.shape[:-1], N + M), np.nan), first.directions
@@ -233,7 +234,7 @@ def entries_figure(entries: Sequence[Sequence["Entry"]]) -> Figure:
 
 
 def _panels(figure: Figure, columns: int, parts: Sequence[_Span]) -> NDArray[np.object_]:
-    """(2, columns, parts) axes that share the scale of their row and the time of their part."""
+    """(2, columns, parts) axes that share the scale in a row and the time in a part."""
     cells = figure.add_gridspec(2, columns, wspace=0.06, hspace=0.08)
     panels = np.full((2, columns, len(parts)), None, dtype=object)
     for at, row, column in np.ndindex(len(parts), 2, columns):
@@ -248,10 +249,10 @@ def _panels(figure: Figure, columns: int, parts: Sequence[_Span]) -> NDArray[np.
 def transients_figure(drawn: Transients) -> Figure:
     """Every waveform in the layout of the seed's Fig. 10.
 
-    One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
-    input, a current or a voltage, with its limit. The whole horizon is shown, with what counts after the waveform,
-    whose end a dash-dotted line marks. What comes after the references have died away has narrow panels of its own.
-    Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
+    One column per grip. Above: the reference r (dashed) and the predicted acceleration (solid) [g]. Below: the input,
+    a current or a voltage, with its limit. The whole horizon is shown, including the samples after the waveform,
+    whose end a dash-dotted line marks. After the references have decayed, time continues in narrow panels of its own.
+    For a large grid only some nodes are drawn, its edges among them, and the axis label says how many.
     """
     grid = drawn.grid
     times_ms = np.append(grid.switching_times_s, grid.after_times_s) * 1e3

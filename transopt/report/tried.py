@@ -1,6 +1,6 @@
-"""Answers to what a file leaves open, tried on the file: what reads it is proposed, the most usual tap first.
+"""Answers to a question about a file, tried on the file: those with which it can be read are proposed.
 
-Which of several answers is right only the user knows, so none is taken without being asked.
+Only the user knows which answer is right, so none is applied without being asked. The most usual tap comes first.
 """
 
 import time
@@ -21,14 +21,14 @@ from transopt.recordings.units import known_units, read_unit, sensed
 
 Found = TypeVar("Found")
 Taps = tuple[list[PreparedTap], Recordings]
-MOST_NAMED = 3  # answers in a line
-MOST_LISTED = 9  # on a terminal
+MOST_NAMED = 3  # most answers in a line
+MOST_LISTED = 9  # most answers on a terminal
 MOST_TRIALS = 80
-TRIAL_S = 2.0  # of processor time, after which no other answer is tried
-DEEPEST = 3  # facts that a file may lack together
-USUAL_RATE_HZ = (400.0, 300e3)  # of accelerometers and what records them
-UNLIKELY = 0.1  # of each place in a list of answers, which begins with the likeliest, beside the logarithm of a ratio
-MISTAKEN = ("acceleration", "time", "position")  # whose units make a tap implausible
+TRIAL_S = 2.0  # processor time after which no further answer is tried
+DEEPEST = 3  # most facts that a file may lack at the same time
+USUAL_RATE_HZ = (400.0, 300e3)  # sample rates of accelerometers and their recorders
+UNLIKELY = 0.1  # added to `oddness` per place in a list of answers, which begins with the likeliest
+MISTAKEN = ("acceleration", "time", "position")  # quantities whose wrong units make a tap implausible
 
 
 class Trials(NamedTuple):
@@ -36,8 +36,8 @@ class Trials(NamedTuple):
 
     Attributes
     ----------
-    good : that read it, the likeliest first, each with what was found.
-    refused : what became of the likeliest one, where none reads it.
+    good : answers with which the file can be read, the likeliest first, each with a description of the result.
+    refused : why the likeliest answer failed, if the file can be read with none.
     """
 
     good: list[tuple[Answer, str]]
@@ -52,11 +52,14 @@ def trials(
     unclear: UnclearError,
     stated: Answer,
 ) -> Trials:
-    """Answers that read the file, the plausible ones first.
+    """The answers with which the file can be read; implausible ones only if no other is found.
 
     Parameters
     ----------
-    stated : what is stated already; the units with which a command line has to repeat those that an answer adds.
+    read : reads the file with an answer. said : describes a result. doubt : the question that a result raises, or
+        None.
+    odd : distance of a result from a usual tap. unclear : the question.
+    stated : what is stated already; a proposal that adds units repeats the units in it.
     """
     good = list[tuple[float, Answer, str]]()
     doubtful = list[tuple[float, Answer, str]]()
@@ -81,7 +84,7 @@ def trials(
                 question = doubt(found)
                 is_good = question is None or "implausible" not in question.answers[-1]
                 words = said(found) if is_good else f"{said(found)}; implausible"
-                # An option that is stated twice counts once: the units of a proposal are all that are stated.
+                # If an option is given twice, the last one counts, so a proposal has to repeat all stated units.
                 whole = {**answer, "units": joined(stated, answer)["units"]} if "units" in answer else answer
                 if not is_good:
                     whole = {**whole, "implausible": "accept"}
@@ -95,7 +98,7 @@ def trials(
 
 
 def in_a_line(unclear: UnclearError, tried: Trials, form: Callable[[Answer], str] = options) -> str:
-    """The question with the answers that were tried on the file, as options, or in the form of a scene's `keys`."""
+    """The question with the answers that were tried on the file, as options or as a scene's `keys`."""
     lead = f"{shown_path(unclear.file)}{unclear.problem}"
     if not tried.good:
         refused = tried.refused.replace(shown_path(unclear.file), "") or "no answer was tried in time"
@@ -105,7 +108,7 @@ def in_a_line(unclear: UnclearError, tried: Trials, form: Callable[[Answer], str
 
 
 def prepared(settings: Recordings) -> Taps:
-    """The taps of recordings, ready for references.
+    """The taps of recordings, prepared for references, and the settings.
 
     Raises
     ------
@@ -115,7 +118,7 @@ def prepared(settings: Recordings) -> Taps:
 
 
 def summary(found: Taps) -> str:
-    """What was read, in a few words."""
+    """A short description of what was read."""
     first, *more = found[0]
     others = f", and {len(more)} taps more" if more else ""
     peak_g = first.peak_m_s2 / STANDARD_GRAVITY_M_S2
@@ -123,7 +126,7 @@ def summary(found: Taps) -> str:
 
 
 def oddness(found: Taps) -> float:
-    """How far taps are from usual ones: the logarithm of the speed change's ratio, and what has no tap's bounds."""
+    """Distance of taps from usual ones: the logarithm of the speed change's ratio, plus 1 per bound exceeded."""
     taps = found[0]
     ratios = [speed_changes_m_s(tap.acceleration, 0.0)[0] / tap.speed_m_s for tap in taps if tap.speed_m_s > 0]
     off = float(np.max(np.abs(np.log(np.maximum(ratios, 1e-300) / USUAL_SPEED_CHANGE)), initial=0.0))
@@ -134,17 +137,17 @@ def oddness(found: Taps) -> float:
 
 
 def doubt(found: Taps) -> UnclearError | None:
-    """What cannot be a tap, with the units, full scales and speeds that may put it right; None if all may be taps."""
+    """The question if taps are implausible, with units, full scales and speeds to try; None if all are plausible."""
     taps, settings = found
     try:
         for tap in taps:
-            check_speed(tap)  # a scene needs it
+            check_speed(tap)  # a scene needs the speed
     except UnclearError as error:
         return error
     odd = next((tap for tap in taps if tap.implausible), None)
     if odd is None or settings.implausible == "accept":
         return None
-    # The key by which the user states the unit of a quantity, if he does, else the quantity.
+    # The key under which the user states the unit of a quantity, or the quantity itself.
     stated = {
         of: next((pair for pair in settings.units.items() if read_unit(pair[1], of)), (of, "")) for of in MISTAKEN
     }
@@ -162,15 +165,15 @@ def doubt(found: Taps) -> UnclearError | None:
 
 
 def usable(read: Callable[[Answer], Taps], after: str) -> Taps:
-    """The taps that a library may be made from.
+    """The taps, if a library may be made from them.
 
     Parameters
     ----------
-    after : what is to be done with the options that are named, where that is no command line.
+    after : what to do with the proposed options, if the caller is no command line.
 
     Raises
     ------
-    InputError : a file that leaves something open, or no tap, with the options that were tried.
+    InputError : the file leaves a fact open, or holds no plausible tap; with the options that were tried.
     """
     try:
         found = read({})
@@ -183,7 +186,7 @@ def usable(read: Callable[[Answer], Taps], after: str) -> Taps:
 
 
 def asked_in_scene(unclear: UnclearError, settings: Recordings) -> InputError:
-    """The question that a scene's files leave open, with the keys of the scene that were tried on them."""
+    """The question that a scene's files leave open, with the scene's keys that were tried on them."""
 
     def read(answer: Answer) -> Taps:
         return prepared(Recordings.model_validate(joined(settings.model_dump(), answer)))
@@ -193,7 +196,7 @@ def asked_in_scene(unclear: UnclearError, settings: Recordings) -> InputError:
 
 
 def refusal(found: Taps, read: Callable[[Answer], Taps]) -> InputError | None:
-    """Why no library should be made from taps, with the options that were tried; None if one may."""
+    """Why no library should be made from these taps, with the options that were tried; None if one may be."""
     question = doubt(found)
     if question is None:
         return None

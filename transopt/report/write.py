@@ -1,4 +1,4 @@
-"""Library, report and figures of a build, written together and moved into their folder together."""
+"""Writes library, report and figures of a build, and moves them into their folder together."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -10,9 +10,9 @@ from transopt.base.writing import write_text
 from transopt.design.build import Build
 from transopt.report.markdown import build_json, build_markdown
 
-Files = Mapping[str, Callable[[Path], object]]  # file name -> what writes that file under a path
+Files = Mapping[str, Callable[[Path], object]]  # file name -> function that writes this file to a path
 
-# Files of an earlier build in this folder, which this one may not have.
+# Files of an earlier build that this build may not write again.
 LEFTOVERS = (
     "refused.md",
     "refused.json",
@@ -25,11 +25,11 @@ LEFTOVERS = (
 
 
 def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
-    """Write all files into a folder beside the folder's own, and move them in only when all of them are whole.
+    """Write all files to a temporary folder beside the target, and move them only when all are complete.
 
     Parameters
     ----------
-    stale : names of earlier results that go when these come.
+    stale : names of earlier results that are removed at the same time.
 
     Raises
     ------
@@ -53,11 +53,11 @@ def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
 
 
 def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files:
-    """Library, report and, unless not wanted, figures; of a build that was refused, why.
+    """Library, report and, if wanted, figures; for a refused build only the reasons.
 
     Parameters
     ----------
-    full : whether the report has what takes further optima of every entry, see `build_markdown`.
+    full : whether the report includes what needs further optima of every entry, see `build_markdown`.
     """
 
     def text(content: str) -> Callable[[Path], object]:
@@ -76,14 +76,14 @@ def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files
     }
     if not figures:
         return files
-    # matplotlib takes longer to load than a small library to solve: it is loaded only where something is drawn.
+    # matplotlib takes longer to load than a small library takes to solve, so it is loaded only to draw.
     from transopt.base.plotting import save_figure
     from transopt.report import figures as drawing
 
     name = build.scene.name
     files["transients.png"] = lambda path: save_figure(library.plot(), path, name)
     files["methods.png"] = lambda path: save_figure(drawing.method_figure(build), path, name)
-    if not build.scene.axes.places:  # of an arm each motor has a response in every direction
+    if not build.scene.axes.places:  # each motor of an arm has a response in every direction
         files["bode.png"] = lambda path: save_figure(drawing.bode_figure(library), path, name)
     if full and build.trade_offs:
         files["trade_off.png"] = lambda path: save_figure(drawing.trade_off_figure(build), path, name)
@@ -94,19 +94,19 @@ def files_of(build: Build, *, figures: bool = True, full: bool = False) -> Files
 
 
 def write_report(build: Build, folder: str | Path, *, figures: bool = True, full: bool = False) -> list[Path]:
-    """Write what `transopt solve` writes: `library.npz`, `report.md`, `report.json` and the figures, all or none.
+    """Write the files of `transopt solve`: `library.npz`, `report.md`, `report.json` and the figures, all or none.
 
-    Of a scene with `[model.nonlinear]` it is what `transopt.report.nonlinear.write_nonlinear` says.
-    Of a build with refused entries it is `refused.md` and `refused.json`, and an earlier library stays.
+    A scene with `[model.nonlinear]` gives the files of `transopt.report.nonlinear.write_nonlinear`.
+    A build with refused entries gives `refused.md` and `refused.json`, and an earlier library stays.
 
     Parameters
     ----------
-    full : whether the report has the prices of all entries and what intensity costs each, with its figure; else
-        only the prices of the entry farthest above its floor. It takes several times as long as the library.
+    full : whether the report has the prices and the cost of intensity of all entries, with a figure; else only the
+        prices of the entry farthest above its floor. It takes several times as long as the library.
 
     Returns
     -------
-    The files.
+    Paths of the files written.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def write_report(build: Build, folder: str | Path, *, figures: bool = True, full
     folder = Path(folder)
     make_folder(folder)
     files = files_of(build, figures=figures, full=full)
-    # A build that was refused writes no library, and leaves the earlier one with all that belongs to it.
+    # A refused build writes no library, and keeps the earlier one with all its files.
     stale = [] if build.library is None else [name for name in LEFTOVERS if name not in files]
     publish(folder, files, stale)
     return [folder / name for name in files]
