@@ -1,4 +1,4 @@
-"""What a constraint study varies: keys of the scene with their values, as they are typed on a command line."""
+"""The varied keys of a constraint study with their values, parsed from the command line."""
 
 import math
 import re
@@ -19,9 +19,9 @@ from transopt.scene.keys import check_value, find_key, parse_value, with_values
 from transopt.scene.plausible import check_plausible
 from transopt.scene.scene import Scene
 
-# Tables that are swapped whole, as files.
+# Tables that are varied as a whole, by files.
 FILES: dict[str, type[Section]] = {"motor": Motor, "transmission": Transmission}
-_SPAN = r"(\d+\.?\d*|\.\d+)\s*(?:\.\.+|-|–|to|…)\s*(\d+\.?\d*|\.\d+)"  # how people write a range elsewhere
+_SPAN = r"(\d+\.?\d*|\.\d+)\s*(?:\.\.+|-|–|to|…)\s*(\d+\.?\d*|\.\d+)"  # notations of a range in use elsewhere
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class Axis:
     Attributes
     ----------
     key : dotted path of the scene; "motor" or "transmission" for a whole table.
-    values : as the scene takes them.
-    labels : as tables and CSV files show them.
-    limits : the ends of a range, between which a sample may lie; None for listed values.
+    values : values as the scene takes them.
+    labels : values as tables and CSV files show them.
+    limits : ends of a range, between which samples are drawn; None for listed values.
     log : whether the range is spaced by equal factors.
     """
 
@@ -49,7 +49,7 @@ class Axis:
 
 
 def label(value: Any) -> str:
-    """A value in a CSV file: enough digits to be read back exactly."""
+    """A value as text for a CSV file, with enough digits to read it back exactly."""
     return repr(value) if isinstance(value, float) else "none" if value is None else str(value)
 
 
@@ -61,11 +61,11 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def parse_range(option: str, text: str) -> tuple[tuple[float, float], list[float], bool]:
-    """Ends and values of START:STOP:COUNT, evenly spaced, or with :log behind it by equal factors.
+    """Ends and values of START:STOP:COUNT, evenly spaced, or with suffix :log by equal factors; whether it has :log.
 
     Raises
     ------
-    InputError : no such range.
+    InputError : the text is no such range.
     """
     log = text.endswith(":log")
     numbers = _numbers(option, text.removesuffix(":log"))
@@ -77,7 +77,7 @@ def parse_range(option: str, text: str) -> tuple[tuple[float, float], list[float
     if not low < high or (log and low <= 0):
         raise InputError(f"{option} {text}: START must be below STOP{' and above 0' if log else ''}")
     space = np.geomspace if log else np.linspace
-    # Twelve digits: 0.3, not 0.30000000000000004.
+    # Twelve digits, which print 0.3 and not 0.30000000000000004.
     return (low, high), [float(f"{value:.12g}") for value in space(low, high, int(count))], log
 
 
@@ -86,7 +86,7 @@ def parse_numbers(option: str, text: str) -> list[float]:
 
     Raises
     ------
-    InputError : neither.
+    InputError : the text is neither.
     """
     if ":" in text:
         return parse_range(option, text)[1]
@@ -100,7 +100,7 @@ def parse_numbers(option: str, text: str) -> list[float]:
 
 
 def _file(kind: str, name: str, search: Sequence[Path]) -> tuple[str, dict[str, Any]]:
-    """Label and table of a motor's or a transmission's file: a path, the name of a known one, or its beginning."""
+    """Label and table of a motor's or transmission's file, given by path, by name or by the start of a name."""
     known = {path.stem: path for folder in search for path in sorted((folder / f"{kind}s").glob("*.toml"))}
     matches = [name] if name in known else [stem for stem in known if stem.startswith(name)]
     if Path(name).suffix == ".toml":
@@ -119,11 +119,11 @@ def _file(kind: str, name: str, search: Sequence[Path]) -> tuple[str, dict[str, 
 
 
 def parse_axis(scene: Scene, option: str, text: str, search: Sequence[Path] = ()) -> Axis:
-    """KEY=V1,V2,... or KEY=START:STOP:COUNT, each value checked against its key's own bounds.
+    """Parse KEY=V1,V2,... or KEY=START:STOP:COUNT, with each value checked against the bounds of its key.
 
     Parameters
     ----------
-    option : named in messages.
+    option : name of the option in messages.
     search : folders whose `motors/` and `transmissions/` hold the files that can be given by name.
 
     Raises
@@ -165,7 +165,7 @@ def parse_axis(scene: Scene, option: str, text: str, search: Sequence[Path] = ()
 
 
 def apply_settings(scene: Scene, settings: Sequence[str], search: Sequence[Path] = ()) -> Scene:
-    """The scene with keys set for all points, KEY=VALUE each; `search` as of `parse_axis`.
+    """The scene with keys set for all points, KEY=VALUE each; `search` as in `parse_axis`.
 
     Raises
     ------

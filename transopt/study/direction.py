@@ -1,7 +1,7 @@
-"""The study `direction`: what an arm gives along the normal for what goes across it, beside other methods.
+"""The study `direction`: how an arm trades error along the normal against error across it, beside other methods.
 
-Where the limits of single motors bind, each ampere that one of them lacks turns the force. An optimum weighs what is
-missing along the normal against what goes astray; clipping every motor alone weighs nothing.
+Where the limits of single motors bind, each missing ampere turns the force. An optimum weighs the error along the
+normal against the error across it; clipping each motor separately weighs nothing.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,26 +25,27 @@ from transopt.solvers.options import SolverOptions
 from transopt.study.figures import legend_above, percent_axis
 from transopt.study.optima import Proven
 
-WEIGHTS = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the tangential error, that of the normal being 1
-USUAL = 1.0  # weight that findings are told at
-LOUD = 0.1  # of the largest force: what is weaker has no direction to speak of
+WEIGHTS = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the tangential error; the normal error has weight 1
+USUAL = 1.0  # tangential weight of the reported findings
+LOUD = 0.1  # of the largest force: a smaller force has no meaningful direction
 OPTIMUM, CUT, INVERTED = "optimum", "clipped", "inverted"
 
 
 @dataclass(frozen=True)
 class Traded:
-    """One command at one place, played.
+    """One command at one place, replayed.
 
     Attributes
     ----------
-    method : "optimum", "clipped" (the unlimited optimum, each motor cut alone) or "inverted" (the seed's method with
-        the response as a matrix, each motor cut alone).
+    method : "optimum", "clipped" (the unlimited optimum, each motor clipped separately) or "inverted" (the seed's
+        method with the response as a matrix, each motor clipped separately).
     tangential : weight of the tangential error; NaN for the other methods.
-    speed_m_s, grip_N, normal, posture : where; the last two by number from 1.
+    speed_m_s, grip_N, normal, posture : the place; the last two as numbers from 1.
     tap_error, felt_error, felt_dB : along the normal. tangential_error : across it, over |r|.
-    off_normal_deg : angle of both by their sizes.
+    off_normal_deg : angle by which the tangential error turns the acceleration.
     force_limited_deg, force_limited_90_deg : median and 90th percentile of the angle between the motors' force at the
-        tip and that of the unlimited optimum, at the instants at which this exceeds a limit; NaN where it never does.
+        tip and that of the unlimited optimum, over the instants at which the latter exceeds a limit; NaN if there are
+        none.
     """
 
     method: str
@@ -64,11 +65,11 @@ class Traded:
 
 @one_blas_thread()
 def direction(scene: Scene) -> tuple[list[Traded], list[Proven]]:
-    """Every method at the fastest tap and the first grip, for each normal and posture.
+    """Every method at the fastest tap and the first grip, for each normal and posture; and the optima solved.
 
     Raises
     ------
-    InputError : a scene of another plant than an arm.
+    InputError : the scene's plant is no arm.
     """
     arm, context = scene.arm(), Context.recorded(scene, recordings_of(scene))
     found, proven = list[Traded](), list[Proven]()
@@ -91,7 +92,7 @@ def direction(scene: Scene) -> tuple[list[Traded], list[Proven]]:
 def _commands(
     problem: TransientProblem, place: tuple[float, float, int, int], proven: list[Proven]
 ) -> Iterator[tuple[str, float, FloatArray]]:
-    """Method, weight and command (m, N): the unlimited optimum first, by which the others are told."""
+    """Method, weight and command (m, N); the unlimited optimum comes first, as the reference for the others."""
     options, limits = SolverOptions(), input_bounds(problem)
     usual = optimum(replace(problem, shares=_shares(problem, USUAL)), options)
     yield "unlimited", USUAL, usual.unlimited_command
@@ -114,7 +115,7 @@ def _shares(problem: TransientProblem, tangential: float) -> FloatArray:
 def _angles(
     problem: TransientProblem, force_N_A: FloatArray, free: FloatArray, command: FloatArray
 ) -> tuple[float, float]:
-    """Median and 90th percentile of the angle between the forces where the free command exceeds a limit [deg]."""
+    """Median and 90th percentile of the angle between both forces where the free command exceeds a limit [deg]."""
     wanted, played = (problem.stage.rollout(each)[1] for each in (free, command))
     beyond = (np.abs(wanted) > input_bounds(problem)).any(axis=0)
     forces = [force_N_A @ each for each in (wanted, played)]
@@ -128,7 +129,7 @@ def _angles(
 
 
 def direction_figure(found: Sequence[Traded]) -> Figure:
-    """Error along the normal over what goes across it, a curve for each place."""
+    """Error along the normal over error across it, one curve per place."""
     places = list(dict.fromkeys((t.normal, t.posture) for t in found))
     figure = Figure(figsize=(5.4, 4.2), layout="constrained")
     axes = figure.subplots()
@@ -161,7 +162,7 @@ def direction_figure(found: Sequence[Traded]) -> Figure:
 
 
 def direction_sentence(found: Sequence[Traded]) -> str:
-    """The finding."""
+    """The finding in a few sentences."""
     rows = []
     for place in dict.fromkeys((t.normal, t.posture) for t in found):
         own = [t for t in found if (t.normal, t.posture) == place]
@@ -182,6 +183,6 @@ def direction_sentence(found: Sequence[Traded]) -> str:
 
 
 def _at(curve: Sequence[Traded], tangential_error: float, name: str) -> float:
-    """A figure of the optima where they have this error across the normal, linear between them."""
+    """A figure of the optima at this tangential error, interpolated linearly."""
     points = sorted((t.tangential_error, getattr(t, name)) for t in curve)
     return float(np.interp(tangential_error, *np.transpose(points)))

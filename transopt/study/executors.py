@@ -1,6 +1,6 @@
-"""Places to run a study's tasks: this process, worker processes of this machine, a dask cluster.
+"""Executors of a study's tasks: this process, worker processes of this machine, a dask cluster.
 
-All three are executors as `concurrent.futures` defines them, and so may be one of the caller's own.
+All three are executors in the sense of `concurrent.futures`; a caller may pass one of its own.
 """
 
 from collections.abc import Callable
@@ -11,21 +11,21 @@ from typing import Any, ParamSpec, TypeVar
 from transopt.base.apart import Processes
 from transopt.base.errors import InputError
 
-ANSWERS_S = 10.0  # within which a scheduler answers
+ANSWERS_S = 10.0  # longest wait for a scheduler's answer
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Pool:
-    """An executor, and what a long run needs to know of it.
+    """An executor with the information that a long run needs.
 
     Attributes
     ----------
-    name : what messages call it.
-    executor : of `concurrent.futures`.
-    workers : how many tasks run at a time; asked again and again, because a cluster may grow and shrink.
-    finish : called when the pool is closed, after the executor is shut down.
+    name : its name in messages.
+    executor : an executor of `concurrent.futures`.
+    workers : number of tasks run at a time; called repeatedly, because a cluster may grow and shrink.
+    finish : called when the pool is closed, after the shutdown of the executor.
     """
 
     name: str
@@ -35,17 +35,17 @@ class Pool:
 
     @classmethod
     def of(cls, executor: Executor, workers: int) -> "Pool":
-        """A pool of the caller's own executor, which is shut down when the pool is closed."""
+        """A pool from the caller's own executor, which is shut down when the pool is closed."""
         return cls(type(executor).__name__, executor, lambda: workers)
 
     def close(self) -> None:
-        """Shut the executor down without waiting for what it has under way."""
+        """Shut the executor down without waiting for running tasks."""
         self.executor.shutdown(wait=False)
         self.finish()
 
 
 class Serial(Executor):
-    """Runs each call where it is submitted."""
+    """Runs each call immediately, in the calling process."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
         future: Future[T] = Future()
@@ -57,11 +57,11 @@ class Serial(Executor):
 
 
 def processes(workers: int) -> Pool:
-    """Worker processes of this machine.
+    """A pool of worker processes of this machine.
 
     Raises
     ------
-    InputError : fewer than one.
+    InputError : fewer than one worker.
     """
     if workers < 1:
         raise InputError(f"--jobs {workers}: must be at least 1")
@@ -70,11 +70,11 @@ def processes(workers: int) -> Pool:
 
 
 def dask(address: str) -> Pool:
-    """Workers of a dask scheduler, `dask://HOST:PORT`; transopt must be installed there, of the same version.
+    """A pool of workers of a dask scheduler, `dask://HOST:PORT`, where the same version of transopt is installed.
 
     Raises
     ------
-    InputError : dask.distributed is not installed, nobody answers, no worker is there.
+    InputError : dask.distributed is not installed, the scheduler does not answer, or it has no workers.
     """
     try:
         import distributed
@@ -101,11 +101,11 @@ def dask(address: str) -> Pool:
 
 
 def executor_pool(text: str, jobs: int) -> Pool:
-    """What --executor and --jobs name.
+    """The pool that the options --executor and --jobs name.
 
     Raises
     ------
-    InputError : no such executor, or it cannot be had.
+    InputError : the executor is unknown or unavailable.
     """
     if text.startswith("dask://"):
         return dask(text)

@@ -1,4 +1,4 @@
-"""Figures of a constraint study: one key, curves; two keys, heat maps; more, or a sample, small multiples."""
+"""Figures of a constraint study: curves for one key, heat maps for two, else small multiples."""
 
 import math
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
 from transopt.study.rows import OPTIMAL, Row, entry_cells, entry_name, number
 
-MOST_PANELS = 12  # of heat maps, one per entry; beyond, one of the worst entry
-MOST_WRITTEN = 80  # cells of a heat map with their figures written in
+MOST_PANELS = 12  # most heat maps, one per entry; for more entries a single map of the worst
+MOST_WRITTEN = 80  # most cells of a heat map that show their numbers
 LEAST_PERCENT = 0.1
-MANY_TICKS = 30.0  # ratio of the largest to the smallest value, beyond which 1, 2, 5 of each decade collide
+MANY_TICKS = 30.0  # ratio of largest to smallest value above which ticks at 1, 2, 5 of each decade overlap
 DASHES = ("-", "--", ":", "-.")
 
 
@@ -48,7 +48,7 @@ def _logarithmic(axis: Axis) -> bool:
 
 
 def _prepared(axes: Axes, axis: Axis) -> FloatArray:
-    """(n,) where the values of a key stand on the x axis; its ticks and label are set."""
+    """(n,) positions of a key's values on the x axis; its ticks and label are set."""
     axes.set_xlabel(axis_label(axis.key), fontsize=LABEL_PT)
     if not axis.numeric:
         axes.set_xticks(range(len(axis.labels)), axis.labels, rotation=30, ha="right")
@@ -65,7 +65,7 @@ def _prepared(axes: Axes, axis: Axis) -> FloatArray:
 
 
 def entry_grid(plan: Plan, rows: Sequence[Row], column: str) -> FloatArray:
-    """(*shape, speeds, grips) one column of a study of all combinations; NaN where a row has no such figure."""
+    """(*shape, speeds, grips) one column of a study of all combinations; NaN where the value is missing."""
     table = np.full(plan.entries, np.nan)
     for row in rows:
         table[int(row["index"])] = number(row, column) if row["status"] == OPTIMAL else np.nan
@@ -73,7 +73,7 @@ def entry_grid(plan: Plan, rows: Sequence[Row], column: str) -> FloatArray:
 
 
 def panels_of(count: int, most_across: int, wide_in: float, margin_in: float, *, share_x: bool) -> tuple[Figure, Any]:
-    """A figure and so many of its panels, row by row, as an array (down, across) whose surplus is not drawn."""
+    """A figure with `count` panels, row by row, in an array (down, across) whose surplus panels are hidden."""
     across = min(count, most_across)
     down = math.ceil(count / across)
     figure = Figure(figsize=(1.0 + wide_in * across, margin_in + 2.5 * down), layout="constrained")
@@ -92,7 +92,7 @@ def legend_above(figure: Figure, handles: Sequence[Any], most_columns: int = 6) 
 
 
 def entry_lines(axes: Axes, plan: Plan, x: FloatArray, values: FloatArray) -> None:
-    """A line per entry of values (points, speeds, grips): a colour per grip, dashes per speed."""
+    """Draw a line per entry of values (points, speeds, grips): one colour per grip, dashes per speed."""
     for iv, (_, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-", ":"), strict=False)):
         for ig, colour in enumerate(colours(len(plan.grips_N))):
             name = plan.entry_axes.place(iv, ig)
@@ -101,7 +101,7 @@ def entry_lines(axes: Axes, plan: Plan, x: FloatArray, values: FloatArray) -> No
 
 
 def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """Tap error and floor over one key: a panel per grip, a line per speed."""
+    """Tap error and floor over one key: one panel per grip, one line per speed."""
     axis, grips, speeds = plan.axes[0], plan.grips_N, plan.speeds_m_s
     error, floor = (100 * entry_grid(plan, rows, column) for column in ("tap_error", "floor"))
     shade = colours(len(speeds))
@@ -127,7 +127,7 @@ def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
 def heat_map(
     axes: Axes, down: Axis, across: Axis, percent: FloatArray, norm: LogNorm, *, written: bool = True
 ) -> Any:
-    """One map of percentages (down, across); grey where there is none."""
+    """One map of percentages (down, across); NaN is grey."""
     axes.set_facecolor("0.85")
     mesh = axes.pcolormesh(percent, norm=norm, cmap="viridis_r", edgecolors="white", linewidth=0.4)
     for axis, set_ticks in ((across, axes.set_xticks), (down, axes.set_yticks)):
@@ -150,7 +150,7 @@ def heat_map(
 
 
 def percent_norm(percent: FloatArray) -> LogNorm:
-    """Colours over the percentages that there are."""
+    """Logarithmic colour scale over the finite percentages."""
     there = percent[np.isfinite(percent)]
     if not there.size:
         return LogNorm(LEAST_PERCENT, 100.0)
@@ -159,12 +159,12 @@ def percent_norm(percent: FloatArray) -> LogNorm:
 
 
 def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """Tap error over two keys: a heat map per entry, or of the worst entry where there are many."""
+    """Tap error over two keys: one heat map per entry, or one of the worst entry if there are many."""
     down, across = plan.axes
     error = 100 * entry_grid(plan, rows, "tap_error")
     speeds, grips = plan.speeds_m_s, plan.grips_N
     if plan.entries_per_point > MOST_PANELS:
-        # An entry that is refused makes a point refused.
+        # NaN propagates, so a point with a refused entry counts as refused.
         error = error.max(axis=(2, 3), keepdims=True)
         titles = [["worst entry"]]
     else:
@@ -190,7 +190,7 @@ def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
 
 
 def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """Tap error of every entry over each key, the others as they come; a colour per speed."""
+    """Tap error of every entry over each key, whatever the other keys are; one colour per speed."""
     targets = plan.entry_axes.targets
     names = targets or tuple(f"{v:g}" for v in plan.speeds_m_s)
     shade = dict(zip(names, colours(len(names)), strict=True))
@@ -217,7 +217,7 @@ def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
 
 
 def study_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """The figure that suits the number of keys."""
+    """The kind of figure that suits the number of keys."""
     if plan.sample is None and len(plan.axes) == 1:
         return curves(plan, rows)
     if plan.sample is None and len(plan.axes) == 2:

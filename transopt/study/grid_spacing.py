@@ -1,4 +1,4 @@
-"""The study `grid_spacing`: what blends between the nodes of a library lose against the optimum, by the spacing."""
+"""The study `grid_spacing`: excess of blends between a library's nodes over the optimum, by node spacing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from transopt.study.optima import Proven, errors_of, proven
 HELD_SPEEDS_M_S, HELD_GRIPS_N = (0.2, 0.4), (1.0, 5.0)
 GRIP_SPACINGS_N = (4.0, 2.0, 1.0, 0.5)
 SPEED_SPACINGS_M_S = (0.3, 0.15, 0.1, 0.05, 0.025)
-LEAST_EXCESS_PERCENT = 0.01  # shown
-FINE = 4  # points looked at in every interval of the finest grid
-CLOSE = 0.02  # between a blend and the optimum, of the tap error: the spacings that keep it are named
+LEAST_EXCESS_PERCENT = 0.01  # smallest excess shown
+FINE = 4  # points per interval of the finest grid
+CLOSE = 0.02  # excess of tap error; the finding names the widest spacing that stays below it
 
 
 def soft_hand(scene: Scene) -> Scene:
-    """The device of a drive scene in a heavier, softer, less damped hand, whose resonance moves with grip.
+    """The device of a drive scene in a heavier, softer, less damped hand, whose resonance depends on grip.
 
     50 g on a skin of 200 + 1800 F [N/m]: from 46 Hz at 1 N to 97 Hz at 5 N, inside the band of a tap, damping
     ratio 0.19.
@@ -45,11 +45,11 @@ class Spaced:
 
     device : its name.
     axis : "grip" or "speed".
-    spacing : of the nodes on that axis [N or m/s].
-    held : the other coordinate [m/s or N].
-    nodes : how many there are on that axis.
-    worst, median : of the excess of tap error over the points between the nodes; the worst one is replayed.
-    worst_at : where that is on the axis [N or m/s].
+    spacing : spacing of the nodes on that axis [N or m/s].
+    held : value on the other axis [m/s or N].
+    nodes : number of nodes on that axis.
+    worst, median : excess of tap error over the points between the nodes; the worst one is replayed.
+    worst_at : position of the worst point on the axis [N or m/s].
     """
 
     device: str
@@ -77,11 +77,11 @@ def spacing(
     held_grips_N: Sequence[float] = HELD_GRIPS_N,
     fine: int = FINE,
 ) -> tuple[list[Spaced], list[Proven]]:
-    """Both axes of one device, and the optima solved. The wider grids are seen at the points of the finest.
+    """Both axes of one device, and the optima solved. All grids are compared at the points of the finest one.
 
     Raises
     ------
-    InputError : an optimum that cannot be proven.
+    InputError : an optimum is not certified.
     """
     errors, grid, found = errors_of(scene), scene.grid, []
     cases = [
@@ -108,14 +108,14 @@ def spacing(
 
 
 def spacing_study(scene: Scene) -> tuple[list[Spaced], list[Proven]]:
-    """The device of the scene, and the same in a heavier, softer hand whose resonance moves with grip."""
+    """The scene's device, and the same in a heavier, softer hand whose resonance depends on grip."""
     usual, usual_optima = spacing("default", scene)
     soft, soft_optima = spacing("soft hand", soft_hand(scene))
     return [*usual, *soft], [*usual_optima, *soft_optima]
 
 
 def spacing_figure(found: Sequence[Spaced]) -> Figure:
-    """Worst excess between the nodes over their spacing, a panel per axis."""
+    """Worst excess between the nodes over their spacing, one panel per axis."""
     devices = list(dict.fromkeys(s.device for s in found))
     shade = dict(zip(devices, (OPTIMUM, SEED, CLIPPED), strict=False))
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
@@ -147,7 +147,7 @@ def spacing_figure(found: Sequence[Spaced]) -> Figure:
 
 
 def spacing_sentence(found: Sequence[Spaced]) -> str:
-    """The finding: the widest spacing that keeps a tolerance, per axis."""
+    """The finding: the widest spacing within the tolerance, per axis."""
     parts = []
     for axis, unit in (("grip", "N"), ("speed", "m/s")):
         own = [s for s in found if s.axis == axis]

@@ -1,4 +1,4 @@
-"""The study `grip_mismatch`: a certified command for one grip, played in a hand that grips otherwise."""
+"""The study `grip_mismatch`: a certified command for one grip, played with another grip."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from transopt.study.optima import Proven, errors_of, proven
 
 SPEEDS_M_S = (0.2, 0.4)
 GRIPS_N = tuple(float(F) for F in np.arange(1.0, 5.01, 0.5))
-BLIND_GRIPS_N = (1.0, 3.0, 5.0)  # of the libraries for one grip alone that the figure shows
-NAMED_GRIP_N = 3.0  # of the library whose error the sentence names
+BLIND_GRIPS_N = (1.0, 3.0, 5.0)  # grips of the single-grip libraries in the figure
+NAMED_GRIP_N = 3.0  # grip of the library whose error the finding states
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Played:
 
     Attributes
     ----------
-    speed_m_s : of the tap.
-    made_for_N, played_at_N : grip of the command, and of the hand.
-    tap_error : after replay, as a share of 1.
-    excess : of that over that of the optimum for the hand's own grip.
+    speed_m_s : speed of the tap.
+    made_for_N, played_at_N : grip of the command, and grip of the hand.
+    tap_error : tap error after replay, as a share of 1.
+    excess : that error less the error of the optimum for the hand's grip.
     """
 
     speed_m_s: float
@@ -40,7 +40,7 @@ class Played:
 
 
 def _errors_at(errors: Errors, scene: Scene, grip: float, speed: float, grips: Sequence[float]) -> list[float]:
-    """Errors at a grip of the commands that were made for all of them."""
+    """Tap errors at one grip of the commands made for each of `grips`."""
     commands = np.stack([errors.optimum((speed, F)).solution.command for F in grips])
     wanted = [errors.context.reference(speed, grip).target] * len(grips)
     yardstick = errors.context.yardstick
@@ -52,11 +52,11 @@ def mismatch(
     speeds_m_s: Sequence[float] = SPEEDS_M_S,
     grips_N: Sequence[float] = GRIPS_N,
 ) -> tuple[list[Played], list[Proven]]:
-    """Every grip's command on every grip's device, and the optima that were solved for it.
+    """Every grip's command on every grip's device, and the optima solved for this.
 
     Raises
     ------
-    InputError : an optimum that cannot be proven.
+    InputError : an optimum is not certified.
     """
     errors, found = errors_of(scene), []
     for speed in speeds_m_s:
@@ -68,7 +68,7 @@ def mismatch(
 
 
 def mismatch_figure(found: Sequence[Played]) -> Figure:
-    """Tap error over the grip of the hand: compensated, and blind with a library for one grip."""
+    """Tap error over the grip of the hand: compensated, and with libraries for a single grip."""
     speeds = list(dict.fromkeys(p.speed_m_s for p in found))
     figure = Figure(figsize=(1.0 + 3.1 * len(speeds), 3.5), layout="constrained")
     panels = figure.subplots(1, len(speeds), sharey=True, squeeze=False)[0]
@@ -99,7 +99,7 @@ def mismatch_figure(found: Sequence[Played]) -> Figure:
 
 
 def mismatch_sentence(found: Sequence[Played]) -> str:
-    """The finding."""
+    """The finding in one sentence."""
     blind = [p for p in found if p.made_for_N == NAMED_GRIP_N]
     worst = max(blind, key=lambda p: p.excess)
     near = [

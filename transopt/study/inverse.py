@@ -1,7 +1,7 @@
-"""The inverse question: the least or greatest value of one key at which every entry meets a requirement.
+"""The inverse question: the least or greatest value of one key at which every entry meets all requirements.
 
-The error need not be monotone in a key. So the range is scanned first; the outermost crossing towards the wanted end
-is then bisected over certified outcomes, and the answer says whether the scan saw others.
+The error need not be monotone in a key, so the range is scanned first. The outermost crossing towards the wanted end
+is then bisected over certified outcomes. The answer says whether the scan saw other crossings.
 """
 
 import math
@@ -22,12 +22,12 @@ from transopt.study.plan import Plan
 from transopt.study.rows import MEASURES, OPTIMAL, Row, entry_name, number
 
 SCAN = 9
-TOLERANCE = 1e-3  # of the range, without one of the user's
+TOLERANCE = 1e-3  # of the range, unless the user states one
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """measure <= bound, or >=."""
+    """A bound on a measure: measure <= bound, or measure >= bound."""
 
     measure: str
     at_most: bool
@@ -38,18 +38,18 @@ class Requirement:
         return f"{self.measure} {'<=' if self.at_most else '>='} {self.bound:g}"
 
     def excess(self, row: Row) -> float:
-        """How far a row misses it, negative where it is met; infinite where there is no certified answer."""
+        """Amount by which a row misses the bound, <= 0 if it is met; infinite without a certified answer."""
         value = number(row, self.measure) if row["status"] == OPTIMAL else math.nan
         missed = value - self.bound if self.at_most else self.bound - value
         return math.inf if math.isnan(missed) else missed
 
 
 def parse_requirement(text: str) -> Requirement:
-    """`tap_error<=0.10` and the like.
+    """Parse a requirement such as `tap_error<=0.10`.
 
     Raises
     ------
-    InputError : no such measure, or not so written.
+    InputError : the measure is unknown, or the text has another form.
     """
     found = re.fullmatch(r"\s*(\w+)\s*(<=|>=)\s*(\S+)\s*", text)
     try:
@@ -68,15 +68,15 @@ def parse_requirement(text: str) -> Requirement:
 
 @dataclass(frozen=True)
 class Question:
-    """Which value of a key is the least (or greatest) that meets all requirements.
+    """A question for the least (or greatest) value of a key that meets all requirements.
 
     Attributes
     ----------
-    key : the key that is solved for.
-    low, high : ends of the range that is searched, in the key's unit.
-    tolerance : width of the interval at the end, in the key's unit.
-    greatest : whether the greatest value is asked for.
-    requirements : all of them are to be met at every entry.
+    key : the key to solve for.
+    low, high : ends of the range searched, in the key's unit.
+    tolerance : width of the final interval, in the key's unit.
+    greatest : whether the greatest value is wanted.
+    requirements : all must be met at every entry.
     """
 
     key: Key
@@ -98,9 +98,9 @@ class Question:
         return list(dict.fromkeys(self.rounded(float(value)) for value in space(self.low, self.high, SCAN)))
 
     def middle(self, one: float, other: float) -> float:
-        """Between two values; one of them where nothing lies between."""
+        """A value between two values; one of them if there is none between."""
         value = math.sqrt(one * other) if self.log else (one + other) / 2
-        # A tenth of the tolerance is as fine as an answer is worth.
+        # Rounded to a tenth of the tolerance: finer digits have no meaning in an answer.
         return self.rounded(round(value, 1 - math.floor(math.log10(self.tolerance))))
 
     def excess(self, row: Row) -> float:
@@ -108,11 +108,11 @@ class Question:
 
 
 def parse_question(scene: Scene, text: str, requirements: Sequence[str], *, greatest: bool) -> Question:
-    """KEY=LOW:HIGH[:TOLERANCE].
+    """Parse KEY=LOW:HIGH[:TOLERANCE].
 
     Raises
     ------
-    InputError : no number of the scene, or no such range.
+    InputError : the key is no number of the scene, or the range is invalid.
     """
     path, equals, span = (part.strip() for part in text.partition("="))
     try:
@@ -139,7 +139,7 @@ def parse_question(scene: Scene, text: str, requirements: Sequence[str], *, grea
 
 @dataclass(frozen=True)
 class Tried:
-    """One value of the key: its rows, and by how much the worst of them misses the requirements."""
+    """One value of the key with its rows, and the amount by which the worst row misses the requirements."""
 
     value: float
     rows: tuple[Row, ...]
@@ -152,15 +152,15 @@ class Tried:
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found.
+    """The answer to a question.
 
     Attributes
     ----------
-    question : with its range and requirements.
-    tried : every value, in order.
-    met : the answer, None if nothing in the scan meets the requirements.
-    missed : the nearest value beyond it that does not; None if the end of the range itself meets them.
-    crossings : how often the scan passed from met to missed or back.
+    question : the question, with its range and requirements.
+    tried : every value tried, in order.
+    met : the answer; None if no value of the scan meets the requirements.
+    missed : the nearest value beyond it that does not meet them; None if `met` is the end of the range.
+    crossings : how often the scan changed between met and missed.
     """
 
     question: Question
@@ -170,7 +170,7 @@ class Answer:
     crossings: int
 
     def worst(self, tried: Tried) -> Row:
-        """The entry that decides: the one that misses most, or has least left."""
+        """The entry that decides: the one that misses most, or has the smallest margin."""
         return max(tried.rows, key=self.question.excess)
 
     @property
@@ -218,7 +218,7 @@ def answer(question: Question, solve: Callable[[list[float]], list[list[Row]]]) 
 
     Parameters
     ----------
-    solve : rows of every entry at each of some values.
+    solve : returns, for each of some values, the rows of every entry.
     """
     tried: dict[float, Tried] = {}
 
@@ -246,5 +246,5 @@ def answer(question: Question, solve: Callable[[list[float]], list[list[Row]]]) 
 
 
 def plan_at(plan: Plan, question: Question, values: Sequence[float]) -> Plan:
-    """The plan with the key at some values."""
+    """The plan with the question's key at these values."""
     return replace(plan, axes=(Axis(question.key.path, tuple(values), tuple(map(label, values))),))

@@ -1,4 +1,4 @@
-"""Which motor, and at which transmission ratio, on a stated rail and at a stated temperature."""
+"""The study `motor_selection`: motors and their best transmission ratio on a stated rail and temperature."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -29,18 +29,18 @@ MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30
 RATIOS = "transmission.ratio_1_m=15:1000:15:log"
 SPEEDS_M_S, GRIPS_N = (0.2, 0.4), (1.0, 5.0)
 RAIL_V, AMBIENT_C, TAPS_PER_S = 24.0, 40.0, 4.0
-SWITCHING_HZ = 100e3  # below 68 kHz the smallest motor is beyond the model of the bridge
+SWITCHING_HZ = 100e3  # below 68 kHz the model of the bridge does not hold for the smallest motor
 GOAL = 0.05  # felt error of every entry; without a limit it is about 0.04
 
 
 def shared_amplifier(scene: Scene) -> dict[str, float | None]:
-    """Keys of the bridge on which all motors are: its loop has the gain that gives the scene's own motor its pole.
+    """Keys of the one bridge that drives all motors; its loop gain gives the scene's own motor the scene's pole.
 
-    The delay is the scene's; a pole in the scene's model file stands for every motor.
+    The delay is the scene's. A pole in the scene's model file is used for every motor.
 
     Raises
     ------
-    InputError : the scene's own motor is beyond the model of the bridge.
+    InputError : the model of the bridge does not hold for the scene's own motor.
     """
     circuit, amplifier, bridge = scene.circuit(), scene.amplifier_model(), scene.bridge()
     switching_Hz = SWITCHING_HZ if bridge is None else bridge.switching_Hz
@@ -54,7 +54,7 @@ def shared_amplifier(scene: Scene) -> dict[str, float | None]:
     most = Bridge(circuit, RAIL_V, switching_Hz)
     gain_V_A = most.loop_gain_V_A
     if missing_Hz(gain_V_A) < 0:
-        # The pole is 1 to 2.2 times the crossover, which is in proportion to the gain.
+        # The pole is 1 to 2.2 times the crossover frequency, which is proportional to the gain.
         gain_V_A = optimize.brentq(missing_Hz, gain_V_A * amplifier.pole_Hz / most.crossover_Hz / 3, gain_V_A)
     return {"switching_Hz": switching_Hz, "gain_V_A": gain_V_A, "pole_Hz": None, "delay_s": amplifier.delay_s}
 
@@ -62,12 +62,12 @@ def shared_amplifier(scene: Scene) -> dict[str, float | None]:
 def motor_scene(scene: Scene, motor: dict[str, Any]) -> Scene:
     """The scene with a motor used up to its own limits, on the stated rail and at the stated temperature.
 
-    The current is limited by the motor's peak and by the amplifier's range, the coil by tapping for ever. Pole and
-    ripple follow from the motor (`shared_amplifier`).
+    The motor's peak and the amplifier's range limit the current; endless tapping limits the coil's temperature. Pole
+    and ripple follow from the motor (`shared_amplifier`).
 
     Raises
     ------
-    InputError : a motor beyond the model of the bridge.
+    InputError : the model of the bridge does not hold for the motor.
     """
     amplifier = scene.amplifier_model()
     most = motor["i_peak_A"] if amplifier is None else min(motor["i_peak_A"], amplifier.command_limit)
@@ -87,9 +87,9 @@ def motor_scene(scene: Scene, motor: dict[str, Any]) -> Scene:
 
 @dataclass(frozen=True)
 class Choice:
-    """A motor at its best ratio: the least one that meets the goal at every entry, or else the one with least error.
+    """A motor at its best ratio: the least that meets the goal at every entry, else that of the least error.
 
-    The error speaks for ever higher ratios, but the hand moves the rotor's reflected mass in every free motion.
+    The error keeps falling with the ratio, but the hand has to move the rotor's reflected mass.
 
     Attributes
     ----------
@@ -97,8 +97,8 @@ class Choice:
     ratio_1_m : transmission ratio, rotor angle per displacement of the tip [1/m].
     worst : felt error of the worst entry, as a share of 1.
     force_N_A : force at the tip per current [N/A].
-    mass_kg : the rotor's inertia as a mass at the tip, with that of the link [kg].
-    row : of the worst entry.
+    mass_kg : mass at the tip: reflected inertia of the rotor plus the link [kg].
+    row : row of the worst entry.
     """
 
     stem: str
@@ -111,13 +111,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Selection:
-    """Plan and rows of every motor, by the stem of its file, and why a motor has none."""
+    """Plan and rows of every motor by the name of its file, and for others the reason why there are none."""
 
     studies: dict[str, tuple[Plan, list[Row]]]
     refused: dict[str, str] = field(default_factory=dict)
 
     def errors(self) -> FloatArray:
-        """(motors, ratios, speeds, grips) felt error; NaN where there is no certified answer."""
+        """(motors, ratios, speeds, grips) felt error; NaN without a certified answer."""
         return np.stack([entry_grid(plan, rows, "felt_error") for plan, rows in self.studies.values()])
 
     @property
@@ -125,7 +125,7 @@ class Selection:
         return next(iter(self.studies.values()))[0].axes[0]
 
     def ranked(self) -> list[Choice]:
-        """The best of every motor that has one: those that meet the goal by mass at the tip, the others by error."""
+        """The best ratio of each motor that has one: those that meet the goal by mass at the tip, others by error."""
         found = []
         for (stem, (plan, rows)), error in zip(self.studies.items(), self.errors(), strict=True):
             worst = error.max(axis=(1, 2))  # NaN if one entry is refused
@@ -141,7 +141,7 @@ class Selection:
         return sorted(found, key=lambda c: (c.worst > GOAL, c.mass_kg if c.worst <= GOAL else c.worst))
 
     def figure(self) -> Figure:
-        """A heat map of motors over ratios for every entry."""
+        """One heat map of motors over ratios per entry."""
         error = 100 * self.errors()
         norm = percent_norm(error)
         figure = Figure(figsize=(9.6, 4.9), layout="constrained")
@@ -159,11 +159,11 @@ class Selection:
         return figure
 
     def pages(self) -> dict[str, Figure]:
-        """For every motor error, current, voltage and temperature over the ratio."""
+        """Figure per motor: error, current, voltage and temperature over the ratio."""
         return {stem: _page(plan, rows) for stem, (plan, rows) in self.studies.items()}
 
     def bandwidths(self) -> dict[str, tuple[float, float]]:
-        """Pole of every motor's current [Hz], and what ripple adds to the heat of a steady 1 A, as a share."""
+        """Per motor the pole of its current [Hz], and the heat added by ripple at a steady 1 A, as a share."""
         found = {}
         for stem, (plan, _) in self.studies.items():
             amplifier, bridge = plan.scene.amplifier_model(), plan.scene.bridge()
@@ -173,7 +173,7 @@ class Selection:
         return found
 
     def sentence(self) -> str:
-        """The finding."""
+        """The finding in a few sentences."""
         best = self.ranked()
         if not best:
             return "no motor has a certified answer for every entry at any ratio"
@@ -191,7 +191,7 @@ class Selection:
         )
 
     def report(self, figure: str, head: Sequence[str]) -> list[str]:
-        """Ranked table and one page per motor."""
+        """report.md: a ranked table, and a section per motor."""
         cells = []
         for place, c in enumerate(self.ranked(), start=1):
             plan, _ = self.studies[c.stem]
@@ -290,11 +290,11 @@ def motor_selection(
     Parameters
     ----------
     search : folders whose `motors/` hold the motors' files.
-    motors : names of the files, separated by commas. ratios : an axis, as `parse_axis` takes it.
+    motors : names of the files, separated by commas. ratios : an axis in the form of `parse_axis`.
 
     Raises
     ------
-    InputError : as of `run_plan`; no motor that can be posed, as for a drive that is stated at the tip.
+    InputError : see `run_plan`; or no motor can be posed, for example with a drive that is stated at the tip.
     """
     found, refused = {}, {}
     axis = parse_axis(scene, "--study", f"motor={motors}", search)

@@ -1,4 +1,4 @@
-"""Named studies: each leaves rows, a figure, a report and a finding in a folder of its own."""
+"""Named studies: each writes rows, a figure, a report and a finding to a folder of its own."""
 
 import shutil
 import time
@@ -28,12 +28,12 @@ from transopt.study.swept import SWEPT, Swept
 
 @dataclass(frozen=True)
 class OffNode:
-    """A named study of commands played elsewhere than where they were made for; solved in this process.
+    """A named study of commands played at another place than they were made for; solved in this process.
 
     Attributes
     ----------
-    measure : what was found, a dataclass per row, and the optima it stands on.
-    figure, finding : from what was found.
+    measure : returns the results, a dataclass per row, and the optima that they rest on.
+    figure, finding : make the figure and the text from the results.
     """
 
     measure: Callable[[Scene], tuple[Sequence[Any], list[Proven]]]
@@ -46,18 +46,18 @@ OFF_NODE = {
     "grid_spacing": OffNode(spacing_study, spacing_figure, spacing_sentence),
 }
 OF_AN_ARM = {"direction": OffNode(direction, direction_figure, direction_sentence)}
-STUDIES = (*SWEPT, *OFF_NODE, "motor_selection")  # those of a scene with one motor
+STUDIES = (*SWEPT, *OFF_NODE, "motor_selection")  # studies of scenes with one motor
 
 
 @dataclass(frozen=True)
 class Written:
-    """What a study leaves.
+    """Results of a study to be written.
 
     Attributes
     ----------
-    report : Markdown, from the lines that say where it comes from.
+    report : makes the Markdown from the lines of `provenance`.
     finding : one or two sentences.
-    code : exit code, as of `exit_code`.
+    code : exit code, see `exit_code`.
     """
 
     figure: Figure
@@ -118,21 +118,21 @@ def _motors(name: str, scene: Scene, folder: Path, pool: Pool, search: Sequence[
 def write(
     name: str, scene: Scene, out: Path, pool: Pool, *, search: Sequence[Path] = (), figures: Path | None = None
 ) -> tuple[int, str]:
-    """Solve one named study, or what its folder lacks of it, and write its files.
+    """Solve the missing rows of one named study, and write its files.
 
     Parameters
     ----------
-    out : the study gets the folder of its name in it.
+    out : folder that contains the study's folder, which has the study's name.
     search : folders whose `motors/` hold the files that `motor_selection` compares.
-    figures : a folder that gets a copy of the study's figure.
+    figures : a folder that receives a copy of the study's figure.
 
     Returns
     -------
-    Exit code, finding.
+    Exit code and finding.
 
     Raises
     ------
-    InputError : as of `run_plan`.
+    InputError : see `run_plan`; or `figures` cannot be written.
     """
     started = time.perf_counter()
     folder = out / name

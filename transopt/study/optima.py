@@ -1,4 +1,4 @@
-"""Optima at any speed and grip of a scene, for studies of what a library is worth off its nodes."""
+"""Optima at any speed and grip of a scene, for studies of libraries between their nodes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ def errors_of(scene: Scene) -> Errors:
 
 @dataclass(frozen=True)
 class Proven:
-    """One optimum that a study stands on, and what its certificate says.
+    """One optimum that a study rests on, with its certificate.
 
     Attributes
     ----------
     device : name of the device it was solved for.
     status : name of a `Status`.
     relative_gap, relative_bound : duality gap and global bound over max(J, 1e-3).
-    violation_A, violation_V, violation_K : by how much the command exceeds a limit at most.
+    violation_A, violation_V, violation_K : largest excess over a limit, by unit.
     """
 
     device: str
@@ -40,7 +40,7 @@ class Proven:
 
 
 def proven(device: str, errors: Errors) -> list[Proven]:
-    """Every optimum that was solved so far."""
+    """Every optimum solved so far."""
     return [
         Proven(
             device,
@@ -57,7 +57,7 @@ def proven(device: str, errors: Errors) -> list[Proven]:
 
 
 def proven_sentence(optima: Sequence[Proven]) -> str:
-    """How many there are, how many are certified, and how well."""
+    """Number of optima, number of certified ones, and their worst gap."""
     certified = [one for one in optima if one.status == OPTIMAL]
     worst = max((one.relative_gap for one in certified), default=float("nan"))
     return f"{len(certified)} of {len(optima)} optima certified (rows.csv), worst gap {worst:.0e}"

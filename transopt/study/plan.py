@@ -1,4 +1,4 @@
-"""The plan of a constraint study: the points its axes span, the rows they come to, the tasks that solve them."""
+"""The plan of a constraint study: its points, the rows of their entries, the tasks that solve them."""
 
 import itertools
 import math
@@ -19,9 +19,9 @@ from transopt.study.axes import Axis, label
 from transopt.study.recordings import StudyRecordings
 from transopt.study.tasks import Item, Task
 
-TOGETHER = 16  # entries of a task: replaying 16 together takes 1.5 times as long as replaying one
+TOGETHER = 16  # entries per task; replaying 16 together takes 1.5 times as long as one
 MOST_POINTS = 10_000_000
-# Tables that the device, its time axis or the recordings depend on: what differs in one of them shares less work.
+# Tables that determine device, time axis or recordings. Points that differ in one of them share less work.
 HEAVY = ("model", "motor", "transmission", "tip", "amplifier", "time", "recordings", "targets", "feedback")
 
 
@@ -31,19 +31,19 @@ class Plan:
 
     Attributes
     ----------
-    scene : everything that is not varied.
-    axes : the keys that are varied, with their values.
-    speeds_m_s : speeds of the entries of every point [m/s], within the recorded ones of the scene; zeros for targets.
+    scene : states everything that is not varied.
+    axes : the varied keys with their values.
+    speeds_m_s : speeds of the entries of every point [m/s], within the scene's recorded ones; zeros for targets.
     grips_N : grips of the entries of every point [N].
     sample : number of points of a Latin hypercube; None for all combinations of the axes' values.
-    seed : of the Latin hypercube.
+    seed : seed of the Latin hypercube.
     rivals : whether baselines and prices of the limits are computed too.
-    options : of the solver.
+    options : options of the solver.
 
     Raises
     ------
-    InputError : a key varied twice or stated by another one, a speed that was not recorded, a grip that the scene
-        refuses, or a number of points outside 1 to `MOST_POINTS`.
+    InputError : a key is varied twice or stated by another one; a speed was not recorded; the scene refuses a grip;
+        or the number of points is outside 1 to `MOST_POINTS`.
     """
 
     scene: Scene
@@ -76,7 +76,7 @@ class Plan:
 
     @property
     def entry_axes(self) -> Axes:
-        """What the entries of every point are for."""
+        """The axes of every point's entries."""
         return Axes(self.speeds_m_s, self.grips_N, self.scene.axes.targets)
 
     @property
@@ -97,12 +97,12 @@ class Plan:
 
     @cached_property
     def _draws(self) -> Any:
-        """(sample, axes) uniform in 0..1, one of each of `sample` equal slices along every axis."""
+        """(sample, axes) uniform in 0..1, one in each of `sample` equal slices along every axis."""
         hypercube = qmc.LatinHypercube(len(self.axes), rng=np.random.default_rng(self.seed))
         return hypercube.random(self.sample or 0)
 
     def place(self, point: int) -> tuple[int, ...]:
-        """Index of a point along every axis; of combinations only."""
+        """Index of a point along every axis; only for all combinations."""
         return tuple(int(j) for j in np.unravel_index(point, self.shape)) if self.axes else ()
 
     def changes(self, point: int) -> dict[str, Any]:
@@ -112,7 +112,7 @@ class Plan:
         return {axis.key: _drawn(axis, float(u)) for axis, u in zip(self.axes, self._draws[point], strict=True)}
 
     def labels(self, point: int) -> dict[str, str]:
-        """The keys of a point with their values as tables show them."""
+        """The keys of a point with the labels of their values."""
         if self.sample is None:
             return {axis.key: axis.labels[j] for axis, j in zip(self.axes, self.place(point), strict=True)}
         found = self.changes(point)
@@ -124,7 +124,7 @@ class Plan:
         }
 
     def groups(self) -> Iterator[Sequence[int]]:
-        """Points that share device, time axis and recordings."""
+        """Groups of points that share device, time axis and recordings."""
         heavy = [axis.key.split(".")[0] in HEAVY for axis in self.axes]
         if self.sample is not None:
             yield from ([p] for p in range(self.points)) if any(heavy) else [range(self.points)]
@@ -143,7 +143,7 @@ class Plan:
             yield [first + offset for offset in offsets(False)]
 
     def index(self, point: int, iv: int, ig: int) -> int:
-        """Number of a row: points outermost, then speeds, then grips."""
+        """Index of a row: points outermost, then speeds, then grips."""
         return (point * len(self.speeds_m_s) + iv) * len(self.grips_N) + ig
 
     def point_of(self, index: int) -> int:
@@ -152,8 +152,8 @@ class Plan:
     def tasks(self, done: Callable[[int], bool], recorded: StudyRecordings) -> Iterator[Task]:
         """Tasks with at least one row that is not done.
 
-        Which rows share a task never depends on what is done: entries that are replayed together agree to the last
-        digit only with the same neighbours, and a study that was stopped is to end with the rows of one that was not.
+        How rows are grouped into tasks never depends on which are done. Replayed together with other neighbours, an
+        entry may differ in its last digits, and a resumed study must end with the same rows as an uninterrupted one.
         """
         names = self.scene.axes.targets or ("",) * len(self.speeds_m_s)
         for points in self.groups():

@@ -1,4 +1,4 @@
-"""The recordings that the points of a study follow."""
+"""The recordings that the points of a study use."""
 
 import hashlib
 import math
@@ -21,14 +21,14 @@ MARGIN_S = 5e-3  # the recordings of a simulated scene outlast its horizon by tw
 class StudyRecordings:
     """The recordings of a study: those of its scene, whatever device is varied.
 
-    Simulated recordings are taken with the scene's own device, and long enough for the longest horizon of any point:
-    all points are to follow the same taps, or their errors could not be compared. Only where keys of `recordings`
-    are themselves varied are they simulated or read again.
+    Simulated recordings are made with the scene's own device, and are long enough for the longest horizon of all
+    points. All points use the same taps, so that their errors can be compared. Only if keys of `recordings` are
+    varied are they simulated or read again.
     """
 
     def __init__(self, scene: Scene, axes: Sequence[Axis]) -> None:
         self._scene = scene
-        # What was asked for last: its changes as text, the recordings, their digest.
+        # Cache of the last call: its changes as text, the recordings, their digest.
         self._last: tuple[str, tuple[Recording, ...], str] = ("", (), "")
         longest: dict[str, float] = {"time.dt_s": scene.time.dt_s, "time.stages": scene.time.stages or 0}
         amplifier = scene.amplifier_model()
@@ -36,12 +36,12 @@ class StudyRecordings:
         for axis in axes:
             if axis.key in longest:
                 longest[axis.key] = max(map(float, axis.values))
-        # A scene that states no stages has a window of 80 ms whatever its period, or less.
+        # A scene without time.stages has a window of at most 80 ms, whatever its servo period.
         window_s = longest["time.dt_s"] * longest["time.stages"] or WINDOW_S
         self._longer_s = window_s + longest["amplifier.delay_s"] - scene.time.dt_s * scene.stages
 
     def of(self, changes: Changes) -> tuple[tuple[Recording, ...], str]:
-        """The recordings for a point of the plan, and their SHA-256, which names them."""
+        """The recordings for a point of the plan, and their SHA-256, which identifies them."""
         own = {key: value for key, value in changes.items() if key.startswith("recordings.")}
         if repr(own) == self._last[0]:
             return self._last[1], self._last[2]
@@ -57,7 +57,7 @@ class StudyRecordings:
         try:
             scene = with_values(self._scene, own)
         except InputError:
-            scene = self._scene  # the point is refused for its value when it is solved
+            scene = self._scene  # the point is refused for this value when it is solved
         if scene.recordings.simulated is None:
             return read_recordings(scene.recordings)
         if self._longer_s > MARGIN_S:

@@ -20,12 +20,12 @@ from transopt.study.rows import MULTIPLIER_COLUMNS, OPTIMAL, REFUSED, VIOLATIONS
 from transopt.study.rows import entry_cells as place_cells
 from transopt.study.store import LIBRARIES
 
-MOST_ROWS = 120  # of the table; rows.csv has them all
-MOST_VALUES = 24  # of a key, in what the terminal shows
+MOST_ROWS = 120  # rows of the table; rows.csv has all
+MOST_VALUES = 24  # values of a key shown on the terminal
 
 
 def provenance(command: str, elapsed_s: float) -> list[str]:
-    """Command, time, machine, versions."""
+    """Lines with command, time, machine and versions."""
     computer = machine()
     names = ", ".join(f"{name} {version}" for name, version in versions(*LIBRARIES).items())
     return [
@@ -36,7 +36,7 @@ def provenance(command: str, elapsed_s: float) -> list[str]:
 
 
 def binding_names(row: Row) -> str:
-    """The limits that bind, without their times."""
+    """The binding limits without their times."""
     names = [part.split(" at ")[0] for part in row["binding"].split("; ")] if row["binding"] else []
     return ", ".join(names) or "-"
 
@@ -50,7 +50,7 @@ def largest_multiplier(row: Row) -> str:
 
 
 def shown_row(row: Row) -> TableRow:
-    """What the table shows of a row."""
+    """The row as the table shows it."""
     refused = row["status"] == REFUSED
     values = {
         "tap": number(row, "tap_error"),
@@ -78,12 +78,12 @@ def rows_table(rows: Sequence[Row], keys: Sequence[str], unit: str) -> list[str]
 
 
 def legend(scene: Scene) -> str:
-    """What the columns of the table of rows mean."""
+    """Explanation of the columns of the table of rows."""
     return EntryTable((), COLUMNS, ()).legend(scene.driven_by.name, named=bool(scene.targets))
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Counts of outcomes and what the certificates say at worst, in one line."""
+    """One line: numbers of outcomes, and the worst gap and violation of the certificates."""
     counts = Counter(row["status"] for row in rows)
     there = [row for row in rows if row["status"] == OPTIMAL]
     others = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()) if name != OPTIMAL)
@@ -98,14 +98,14 @@ def summary(rows: Sequence[Row]) -> str:
 
 @dataclass(frozen=True)
 class Point:
-    """What a point of a study comes to: its varied values, and its entry with the largest tap error.
+    """A point of a study: its varied values, and its entry with the largest tap error.
 
     Attributes
     ----------
-    said : the values, in a sentence.
-    labels : the values, by their keys.
-    worst : the largest tap error of its entries; NaN where one has no certified optimum.
-    place : of that entry; of a point without a figure why there is none.
+    said : the values in words.
+    labels : key -> label of its value.
+    worst : largest tap error of its entries; NaN if an entry has no certified optimum.
+    place : name of that entry; if `worst` is NaN, the entry without optimum and the reason.
     """
 
     said: str
@@ -133,12 +133,12 @@ def points_of(plan: Plan, rows: Sequence[Row]) -> list[Point]:
 
 
 def study_answer(plan: Plan, rows: Sequence[Row]) -> list[str]:
-    """What a study found, in a few sentences: where taps are worst and best, and from where on nothing is gained."""
+    """The finding of a study in a few sentences: worst and best values, and where no further gain begins."""
     points = points_of(plan, rows)
     known = [point for point in points if not np.isnan(point.worst)]
     lines = []
     if known:
-        # What is no better by more than rounding is no better: the first of equals stands for them.
+        # Points that differ by rounding only count as equal; the first one represents them.
         least = min(point.worst for point in known)
         best = next(point for point in known if point.worst <= least + AT_FLOOR)
         worst = max(known, key=lambda point: point.worst)
@@ -166,10 +166,10 @@ def study_answer(plan: Plan, rows: Sequence[Row]) -> list[str]:
 
 
 def study_table(plan: Plan, rows: Sequence[Row]) -> Table | None:
-    """The largest tap error at each value of one key, or of two; None for samples, more keys and long ranges."""
+    """The largest tap error at each value of one or two keys; None for samples, more keys or many values."""
     if plan.sample is not None or not 1 <= len(plan.axes) <= 2 or max(plan.shape) > MOST_VALUES:
         return None
-    heads = [axis.key for axis in plan.axes]  # which names its unit
+    heads = [axis.key for axis in plan.axes]  # a key's name includes its unit
     points, shown = points_of(plan, rows), Table(title="largest tap error of a point, %")
     shown.add_column(heads[0], justify="right")
     if len(plan.axes) == 1:
@@ -187,7 +187,7 @@ def study_table(plan: Plan, rows: Sequence[Row]) -> Table | None:
 
 
 def refusal_lines(rows: Sequence[Row]) -> list[str]:
-    """Every reason once, with how often it stands there."""
+    """Every reason for a refusal once, with its count."""
     reasons = Counter(f"{row['status']}: {row['reason']}" for row in rows if row["status"] != OPTIMAL)
     if not reasons:
         return []
@@ -197,7 +197,7 @@ def refusal_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
-    """Per entry least, median and largest tap error over all points, and where."""
+    """Per entry the least, median and largest tap error over all points, and the values of the least."""
     lines = []
     axes = plan.entry_axes
     for iv in range(len(plan.speeds_m_s)):
@@ -219,7 +219,7 @@ def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
 
 
 def study_markdown(plan: Plan, rows: Sequence[Row], figure: str, head: Sequence[str]) -> str:
-    """report.md of a study. `head`: command, machine and versions."""
+    """report.md of a study. `head` : command, machine and versions."""
     keys = [axis.key for axis in plan.axes]
     how = "all combinations" if plan.sample is None else f"Latin hypercube of {plan.sample}, seed {plan.seed}"
     lines = [f"# {plan.scene.name}: {', '.join(keys) or 'as it is'}", "", *head]

@@ -1,6 +1,6 @@
-"""One row of a study: its columns, what its cells hold, and what the rows of a study amount to.
+"""Rows of a study: their columns, the content of their cells, and the exit code that follows from them.
 
-A column is declared once, with what a solved entry has in it; store, rows.csv, tables and questions read its name.
+Each column is declared once, with its value for a solved entry; store, rows.csv, tables and questions use its name.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,15 +15,15 @@ from transopt.problem.limits.supply import SupplyLimit
 from transopt.proof.certify import boxes_of
 from transopt.study.axes import label
 
-REFUSED = "REFUSED"  # beside the names of Status: the scene itself is invalid
-DEFECT = "DEFECT"  # a solve that ended in an exception that no input should cause
+REFUSED = "REFUSED"  # status beside those of `Status`: the scene itself is invalid
+DEFECT = "DEFECT"  # status of a solve that raised an unexpected exception
 NAN = float("nan")
-# Label of a limit -> column of its largest multiplier.
+# Label of a limit -> name of the column with its largest multiplier.
 MULTIPLIER_COLUMNS = {kind.label: f"mu_{kind.label}_1_{kind.base_unit()}" for kind in KINDS}
 
 
 def _multiplier(kind_label: str) -> Callable[[Entry], float]:
-    """The largest multiplier of a limit; NaN where the problem does not have it, or the command is not finite."""
+    """The largest multiplier of a limit; NaN if the problem lacks the limit or the command is not finite."""
 
     def largest(entry: Entry) -> float:
         if not np.all(np.isfinite(entry.solution.command)):
@@ -36,14 +36,14 @@ def _multiplier(kind_label: str) -> Callable[[Entry], float]:
 
 
 def _made_dB(entry: Entry) -> float:
-    """Energy in the last term of the error over the target's; NaN of a zero reference."""
+    """Energy in the last term of the error over that of the target; NaN for a zero reference."""
     problem = entry.problem
     effect = entry.designed.effect
     return NAN if problem.reference_is_zero else problem.tracking.energy_dB(effect.accelerations_m_s2)
 
 
-# What a solved entry has in each column, in their order; the number of the row stands before them. NaN and empty text
-# are empty cells.
+# Column -> its value for a solved entry, in the order of the file, after the index of the row. NaN and empty text
+# give empty cells.
 COLUMNS: dict[str, Callable[[Entry], Any]] = {
     "speed_m_s": lambda e: e.speed_m_s,
     "grip_N": lambda e: e.grip_N,
@@ -57,9 +57,9 @@ COLUMNS: dict[str, Callable[[Entry], Any]] = {
     "bump_m_s2": lambda e: e.figures.bump_m_s2,
     "heat_A2_s": lambda e: e.heat_A2_s,
     "energy_dB": _made_dB,
-    # The nearest waveform has this energy; the same as energy_dB where the scene asks for no energy.
+    # Energy of the nearest waveform; equal to energy_dB if the scene asks for no energy.
     "waveform_dB": lambda e: _made_dB(e) if e.attained is None else e.attained.waveform_dB,
-    # The price of the energy: 0 where the scene asks for none, or the nearest waveform has it.
+    # Price lam of the energy: 0 if the scene asks for none or the nearest waveform has it already.
     "intensity": lambda e: NAN if e.problem.reference_is_zero else e.problem.intensity,
     "free_peak": lambda e: e.free_peak,
     "peak_input": lambda e: e.played.peak_input,
@@ -80,13 +80,13 @@ COLUMNS: dict[str, Callable[[Entry], Any]] = {
     "solver": lambda e: e.solution.solver,
     "reason": lambda e: "; ".join(e.shortfalls),
     "solve_ms": lambda e: 1e3 * e.solution.solve_time_s,
-    "total_ms": lambda _: NAN,  # the share of the entry in the time of its task, which the task knows
+    "total_ms": lambda _: NAN,  # the entry's share of its task's time, which only the task knows
 }
-# The columns that cost more than the optimum: baselines at the transient limit, and prices of the binding limits.
+# Columns that cost more than the optimum: baselines at the transient limit, and prices of the binding limits.
 RIVALS = {"tap_error_seed", "tap_error_clipped", "price"}
-# How far the certificate found a limit exceeded, a column per unit of the limits.
+# Largest excess over the limits according to the certificate, one column per unit.
 VIOLATIONS = ("violation_A", "violation_V", "violation_K")
-# What an inverse question may require a bound of.
+# Measures that an inverse question may bound.
 MEASURES = (
     "tap_error",
     "felt_error",
@@ -105,8 +105,8 @@ MEASURES = (
     "free_peak",
 )
 OPTIMAL = Status.OPTIMAL.name
-# What a study may well come upon when it varies a scene: the row says that there is no such optimum, and why. Any
-# other status but OPTIMAL is a solver or a proof that fell short.
+# Expected outcomes of varied scenes: no such optimum exists, and the row says why. Any other status but OPTIMAL means
+# that a solver or a proof fell short.
 REFUSALS = {
     REFUSED,
     *(
@@ -120,40 +120,40 @@ Row = dict[str, str]
 
 
 def outcome_of(entry: Entry, index: int, *, rivals: bool) -> Outcome:
-    """All columns of a solved entry; those of `RIVALS` only where they are asked for."""
+    """All columns of a solved entry; those of `RIVALS` only if wanted."""
     return {"index": index, **{name: made(entry) for name, made in COLUMNS.items() if rivals or name not in RIVALS}}
 
 
 def _cell(value: Any) -> str:
-    """A value on one line; empty where there is none."""
+    """A value as one line of text; empty for NaN."""
     if isinstance(value, float) and np.isnan(value):
         return ""
     return " ".join(label(value).split())
 
 
 def row_of(outcome: Outcome, point: int, labels: Mapping[str, str]) -> Row:
-    """The row of an outcome: its number, the number of its point, the varied values, and what came out."""
+    """The row of an outcome: its index, the index of its point, the varied values, and the columns."""
     cells = {name: _cell(outcome.get(name, "")) for name in COLUMNS}
     varied = {key: " ".join(text.split()) for key, text in labels.items()}
     return {"index": str(outcome["index"]), "point": str(point), **varied, **cells}
 
 
 def number(row: Row, column: str) -> float:
-    """A cell as a number, NaN where it is empty."""
+    """A cell as a number; NaN if it is empty."""
     return float(row[column]) if row[column] else NAN
 
 
 def entry_name(row: Row) -> str:
-    """How messages and tables call the entry of a row."""
+    """Name of a row's entry in messages and tables."""
     return row["target"] or f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
 
 
 def entry_cells(row: Row) -> list[str]:
-    """Which entry a row is of, in the columns of a table (`Axes.columns`)."""
+    """Cells that identify a row's entry in a table (`Axes.columns`)."""
     return [row["target"]] if row["target"] else [f"{float(row['speed_m_s']):g}", f"{float(row['grip_N']):g}"]
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """0 if every row is certified or a refusal, and one at least is certified; else 1."""
+    """0 if every row is certified or a refusal and at least one is certified; else 1."""
     found = {row["status"] for row in rows}
     return 0 if OPTIMAL in found and found <= {OPTIMAL, *REFUSALS} else 1

@@ -1,4 +1,4 @@
-"""Tasks through an executor: only so many under way, workers that die, a stop that loses nothing."""
+"""Runs tasks on an executor with bounded memory; survives dying workers, and a stop loses no results."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
@@ -8,11 +8,11 @@ from transopt.study.executors import Pool
 from transopt.study.rows import Outcome
 from transopt.study.tasks import Task, run_task
 
-AHEAD = 3  # tasks under way or waiting per worker: none idles while results are written, and memory stays flat
-MOST_DEATHS = 3  # of workers without a finished task in between
-LOOK_S = 0.5  # between looks at a cluster that gives no answer
+AHEAD = 3  # tasks submitted per worker: none idles while results are written, and memory stays bounded
+MOST_DEATHS = 3  # deaths of workers without a finished task in between
+LOOK_S = 0.5  # time between two looks at a cluster that does not answer
 MOST_LOOKS = 120
-GRACE_S = 0.2  # that a stop leaves the tasks which have started
+GRACE_S = 0.2  # time that a stop grants to tasks that have started
 
 Write = Callable[[list[Outcome]], object]
 
@@ -22,7 +22,7 @@ def _kept(text: str) -> str:
 
 
 class _UnderWay:
-    """Tasks that an executor has, and those that have to be submitted again because their worker died."""
+    """Tasks submitted to an executor, and those to submit again because their worker died."""
 
     def __init__(self, pool: Pool, tasks: Iterator[Task]) -> None:
         self._pool, self._tasks = pool, tasks
@@ -31,7 +31,7 @@ class _UnderWay:
         self._deaths = self._looks = 0
 
     def fill(self) -> bool:
-        """Submit as many tasks as the workers are to have at hand; whether any is under way."""
+        """Submit tasks up to `AHEAD` per worker; returns whether any is under way."""
         most = AHEAD * max(self._pool.workers(), 1)
         while len(self._futures) < most:
             task = self._again.pop() if self._again else next(self._tasks, None)
@@ -44,7 +44,7 @@ class _UnderWay:
         return bool(self._futures)
 
     def _died(self, task: Task) -> None:
-        """The worker of a task died: the task is submitted again, unless workers do nothing but die."""
+        """Submit a task again after its worker died, unless workers keep dying."""
         self._again.append(task)
         self._deaths += 1
         if self._deaths > MOST_DEATHS:
@@ -52,9 +52,9 @@ class _UnderWay:
             raise InputError(_kept(f"{died} (out of memory? fewer --jobs take less)"))
 
     def write_finished(self, write: Write) -> None:
-        """Hand over what has finished; nothing if a worker died or `LOOK_S` have passed.
+        """Write the outcomes of finished tasks; none if a worker died or `LOOK_S` have passed.
 
-        A task counts as under way until its outcomes are written: a stop in between does not lose them.
+        A task counts as under way until its outcomes are written, so that a stop in between does not lose them.
         """
         done, _ = wait(self._futures, timeout=LOOK_S, return_when=FIRST_COMPLETED)
         self._looks = self._looks + 1 if not done and self._pool.workers() == 0 else 0
@@ -74,11 +74,11 @@ class _UnderWay:
             self._deaths = 0
 
     def cancel(self) -> list[Future[list[Outcome]]]:
-        """Drop what has not started; what has."""
+        """Cancel tasks that have not started; returns those that have."""
         return [future for future in self._futures if not future.cancel()]
 
     def stop(self, write: Write) -> None:
-        """Drop what has not started, and write what has if it finishes at once."""
+        """Cancel tasks that have not started, and write the others if they finish at once."""
         done, _ = wait(self.cancel(), timeout=GRACE_S)
         for future in done:
             if future.exception() is None:
@@ -86,15 +86,15 @@ class _UnderWay:
 
 
 def execute(pool: Pool, tasks: Iterator[Task], write: Write) -> None:
-    """Run tasks and hand over what comes out, in whatever order that is.
+    """Run tasks and pass on their outcomes, in the order in which they finish.
 
-    A stop, which is a Ctrl-C or whatever else raises KeyboardInterrupt or SystemExit, leaves the tasks that have
-    started `GRACE_S` to finish; outcomes may then be handed over a second time. What takes longer is solved again
-    by the next run; its workers end when the pool is closed.
+    A stop (Ctrl-C, or anything else that raises KeyboardInterrupt or SystemExit) gives running tasks `GRACE_S` to
+    finish; outcomes may then be written a second time. Tasks that take longer are solved again by the next run; their
+    workers end when the pool is closed.
 
     Raises
     ------
-    InputError : the workers die again and again, or none is left.
+    InputError : workers keep dying, or none is left.
     """
     under_way = _UnderWay(pool, tasks)
     try:

@@ -1,4 +1,4 @@
-"""One study from its plan to its rows: gone on with where it stopped, with progress and remaining time."""
+"""One study from its plan to its rows: resumes where it stopped, shows progress and remaining time."""
 
 import sys
 import time
@@ -17,8 +17,8 @@ from transopt.study.rows import Outcome, Row, row_of
 from transopt.study.run import execute
 from transopt.study.store import Store
 
-MOST_VALUES = 200  # that a scan and a bisection can come to; sixty halvings exhaust a double
-LINE_S = 15.0  # between lines of progress where no terminal shows a bar
+MOST_VALUES = 200  # most values of a scan and a bisection; sixty halvings exhaust a double
+LINE_S = 15.0  # time between lines of progress if there is no terminal for a bar
 
 Advance = Callable[[int], None]
 
@@ -43,9 +43,9 @@ def definition(plan: Plan, recorded: StudyRecordings) -> dict[str, Any]:
 
 @contextmanager
 def progress(name: str, total: int, done: int) -> Iterator[Advance]:
-    """A bar on the terminal, or a line now and then; `done` entries were there before.
+    """A progress bar on the terminal, or else lines at intervals; `done` entries exist already.
 
-    Gives a function that takes how many more there are.
+    Yields a function to call with the number of further entries.
     """
     if not sys.stderr.isatty():
         started = last = time.perf_counter()
@@ -68,7 +68,7 @@ def progress(name: str, total: int, done: int) -> Iterator[Advance]:
 
 @contextmanager
 def _stop_said(store: Store, total: int | None) -> Iterator[None]:
-    """A stop says how far the study came, and where that is kept."""
+    """On a stop, print how far the study came and where its rows are kept."""
     try:
         yield
     except (KeyboardInterrupt, SystemExit):
@@ -81,17 +81,17 @@ def _stop_said(store: Store, total: int | None) -> Iterator[None]:
 def run_plan(
     plan: Plan, folder: Path, pool: Pool, *, name: str = "entries", watch: Callable[[int], None] = lambda done: None
 ) -> list[Row]:
-    """Solve what a folder lacks of a plan.
+    """Solve the rows of a plan that a folder lacks.
 
     Parameters
     ----------
-    folder : gets study.sqlite, from which the study goes on, and rows.csv.
+    folder : receives study.sqlite, from which the study resumes, and rows.csv.
     name : shown beside the progress.
     watch : called with the number of rows after every task.
 
     Returns
     -------
-    All rows by number: the same whatever the executor and however often the run was stopped, but for the times.
+    All rows by index. Apart from times they are equal for all executors, however often the run was stopped.
 
     Raises
     ------
@@ -111,11 +111,11 @@ def run_plan(
 
 
 def run_question(plan: Plan, question: Question, folder: Path, pool: Pool) -> Answer:
-    """Solve what a folder lacks for an answer: the same values in the same order however often it was stopped.
+    """Solve what a folder lacks for an answer; a stopped run resumes with the same values in the same order.
 
     Raises
     ------
-    InputError : as of `run_plan`.
+    InputError : see `run_plan`.
     """
     ends = plan_at(plan, question, [question.low, question.high])
     recorded = StudyRecordings(plan.scene, ends.axes)

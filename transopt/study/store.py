@@ -1,10 +1,10 @@
-"""Store of a study's rows: one SQLite file, from which a study that was stopped or killed goes on.
+"""Store of a study's rows: one SQLite file, from which a stopped or killed study resumes.
 
-SQLite gives what a long run needs on every system: a row is in the file whole or not at all, whenever the process is
-killed; a second process that opens the file finds it locked; and rows come out in the order of their numbers, in
-whatever order the workers finished them. Rows go through SQLite's write-ahead log, which the file takes in when it is
-closed or, after a kill, opened again: waiting for the disk after every row would take a sixth of a study's time. A
-power cut can cost the last rows, never the file.
+SQLite gives what a long run needs on every system: a row is in the file completely or not at all, whenever the
+process is killed; a second process finds the file locked; and rows are read in the order of their indices, in
+whatever order they were written. Rows pass through SQLite's write-ahead log, which is merged when the file is closed
+or, after a kill, opened again, because syncing the disk after every row would take a sixth of a study's time. A power
+cut can lose the last rows, never the file.
 """
 
 import json
@@ -24,11 +24,11 @@ from transopt.base.writing import csv_text, write_text
 from transopt.study.rows import COLUMNS, Row
 
 SCHEMA = 2
-LIBRARIES = ("transopt", "casadi", "numpy", "scipy")  # whose versions may move the last digits of a row
+LIBRARIES = ("transopt", "casadi", "numpy", "scipy")  # their versions may change the last digits of a row
 
 
 def _first_difference(old: Any, new: Any, path: str = "") -> str:
-    """The first key at which two definitions differ, with both values; empty if they are the same."""
+    """The first key at which two definitions differ, with both values; empty if they are equal."""
     if isinstance(old, dict) and isinstance(new, dict):
         for name in [*new, *(name for name in old if name not in new)]:
             found = _first_difference(old.get(name), new.get(name), f"{path}.{name}" if path else name)
@@ -42,30 +42,30 @@ def _first_difference(old: Any, new: Any, path: str = "") -> str:
 
 
 def _named(columns: Sequence[str]) -> str:
-    """Columns as SQL names them: quoted, because a key has a dot in it."""
+    """Column names in SQL, quoted because keys contain dots."""
     return ", ".join(f'"{column}"' for column in columns)
 
 
 class Store:
     """The rows of one study in `study.sqlite` of a folder, and in `rows.csv` beside it once the store is closed.
 
-    A context manager: while it is open, no other process can open the same file.
+    It is a context manager; while it is open, no other process can open the file.
 
     Attributes
     ----------
     path : the SQLite file.
-    columns : of a row: its number, that of its point, the varied keys, the outcome.
-    done : how many rows there are.
+    columns : columns of a row: its index, the index of its point, the varied keys, the outcome.
+    done : number of rows stored.
     """
 
     def __init__(self, folder: Path, definition: dict[str, Any], keys: Sequence[str], most: int) -> None:
-        """Say what is to be kept; the file is opened by `with`.
+        """Define the content; `with` opens the file.
 
         Parameters
         ----------
-        definition : JSON values that say what is studied; the versions of the libraries are added to it.
+        definition : JSON values that define the study; the versions of the libraries are added.
         keys : the varied keys.
-        most : rows that the study can come to.
+        most : largest possible number of rows.
         """
         self.folder, self.path = folder, folder / "study.sqlite"
         self.columns = ["index", "point", *keys, *COLUMNS]
@@ -74,11 +74,11 @@ class Store:
         self._definition: dict[str, Any] = json.loads(json.dumps(without_nan(content)))
 
     def __enter__(self) -> Self:
-        """Open the file, or make it.
+        """Open or create the file.
 
         Raises
         ------
-        InputError : it holds another study, another process has it open, or it cannot be read or written.
+        InputError : the file holds another study, is open in another process, or cannot be read or written.
         """
         with self._refusing():
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -95,9 +95,9 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Write rows.csv, however the block ended, and let others in."""
+        """Write rows.csv, however the block ended, and release the file."""
         try:
-            # Straight from the file: a study that is stopped has to end soon, however many rows it has.
+            # Streamed from the file, so that a stopped study ends soon even with many rows.
             with self._refusing():
                 text = csv_text(self.columns, self._cells(0, len(self._there)))
             write_text(text, self.folder / "rows.csv")
@@ -105,7 +105,7 @@ class Store:
             self._file.close()
 
     def _open(self) -> None:
-        # The lock that the first transaction takes is kept until the file is closed.
+        # The first transaction's lock is held until the file is closed.
         self._file.execute("PRAGMA locking_mode = EXCLUSIVE")
         self._file.execute("PRAGMA journal_mode = WAL")
         self._file.execute("PRAGMA synchronous = NORMAL")
@@ -124,11 +124,11 @@ class Store:
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
-        """What goes wrong with the file, in one line."""
+        """Turn errors of the file into an InputError of one line."""
         another = f"--out {self.folder}: cannot be written ({{}}); choose another folder"
         try:
             yield
-        except InputError:  # a ValueError too: it says what is wrong already
+        except InputError:  # also a ValueError, but it says already what is wrong
             raise
         except OSError as error:
             raise InputError(another.format(error.strerror)) from None
@@ -146,11 +146,11 @@ class Store:
         return int(np.count_nonzero(self._there))
 
     def has(self, index: int) -> bool:
-        """Whether the row of that number is there."""
+        """Whether the row with this index is stored."""
         return bool(self._there[index])
 
     def add(self, rows: Sequence[Row]) -> int:
-        """Keep those rows that are not there yet, all or none; how many that were.
+        """Store the rows that are not stored yet, all or none; returns their number.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class Store:
         return self.done - before
 
     def read(self, first: int = 0, count: int | None = None) -> list[Row]:
-        """The rows of the numbers from `first` on, or `count` of them, in the order of their numbers."""
+        """The rows with indices from `first` on, or `count` of them, ordered by index."""
         after = len(self._there) if count is None else first + count
         with self._refusing():
             return [dict(zip(self.columns, map(str, cells), strict=True)) for cells in self._cells(first, after)]

@@ -1,4 +1,4 @@
-"""Named studies of one key: what each varies, its figure, and its finding in words from the rows themselves."""
+"""Named studies of one key: the varied key, the figure, and a finding in words from the rows."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ class Swept:
 
     Attributes
     ----------
-    axis : the key and its values, as `parse_axis` takes them.
-    speeds_m_s, grips_N : the entries solved at every value.
-    figure : drawn from plan and rows.
-    finding : one or two sentences from plan and rows.
+    axis : the key and its values, in the form of `parse_axis`.
+    speeds_m_s, grips_N : entries solved at every value.
+    figure : draws the figure from plan and rows.
+    finding : states one or two sentences from plan and rows.
     changes : keys of the scene that are set for all values.
     """
 
@@ -71,7 +71,7 @@ def intensity_finding(plan: Plan, rows: Sequence[Row]) -> str:
     asked_dB = plan.scene.weights.intensity_dB
 
     def from_on(met: Any) -> str:
-        """The least limit from which on every entry meets something."""
+        """The least limit at and above which `met` holds at every entry."""
         kept = np.logical_and.accumulate(np.all(met, axis=(1, 2))[::-1])[::-1]
         return f"{limits[int(np.argmax(kept))]:g} A" if kept.any() else f"more than {limits[-1]:g} A"
 
@@ -87,7 +87,7 @@ def intensity_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def intensity_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """Energy of the nearest waveform, and the error of the nearest one with the energy asked for, over the limit."""
+    """Energy of the nearest waveform, and tap error of the nearest one with the wanted energy, over the limit."""
     limits = np.array(plan.axes[0].values)
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")
     panels = figure.subplots(1, 2)
@@ -136,7 +136,7 @@ def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
     used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
     error = entry_grid(plan, rows, "tap_error")
     rates = plan.axes[0].values
-    # A rate at which even no current is too much, or that leaves no time for a waveform, has no entry.
+    # There is no entry at a rate at which the coil overheats without current, or no time is left for a waveform.
     most, least = (
         np.where(np.isnan(used), -np.inf, used).max(axis=0),
         np.where(np.isnan(used), np.inf, used).min(axis=0),
@@ -154,7 +154,7 @@ def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
-    """Beta that the optimum uses, and its error, over the tap rate; a line per entry."""
+    """The beta that the optimum uses, and its error, over the tap rate; one line per entry."""
     used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
     error = 100 * entry_grid(plan, rows, "tap_error")
     rates = plan.axes[0].values

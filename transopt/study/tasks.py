@@ -1,7 +1,7 @@
-"""Entries of varied scenes: each solved, certified and replayed, invalid scenes told apart from what falls short.
+"""Solves, certifies and replays entries of varied scenes; an invalid scene is distinguished from a shortfall.
 
-A task is a handful of entries of one grip that can share work: stage models and references are kept from task to
-task, and what has the same device is replayed together. Tasks and outcomes are plain values, for any executor.
+A task is a small number of entries of one grip that share work: stage models and references are cached between
+tasks, and entries of the same device are replayed together. Tasks and outcomes are plain values, for any executor.
 """
 
 import threading
@@ -26,9 +26,9 @@ KEPT_REFERENCES = 8
 
 @dataclass(frozen=True)
 class Item:
-    """One entry of a task: `index` is the caller's, `point` the place of its changes in the task.
+    """One entry of a task, for a speed or for the target of that name.
 
-    It is for a speed, or for the target of that name.
+    `index` is the caller's index, `point` that of its changes in the task.
     """
 
     index: int
@@ -39,13 +39,13 @@ class Item:
 
 @dataclass(frozen=True)
 class Task:
-    """Entries of one grip.
+    """Entries of one grip that are solved together.
 
     Attributes
     ----------
-    scene : with nothing changed; its grid has the recorded speeds. points : changes of keys.
-    recordings : for all of its points. source : names them; what is kept of them is kept under this name.
-    rivals : whether the baselines and the prices of the limits are wanted too, which cost more than the optimum.
+    scene : the unchanged scene; its grid has the recorded speeds. points : changes of keys, one per point.
+    recordings : recordings for all of its points. source : identifies them in cache keys.
+    rivals : whether baselines and prices of the limits are wanted, which cost more than the optimum.
     """
 
     scene: Scene
@@ -60,13 +60,13 @@ class Task:
 
 _references: Kept[References] = Kept(KEPT_REFERENCES)
 _stages: Kept[StageModel] = Kept(KEPT_STAGES)
-# CasADi's solver objects are shared by all problems of a shape, and reading how one ended after another thread has
-# called it again would tell of the wrong problem.
+# All problems of one shape share CasADi's solver objects. If another thread calls one before its status is read, the
+# status is that of the wrong problem.
 _one_at_a_time = threading.Lock()
 
 
 def _context(task: Task, changes: Changes) -> Context:
-    """One scene of a task; what it shares with the others of its device or of its recordings is kept."""
+    """The context of one scene of a task; parts that depend only on device or recordings are cached."""
     scene = with_values(task.scene, changes)
     recorded = scene.model_copy(update={"grid": task.scene.grid})
     of = as_text(recorded, "recordings", "targets", "grid", "hand", *OF_A_STAGE)
@@ -75,10 +75,10 @@ def _context(task: Task, changes: Changes) -> Context:
 
 
 def _ended(task: Task, item: Item, error: Exception) -> Outcome:
-    """What tells that an item has no entry, and why."""
+    """The outcome of an item without an entry, with the reason."""
     if isinstance(error, InputError):
         status, reason = REFUSED, str(error)
-    else:  # one entry must not take thousands with it: it is told, by name, in its row
+    else:  # one entry must not stop thousands: its row names the exception
         status, reason = DEFECT, f"{type(error).__name__}: {error}"[:300]
     place = {"index": item.index, "speed_m_s": item.speed_m_s, "grip_N": task.grip_N, "target": item.target}
     return {**place, "status": status, "reason": " ".join(reason.split())}
@@ -86,14 +86,14 @@ def _ended(task: Task, item: Item, error: Exception) -> Outcome:
 
 @one_blas_thread()
 def run_task(task: Task) -> list[Outcome]:
-    """Every entry of a task, in the order of its items; never raises for what an entry does."""
+    """Solve every entry of a task, in the order of its items; an entry that fails does not raise."""
     with _one_at_a_time:
         return _run(task)
 
 
 def _run(task: Task) -> list[Outcome]:
     start = time.perf_counter()
-    outcomes: dict[int, Outcome] = {}  # by the place of their item
+    outcomes: dict[int, Outcome] = {}  # by position of their item
     posed: dict[int, Posed] = {}
     contexts: dict[int, Context] = {}
     for place, item in enumerate(task.items):
