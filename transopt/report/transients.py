@@ -305,7 +305,7 @@ def transients_figure(drawn: Transients) -> Figure:
     for axes, part in zip(panels[0, 0], parts, strict=True):
         beyond_ms = MARGIN / part.share * (part.end_ms - part.start_ms)
         axes.set_xlim(part.start_ms - beyond_ms * (part is parts[0]), part.end_ms + beyond_ms * (part is parts[-1]))
-        axes.xaxis.set_major_locator(MaxNLocator(max(round(6 * part.share), 2), steps=TICK_STEPS))
+        axes.xaxis.set_major_locator(MaxNLocator(max(round(6 * part.share), 3), steps=TICK_STEPS, min_n_ticks=1))
     for axes in panels[:, 0, 0]:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=TICK_STEPS))
     panels[0, 0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
