@@ -5,7 +5,7 @@ name in place of masses, springs and dampers of its own (model = "MODEL.json"). 
 
     measurement -> checks -> spectrum -> amplifier | device | hand | coil -> validation -> model file
 
-Each arrow is a function that takes and returns values. All unknowns are found by the one search of `squares`, those
-of a spectrum by the `likelihood` on it; `fit` says what every part of the model file states of its numbers, and its
-verdict; `black_box` is for devices that are no drive chain. `transopt.report` draws what each of the four has found.
+Each arrow is a function that takes and returns values. The one search of `squares` finds all unknowns; `likelihood`
+builds on it for those that are fitted to a spectrum. `fit` states intervals, covariance and verdict of each part of
+the model file; `black_box` fits devices that are no drive chain. `transopt.report` draws the results.
 """

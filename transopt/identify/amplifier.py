@@ -36,31 +36,31 @@ from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials,
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 LEAST_BINS = 12
-POLE_RANGE = 1e-3, 10.0  # of the servo's rate: poles outside leave no trace in the samples
-LATEST_TICKS = 20.0  # of delay
+POLE_RANGE = 1e-3, 10.0  # times the servo's rate: poles outside leave no trace in the samples
+LATEST_TICKS = 20.0  # upper bound of the delay sought
 GAIN_RANGE = 1e6
-COARSE = 4  # bins, of which one says where to begin
-RESTED = 10.0  # time constants after which a current rests
-ROUNDED = 1e-6  # of a response: rounding, and the polynomial across a bin
+COARSE = 4  # the search for starting points takes every fourth bin
+RESTED = 10.0  # time constants after which a current has settled
+ROUNDED = 1e-6  # relative error of a response by rounding and by the polynomial across a bin
 START_POLES, START_STEP, STARTS = (0.01, 0.03, 0.1, 0.3, 1.0), 0.5, 3  # of the rate; ticks of delay; how many to fit
 CROSSOVER_ROUNDS, CROSSOVER_SIGMAS = 3, 4.0
-CROSSOVER_LEAST, CROSSOVER_MOST = 1e-4, 0.3  # of the largest command: no part is played below, none searched above
-POLE_WANTED, DELAY_WANTED_S = 0.02, 3e-6  # half widths of the intervals that a design needs
+CROSSOVER_LEAST, CROSSOVER_MOST = 1e-4, 0.3  # shares of the largest command: least dead band reported, most searched
+POLE_WANTED, DELAY_WANTED_S = 0.02, 3e-6  # largest half widths of the intervals (pole: relative) to design with
 MISFIT_dB, MISFIT_deg = 1.0, 5.0
 CERTAIN = 3.0  # standard deviations by which a misfit must stand out of its noise
-GAIN_WANTED = 0.1  # off one: command and current monitor do not share a scale
-APART_TICKS, APART_GAIN = 0.3, 1.5  # between one trial and the others; a crossover alone takes less off the gain
+GAIN_WANTED = 0.1  # a gain farther from one means that command and current monitor differ in scale
+APART_TICKS, APART_GAIN = 0.3, 1.5  # limits on one trial's delay and gain against the others; a crossover costs less
 
 
 @dataclass(frozen=True)
 class Crossover:
-    """Dead band around zero: of a command c the amplifier follows c - min(max(c, -h), h).
+    """Dead band around zero: the amplifier follows a command c only as c - min(max(c, -h), h).
 
     Attributes
     ----------
-    half_width_A : h, 0 where the records do not show one.
-    deviation_A : standard deviation of the estimate.
-    shows : whether h stands out of its noise.
+    half_width_A : h; 0 where no dead band is significant.
+    deviation_A : standard deviation of the estimate of h.
+    shows : whether h is significant against its noise.
     """
 
     half_width_A: float
@@ -70,24 +70,24 @@ class Crossover:
 
 @dataclass(frozen=True)
 class AmplifierFit(Fit):
-    """i' = 2 pi pole (gain c(t - delay) - i), with what is known of its numbers.
+    """The amplifier i' = 2 pi pole (gain c(t - delay) - i), fitted, with the uncertainty of its parameters.
 
     Attributes
     ----------
-    pole_Hz : of the amplifier.
-    delay_s : beyond the hold of the command.
-    gain : of current over command, 1 where both share a scale.
+    pole_Hz : closed-loop pole of the amplifier.
+    delay_s : pure delay, without the hold of the command.
+    gain : current over command; 1 where both share a scale.
     covariance : (3, 3), in the order of `PARAMETERS`, SI.
-    intervals : 95 %, of each parameter.
-    continuous_pole_Hz, continuous_delay_s : what a continuous pole and delay, fitted to the samples as if there were
-        no hold, come out at; the delay then holds the hold's half sample.
+    intervals : parameter -> its 95 % interval.
+    continuous_pole_Hz, continuous_delay_s : the fit of a continuous pole and delay that ignores the hold; its delay
+        includes the half sample of the hold.
     crossover : dead band around zero.
-    estimate : response from the command less the dead band to the current, which the fit follows.
-    misfit_dB, misfit_deg : of the fit, largest over the coherent band, means over a third of an octave
-        less three standard deviations of their noise.
-    trial_gains : (K,) of each trial: its response over that of pole and delay, crossover and all.
+    estimate : response from the command less the dead band to the current; the fit was made to it.
+    misfit_dB, misfit_deg : largest error of the fit over the coherent band: means over a third of an octave less
+        three standard deviations of their noise.
+    trial_gains : (K,) gain of each trial's response over the response of pole and delay; a crossover lowers it.
     dt_s : servo period.
-    low_Hz : from where on the trials swept.
+    low_Hz : lowest frequency that the trials swept.
     """
 
     pole_Hz: float
@@ -107,11 +107,11 @@ class AmplifierFit(Fit):
 
     @property
     def delay_with_hold_s(self) -> float:
-        """Delay with the half sample by which a held command is late on average."""
+        """Delay plus the half sample by which the hold delays a command on average."""
         return self.delay_s + 0.5 * self.dt_s
 
     def response(self, frequencies_Hz: FloatArray) -> ComplexArray:
-        """(m,) of the fit, from command samples to samples of the current."""
+        """(m,) response of the fit, from samples of the command to samples of the current."""
         return self.gain * sampled_response(frequencies_Hz, self.pole_Hz, self.delay_s, self.dt_s)
 
     def shortfalls(self) -> list[str]:
@@ -155,13 +155,13 @@ class AmplifierFit(Fit):
 def fit_pole(
     groups: Sequence[Condensed], shape: Shape = sampled, start: tuple[float, float] | None = None
 ) -> Maximum:
-    """Pole, delay and gain of largest likelihood: unknowns logarithm of the pole [Hz], delay [ticks], gain.
+    """Maximum likelihood of pole, delay and gain; the unknowns are log(pole [Hz]), delay [ticks] and gain.
 
     Parameters
     ----------
-    groups : from command to current, their only output, all of one amplifier.
-    start : pole [Hz] and delay [s] near by. Without them all delays are tried and the best are fitted: the phase
-        winds with the delay, so that the error has many valleys.
+    groups : condensed records of one amplifier, from the command to the current, their only output.
+    start : pole [Hz] and delay [s] to start the search from. Without them a grid of delays is tried and the best
+        are fitted: the phase winds with the delay, so the error has many local minima.
     """
     dt_s = groups[0].dt_s
 
@@ -182,19 +182,19 @@ def fit_pole(
         rough.append((gain * float(moved @ silent), np.array([np.log(pole), ticks, gain])))
     rough.sort(key=lambda one: one[0])
     best, _ = likelihood.searches([begun for _, begun in rough[:STARTS]], *bounds)[0]
-    # A delay of zero is at its bound and as well known as any other.
+    # The bounds are moved outward here: a delay of zero lies at its bound, yet its variance is that of any other.
     return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, np.ones(3, dtype=bool))
 
 
 def _share(good: NDArray[np.bool_]) -> str:
-    """How many bins are coherent, and how many have to be."""
+    """The number of coherent bins and the number needed, as a phrase for messages."""
     count = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
     return f"{count}, at least {LEAST_BINS} are needed"
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """All lines, the response, and pole [Hz], delay [s] and gain with their covariance."""
+    """The condensed data, the response, and pole [Hz], delay [s] and gain with their covariance."""
 
     data: Condensed
     estimate: TransferEstimate
@@ -220,9 +220,10 @@ def _fit(trials: Sequence[Trial], shape: Shape = sampled, most_Hz: float = np.in
 def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
     """Pole, delay, gain and crossover from sweeps.
 
-    One pole and a delay, with hold and sampling, are fitted to all lines of all trials (`likelihood`). The crossover
-    distorts what a linear fit sees, by 4 h / (pi A) in gain (describing function) and by harmonics that fall into the
-    band; so the dead band is estimated in time and taken off the command, and the fit is made again until it stays.
+    One pole and a delay, with hold and sampling, are fitted to all lines of all trials (`likelihood`). A crossover
+    biases a linear fit: it lowers the gain by 4 h / (pi A) (describing function) and adds harmonics within the band.
+    So the dead band is estimated in the time domain and subtracted from the command, and the fit is repeated until
+    the dead band settles.
 
     Parameters
     ----------
@@ -271,17 +272,17 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
 
 
 def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
-    """Trials from command to current, and what is wrong with them that is not fatal.
+    """Trials from command to current, and the findings about them that are not fatal.
 
     Raises
     ------
-    InputError : a finding that is.
+    InputError : a finding is fatal.
     """
     signals = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
     findings = refuse(finding for run in runs for finding in check_measurement(run, ("command", "current")))
     trials = [Trial(run.name, command, current) for run, command, current in signals]
     refuse(check_rates(trials))
-    # Each by itself, so that the message names the file.
+    # Each trial is checked by itself, so that the message names its file.
     each = [estimate_transfer([trial]) for trial in trials]
     refuse(check_alike([trial.name for trial in trials], each))
     for trial, alone in zip(trials, each, strict=True):
@@ -293,13 +294,13 @@ def trials_of(runs: Sequence[Measurement]) -> tuple[list[Trial], list[Finding]]:
 
 
 def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> list[Finding]:
-    """Trials by themselves: those whose current does not follow the command, or not as in the other ones.
+    """Find trials whose current does not follow the command, or follows it unlike in the other trials.
 
-    All trials together would hide it: one of eight that is read a tick late moves the pole by 7 %.
+    A fit to all trials together would hide it: one trial of eight that is read a tick late moves the pole by 7 %.
 
     Parameters
     ----------
-    estimates : of each trial alone, from command to current.
+    estimates : response of each trial alone, from command to current.
     """
     found, delays, gains = [], [], []
     for name, one in zip(names, estimates, strict=True):
@@ -325,11 +326,11 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
 
 
 def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) -> Crossover:
-    """Half-width of the dead band by least squares in time, pole and delay being known.
+    """Half-width of the dead band by least squares in the time domain, with pole and delay known.
 
-    current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise: for a given h linear in gain
-    and offsets; h itself by a search in one dimension. A sine through zero and its dead part have different
-    harmonics, sweeps with an offset have no dead part: either tells h from the gain.
+    current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise. For a given h this is linear
+    in gain and offsets; h is found by a one-dimensional search. Two things tell h from the gain: a dead band gives a
+    sine through zero other harmonics, and sweeps with an offset never enter the dead band.
     """
     peak = max(float(np.abs(trial.input.values).max()) for trial in trials)
     measured = np.concatenate([trial.output.values - trial.output.values.mean() for trial in trials])
@@ -338,7 +339,7 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
         parts = []
         for trial in trials:
             x = simulate_current(shape(trial.input.values), pole_Hz, delay_s, trial.input.dt_s)
-            parts.append(x - x.mean())  # a mean of its own per trial: its monitor's offset
+            parts.append(x - x.mean())  # each trial loses its own mean: the offset of its current monitor
         return np.concatenate(parts)
 
     def misfit(half_width: float) -> float:
@@ -360,9 +361,10 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
 
 
 def _at_rest(trial: Trial, half_width_A: float, pole_Hz: float, delay_s: float) -> Trial:
-    """The trial with the dead band taken off its command, and continued as fitted until the current rests.
+    """The trial with the dead band subtracted from its command, extended by the fit until the current has settled.
 
-    What the end of a record cuts off the answer is in the lowest lines, which are too few to tell it from the rest.
+    A record that ends before the current has settled disturbs the lowest lines of its spectrum, and those are too
+    few to estimate the disturbance from them.
     """
     dt_s, recorded = trial.input.dt_s, trial.output.values
     more = int(np.ceil((delay_s + RESTED / (2 * np.pi * pole_Hz)) / dt_s))
@@ -374,16 +376,16 @@ def _at_rest(trial: Trial, half_width_A: float, pole_Hz: float, delay_s: float) 
 
 
 def _gains(data: Condensed, shape: ComplexArray) -> FloatArray:
-    """(K,) real gain of each trial over a response (b, q) of gain one."""
+    """(K,) real gain of each trial relative to a response `shape` (b, q) of gain one."""
     weight = data.known[0] / data.noise[0]
     along = np.einsum("bi,kbi,b->k", shape.conj(), data.right[:, 0], weight).real
     return np.asarray(along / np.einsum("bi,kbij,bj,b->k", shape.conj(), data.normal, shape, weight).real)
 
 
 def _misfit(estimate: TransferEstimate, fit: ComplexArray) -> tuple[float, float]:
-    """Largest error of the fit in dB and in degrees, means over a third of an octave of the coherent bins.
+    """Largest error of the fit in dB and in degrees, of means over a third of an octave of the coherent bins.
 
-    Less what noise alone may do there, so that it is the model's and not the record's.
+    The part that noise alone explains (`CERTAIN` standard deviations) is subtracted: the rest is the model's error.
     """
     good = estimate.coherence >= COHERENT
     f, ratio = estimate.frequencies_Hz[good], estimate.response[good] / fit[good]

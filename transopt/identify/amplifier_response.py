@@ -1,4 +1,4 @@
-"""The amplifier's response behind a held command: one pole and a pure delay, sampled once a tick."""
+"""The amplifier's response to a held command: one pole and a pure delay, sampled once a tick."""
 
 from collections.abc import Callable
 
@@ -27,7 +27,8 @@ def sampled(
     ahead, below = late ** (whole + 1), 1 - keep * late
     value = ahead * (now + before * late) / below
     q, w = 1 - now, 2 * np.pi * pole_Hz
-    # Slopes by the logarithm of the pole, to which the exponents are in proportion; 0 of a pole beyond any tick.
+    # Derivatives with respect to the logarithm of the pole: d exp(-x) / d log(pole) = -x exp(-x), which `xlogy`
+    # evaluates as 0 where the exponential underflows.
     d_q, d_keep = special.xlogy(q, q), special.xlogy(keep, keep)
     by_pole = (ahead * (d_q * (late - 1) - d_keep * late) + value * d_keep * late) / below
     by_delay = ahead * w * q * (late - 1) / below
@@ -35,12 +36,12 @@ def sampled(
 
 
 def sampled_response(frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> ComplexArray:
-    """(m,) the value of `sampled`."""
+    """(m,) the response of `sampled`, without its derivatives."""
     return sampled(frequencies_Hz, pole_Hz, delay_s, dt_s)[0]
 
 
 def _difference_equation(pole_Hz: float, delay_s: float, dt_s: float) -> tuple[int, float, float, float]:
-    """m and the coefficients of i_(k+1) = keep i_k + now c_(k-m) + before c_(k-m-1)."""
+    """m, now, before, keep of the difference equation i_(k+1) = keep i_k + now c_(k-m) + before c_(k-m-1)."""
     w = 2 * np.pi * pole_Hz
     whole, rest = split_delay(delay_s, dt_s)
     q = float(np.exp(-w * (dt_s - rest)))
@@ -51,7 +52,7 @@ def _difference_equation(pole_Hz: float, delay_s: float, dt_s: float) -> tuple[i
 def continuous(
     frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, _: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """One pole and a delay without hold or samples: a `Shape`."""
+    """Response of one pole and a delay in continuous time, without hold or sampling: a `Shape`."""
     s = np.asarray(2j * np.pi * frequencies_Hz, dtype=np.complex128)
     turn = s / (2 * np.pi * pole_Hz)
     value = np.exp(-s * delay_s) / (1 + turn)
@@ -59,12 +60,12 @@ def continuous(
 
 
 def simulate_current(command_A: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> FloatArray:
-    """(n,) current sampled at the ticks for commands (n,) held from the ticks, from rest, exactly."""
+    """(n,) exact current at the ticks, from rest, for commands (n,) that are held from tick to tick."""
     whole, now, before, keep = _difference_equation(pole_Hz, delay_s, dt_s)
     numerator = np.concatenate([np.zeros(whole + 1), [now, before]])
     return filtered(numerator, np.array([1.0, -keep]), command_A)
 
 
 def less_dead_band(command_A: FloatArray, half_width_A: float) -> FloatArray:
-    """(n,) what an amplifier with a crossover follows of a command."""
+    """(n,) the command less the dead band: the part of it that an amplifier with a crossover follows."""
     return np.asarray(command_A - np.clip(command_A, -half_width_A, half_width_A))

@@ -1,7 +1,7 @@
-"""The black box: a stable real state space near a frequency response, for devices that are no drive chain.
+"""The black box: a stable real state space fitted to a frequency response, for devices that are no drive chain.
 
 Poles come from vector fitting (Gustavsen and Semlyen 1999, "Rational approximation of frequency domain responses by
-vector fitting", IEEE Transactions on Power Delivery 14 (3)), the output from linear least squares.
+vector fitting", IEEE Transactions on Power Delivery 14 (3)), the output row from linear least squares.
 
 A sum of partial fractions with given poles is linear in its coefficients; in the real basis used here a pair of poles
 p, p* has the two functions 1/(s - p) + 1/(s - p*) and j/(s - p) - j/(s - p*), which are the states of
@@ -10,18 +10,18 @@ p, p* has the two functions 1/(s - p) + 1/(s - p*) and j/(s - p) - j/(s - p*), w
 
 so that the coefficients of the sum are the row C of a real state space.
 
-What a spring holds stays where it is under a constant input, so that its acceleration has two zeros at s = 0. No
-resonance is narrower than the points resolve: between two of them a pole of next to no damping and a zero beside it
-cost nothing and explain a little noise, and a design would play into them.
+A device held by a spring rests under a constant input, so its acceleration has two zeros at s = 0. No fitted
+resonance is narrower than the points resolve: between two points a nearly undamped pole with a zero beside it would
+cost nothing and explain a little noise, and a design would excite it.
 
-A response as an analyser measures it is that of the continuous device. The verdict on its fit is
+A response measured by an analyser is that of the continuous device. The verdict on its fit is
 
     misfit = sqrt(sum |G_fit - G|^2 / sum |G|^2)  over the points of the band.
 
-Where the points are known to be uncertain, as those of a recorded sweep are, each counts by the inverse of its
-variance, in the misfit as well, and what their noise alone makes of the misfit is stated beside it. Below the band
-nothing was measured, and a fit may put an acceleration there that goes on for ever under a constant input: the two
-zeros at s = 0 are asked for wherever that costs next to no misfit.
+Where the variance of the points is known, as with a recorded sweep, each point is weighted by its inverse, in the
+misfit too, and the misfit due to noise alone is stated beside it. Nothing was measured below the band, and a fit may
+have a constant acceleration there under a constant input: so the two zeros at s = 0 are imposed wherever that hardly
+raises the misfit.
 """
 
 from collections.abc import Callable
@@ -35,15 +35,15 @@ from transopt.base.signals import ComplexArray, FloatArray
 from transopt.plant.state_space import Input, StateSpace
 
 RELOCATIONS = 20
-RESOLVED = 0.5  # of the distance between points: no resonance may be narrower, since nothing was measured within
+RESOLVED = 0.5  # of the distance between points: the least width of a resonance, since nothing was measured between
 HIGHEST_ORDER = 40
-MOST_MISFIT = 0.05  # above it a fit is no base of a design
-COSTS_NOTHING = 1.1  # times the misfit without them, up to which the zeros at s = 0 are taken
-EXACT = 1e-6  # a misfit as small needs no comparison
+MOST_MISFIT = 0.05  # a fit with more is not fit to design with
+COSTS_NOTHING = 1.1  # the zeros at s = 0 are imposed if the misfit stays below this times that without them
+EXACT = 1e-6  # a misfit below this is rounding: the zeros are imposed without comparing
 
 
 def fractions(s: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """The basis (m, n) at the points s, and A (n, n) and b (n,) of the states that it is made of.
+    """The real basis (m, n) of partial fractions at the points s, and the A (n, n) and b (n,) whose states they are.
 
     Parameters
     ----------
@@ -68,15 +68,16 @@ def fractions(s: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, Float
 
 
 def vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order: int, direct: bool) -> ComplexArray:
-    """(order,) stable poles of a rational function near `target` at the points s, conjugate pairs adjacent.
+    """(order,) stable poles of a rational function that fits `target` at the points s, conjugate pairs adjacent.
 
-    Iterates: least squares for numerator and denominator with a common set of poles, whose new set are the zeros of
-    the denominator; those to the right are reflected. An odd order begins with a real pole in the middle.
+    Each iteration solves least squares for a numerator and a denominator with common poles; the zeros of the
+    denominator are the next poles, those in the right half plane reflected. An odd order starts with a real pole in
+    the middle of the band.
 
     Parameters
     ----------
-    s : (m,) points, scaled to at most about 1. target : (m,) values there. weight : (m,) of their errors.
-    direct : whether a constant is added to the fractions.
+    s : (m,) points, scaled to at most about 1. target : (m,) values there. weight : (m,) weights of their errors.
+    direct : whether a constant (direct feedthrough) is added to the fractions.
     """
     size = np.abs(s)
     imaginary = np.geomspace(size.min(), size.max(), order // 2)
@@ -100,9 +101,9 @@ def vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order:
 
 
 def at_rest(A: FloatArray, b: FloatArray) -> FloatArray:
-    """(n + 1, n + 1) projector of rows of coefficients (C, D) onto those whose response has two zeros at s = 0.
+    """(n + 1, n + 1) projector of coefficient rows (C, D) onto those whose response has two zeros at s = 0.
 
-    Value and slope there are linear in the coefficients: (s I - A)^-1 b = -A^-1 b - s A^-2 b - ...
+    Value and slope at s = 0 are linear in the coefficients: (s I - A)^-1 b = -A^-1 b - s A^-2 b - ...
     """
     inverse = np.linalg.inv(A)
     value = -inverse @ b
@@ -114,23 +115,23 @@ def at_rest(A: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def least_width(frequencies_Hz: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """The least damping a of s^2 + a s + w^2 that the distance between points resolves, from log w to log a."""
+    """The least damping a of s^2 + a s + w^2 that the distance between points resolves: a function log w -> log a."""
     log_w, log_a = np.log(2 * np.pi * frequencies_Hz), np.log(2 * np.pi * RESOLVED * np.gradient(frequencies_Hz))
     return lambda at: np.asarray(np.interp(at, log_w, log_a))
 
 
 @dataclass(frozen=True)
 class ResponseFit:
-    """A fitted plant and how far it is from what was measured.
+    """A fitted plant and its error against the measured response.
 
     Attributes
     ----------
-    plant : without further outputs, since nothing else was measured.
-    frequencies_Hz : (m,) of the band. measured : (m,) [m/s^2 per A or V].
-    misfit : relative rms over the band.
-    worst_Hz : where the fit is farthest off. worst : by how much, of the largest size of the response.
-    at_rest : whether the fit has its two zeros at s = 0.
-    noise : misfit that the uncertainty of the points makes of a perfect fit; 0 where it is not known.
+    plant : with the acceleration as its only output, since nothing else was measured.
+    frequencies_Hz : (m,) points within the band. measured : (m,) response there [m/s^2 per A or V].
+    misfit : relative rms error over the band.
+    worst_Hz : frequency of the largest error. worst : that error over the largest magnitude of the response.
+    at_rest : whether the fit has the two zeros at s = 0.
+    noise : misfit that a perfect fit would show because of the points' noise; 0 where it is not known.
     """
 
     plant: StateSpace
@@ -146,11 +147,11 @@ class ResponseFit:
 
     @property
     def fit_to_design_with(self) -> bool:
-        """Whether the misfit is small enough; NaN is not."""
+        """Whether the misfit beyond noise is at most `MOST_MISFIT`; false for NaN."""
         return self.misfit**2 - self.noise**2 <= MOST_MISFIT**2
 
     def resonances(self) -> list[tuple[float, float]]:
-        """Frequency [Hz] and quality of every pair of poles, by frequency."""
+        """Frequency [Hz] and quality factor of every complex pair of poles, by increasing frequency."""
         poles = np.linalg.eigvals(self.plant.A)
         pairs = sorted((p for p in poles if p.imag > 0), key=abs)
         return [(float(abs(p)) / (2 * np.pi), float(abs(p) / (-2 * p.real))) for p in pairs]
@@ -164,7 +165,7 @@ def fit_response(
     band_Hz: tuple[float, float] | None = None,
     deviations: FloatArray | None = None,
 ) -> ResponseFit:
-    """The state space of an order that is nearest to a response over a band.
+    """Fit a state space of a given order to a response over a band.
 
     Parameters
     ----------
@@ -172,7 +173,7 @@ def fit_response(
     response : (m,) acceleration over input [m/s^2 per A or V].
     order : number of states.
     band_Hz : lowest and highest frequency that count; None for all.
-    deviations : (m,) standard deviations of real and imaginary part of the points; None where nothing is known.
+    deviations : (m,) standard deviations of real and imaginary part of each point; None if unknown.
 
     Raises
     ------
@@ -228,7 +229,7 @@ def fit_response(
 
 
 def _resolved(poles: ComplexArray, frequencies_Hz: FloatArray, top: float) -> ComplexArray:
-    """The poles with no resonance narrower than the points can show: a width of -2 Re p [rad/s]."""
+    """The poles, each resonance widened to what the points resolve; its width is -2 Re p [rad/s]."""
     least = np.exp(least_width(frequencies_Hz)(np.log(np.abs(poles) * top))) / (2 * top)
     return np.asarray(np.where(poles.imag == 0, poles.real, np.minimum(poles.real, -least)) + 1j * poles.imag)
 
@@ -236,9 +237,9 @@ def _resolved(poles: ComplexArray, frequencies_Hz: FloatArray, top: float) -> Co
 def _nearest(
     s: ComplexArray, target: ComplexArray, poles: ComplexArray, weight: FloatArray, *, rests: bool
 ) -> FloatArray:
-    """(n + 1,) coefficients of the fractions, then the constant, by least squares.
+    """(n + 1,) least squares coefficients of the fractions, then the constant.
 
-    With `rests` the value and the slope at s = 0 are kept at zero.
+    `rests` imposes that value and slope of the response are zero at s = 0.
     """
     basis, A, b = fractions(s, poles)
     columns, target = weight[:, None] * np.hstack([basis, np.ones((s.size, 1))]), weight * target

@@ -1,16 +1,16 @@
-"""The hand of a new user from a few of its taps, by their likelihood with a population of hands as prior.
+"""The hand of a new user, from a few of its taps: the maximum a posteriori with a population of hands as prior.
 
-The drive is known; what is sought are the hand's five parameters at the two grips of the population. The taps are
-played on the device, so that what drives them is known: the commands, and the current that was measured beside them.
-What the hand does of its own accord is taken for a steady course until it can react, and left out by least squares:
-a constant of the accelerometer and a parabola of the position, fitted along with the rest from before the contact on.
+The drive is known; the unknowns are the hand's five parameters at the two grips of the population. The taps are
+played on the device, so their input is known: the commands, and the current measured beside them. Until the hand can
+react, its own motion is taken to be smooth and is eliminated by least squares: a constant of the acceleration and a
+parabola of the position, fitted from before the contact on.
 
-The grip that a sensor reads is off as well, by some part of its own in every tap; these parts are sought too.
+The grip sensor has an error that differs from tap to tap; these errors are unknowns too.
 
-In whitened unknowns u, of which the population is normal with unit covariance, the negative logarithm of the
+In whitened unknowns u, in which the population is normal with unit covariance, the negative logarithm of the
 posterior is a sum of squares: of the residuals over their deviations, and of u. Its minimum is the maximum a
-posteriori. What the chain does not explain (a drive that is not as stated, a hand that trembles) shows as residuals
-above the sensors' noise; they then count by so much less, and the prior by so much more.
+posteriori. What the chain does not explain (a drive other than stated, a hand that trembles) raises the residuals
+above the sensors' noise; the residuals' weights are then lowered accordingly, so that the prior counts for more.
 """
 
 from collections.abc import Sequence
@@ -29,15 +29,15 @@ from transopt.scene.fitted import Source, complaint
 from transopt.scene.model_parts import DriveDevice
 from transopt.scene.population import Population
 
-FARTHEST = 4.0  # deviations of the population in each of its axes within which a hand is sought
-LOOSE = 30.0  # sensors taken to be so much worse in the first search, which so finds the valley of the best hand
-ROUNDS = 3  # of searches after it, each with the residuals' size as the one before left it
-GRIP_ERROR = 0.03  # standard deviation of a grip that is read, relative: a hysteresis of 5 % to either side
-TOLD = 0.7  # a posterior deviation above this share of the prior's: the taps hardly tell
-UNEXPLAINED = 2.25  # mean square of the residuals over the sensors' noise from which on that is said
-ONE_GRIP = 1.2  # largest over smallest grip of taps that say nothing of how a hand changes with grip
-LEAST_SHARE = 0.01  # of a parameter at the lighter end, below which it is taken for no hand's
-LEAST_SPREAD = 1e-9  # of the population: an axis along which it does not vary
+FARTHEST = 4.0  # bound of the search, in standard deviations of the population along each axis
+LOOSE = 30.0  # factor on the sensors' noise in the first search, so that it finds the valley of the best hand
+ROUNDS = 3  # searches after the first, each with the residuals' size that the previous one left
+GRIP_ERROR = 0.03  # relative standard deviation of a grip reading: a hysteresis of 5 % to either side
+TOLD = 0.7  # largest posterior over prior deviation at which the taps count as determining a parameter
+UNEXPLAINED = 2.25  # mean square of the residuals over the sensors' noise above which the verdict mentions it
+ONE_GRIP = 1.2  # largest over smallest grip below which the taps cannot show how the hand changes with grip
+LEAST_SHARE = 0.01  # least value of a parameter, as a share of the smaller of its values at the two ends
+LEAST_SPREAD = 1e-9  # deviation of the population below which an axis counts as constant
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class PlayedRecord:
     grip_N : as the device measured it.
     dt_s : servo period.
     command_A, current_A : (K,) issued at each tick, and read at it.
-    acceleration_m_s2, position_m : (K,) as read; a constant and a parabola of their own do not matter.
-    first : index of the first command that is played.
-    acceleration_noise_m_s2, position_noise_m : standard deviations of what the sensors add.
+    acceleration_m_s2, position_m : (K,) as read; a constant in the one and a parabola in the other have no effect.
+    first : index of the first command of the waveform.
+    acceleration_noise_m_s2, position_noise_m : standard deviations of the sensors' noise.
     """
 
     grip_N: float
@@ -67,15 +67,16 @@ class PlayedRecord:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A hand as its taps and the population have it.
+    """A hand estimated from its taps and the population.
 
     Attributes
     ----------
     device : drive and hand, with the covariance of the hand.
-    logarithms, covariance : (10,), (10, 10) of the hand's parameters at both grips of the population.
-    grips_N : of the taps, as read.
-    prior_deviation, deviation : (5,) of the parameters' logarithms at their mean grip, before and after the taps.
-    scatter : mean square of the residuals over the sensors' own noise, of acceleration and of position.
+    logarithms, covariance : (10,) logarithms of the hand's parameters at both grips of the population; (10, 10).
+    grips_N : grips of the taps, as read.
+    prior_deviation, deviation : (5,) standard deviations of the parameters' logarithms at the taps' mean grip, prior
+        and posterior.
+    scatter : mean square of the residuals over the sensors' noise, of acceleration and of position.
     """
 
     device: DriveDevice
@@ -98,16 +99,16 @@ class Calibration:
 
     @property
     def told(self) -> dict[str, tuple[float, float, bool]]:
-        """Name of `HAND` -> relative deviations of prior and posterior, and whether the taps speak.
+        """Name of `HAND` -> relative deviations of prior and posterior, and whether the taps determine it.
 
-        If they do not, the population does.
+        Otherwise its value is mostly that of the population.
         """
         rows = zip(HAND, self.prior_deviation.tolist(), self.deviation.tolist(), strict=True)
         return {name: (prior, own, own <= TOLD * prior) for name, prior, own in rows}
 
     @property
     def in_words(self) -> str:
-        """How sure the hand is, what the taps left to the population, and what they do not fit."""
+        """How certain the hand is, which parameters come from the population, and whether the residuals are large."""
         known = [f"{name} to {100 * own:.2g} %" for name, (_, own, told) in self.told.items() if told]
         left = [name for name, (_, _, told) in self.told.items() if not told]
         taps = len(self.grips_N)
@@ -126,7 +127,7 @@ class Calibration:
 
 
 class _Posterior:
-    """Residuals and their Jacobian by the whitened unknowns: those of the hand, then the error of each tap's grip."""
+    """Residuals and their Jacobian; the unknowns u are the whitened ones of the hand, then each tap's grip error."""
 
     def __init__(
         self, records: Sequence[PlayedRecord], drive: DriveDevice, instrument: Instrument, population: Population
@@ -136,10 +137,10 @@ class _Posterior:
         self.mean, self.factor = population.mean(), factor[:, np.linalg.norm(factor, axis=0) > LEAST_SPREAD]
         self.size = self.factor.shape[1] + len(records)
         self.coordinates = Coordinates((population.grips_N[0], population.grips_N[1]), ())
-        self.sizes = np.ones(2)  # of the residuals over the sensors' noise, of acceleration and position
+        self.sizes = np.ones(2)  # rms of the residuals over the sensors' noise, of acceleration and position
         self._shared = np.array([getattr(drive, name) for name in SHARED])
         pole_Hz = instrument.accelerometer_Hz
-        # Noise of the acceleration goes through the accelerometer's pole, that of counts is white.
+        # The accelerometer's pole colours the noise of the acceleration; the noise of the encoder's counts is white.
         self._kept = (0.0 if pole_Hz is None else float(np.exp(-2 * np.pi * pole_Hz * instrument.dt_s)), 0.0)
         self._left_out = [
             [
@@ -148,7 +149,7 @@ class _Posterior:
             ]
             for record in records
         ]
-        # What the amplifier lets flow beside what its model says, joined by straight lines, in means over a tick.
+        # Measured less modelled current, taken as linear between ticks: its mean over each tick drives the plant too.
         self._beside = []
         for record in records:
             model = courses(drive.plant(record.grip_N), instrument, record.command_A)[0, CURRENT]
@@ -157,7 +158,7 @@ class _Posterior:
             self._beside.append((left + np.append(left[1:], left[-1])) / 2)
 
     def logarithms(self, unknowns: FloatArray) -> FloatArray:
-        """(10,) of the hand, at both grips of the population."""
+        """(10,) logarithms of the hand's parameters at both grips of the population."""
         return np.asarray(self.mean + self.factor @ unknowns[: self.factor.shape[1]])
 
     def _motion(self, unknowns: FloatArray, j: int) -> FloatArray:
@@ -165,7 +166,7 @@ class _Posterior:
         record, n, at_ends = self.records[j], self.factor.shape[1], np.exp(self.logarithms(unknowns))
         off_N = GRIP_ERROR * record.grip_N
         matrix = self.coordinates.at(record.grip_N + off_N * unknowns[n + j])
-        # Beyond the population's grips a line may cross zero on the way of a search: no hand does.
+        # Beyond the population's grips a line over grip may cross zero during the search; no hand's parameter does.
         hand = np.maximum(matrix @ at_ends, LEAST_SHARE * at_ends.reshape(2, -1).min(axis=0))
         by_grip = (self.coordinates.at(off_N) - self.coordinates.at(0.0)) @ at_ends
         plant, slopes = log_slopes(np.concatenate([self._shared, hand]), self._drive.force_per_current_N_A)
@@ -179,7 +180,7 @@ class _Posterior:
         return np.concatenate([value, slope])[:, [ACCELERATION, POSITION]]
 
     def data(self, unknowns: FloatArray, j: int) -> FloatArray:
-        """(1 + u, 2, K) residuals of a record over the sensors' noise, made white, and their derivatives."""
+        """(1 + u, 2, K) whitened residuals of a record over the sensors' noise, and their derivatives."""
         record, found = self.records[j], self._motion(unknowns, j)
         found[0] -= [record.acceleration_m_s2, record.position_m]
         for o, noise in enumerate((record.acceleration_noise_m_s2, record.position_noise_m)):
@@ -201,14 +202,14 @@ class _Posterior:
 
 
 def _whitened(values: FloatArray, kept: float) -> FloatArray:
-    """(..., K) values of which each keeps a part of the one before it, made independent, of the same variance."""
+    """(..., K) whitened values of an autoregressive process of first order with coefficient `kept`; same variance."""
     found = values.copy()
     found[..., 1:] = (values[..., 1:] - kept * values[..., :-1]) / np.sqrt(1 - kept**2)
     return found
 
 
 def _own_course(kept: float, degree: int, count: int) -> FloatArray:
-    """Orthonormal (K, 1 + degree): what a polynomial looks like once it is whitened."""
+    """Orthonormal basis (K, 1 + degree) of the whitened polynomials of this degree."""
     powers = np.vander(np.linspace(-1, 1, count), degree + 1).T
     return np.linalg.qr(_whitened(powers, kept).T)[0]
 
@@ -220,17 +221,17 @@ def calibrate(
     population: Population,
     sources: Sequence[Source],
 ) -> Calibration:
-    """The most probable hand behind some taps, and how sure it is.
+    """The most probable hand given some taps, and its uncertainty.
 
     Parameters
     ----------
-    drive : whose drive is known; its hand is replaced, its grips are those that shall be served.
+    drive : the known drive; its hand is replaced, its grips are those that the model must serve.
     instrument : amplifier and accelerometer; its gain and lateness are taken as ideal.
-    sources : what the model file says it was fitted to.
+    sources : the recordings that the model file names as fitted.
 
     Raises
     ------
-    InputError : no taps, or a hand that is not passive at a grip that shall be served.
+    InputError : no taps, or a hand that is not passive at a grip that the model must serve.
     """
     if not records:
         raise InputError("calibrate: no tap was played to its end: tap again")

@@ -1,7 +1,7 @@
-"""Bad records, each by its name, with what to record again: nothing wrong is fitted in silence.
+"""Checks that find bad records, so that none is fitted silently; each finding names the file and the remedy.
 
-A finding that makes a fit worthless is fatal and refuses the records. One that only narrows what a fit can say is
-passed on to the user beside the result.
+A finding that makes a fit worthless is fatal and refuses the records. A finding that only limits what the fit can
+tell is passed on to the user beside the result.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,20 +25,20 @@ from transopt.identify.findings import (
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial
 
-LEAST_WORTH = 0.05  # of a cycle: with fewer, no sweep that somebody waits for is long enough
-FLAT_RUN, FLAT_COUNT = 3, 6  # samples in a row, and in all, at the very extreme of a sensor
+LEAST_WORTH = 0.05  # cycles per octave; below it no practical length of sweep would be enough, so none is proposed
+FLAT_RUN, FLAT_COUNT = 3, 6  # least samples in a row, and in all, exactly at the extreme to count as clipped
 CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
-REST_SAMPLES, END_NOISES = 20, 5.0  # the first samples, and how many times their scatter the last ones may be
-GRAVITY_TOLERANCE = 0.25  # a nominal model may be that wrong; nothing else changes a gain tenfold
-AGAINST = 0.5  # a passive device explains the reversed record with less than this part of the misfit
+REST_SAMPLES, END_NOISES = 20, 5.0  # number of first samples; largest end of a signal over their scatter
+GRAVITY_TOLERANCE = 0.25  # relative error of a nominal model's gain; no other cause changes a gain tenfold
+AGAINST = 0.5  # polarity is wrong if the reversed record has less than this share of the misfit of a passive device
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
 RATE_TOLERANCE = 1e-4
-LEAST_STRETCH = 3  # bins
-GRIP_STEP_N = 0.25  # trials whose grips are closer than that are of one grip
+LEAST_STRETCH = 3  # bins in a stretch of low coherence that is reported
+GRIP_STEP_N = 0.25  # trials whose grips are closer than this count as one grip
 
 
 def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Finding]:
-    """One file by itself: its time stamps, and the extremes and the end of each signal.
+    """Check one file by itself: its time stamps, and the extremes and the end of each signal.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Findi
 
 
 def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Finding]:
-    """A signal that never moves, sits at a sensor's or a device's end stop, or ends before all is at rest.
+    """Find a signal that never moves, is clipped or saturated, or ends before it has settled.
 
-    `limited`: a tap of a library, whose current may rest at its limit.
+    `limited` is set for a tap of a library, whose current may stay at its limit.
     """
     unit = {"command": "A", "current": "A", "voltage": "V", "acceleration": "m/s^2"}.get(quantity, "SI")
     values = x.values
@@ -78,7 +78,7 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
             found.append(check.at(name, quantity=quantity, **extreme))
     centred = values - np.median(values[:END_SAMPLES])
     last, peak = float(np.abs(centred[-END_SAMPLES:]).max()), float(np.abs(centred).max())
-    # Noise alone is as large at the end as it was at the beginning, however long the record is.
+    # The end of a record that has settled holds noise as large as at its beginning.
     least = max(END_PART * peak, END_NOISES * float(values[:REST_SAMPLES].std()))
     if quantity != "command" and last > least:
         found.append(Check.CUT_SHORT.at(name, quantity=quantity, last=last, unit=unit, part=last / peak))
@@ -86,11 +86,11 @@ def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Findi
 
 
 def begun_late(name: str, signals: Sequence[tuple[str, Signal | None, str]]) -> list[Finding]:
-    """A burst whose record begins in the middle of it, where it should be at rest as at its end.
+    """Find a burst whose record begins within the burst instead of at rest.
 
     Parameters
     ----------
-    signals : quantity, what was recorded of it if anything was, and its unit.
+    signals : quantity, its recorded signal or None, and its unit.
     """
     for quantity, x, unit in signals:
         if x is None:
@@ -103,10 +103,10 @@ def begun_late(name: str, signals: Sequence[tuple[str, Signal | None, str]]) -> 
 
 
 def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
-    """Indices of the samples at the maximum, if so many are exactly there that a sensor must have stopped them.
+    """Indices of the samples at the maximum if the signal is clipped there; empty otherwise.
 
-    A sine dwells at its peak, and a coarse converter shows that as runs of one value: only runs that outnumber all
-    samples just below are clipped.
+    A sine dwells at its peak, and a coarse converter turns that into runs of one value; so the signal counts as
+    clipped only if the samples at the maximum outnumber those just below it.
     """
     top = float(values.max())
     at = np.flatnonzero(values >= top - 1e-9 * float(np.ptp(values)))
@@ -123,7 +123,7 @@ def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
 
 
 def check_rates(trials: Sequence[Trial]) -> list[Finding]:
-    """Every trial at the rate of the first."""
+    """Find trials whose sampling rate differs from that of the first."""
     rate, first = trials[0].input.rate_Hz, trials[0].name
     return [
         Check.RATES.at(trial.name, rate_Hz=trial.input.rate_Hz, first=first, wanted_Hz=rate)
@@ -133,10 +133,11 @@ def check_rates(trials: Sequence[Trial]) -> list[Finding]:
 
 
 def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> FloatArray:
-    """(m,) cycles of the input, all trials together, in the octave above or below each frequency, whichever has more.
+    """(m,) cycles of the input, summed over trials, in the octave above or below each frequency, the larger of both.
 
-    A sine of amplitude A that dwells dt/df at a frequency has |U|^2 = A^2/4 dt/df there (stationary phase), so the
-    octave holds the integral of f 4 |U|^2 / A^2 df. A is the largest deviation of the input from its middle.
+    A swept sine of amplitude A that dwells dt/df at a frequency has |U|^2 = A^2/4 dt/df there (stationary phase), so
+    the number of cycles in an octave is the integral of f 4 |U|^2 / A^2 df. A is the largest deviation of the input
+    from its median.
     """
     above, below = np.zeros(frequencies_Hz.size), np.zeros(frequencies_Hz.size)
     for trial in trials:
@@ -153,13 +154,13 @@ def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> Fl
 
 
 def swept_from(trials: Sequence[Trial], estimate: TransferEstimate) -> float:
-    """Lowest frequency [Hz] from which on the input has cycles enough over an octave; the first of all without one.
+    """Lowest frequency [Hz] from which on the input has enough cycles over an octave; the first bin's if none has.
 
-    Below it lies what no trial was asked to sweep, and lines that a jump to an offset leaves there.
+    Below it no trial was meant to sweep; what the input holds there comes from jumps to an offset.
     """
     f = estimate.frequencies_Hz
     few = np.append(f[cycles_per_octave(trials, f) < LEAST_CYCLES], np.inf)
-    # Whether the next bin with too few lies above the octave that begins here.
+    # Whether the next bin with too few cycles lies above the octave that begins at this bin.
     whole = few[np.searchsorted(few, f)] > 2 * f
     return float(f[np.argmax(whole)])
 
@@ -179,7 +180,7 @@ def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate
 
 
 def check_sign(where: str, estimate: TransferEstimate) -> list[Finding]:
-    """The gain from command to current: fatal where the response points the other way at low frequencies."""
+    """Check the sign of the gain from command to current: fatal if it is negative at low frequencies."""
     low = estimate.frequencies_Hz <= 4 * estimate.frequencies_Hz[0]
     mean = complex(np.mean(estimate.response[low]))
     if mean.real >= 0:
@@ -189,40 +190,40 @@ def check_sign(where: str, estimate: TransferEstimate) -> list[Finding]:
 
 
 def check_bins(where: str, estimate: TransferEstimate, least: int) -> list[Finding]:
-    """A response of too few bins for any fit."""
+    """Find a response with too few bins for any fit."""
     bins = estimate.frequencies_Hz.size
     return [Check.FEW_BINS.at(where, bins=bins, least=least)] if bins < least else []
 
 
 def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """First and last frequency of each run of `bad` bins; single good bins between do not end one."""
+    """First and last frequency of each run of `bad` bins; a single good bin between bad ones does not end a run."""
     at = np.flatnonzero(bad)
     runs = np.split(at, np.flatnonzero(np.diff(at) > 2) + 1) if at.size else []
     return [(float(frequencies_Hz[run[0]]), float(frequencies_Hz[run[-1]])) for run in runs]
 
 
 def low_coherence(where: str, estimate: TransferEstimate) -> list[Finding]:
-    """Each stretch of the band whose output is mostly something else than the answer to the input."""
+    """Find each stretch of the band with low coherence: most of the output there is not caused by the input."""
     f, low, found = estimate.frequencies_Hz, estimate.coherence < COHERENT, []
     for first, last in runs_of(f, low):
         inside = low & (f >= first) & (f <= last)
         if np.count_nonzero(inside) < LEAST_STRETCH:
-            continue  # a bin or two are the luck of the noise
+            continue  # one or two bins may be low by chance
         lowest = estimate.coherence[inside].min()
         found.append(Check.INCOHERENT.at(where, coherence=lowest, first_Hz=first, last_Hz=last))
     return found
 
 
 def passive_misfit(estimate: TransferEstimate, sign: float) -> float:
-    """How badly one mass on one spring and damper, none negative, explains `sign` times the response; 0 to 1.
+    """Relative misfit (0 to 1) of one passive mass on a spring and damper to `sign` times the response; may be NaN.
 
-    current / acceleration = m + b / (jw) - k / w^2, per newton per ampere: linear in m, b, k >= 0, so that
-    non-negative least squares finds the best passive device.
+    current / acceleration = m + b / (jw) - k / w^2, per newton per ampere: linear in m, b, k >= 0, so non-negative
+    least squares finds the best passive device.
     """
     f = estimate.frequencies_Hz
     good = (f >= PASSIVE_BAND_HZ[0]) & (f <= PASSIVE_BAND_HZ[1]) & (estimate.coherence >= COHERENT)
     if np.count_nonzero(good) < 3:
-        return float("nan")  # no word either way
+        return float("nan")  # too few coherent bins to judge
     w, response = 2 * np.pi * f[good], sign * estimate.response[good]
     inverse = response**-1
     columns = np.stack([np.ones(w.size), -1j / w, -1 / w**2], axis=1)
@@ -234,14 +235,14 @@ def passive_misfit(estimate: TransferEstimate, sign: float) -> float:
 
 
 def check_passive(where: str, estimate: TransferEstimate) -> list[Finding]:
-    """Polarity from current to acceleration: a passive device answers the reversed record worse, not better."""
+    """Check the polarity from current to acceleration: a passive device fits the reversed record worse."""
     as_recorded, reversed_ = passive_misfit(estimate, 1.0), passive_misfit(estimate, -1.0)
     low_Hz, high_Hz = PASSIVE_BAND_HZ
     return [Check.NOT_PASSIVE.at(where, low_Hz=low_Hz, high_Hz=high_Hz)] if reversed_ < AGAINST * as_recorded else []
 
 
 def check_unit(where: str, ratio: float, against: str) -> list[Finding]:
-    """Acceleration `ratio` times that of `against`: in the wrong unit where this is near 9.81 or its inverse."""
+    """Find a wrong unit: the ratio of the acceleration to that of `against` is near 9.81 or its inverse."""
     for factor, which, unit, column in (
         (STANDARD_GRAVITY_M_S2, "9.81", "m/s^2", "acceleration_g"),
         (1 / STANDARD_GRAVITY_M_S2, "9.81 inverted", "g", "acceleration_m_s2"),
@@ -252,12 +253,12 @@ def check_unit(where: str, ratio: float, against: str) -> list[Finding]:
 
 
 def check_gravity(where: str, estimate: TransferEstimate, expected: FloatArray, against: str) -> list[Finding]:
-    """The unit of an acceleration over current, by its coherent bins.
+    """Check the unit of an acceleration over current by its coherent bins.
 
     Parameters
     ----------
     expected : (m,) magnitudes of a nominal model or of other files.
-    against : what those are, for the message.
+    against : what `expected` belongs to, for the message.
     """
     good = (estimate.coherence >= COHERENT) & (expected > 0)
     if not np.any(good):
@@ -267,12 +268,12 @@ def check_gravity(where: str, estimate: TransferEstimate, expected: FloatArray, 
 
 
 def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
-    """Runs of one grip together, in order of the grips: their mean [N] -> runs; those without a grip are left out."""
+    """Runs grouped by grip, in order of the grips: mean grip [N] -> runs; runs without a grip are left out."""
     groups: list[list[tuple[float, Measurement]]] = []
     stated = [(run.grip_N, run) for run in runs if run.grip_N is not None]
     for grip, run in sorted(stated, key=lambda one: one[0]):
         last = groups[-1][-1][0] if groups else -np.inf
-        # The free device is never one group with a held one.
+        # A free device (grip 0) is never grouped with a held one.
         if grip - last >= GRIP_STEP_N or last == 0 < grip:
             groups.append([])
         groups[-1].append((grip, run))
@@ -280,13 +281,13 @@ def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
 
 
 def within(grip_N: float, recorded_N: Iterable[float]) -> bool:
-    """Whether a grip lies between recorded ones; held and free ones say nothing of each other."""
+    """Whether a grip lies between recorded ones; a free device (grip 0) and a held one do not bracket each other."""
     alike = [grip for grip in recorded_N if (grip > 0) == (grip_N > 0)]
     return bool(alike) and min(alike) <= grip_N <= max(alike)
 
 
 def check_grips(runs: Sequence[Measurement]) -> list[Finding]:
-    """Every file states its grip, every grip has trials enough, of either polarity."""
+    """Check that every file states its grip and every grip has enough trials, of both polarities."""
     found = [Check.NO_GRIP.at(run.name) for run in runs if run.grip_N is None]
     for grip, group in by_grip(runs).items():
         where = f"grip {grip:.3g} N"
@@ -298,7 +299,7 @@ def check_grips(runs: Sequence[Measurement]) -> list[Finding]:
 
 
 def polarity(run: Measurement) -> int:
-    """+1 or -1: the way the first half-wave of the excitation goes; 0 without any."""
+    """Sign of the first half-wave of the excitation: +1 or -1; 0 if there is no excitation."""
     x = run.command if run.command is not None else run.current
     if x is None:
         return 0

@@ -1,11 +1,11 @@
 """Thermal resistances and time constants of a coil from a heating and cooling record.
 
-The two-node model of `transopt.plant.coil`, copper's resistance rise and the ripple of seed Eq. 7 included, is driven
-by the recorded current and compared with the recorded temperatures: nonlinear least squares in the logarithms of the
-four parameters from several starts. With `ambient_C` recorded the ambient is known and the start temperatures are
-fitted too; without it the record must begin cold, everything at one temperature, which is fitted.
+The two-node model of `transopt.plant.coil`, with copper's resistance rise and the ripple of seed Eq. 7, is driven by
+the recorded current and compared with the recorded temperatures: nonlinear least squares in the logarithms of the
+four parameters from several starts. If `ambient_C` is recorded, the start temperatures are fitted too; if not, the
+record must begin cold: ambient, winding and housing at one temperature, which is fitted.
 
-Row k of a record is read at its instant, and its current flows until row k + 1.
+The temperatures of row k are read at its instant; its current flows until row k + 1.
 """
 
 from dataclasses import dataclass, replace
@@ -28,32 +28,32 @@ from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
 
 NAMES = ("R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s")
 STARTS = 5
-MOST_UNCERTAIN = 0.25  # half width of an interval, relative
-STEADY_TAU = 1.0  # of the housing, that current must flow; at twice that 95 % of the rise is reached
-MOST_MISFIT = 1.5  # of residuals over noise
-_CREDIBLE_K_W = (0.2, 500.0)  # of coil to ambient; motors of 6 mm and of 60 mm lie within
-_CREDIBLE_S = (5.0, 2e4)  # of a housing's time constant
-_WIDEST = 10.0  # times the value: the most that is stated of the half width of an interval
-_GROWTH = 0.03  # of the time since the current last changed: how long one step of the simulation may be
-_FAR = np.log(100.0)  # from the guess
-TEMPERATURE_K = 10.0  # unit of the unknown temperatures, so that all unknowns are of one size
-_WIDE_K = 50.0  # around the first reading, for start temperatures
+MOST_UNCERTAIN = 0.25  # largest relative half width of an interval to design with
+STEADY_TAU = 1.0  # least time of heating over the housing's time constant
+MOST_MISFIT = 1.5  # largest rms of the residuals over the noise
+_CREDIBLE_K_W = (0.2, 500.0)  # thermal resistance from coil to ambient; motors of 6 mm and of 60 mm lie within
+_CREDIBLE_S = (5.0, 2e4)  # time constant of a housing
+_WIDEST = 10.0  # relative half widths above this are stated as this
+_GROWTH = 0.03  # longest step of the simulation over the time since the current last changed
+_FAR = np.log(100.0)  # bound of the search: a factor of 100 from the guess
+TEMPERATURE_K = 10.0  # unit of the unknown temperatures, so that all unknowns are of similar size
+_WIDE_K = 50.0  # bound of the start temperatures around the first reading
 
 
 @dataclass(frozen=True)
 class CoilFit(Fit):
-    """What a record tells of a coil.
+    """The thermal model of a coil fitted to a record, with its uncertainty.
 
     Attributes
     ----------
-    record : what was fitted.
-    coil : the model with its start temperatures as fitted.
-    nominal : the motor's, in the surroundings of its scene, which the fit is to replace.
-    intervals : (4, 2) 95 % of `NAMES`.
-    covariance : (4, 4) of `NAMES`.
-    misfit : rms of residuals over the sensors' noise, 1 where the model explains all.
-    starts : sums of squares from each start, the best first.
-    winding_C, housing_C : (n,) of the model at the record's rows.
+    record : the fitted record.
+    coil : the fitted model, start temperatures included.
+    nominal : the motor's model in the surroundings of its scene, which the fit is to replace.
+    intervals : (4, 2) 95 % intervals of `NAMES`.
+    covariance : (4, 4) covariance of `NAMES`.
+    misfit : rms of the residuals over the sensors' noise; 1 where the model explains all.
+    starts : sum of squares reached from each start, the best first.
+    winding_C, housing_C : (n,) temperatures of the model at the record's rows.
     """
 
     record: HeatRecord
@@ -128,7 +128,7 @@ class CoilFit(Fit):
 
 
 def _incredible(coil: CoilModel) -> list[str]:
-    """What no motor of a haptic device has, and the unit to look at: a wrong unit fits without any misfit."""
+    """Complaints about values that no motor of a haptic device has: a wrong unit can fit without any misfit."""
     bounded = (
         ("R_wh + R_ha", coil.R_wh_K_W + coil.R_ha_K_W, "K/W", _CREDIBLE_K_W, "current_A in A, the resistance in ohm"),
         ("tau_h", coil.tau_h_s, "s", _CREDIBLE_S, "time_s in s"),
@@ -142,12 +142,12 @@ def _incredible(coil: CoilModel) -> list[str]:
 
 @dataclass(frozen=True)
 class _Steps:
-    """The record in few long steps: short after each change of the current, then longer and longer.
+    """The record merged into few simulation steps: short after each change of the current, then growing.
 
     Attributes
     ----------
-    heating_A2, lengths_s : (K,).
-    first : (K + 1,) row at which each begins.
+    heating_A2, lengths_s : (K,) mean heating and length of each step.
+    first : (K + 1,) row at which each step begins, and the end.
     """
 
     heating_A2: FloatArray
@@ -186,7 +186,7 @@ class _Misfit(Squares):
         ]
 
     def _means(self, channel: Channel) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Per step: summed weight, mean temperature, and where in the step the mean row lies, 0 to 1."""
+        """Per step: total weight, weighted mean temperature, and the mean row's place within the step, 0 to 1."""
         first, rows = self.steps.first[:-1], np.diff(self.steps.first)
         n = self.steps.first[-1]
         weight = channel.weight[:n]
@@ -200,7 +200,7 @@ class _Misfit(Squares):
         )
 
     def coil(self, theta: FloatArray) -> CoilModel:
-        """The model of theta, its limit left open."""
+        """The model with unknowns theta and without a temperature limit."""
         R_wh, R_ha, tau_w, tau_h = np.exp(theta[:4]).tolist()
         ambient, winding, housing = self._temperatures(theta)
         return CoilModel(
@@ -233,18 +233,18 @@ class _Misfit(Squares):
 
     @property
     def informed(self) -> int:
-        """Steps in which something was read."""
+        """Number of steps, summed over the channels, in which a temperature was read."""
         return sum(int(np.count_nonzero(means[0])) for _, _, means in self._channels)
 
 
 def fit_coil(record: HeatRecord, nominal: CoilModel, *, starts: int = STARTS) -> CoilFit:
-    """The four parameters of a record.
+    """Fit the four thermal parameters to a record.
 
     Parameters
     ----------
     record : see `heat_record`.
-    nominal : the motor's, for the limit of the winding.
-    starts : how many, log-uniform within a factor of 3 around a guess from the record.
+    nominal : the motor's model, which gives the limit of the winding.
+    starts : number of starts, log-uniform within a factor of 3 around a guess from the record.
     """
     misfit = _Misfit(record)
     guess = _guess(record)
@@ -256,7 +256,7 @@ def fit_coil(record: HeatRecord, nominal: CoilModel, *, starts: int = STARTS) ->
     theta, least = solved[0]
     free = max(misfit.informed - theta.size, 1)
     excess = least / free
-    # Noise that is not white shows as misfit, and widens the intervals.
+    # Noise that is not white raises the misfit above 1 and so widens the intervals.
     covariance = inverse(misfit.evaluate(theta)[1]) * max(excess, 1.0)
     half = quantile(free) * np.sqrt(np.diagonal(covariance)[:4])
     values = np.exp(theta[:4])
@@ -279,9 +279,9 @@ def fit_coil(record: HeatRecord, nominal: CoilModel, *, starts: int = STARTS) ->
 
 
 def _guess(record: HeatRecord) -> FloatArray:
-    """(5,) or (6,) unknowns to start at, right to a factor of ten.
+    """(5,) or (6,) unknowns to start from, right to a factor of ten.
 
-    Most of the rise is taken for the housing's, and a quarter of the heating time for its time constant.
+    It assigns 80 % of the rise to the housing, and takes a quarter of the heating time for its time constant.
     """
     known = record.winding.weight > 0
     cold = float(record.winding.values_C[known][:3].mean())

@@ -1,11 +1,11 @@
-"""All lines of all trials condensed to what a likelihood needs of them: a few numbers per bin, none of it lost.
+"""All spectral lines of all trials condensed, without loss, to the few numbers per bin that a likelihood needs.
 
 A record from rest to rest has an exact plain DFT: Y_k(f) = G(f) U_k(f) + V_k(f), without a window, and the noise V of
-different lines is independent. In a bin of neighbouring lines a response is a polynomial of second degree, that is,
-its values at three nodes. What the lines of a trial say about these values is a normal matrix and a right side; a
-likelihood formed of them is that of all lines. Transients of either end of a record are taken out first (local
-polynomial method: Pintelon & Schoukens 2012, System Identification, Ch. 7), and what the polynomial leaves is the
-noise, with no model of the device in it.
+different lines is independent. Within a bin of neighbouring lines the response is taken for a polynomial of second
+degree, given by its values at three nodes. The lines of a trial determine these values through a normal matrix and a
+right side; a likelihood formed of these equals that of all lines. The transients at both ends of a record are removed
+first (local polynomial method: Pintelon & Schoukens 2012, System Identification, Ch. 7). The residual of the
+polynomial estimates the noise, without any model of the device.
 """
 
 import itertools
@@ -20,35 +20,35 @@ from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
 
 BINS_PER_OCTAVE = 24
-MOST_ORDER = 2  # of the local polynomial: curvature across a bin is followed, not averaged
+MOST_ORDER = 2  # largest degree of the local polynomial: curvature across a bin is followed, not averaged
 NODES = MOST_ORDER + 1
-SPAN = 0.8  # the outer nodes of a bin of many lines, which reaches from -1 to 1
-LEAST_LINES_OF_TRANSIENT, ORDER_OF_TRANSIENT = 16, 1  # of each trial in a bin, from where its transient can be fitted
-LEAST_SURPLUS = 3  # samples in a bin beyond the polynomial's coefficients, to estimate the noise from
-EXCITED = 0.03  # of the strongest energy per octave: below, a bin counts as not excited
-OCTAVES_OF_NOISE = 0.25  # to either side: over which the noise is averaged
-LEAST_NEIGHBOURS = 2  # to either side: the lowest bins are further apart than that
-ODD_ONE_OUT = 1e-3  # chance at which a bin's own noise is taken for higher than its neighbours'
+SPAN = 0.8  # place of the outer nodes in a bin of many lines, which reaches from -1 to 1
+LEAST_LINES_OF_TRANSIENT, ORDER_OF_TRANSIENT = 16, 1  # lines per trial in a bin to fit a transient; its degree
+LEAST_SURPLUS = 3  # lines in a bin beyond the polynomial's coefficients, to estimate the noise from
+EXCITED = 0.03  # share of the largest energy per octave below which a bin counts as not excited
+OCTAVES_OF_NOISE = 0.25  # to either side of a bin over which the noise is averaged
+LEAST_NEIGHBOURS = 2  # bins to either side that are averaged at least, since the lowest bins are far apart
+ODD_ONE_OUT = 1e-3  # significance level at which a bin's noise counts as higher than its neighbours'
 
 
 @dataclass(frozen=True)
 class Condensed:
-    """Responses from one input to o outputs in b bins, by K trials. No line is in two bins.
+    """Condensed data of K trials: responses from one input to o outputs in b bins, each line in one bin only.
 
     Attributes
     ----------
     middles_Hz : (b,) mean frequency of the lines of each bin, strictly increasing.
-    frequencies_Hz : (b, q) nodes; those of a bin with fewer lie in its middle and weigh nothing.
-    used : (b, q) which nodes there are.
-    middle : (b, q) weights of the responses at the nodes in that at `middles_Hz`.
-    normal : (K, b, q, q) complex, of the responses at the nodes; the same for every output.
-    right : (K, o, b, q) complex.
-    residual : (b, o, o) complex, covariance of what the polynomial leaves of a line of the outputs.
-    surplus : (b,) lines beyond the coefficients of the polynomial and of the transients.
+    frequencies_Hz : (b, q) nodes; an unused node lies in the middle of its bin and has weight zero.
+    used : (b, q) whether a node is used.
+    middle : (b, q) weights that interpolate the response at `middles_Hz` from those at the nodes.
+    normal : (K, b, q, q) complex normal matrices of the responses at the nodes, common to all outputs.
+    right : (K, o, b, q) complex right sides.
+    residual : (b, o, o) complex covariance of the polynomial's residual per line, over the outputs.
+    surplus : (b,) number of lines beyond the coefficients of the polynomial and of the transients.
     power : (o, b) mean square of a line of the output.
-    noise : (o, b) variance of a line of the output, the neighbours' residuals taken in.
-    degrees : (o, b) real degrees of freedom in it.
-    known : (o, b) where an output can be relied upon; the others do not count.
+    noise : (o, b) noise variance of a line of the output, pooled with the neighbouring bins.
+    degrees : (o, b) real degrees of freedom of `noise`.
+    known : (o, b) whether an output is reliable in a bin; if not, the bin does not count for it.
     dt_s : sampling period of the records.
     """
 
@@ -68,11 +68,11 @@ class Condensed:
 
     @property
     def whole(self) -> ComplexArray:
-        """(b, q, q) normal matrices of all trials together; one on the diagonal where there is no node."""
+        """(b, q, q) normal matrices summed over the trials; one on the diagonal for an unused node."""
         return np.asarray(self.normal.sum(axis=0) + np.where(self.used, 0.0, 1.0)[:, :, None] * np.eye(NODES))
 
     def values(self) -> ComplexArray:
-        """(o, b, q) responses at the nodes by themselves; 0 where there is no node."""
+        """(o, b, q) responses at the nodes by least squares; 0 at an unused node."""
         return np.asarray(np.linalg.solve(self.whole, self.right.sum(axis=0)[..., None])[..., 0])
 
     def roots(self) -> ComplexArray:
@@ -81,12 +81,12 @@ class Condensed:
         return np.asarray(root * (self.known * np.sqrt(2 / self.noise))[:, :, None, None])
 
     def moved(self) -> "Condensed":
-        """Without the bins at either end where the transients leave next to nothing of the input."""
+        """A copy without the outer bins in which removing the transients leaves next to no input."""
         left = self.normal.sum(axis=(0, 2, 3)).real / self.surplus
         return self.some(excited(self.middles_Hz * left))
 
     def some(self, bins: slice = slice(None), outputs: slice = slice(None)) -> "Condensed":
-        """Some of the bins and of the outputs."""
+        """A copy with only these bins and outputs."""
         by_bin = ("middles_Hz", "frequencies_Hz", "used", "middle", "surplus")
         by_output = ("power", "noise", "degrees", "known")
         return replace(
@@ -102,19 +102,19 @@ class Condensed:
 def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> Condensed:
     """Condense trials.
 
-    The polarity of a trial drops out, since the spectra of input and output change sign together; what does not
-    change sign with the input, distortion of even order, cancels between trials of either polarity. Harmonics of a
-    sweep arrive at other times than the fundamental, so that their phase turns from line to line: they count as noise
-    and average out.
+    The polarity of a trial has no effect, since the spectra of input and output change sign together. Distortion of
+    even order does not change sign with the input, so it cancels between trials of opposite polarity. Harmonics of a
+    sweep occur at other times than the fundamental, so their phase varies from line to line: they count as noise and
+    average out.
 
     Parameters
     ----------
-    inputs : (n,) of each trial, from rest to rest, without noise.
-    outputs : (o, n) of each trial.
+    inputs : (n,) samples of each trial, from rest to rest, without noise.
+    outputs : (o, n) samples of each trial.
 
     Raises
     ------
-    InputError : records too short.
+    InputError : the records are too short.
     """
     lines_Hz, given, answers, bins = _lines(inputs, outputs, dt_s)
     if not bins.size:
@@ -171,26 +171,26 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
 def _lines(
     inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float
 ) -> tuple[FloatArray, ComplexArray, ComplexArray, NDArray[np.int_]]:
-    """All lines between 0 and half the rate, both exclusive, bin by bin and in each of them trial by trial.
+    """All lines between 0 and half the sampling rate, both exclusive, sorted by bin and within a bin by trial.
 
-    A bin is a 24th of an octave wide where the lines are dense; elsewhere it takes as many lines as a fit needs, one
-    with at least six trials of one length.
+    A bin is a 24th of an octave wide where the lines are dense. Elsewhere it takes as many lines as a fit needs: one
+    of each trial if there are at least six trials of equal length.
 
     Returns
     -------
-    (s,) frequencies, (s, 1) spectrum of the input, (s, o) of the outputs, and (bins, K + 1) where the lines of each
-    trial begin and those of the last one end: of bins with lines enough of every trial, where the input excites.
+    (s,) frequencies, (s, 1) spectrum of the input, (s, o) of the outputs, and (bins, K + 1) indices at which each
+    trial's lines begin and those of the last one end. Bins that lack lines or excitation are left out.
     """
     lengths, K = np.array([one.size for one in inputs]), len(inputs)
     numbers = [np.arange(1, (length + 1) // 2) for length in lengths]
     frequency = np.concatenate([lines / (length * dt_s) for lines, length in zip(numbers, lengths, strict=True)])
     spacing, needed = 1 / (lengths.min() * dt_s), -(-(MOST_ORDER + 1 + LEAST_SURPLUS) // K)
     if lengths.max() != lengths.min():
-        needed = max(needed, 2)  # lines of different trials at different frequencies: no mean without a slope
+        needed = max(needed, 2)  # the trials' lines then differ in frequency, so that a mean needs a slope too
     edges = [0.5 * spacing]
     while edges[-1] <= 0.5 / dt_s:
         edges.append(max(edges[-1] * 2 ** (1 / BINS_PER_OCTAVE), edges[-1] + needed * spacing))
-    # Bin 0 is below all others; what is left just below half the rate would be a bin too small.
+    # Bin 0 lies below all others; the remainder just below half the rate is too narrow for a bin.
     number, bins = np.searchsorted(edges[:-1], frequency, side="right"), max(len(edges) - 2, 0)
     trial = np.repeat(np.arange(K), [lines.size for lines in numbers])
     order = np.lexsort((trial, number))
@@ -200,7 +200,7 @@ def _lines(
     starts = starts[(count.sum(axis=1) > LEAST_SURPLUS) & np.all(count > 0, axis=1)]
 
     def spectra(signals: Sequence[FloatArray]) -> ComplexArray:
-        """Noise has one variance in the spectra at every length; scipy keeps its plan for a length, prime or not."""
+        """Spectra scaled so that the noise has the same variance at every length of record."""
         each = zip(signals, numbers, lengths, strict=True)
         return np.concatenate([fft.rfft(one)[:, lines].T / np.sqrt(length) for one, lines, length in each])[order]
 
@@ -211,29 +211,29 @@ def _lines(
 
 
 def excited(energy: FloatArray) -> slice:
-    """From the first to the last bin whose energy per octave is at least 3 % of its highest."""
+    """The bins from the first to the last whose energy per octave is at least `EXCITED` of the largest."""
     strong = np.flatnonzero(energy >= EXCITED * energy.max(initial=0.0))
     return slice(strong[0], strong[-1] + 1) if strong.size else slice(0)
 
 
 def _nodes(places: FloatArray) -> FloatArray:
-    """(q,) of a bin's polynomial, from -1 to 1, for lines at these places (s,)."""
+    """(q,) nodes of a bin's polynomial, from -1 to 1, for lines at these places (s,)."""
     distinct = np.unique(np.round(places, 9))
     order = min(MOST_ORDER, distinct.size - 1, places.size - 1 - LEAST_SURPLUS)
     if distinct.size == order + 1:
-        return distinct  # nothing between the lines is asked for
+        return distinct  # the polynomial is evaluated at the lines only
     return np.linspace(-SPAN, SPAN, order + 1) if order else np.zeros(1)
 
 
 def _lagrange(nodes: FloatArray, places: FloatArray) -> FloatArray:
-    """(s, q) at the places (s,) the polynomials that are 1 at one of the nodes (q,) and 0 at the others."""
+    """(s, q) Lagrange polynomials of the nodes (q,), evaluated at the places (s,)."""
     itself = np.eye(nodes.size)
     factors = (places[:, None, None] - nodes) / (nodes[:, None] - nodes + itself)
     return np.asarray(np.prod(np.where(itself, 1.0, factors), axis=2))
 
 
 def around(frequencies_Hz: FloatArray, octaves: float, least: int = 0) -> Callable[[FloatArray], FloatArray]:
-    """Sums over the bins within so many octaves of each, and over at least so many to either side."""
+    """A function that sums values over the bins within `octaves` of each bin, at least `least` to either side."""
     place, number = np.log2(frequencies_Hz), np.arange(frequencies_Hz.size)
     first = np.minimum(np.searchsorted(place, place - octaves), np.maximum(number - least, 0))
     last = np.searchsorted(place, place + octaves, side="right")
@@ -247,10 +247,10 @@ def around(frequencies_Hz: FloatArray, octaves: float, least: int = 0) -> Callab
 
 
 def pooled(frequencies_Hz: FloatArray, noise: FloatArray, degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(m,) variances of the noise and their degrees of freedom, the neighbours' residuals taken in.
+    """(m,) variances of the noise, pooled with the neighbouring bins, and their degrees of freedom.
 
-    A bin of few lines knows its noise badly, and weights that follow such luck make fits overconfident. A bin that
-    stands out of its neighbours (the mains' hum) keeps its own.
+    A bin of few lines estimates its noise poorly, and weights from such estimates make fits overconfident. A bin with
+    significantly more noise than its neighbours (mains hum) keeps its own estimate.
     """
     summed = around(frequencies_Hz, OCTAVES_OF_NOISE, LEAST_NEIGHBOURS)
     together = summed(degrees)

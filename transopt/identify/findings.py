@@ -1,4 +1,4 @@
-"""What the checks of recorded files find, and the words that say so."""
+"""The findings that checks of recorded files can make, and their messages."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,16 +6,16 @@ from enum import Enum, StrEnum
 
 from transopt.base.errors import InputError
 
-LEAST_CYCLES = 1.0  # per octave, in all trials together
+LEAST_CYCLES = 1.0  # cycles per octave, all trials together
 LEAST_TRIALS = 2
-JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid, rms
-END_SAMPLES, END_PART = 3, 0.1  # the last samples, and how large they may be against the peak
-COHERENT = 0.8
+JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # rms deviation from the uniform grid, in steps
+END_SAMPLES, END_PART = 3, 0.1  # number of last samples; their largest size as a share of the peak
+COHERENT = 0.8  # least coherence of a bin that counts
 FATAL, TOLD = True, False  # whether a finding refuses the records
 
 
 class Fault(StrEnum):
-    """What can be wrong with records."""
+    """The kinds of faults that records can have."""
 
     TOO_FEW_CYCLES = "too few cycles"
     CLIPPED = "clipped sensor"
@@ -37,15 +37,15 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing wrong: what, where, and what to record again.
+    """One fault of a record: what is wrong, where, and what to record again.
 
     Attributes
     ----------
-    fault : what kind of thing is wrong.
+    fault : kind of fault.
     where : file, grip or band.
     text : value, limit and remedy.
-    fatal : no fit should follow.
-    cause : name in the model file of what was found beside the model; empty for what is not stated there.
+    fatal : whether the records must not be fitted.
+    cause : name in the model file of an effect found beside the model; empty if the file does not state it.
     """
 
     fault: Fault
@@ -59,9 +59,9 @@ class Finding:
 
 
 class Check(Enum):
-    """Every check of records: the fault it finds, whether no fit may follow, its limit, and what it says.
+    """Every check of records: the fault that it finds, whether that is fatal, its limit and its message.
 
-    A text has what was measured, the limit and the remedy.
+    The message states the measured value, the limit and the remedy.
     """
 
     # fmt: off
@@ -148,12 +148,12 @@ class Check(Enum):
         self.fault, self.fatal, self.limit, self.text = fault, fatal, limit, text
 
     def at(self, where: str, **measured: object) -> Finding:
-        """What it finds in a file, at a grip or in a band."""
+        """The finding of this check in a file, at a grip or in a band, with the measured values filled in."""
         return Finding(self.fault, where, self.text.format(limit=self.limit, **measured), self.fatal)
 
 
 def beside(where: str, text: str, cause: str = "") -> Finding:
-    """What the records have beside the model; `cause` is its name in the model file, empty for what gets none."""
+    """The finding of an effect beside the model; `cause` is its name in the model file, empty if it has none."""
     return Finding(Fault.BESIDE, where, text, TOLD, cause)
 
 
@@ -162,7 +162,7 @@ def refuse(findings: Iterable[Finding]) -> list[Finding]:
 
     Raises
     ------
-    InputError : one is; the message is the first and says how many more there are.
+    InputError : a finding is fatal; the message is the first fatal one and tells how many more there are.
     """
     listed = list(findings)
     fatal = [finding for finding in listed if finding.fatal]

@@ -1,6 +1,6 @@
-"""What every fit states in a model file: numbers with 95 % intervals, a verdict, and what it falls short of.
+"""The statements of every fit in a model file: numbers with 95 % intervals, a verdict, and shortfalls.
 
-A fit to design with says what it supports. Any other says why not, each time with what to record again.
+A fit to design with states what it supports. Any other states its shortfalls, each with what to record again.
 """
 
 from abc import ABC, abstractmethod
@@ -13,11 +13,11 @@ from scipy import special
 from transopt.base.signals import FloatArray
 from transopt.identify.measurement import Measurement, sources
 
-LEVEL = 0.95  # of all intervals
+LEVEL = 0.95  # confidence level of all intervals
 
 
 def quantile(degrees: float = np.inf) -> float:
-    """Half the width of a 95 % interval in standard deviations, of Student's distribution with so many degrees."""
+    """Half width of a 95 % interval in standard deviations, by Student's distribution with so many degrees."""
     return float(special.stdtrit(degrees, (1 + LEVEL) / 2))
 
 
@@ -28,11 +28,11 @@ def around(values: FloatArray, covariance: FloatArray, degrees: float = np.inf) 
 
 
 def known(names: Sequence[str], covariance: FloatArray, intervals: FloatArray) -> dict[str, Any]:
-    """What a part of a model file states of its fitted numbers besides their values.
+    """Intervals, names and covariance of fitted numbers, as a part of a model file states them beside the values.
 
     Parameters
     ----------
-    covariance : (p, p). intervals : (p, 2), both of `names`.
+    covariance : (p, p). intervals : (p, 2). Both in the order of `names`.
     """
     return {
         "intervals": dict(zip(names, intervals.tolist(), strict=True)),
@@ -46,22 +46,22 @@ class Fit(ABC):
 
     @abstractmethod
     def stated(self) -> dict[str, Any]:
-        """What only this kind of part states: values, intervals, parameters, covariance."""
+        """The content that is specific to this kind of part: values, intervals, parameters, covariance."""
 
     @abstractmethod
     def shortfalls(self) -> list[str]:
-        """Why the fit is not one to design with, each with what to record again; none if it is."""
+        """Reasons why the fit is not fit to design with, each with what to record again; empty if it is."""
 
     @abstractmethod
     def supports(self) -> str:
-        """What a fit without shortfalls may be used for, in plain words."""
+        """The designs that a fit without shortfalls may be used for, in plain words."""
 
     def verdict(self) -> str:
-        """One sentence for the model file and for the user: what the fit supports, or why it supports nothing."""
+        """One sentence for the model file and the user: what the fit supports, or why it supports nothing."""
         short = self.shortfalls()
         return f"not fit to design with: {'; '.join(short)}" if short else self.supports()
 
     def content(self, runs: Sequence[Measurement]) -> dict[str, Any]:
-        """The part of the model file that is fitted to these runs."""
+        """The part of the model file that this fit, made from these runs, becomes."""
         judged = {"verdict": self.verdict(), "shortfalls": self.shortfalls(), "sources": sources(runs)}
         return {**self.stated(), **judged}

@@ -1,4 +1,4 @@
-"""A recorded heating of the coil: its power, and the temperatures that were read beside it."""
+"""A recorded heating of the coil: the heating current and the measured temperatures."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,11 +11,11 @@ from transopt.identify.measurement import Measurement
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, effective_square
 
 LEAST_RISE_K, LEAST_RISE_NOISE = 10.0, 5.0
-COARSEST = 0.2  # of the winding's time constant, between two rows
-DRIFT_K = 2.0  # of the ambient, unaccounted for
-_SENSING = 0.2  # of the largest current, below which voltage over current tells no temperature
-_CREDIBLE_C = (-50.0, 400.0)  # of a winding
-LEAST_STEP = 0.1  # of the largest heating, by which that must change at a step
+COARSEST = 0.2  # largest time between two rows over the winding's time constant
+DRIFT_K = 2.0  # largest drift of the ambient; the model takes it as constant
+_SENSING = 0.2  # share of the largest current below which voltage over current gives no temperature
+_CREDIBLE_C = (-50.0, 400.0)  # temperature of a winding
+LEAST_STEP = 0.1  # least change of the heating, over its maximum, that counts as a step
 _LEAST_NOISE_K = 1e-3
 MOST_RIPPLE_A = 0.5
 
@@ -26,8 +26,8 @@ class Channel:
 
     Attributes
     ----------
-    values_C : (n,) a value per row.
-    weight : (n,) what each row weighs, 0 where the temperature is not known.
+    values_C : (n,) temperature of each row.
+    weight : (n,) weight of each row; 0 where the temperature is not known.
     noise_K : rms noise of a row of weight 1.
     """
 
@@ -42,13 +42,13 @@ class HeatRecord:
 
     Attributes
     ----------
-    dt_s : between rows.
+    dt_s : time between rows.
     heating_A2 : (n,) i_eff^2 from each row to the next.
-    winding, housing : what was recorded of them.
-    ambient_C : mean, None if not recorded.
-    ambient_drift_K : its range.
-    R_ohm : at 25 C.
-    ripple_A : of the amplifier that heated, beside the recorded current.
+    winding, housing : recorded temperatures; None where the housing was not recorded.
+    ambient_C : mean; None if not recorded.
+    ambient_drift_K : range of the ambient.
+    R_ohm : resistance at 25 C.
+    ripple_A : PWM ripple of the amplifier, which heats in addition to the recorded current.
     """
 
     dt_s: float
@@ -62,25 +62,25 @@ class HeatRecord:
 
     @cached_property
     def rise_K(self) -> float:
-        """From the first rows to the hottest hundredth of them: means, since the extreme is the noise's."""
+        """Rise from the first rows to the hottest hundredth of the rows: of means, since noise sets an extreme."""
         known = self.winding.values_C[self.winding.weight > 0]
         few = max(known.size // 100, 3)
         return float(np.sort(known)[-few:].mean() - known[:few].mean())
 
     @cached_property
     def powered_s(self) -> float:
-        """For how long most of the largest heating was on."""
+        """Time during which the heating is above half of its maximum."""
         return float(self.dt_s * np.count_nonzero(self.heating_A2 > 0.5 * self.heating_A2.max()))
 
 
 def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) -> HeatRecord:
-    """The record of a file; without `winding_C` the winding from voltage over current.
+    """The heating record of a file; without `winding_C` the winding's temperature follows from voltage over current.
 
     Parameters
     ----------
     R_ohm : resistance at 25 C, > 0.
-    ripple_A : by which the amplifier's PWM heats beside the recorded current; 0 for a linear amplifier, or where the
-        recorded current is an rms value that has it.
+    ripple_A : PWM ripple that heats in addition to the recorded current; 0 for a linear amplifier, or where the
+        recorded current is an rms value that includes the ripple.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) 
 
 
 def _drift(ambient_C: FloatArray) -> float:
-    """Range of the means of tenths of the record [K]."""
+    """Range [K] of the means over tenths of the record."""
     return float(np.ptp([part.mean() for part in np.array_split(ambient_C, min(10, ambient_C.size))]))
 
 
@@ -138,14 +138,14 @@ def _channel(x: Signal, weight: FloatArray) -> Channel:
 
 
 def _noise(values: FloatArray) -> float:
-    """Standard deviation of the rows' noise, from second differences, which a smooth course does not enter."""
+    """Standard deviation of the rows' noise, from second differences, which a smooth course hardly affects."""
     return max(float(np.sqrt(np.median(np.diff(values, 2) ** 2) / 6 / 0.4549)), _LEAST_NOISE_K)
 
 
 def _by_resistance(name: str, current_A: FloatArray, voltage_V: FloatArray, R_ohm: float) -> Channel:
-    """Winding temperature where enough current flows; its variance goes with 1 / i^2.
+    """Winding temperature from the resistance, where enough current flows; its variance is proportional to 1 / i^2.
 
-    Noise in the divisor biases the temperature by (noise / i)^2 / alpha: 0.1 K for 5 mA in 0.25 A, hence the limit.
+    Noise of the current biases the temperature by (noise / i)^2 / alpha: 0.1 K for 5 mA in 0.25 A; hence `_SENSING`.
     """
     share = np.abs(current_A) / np.abs(current_A).max()
     known = share > _SENSING

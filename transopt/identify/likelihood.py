@@ -1,14 +1,13 @@
-"""The likelihood of condensed records under a model, its maximum, and what is known of it.
+"""The likelihood of condensed records under a model, its maximum, and the covariance there.
 
-With the noise of each line known from the records themselves (`condensed`), the negative logarithm of the likelihood
-is a sum of squares: of W (H(theta) - H_measured), bin by bin, over all outputs of all grips. Its maximum is bounded
-nonlinear least squares with exact derivatives. Amplifiers, chains and hands are parameterisations of it.
+The records themselves tell the noise of each line (`condensed`), so the negative logarithm of the likelihood is a sum
+of squares of W (H(theta) - H_measured) over all bins, outputs and grips. Its minimum is found by bounded nonlinear
+least squares with exact derivatives. Amplifiers, chains and hands are different models H.
 
-The covariance is the inverse of the information, widened by two things that the noise within a trial does not show:
-what the model leaves unexplained (the scatter), and how much the trials differ (a hand is never held twice alike).
-For the latter each trial's own score says how far this trial alone would move each unknown; where the sum of their
-squares is above what the noise makes of it, the variance is the observed one (the sandwich of White 1982, unknown by
-unknown).
+The covariance is the inverse of the information, widened for two errors that the noise within a trial does not show:
+the residual of the model (the scatter), and differences between trials (a hand is never held twice alike). For the
+latter, each trial's own score tells how far that trial alone would move each unknown; where the sum of their squares
+exceeds what the noise explains, it replaces the variance (the sandwich of White 1982, unknown by unknown).
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +20,7 @@ from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.condensed import Condensed
 from transopt.identify.squares import Squares, inverse
 
-LEAST_TRIALS = 3  # of all grips together, whose differences mean something
+LEAST_TRIALS = 3  # trials, over all grips, from which on differences between them are evaluated
 
 Model = Callable[[FloatArray, int, FloatArray], tuple[ComplexArray, ComplexArray]]
 """theta (p,), number of the group, frequencies (m,) -> responses (o, m) and derivatives (p, o, m)."""
@@ -29,17 +28,17 @@ Model = Callable[[FloatArray, int, FloatArray], tuple[ComplexArray, ComplexArray
 
 @dataclass(frozen=True)
 class Maximum:
-    """The unknowns that explain the records best.
+    """The unknowns of maximum likelihood.
 
     Attributes
     ----------
     unknowns : (p,).
-    covariance : (p, p); zero for what was held fixed.
-    chi_square : sums of squares, an array (o,) for each group, whose numbers of outputs may differ.
-    points : their real numbers, in the same arrays.
-    free : (p,) what was sought.
-    bounded : (p,) what ended at a bound; its deviation is half the range searched.
-    between : (p,) observed variance between the trials over what the noise within them makes of it; 1 where unknown.
+    covariance : (p, p); zero for a fixed unknown.
+    chi_square : sum of squares of each output, an array (o,) per group; groups may differ in their outputs.
+    points : number of real values in each sum of squares, in the same arrays.
+    free : (p,) whether an unknown was sought.
+    bounded : (p,) whether an unknown ended at a bound; its deviation is then a quarter of the range searched.
+    between : (p,) observed variance between the trials over that explained by noise within them; 1 where not known.
     """
 
     unknowns: FloatArray
@@ -52,12 +51,12 @@ class Maximum:
 
     @property
     def scatter(self) -> float:
-        """Mean square of the residuals: 1 where the model is right."""
+        """Mean square of the residuals: near 1 if the model is right."""
         return self.total / max(self.count - int(self.free.sum()), 1)
 
     @property
     def count(self) -> int:
-        """Real numbers of all outputs of all groups."""
+        """Number of real values of all outputs of all groups."""
         return sum(int(points.sum()) for points in self.points)
 
     @property
@@ -67,10 +66,10 @@ class Maximum:
 
 
 class Likelihood(Squares):
-    """Sum of squares of all groups.
+    """The likelihood as a sum of squares over all groups.
 
-    `loose` adds a relative error to every response, so that one sharp peak does not rule a search; `step` takes each
-    step-th bin.
+    `loose` adds a relative error to every response, so that one sharp peak does not dominate a search; `step` > 1
+    takes only every step-th bin.
     """
 
     def __init__(self, groups: Sequence[Condensed], model: Model, *, loose: float = 0.0, step: int = 1) -> None:
@@ -88,11 +87,11 @@ class Likelihood(Squares):
 
     @property
     def points(self) -> tuple[NDArray[np.int_], ...]:
-        """Real numbers that count: an array (o,) for each group, whose numbers of outputs may differ."""
+        """Number of real values that count for each output, an array (o,) per group."""
         return tuple(2 * (group.known[:, :, None] & group.used).sum(axis=(1, 2)) for group in self.groups)
 
     def _responses(self, unknowns: FloatArray, j: int) -> tuple[ComplexArray, ComplexArray]:
-        """(o, b, q) and (p, o, b, q) of a group."""
+        """Responses (o, b, q) of group j and their derivatives (p, o, b, q)."""
         shape = self.groups[j].frequencies_Hz.shape
         value, slope = self._model(unknowns, j, self.groups[j].frequencies_Hz.ravel())
         return value.reshape(-1, *shape), slope.reshape(slope.shape[0], -1, *shape)
@@ -116,7 +115,7 @@ class Likelihood(Squares):
         return self.around(unknowns, low, high, free)
 
     def around(self, unknowns: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_]) -> Maximum:
-        """What is known of unknowns that were sought by other means."""
+        """The `Maximum` at unknowns that a search has already found: their covariance and residuals."""
         residuals, jacobian = self.evaluate(unknowns)
         reach = 1e-6 * (high - low)
         bounded = free & ((unknowns <= low + reach) | (unknowns >= high - reach))
@@ -140,11 +139,11 @@ class Likelihood(Squares):
         )
         spread = np.sqrt(np.maximum(max(found.scatter, 1.0), between[inside]))
         found.covariance[np.ix_(inside, inside)] = spread[:, None] * covariance * spread
-        found.covariance[bounded, bounded] = ((high - low)[bounded] / 4) ** 2  # all that was searched
+        found.covariance[bounded, bounded] = ((high - low)[bounded] / 4) ** 2  # 2 deviations to a side span the range
         return found
 
     def _between(self, unknowns: FloatArray, covariance: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
-        """(free,) observed variance of each unknown by the trials' scores, over that by the noise within them."""
+        """(free,) variance of each unknown by the trials' scores, over that from the noise within trials."""
         moves = []
         for j, group in enumerate(self.groups):
             value, slope = self._responses(unknowns, j)
@@ -153,7 +152,7 @@ class Likelihood(Squares):
             score = np.einsum("pobi,kobi,ob->kp", slope[inside].conj(), own, weight, optimize=True).real
             K = score.shape[0]
             if K > 1:
-                # Apart from what the trials have in common, which the scatter counts.
+                # The mean score, common to all trials, is subtracted: the scatter accounts for it.
                 moves.append((score - score.mean(axis=0)) @ covariance * np.sqrt(K / (K - 1)))
         if sum(map(len, moves)) < LEAST_TRIALS:
             return np.ones(int(inside.sum()))

@@ -1,4 +1,4 @@
-"""What was recorded on a device to identify it: signals of one run, and what its file states about it."""
+"""A run recorded on a device to identify it: its signals, and the conditions that its file states."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -27,20 +27,20 @@ WORDS = Vocabulary(
         "held_out": Scalar("held_out", 1.0, "", zero=True),
     },
     required=("time",),
-    step_s=(1e-7, 60.0),  # up to a logger's one reading a minute: heating takes half an hour
+    step_s=(1e-7, 60.0),  # a logger of temperatures may read once a minute, since heating takes half an hour
 )
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One run of a device: a sweep, a tap or a heating, as its file states it, in SI units.
+    """One run of a device: a sweep, a tap or a heating, in SI units.
 
-    All signals share one uniform time grid. What was not recorded is None.
+    All signals share one uniform time grid. A signal that was not recorded is None.
 
     Attributes
     ----------
-    name : what messages and reports call it: the file's name.
-    source : path.
+    name : name in messages and reports: the file's name.
+    source : path of the file.
     sha256 : of the file's bytes.
     command : sample k is issued at its instant and held to the next one [A].
     current : in the coil [A].
@@ -52,10 +52,10 @@ class Measurement:
     grip_N : >= 0, 0 for a device that nobody holds; None if the file does not state it.
     speed_m_s : incoming speed of a tap.
     accelerometer_Hz : bandwidth of the accelerometer; None for one to be taken as ideal.
-    period_s : with which the excitation repeats, after a first period from rest; None for one that does not.
-    held_out : whether it is to validate with and never to be fitted.
-    off_grid : how far time stamps lay off the uniform grid, rms, in steps; resampled to it.
-    missing : which samples were interpolated, in one sentence; empty where none was missing.
+    period_s : period of the excitation, after a first period from rest; None if it does not repeat.
+    held_out : whether the run is held out for validation and must not be fitted.
+    off_grid : rms deviation of the time stamps from the uniform grid, in steps, before resampling to it.
+    missing : which samples were interpolated, in one sentence; empty if none was missing.
     """
 
     name: str
@@ -79,11 +79,11 @@ class Measurement:
     missing: str = ""
 
     def require(self, quantity: str, column: str) -> Signal:
-        """The signal of that name.
+        """The signal of a quantity.
 
         Raises
         ------
-        InputError : the file has none; `column` is what it would be called there.
+        InputError : the file has none; the message names `column`, the column that holds it.
         """
         found = getattr(self, quantity)
         if found is None:
@@ -92,14 +92,14 @@ class Measurement:
         return found
 
     def changed(self, change: Callable[[str, Signal], Signal]) -> "Measurement":
-        """The run with each of its signals as `change` makes it of its quantity and itself."""
+        """A copy in which each signal x of a quantity is replaced by `change(quantity, x)`."""
         recorded = {quantity: getattr(self, quantity) for quantity in WORDS.quantities if quantity != "time"}
         made: dict[str, Any] = {quantity: change(quantity, x) for quantity, x in recorded.items() if x is not None}
         return replace(self, **made)
 
 
 def load_measurements(paths: Sequence[Path], layout: Layout | None = None) -> list[Measurement]:
-    """Several runs. One given twice would count twice, and one kept for validation would be no validation.
+    """Load several runs, each file once: a duplicate would count twice in a fit and would not validate anything.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def load_measurements(paths: Sequence[Path], layout: Layout | None = None) -> li
 
 
 def sources(runs: Sequence[Measurement]) -> list[dict[str, str]]:
-    """The files of runs as a model file names them; a file with several runs is one source."""
+    """The files of these runs as a model file lists them; a file with several runs is one source."""
     return [
         {"file": source, "sha256": sha256}
         for source, sha256 in dict.fromkeys((run.source, run.sha256) for run in runs)
@@ -129,15 +129,15 @@ def sources(runs: Sequence[Measurement]) -> list[dict[str, str]]:
 
 
 def split_taps(runs: Sequence[Measurement], wanted: Sequence[int] = ()) -> list[Measurement]:
-    """The taps of runs whose surface force was recorded: one run each, also where a file holds several in a row.
+    """The taps in runs with a recorded surface force, one run per tap, even where a file holds several taps in a row.
 
     Parameters
     ----------
-    wanted : which taps of a file with several to take, counted from 1; all if empty.
+    wanted : numbers of the taps to take from a file with several, counted from 1; all if empty.
 
     Raises
     ------
-    InputError : a tap that a file does not have, or a file without force.
+    InputError : a wanted tap is not in the file, or the file has no force.
     """
     found = []
     for run in runs:
@@ -161,11 +161,11 @@ def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
 
     Parameters
     ----------
-    layout : what the user states about the file.
+    layout : columns and units that the user states for the file.
 
     Raises
     ------
-    InputError : one line, file first, whatever is wrong.
+    InputError : the file is not readable as a run; the message is one line and names the file first.
     """
     if path.suffix.lower() == ".wav":
         raise InputError(

@@ -10,8 +10,8 @@ from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray, Signal
 from transopt.identify.condensed import Condensed, around, condense, pooled
 
-OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
-SCATTERED = 1.5  # variance between trials over that within them, above which the trials' number counts
+OCTAVES_OF_SPREAD = 0.5  # to either side of a bin over which the scatter between trials is averaged
+SCATTERED = 1.5  # total variance over that within trials above which the number of trials sets the degrees of freedom
 LEVEL = 0.95
 
 
@@ -21,12 +21,12 @@ class Trial:
 
     Attributes
     ----------
-    name : what messages call it.
-    input, output : (n,) samples each, from rest to rest; units are the owner's.
+    name : name in messages.
+    input, output : (n,) samples each, from rest to rest, in units of the caller's choice.
 
     Raises
     ------
-    InputError : the two differ in rate or length, or the input never moves.
+    InputError : input and output differ in rate or length, or the input is constant.
     """
 
     name: str
@@ -57,8 +57,8 @@ class TransferEstimate:
     deviation : (m,) standard deviation of its real and of its imaginary part.
     degrees : (m,) real degrees of freedom in `deviation`.
     coherence : (m,) in [0, 1]: the part of the output's power that the input explains, SNR / (1 + SNR).
-    trial_responses : (K, m) complex, of each trial: it may be larger or smaller than in all trials together, and
-        turned, by one amount all over the bin.
+    trial_responses : (K, m) complex response of each trial. Within a bin it differs from the response of all trials
+        by one complex offset.
     dt_s : sampling period of the records.
     """
 
@@ -76,27 +76,27 @@ class TransferEstimate:
         return int(self.trial_responses.shape[0])
 
     def radius(self) -> FloatArray:
-        """(m,) of the disc around `response` in the complex plane that holds the truth with that probability."""
+        """(m,) radius of the disc around `response` that holds the true response with probability `LEVEL`."""
         # |error|^2 / (2 deviation^2) is distributed as F(2, degrees), whose quantile is elementary.
         half = self.degrees / 2
         return np.asarray(self.deviation * np.sqrt(2 * half * ((1 - LEVEL) ** (-1 / half) - 1)))
 
     def half_width(self) -> FloatArray:
-        """(m,) of the interval around any one component of the response, magnitude included."""
+        """(m,) half width of the `LEVEL` interval of any one component of the response, magnitude included."""
         return np.asarray(self.deviation * special.stdtrit(self.degrees, (1 + LEVEL) / 2))
 
     def magnitude_band(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest magnitude, (m,) each, pointwise."""
+        """Lower and upper end of the pointwise `LEVEL` interval of the magnitude, (m,) each."""
         size, half = np.abs(self.response), self.half_width()
         return np.maximum(size - half, 0.0), size + half
 
     def phase_half_width_deg(self) -> FloatArray:
-        """(m,) half the width of the phase's interval; 180 where the phase is not known at all."""
+        """(m,) half width of the `LEVEL` interval of the phase; 180 where the phase is unknown."""
         ratio = self.half_width() / np.maximum(np.abs(self.response), np.finfo(float).tiny)
         return np.where(ratio < 1, np.degrees(np.arcsin(np.minimum(ratio, 1.0))), 180.0)
 
     def over(self, response: ComplexArray) -> "TransferEstimate":
-        """Divided by a response (m,) that is known."""
+        """The estimate divided by a known response (m,)."""
         return replace(
             self,
             response=self.response / response,
@@ -105,11 +105,11 @@ class TransferEstimate:
         )
 
     def between(self, low_Hz: float, high_Hz: float) -> "TransferEstimate":
-        """The bins from `low_Hz` to `high_Hz`.
+        """The estimate restricted to the bins from `low_Hz` to `high_Hz`.
 
         Raises
         ------
-        InputError : there is none.
+        InputError : no bin lies in this band.
         """
         kept = (self.frequencies_Hz >= low_Hz) & (self.frequencies_Hz <= high_Hz)
         if not np.any(kept):
@@ -119,7 +119,7 @@ class TransferEstimate:
 
 
 def condense_trials(trials: Sequence[Trial]) -> Condensed:
-    """All lines of trials, from input to output.
+    """Condense the lines of all trials, from input to output.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def condense_trials(trials: Sequence[Trial]) -> Condensed:
 
     Raises
     ------
-    InputError : no trial, rates that differ, records too short.
+    InputError : there is no trial, the rates differ, or the records are too short.
     """
     if not trials:
         raise InputError("no trial at all; record at least one sweep")
@@ -147,26 +147,26 @@ def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
 
 
 def transfer(data: Condensed, output: int = 0, over: int | None = None) -> TransferEstimate:
-    """Frequency response in the middle of each bin, from the input or from another output.
+    """Frequency response in the middle of each bin, from the input or from another output to an output.
 
-    Another output is no input without noise. What is left of one output less the response times the other is noise of
-    the response all the same, and what disturbs both of them alike drops out of it.
+    Another output has noise, unlike the input. The noise of the ratio is the one output less the response times the
+    other; disturbances common to both outputs cancel in it.
 
-    Where the trials scatter more than their own lines do (a hand is never held twice alike), variance and degrees of
-    freedom are those between trials.
+    Where the trials scatter more than the lines within a trial (a hand is never held twice alike), variance and
+    degrees of freedom are those between trials.
 
     Parameters
     ----------
-    output : whose response it is.
-    over : the output that it is a response to; None is the input.
+    output : index of the output whose response is estimated.
+    over : index of the output that the response is referred to; None for the input.
     """
     if over is not None:
-        data = data.moved()  # elsewhere a ratio of outputs is one of their noise
+        data = data.moved()  # elsewhere the ratio of two outputs is a ratio of their noise
     values, middle = data.values(), data.middle
     together = np.einsum("bi,obi->ob", middle, values)
-    # The level of a trial, at the shape that the response has in all trials: what fits the lines of this one best.
+    # Each trial's response is that of all trials plus an offset: the one that fits the lines of this trial best.
     level = data.normal.sum(axis=(2, 3)).real
-    level = np.maximum(level, np.finfo(float).eps * level.max(axis=0))  # of one that does not excite this bin
+    level = np.maximum(level, np.finfo(float).eps * level.max(axis=0))  # > 0 for a trial without excitation here
     own = (data.right - np.einsum("kbij,obj->kobi", data.normal, values)).sum(axis=3) / level[:, None]
     each, row = together + own, np.zeros((together.shape[1], together.shape[0]), dtype=complex)
     row[:, output] = 1.0
@@ -195,9 +195,9 @@ def transfer(data: Condensed, output: int = 0, over: int | None = None) -> Trans
 
 
 def _between_trials(frequencies_Hz: FloatArray, by_trial: ComplexArray, variance: FloatArray) -> FloatArray:
-    """(m,) variance of the mean of the trials (K, m) beyond what their noise makes of it, which is `variance` of one.
+    """(m,) variance of the mean over the trials (K, m) in excess of that of noise, `variance` for one trial.
 
-    One bin's scatter has few degrees of freedom: its ratio to the noise's is averaged over its neighbours.
+    The scatter within one bin has few degrees of freedom, so its ratio to the noise is averaged over neighbours.
     """
     K = by_trial.shape[0]
     if K < 3:

@@ -1,7 +1,7 @@
-"""The one search for unknowns: bounded nonlinear least squares, for amplifier, chain, state space, hand and coil.
+"""Bounded nonlinear least squares, the one search for unknowns of amplifier, chain, state space, hand and coil.
 
-What differs between them is the model behind the residuals; where a search ends, how it keeps to its bounds, and what
-the residuals tell of the unknowns is the same for all.
+The callers differ in the model behind the residuals. Termination, the treatment of bounds, and the covariance of the
+unknowns are common to all.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,14 +13,14 @@ from scipy import optimize
 from transopt.base.signals import FloatArray
 
 TOLERANCE = 1e-10
-STEP = 1e-6  # of differences, relative to the scale of an unknown
+STEP = 1e-6  # of finite differences, relative to the scale of an unknown
 
 Found = tuple[FloatArray, float]
 """Unknowns (p,) and the sum of squares of their residuals."""
 
 
 class Squares:
-    """A sum of squares, which keeps the last point that was asked for.
+    """A sum of squares that caches its last evaluation.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ class Squares:
         tolerance: float = TOLERANCE,
         releases: int = 0,
     ) -> Found:
-        """The least sum within the bounds that a start leads to.
+        """Minimise the sum of squares within the bounds, from one start.
 
         Parameters
         ----------
-        free : (p,) what is sought; the rest stays as it starts.
-        most : evaluations.
-        tolerance : relative, of the sum and of the unknowns.
-        releases : how often unknowns may leave a bound at which they stayed though a better point lies inside.
+        free : (p,) whether an unknown is sought; the others keep their start.
+        most : largest number of evaluations.
+        tolerance : relative tolerance of the sum and of the unknowns.
+        releases : how often the search is repeated from unknowns stuck at a bound with descent pointing inward.
         """
         free = np.ones(start.size, dtype=bool) if free is None else free
         point, total = self._unconstrained(start, low, high, free, most, tolerance)
@@ -81,7 +81,7 @@ class Squares:
         most: int,
         tolerance: float,
     ) -> Found:
-        """A search that clips unknowns at their bounds, where they move nothing and so may stay."""
+        """Search with unknowns clipped at their bounds; beyond a bound the derivative is zero, so they may stick."""
 
         def whole(part: FloatArray) -> FloatArray:
             full = start.copy()
@@ -119,7 +119,7 @@ class Squares:
         tolerance: float = TOLERANCE,
         releases: int = 0,
     ) -> list[Found]:
-        """Searches from several starts, the least sum first."""
+        """Results of searches from several starts, the least sum first."""
         found = [self.search(start, low, high, most=most, tolerance=tolerance, releases=releases) for start in starts]
         return sorted(found, key=lambda one: one[1])
 
@@ -127,7 +127,7 @@ class Squares:
 def by_differences(
     residuals: Callable[[FloatArray], FloatArray],
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Residuals and their Jacobian by forward differences, for unknowns of a size of about one.
+    """Residuals and their Jacobian by forward differences, for unknowns of order one.
 
     Parameters
     ----------
@@ -144,7 +144,8 @@ def by_differences(
 def inverse(jacobian: FloatArray) -> FloatArray:
     """Inverse of J^T J, the covariance of the unknowns where residuals have a variance of one.
 
-    A pseudo-inverse would call what has no information certain; a floor calls it wide open.
+    Eigenvalues get a floor: an unknown without information then has a huge variance. A pseudo-inverse would give it
+    a variance of zero.
     """
     norm = np.linalg.norm(jacobian, axis=0)
     norm = np.where(norm > 0, norm, 1.0)

@@ -1,9 +1,9 @@
-"""A state space from one recorded sweep: what drove an actuator, and the acceleration that it made.
+"""A state space from one recorded sweep of an actuator: its voltage or current, and the acceleration.
 
-The spectra of both tell the response in bands of neighbouring lines, each with its uncertainty
-(`transopt.identify.spectrum`), and a state space is fitted to the bands that the acceleration answers. The number of
-its states is the least that leaves no more than the noise and one percent, else the one with the least Bayesian
-information criterion (Schwarz 1978, "Estimating the dimension of a model", Annals of Statistics 6 (2)).
+The spectra give the response in bands of neighbouring lines, each with its uncertainty
+(`transopt.identify.spectrum`), and a state space is fitted to the coherent bands. The number of its states is the
+least whose misfit beyond noise is at most one percent, else the one with the least Bayesian information criterion
+(Schwarz 1978, "Estimating the dimension of a model", Annals of Statistics 6 (2)).
 """
 
 from dataclasses import dataclass
@@ -19,27 +19,27 @@ from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial, estimate_transfer
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 
-ORDERS = (2, 3, 4, 5, 6, 8)  # of a plant that nobody states the order of
-OF_NYQUIST = 0.9  # above it an anti-alias filter and the converter have their say
-EXACT = 3e-3  # of the largest response: the ends of a record and its course within a band are not followed nearer
-ENOUGH = 0.01  # misfit beside that of the noise, with which no more states are asked for
-CERTAIN = 3.0  # standard deviations that the noise's own misfit is given
-LEAST_BINS = 12  # twice what two states need: fewer tell no noise from a plant
-MOST_UNSURE = 0.05  # relative error of the fitted response that noise alone may make
-LONGER = 1.5  # times as long as the width of the bands alone asks for: their number of lines is whole
-WIDE = 0.5  # of the width of a resonance: bands no wider follow its course
+ORDERS = (2, 3, 4, 5, 6, 8)  # tried when the user states no order
+OF_NYQUIST = 0.9  # share of the Nyquist frequency above which anti-alias filter and converter distort the response
+EXACT = 3e-3  # of the largest response: error of the estimate by the record's ends and by curvature within a band
+ENOUGH = 0.01  # misfit beyond that of the noise at which no more states are tried
+CERTAIN = 3.0  # standard deviations allowed for the misfit of the noise
+LEAST_BINS = 12  # twice what two states need: with fewer bands a plant cannot be told from noise
+MOST_UNSURE = 0.05  # largest relative error of the fitted response due to noise
+LONGER = 1.5  # factor on the proposed length of a sweep, since a band holds a whole number of lines
+WIDE = 0.5  # largest distance of bands over the width of a resonance to resolve its shape
 
 
 @dataclass(frozen=True)
 class SweptFit:
-    """A plant from a sweep, and how far the record tells it.
+    """A plant from a sweep, with its uncertainty.
 
     Attributes
     ----------
-    fit : to the response in bands of frequency.
-    unsure : relative error of the fitted response that the noise of the record leaves, rms.
-    answered, bands : number of bands that the acceleration answers, and of all that were excited.
-    notes : what to mind, one sentence each.
+    fit : fit to the response in bands of frequency.
+    unsure : relative rms error of the fitted response due to the noise of the record.
+    answered, bands : number of coherent bands, and of all excited bands.
+    notes : warnings, one sentence each.
     """
 
     fit: ResponseFit
@@ -54,18 +54,18 @@ class SweptFit:
 def fit_sweep(
     run: Measurement, order: int | None = None, driven_by: str = "", band_Hz: tuple[float, float] | None = None
 ) -> SweptFit:
-    """The state space from voltage or current to acceleration that a recorded sweep tells.
+    """Fit a state space from voltage or current to acceleration to a recorded sweep.
 
     Parameters
     ----------
     run : one record of any broad excitation, from rest.
     order : number of states; None chooses one of `ORDERS`.
-    driven_by : "voltage" or "current"; empty takes the one that the file has, the voltage of both.
+    driven_by : "voltage" or "current"; empty takes the one in the file, and the voltage if it has both.
     band_Hz : lowest and highest frequency that count; None for all.
 
     Raises
     ------
-    InputError : a column is missing, a signal is clipped or still, or too little of it tells a plant.
+    InputError : a column is missing, a signal is clipped or constant, or too few bands are coherent.
     """
     inputs = {each.name: each for each in (VOLTAGE_INPUT, CURRENT_INPUT)}
     name = driven_by or next((each for each in inputs if getattr(run, each) is not None), VOLTAGE_INPUT.name)
@@ -113,11 +113,11 @@ def fit_sweep(
 
 
 def _criterion(fit: ResponseFit, count: int) -> float:
-    """Bayesian information criterion of a fit to so many complex points whose scale of noise is not known."""
+    """Bayesian information criterion of a fit to `count` complex points with unknown scale of the noise."""
     misfit = max(fit.misfit, np.finfo(float).eps)
     return 2 * count * 2 * float(np.log(misfit)) + (2 * fit.plant.order + 1) * float(np.log(2 * count))
 
 
 def _times(unsure: float) -> int:
-    """How much longer a sweep has to last until its noise is small enough: variance falls with time."""
+    """Factor by which the sweep must be longer for the noise to be small enough: variance falls with time."""
     return int(np.ceil((unsure / MOST_UNSURE) ** 2))

@@ -1,8 +1,8 @@
-"""Black boxes by grip: their poles and outputs by least squares on the exact sampled response.
+"""State spaces by grip: their poles and outputs by least squares on the exact sampled response.
 
-The model is a sum of sections of second order with the denominator s^2 + a s + w^2, a and w above 0: stable and real
-whatever the numbers are, and a pair of poles may meet on the real axis and part again. A held device stays where it
-is under a constant current; a free one accelerates.
+The model is a sum of second-order sections with the denominator s^2 + a s + w^2, a and w above 0: any such numbers
+give a stable real model, and a pair of poles may pass from complex to real during the search. A held device rests
+under a constant current; a free one accelerates.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,18 +18,18 @@ from transopt.identify.device.response import Instrument, Slope, sampled_respons
 from transopt.identify.squares import Squares
 from transopt.plant.state_space import StateSpace
 
-ORDERS = (2, 4, 6, 8, 10)  # tried in turn where none is stated, as long as the criterion falls
+ORDERS = (2, 4, 6, 8, 10)  # tried in turn if the user states none, as long as the criterion falls
 HIGHEST_ORDER = 20
-ENOUGH = 1.2  # mean square of residuals over the noise's, below which no other start is tried
+ENOUGH = 1.2  # mean square of the residuals over the noise below which no other start is tried
 MORE = (
     (0.05, 0.2),
     (0.2, 0.6),
     (0.005, 0.05),
-)  # of the highest frequency: real poles added to those of two orders less
+)  # pairs of real poles, over the highest frequency, that other starts add to the poles of two orders less
 REACH = 1e3  # poles stay within this factor of their start
-MOST_STEPS = 60
+MOST_STEPS = 60  # largest number of evaluations of a search
 TOLERANCE = 1e-6
-RANK = 1e-12
+RANK = 1e-12  # singular values below this share of the largest count as zero
 NUDGE = 1e-3  # least damping ratio that a relocated pole starts with
 
 
@@ -39,10 +39,10 @@ class BlackBox:
 
     Attributes
     ----------
-    grips_N : increasing.
-    plants : one per grip, of one order; the encoder's row is zero, since its signal was not fitted.
-    scatter : (grips,) mean square of the residuals.
-    criterion : Bayesian information criterion of all grips.
+    grips_N : recorded grips, increasing.
+    plants : one per grip, all of one order; the encoder's row is zero, since its signal was not fitted.
+    scatter : (grips,) mean square of the residuals over the noise.
+    criterion : Bayesian information criterion over all grips.
     """
 
     grips_N: tuple[float, ...]
@@ -56,11 +56,11 @@ class BlackBox:
         return self.plants[0].order
 
     def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
-        """The models whose outputs are blended at a grip, with their weights; held and free ones never mix.
+        """The plants blended at a grip, with the weights of their outputs; held and free devices are never blended.
 
         Raises
         ------
-        InputError : outside the recorded grips.
+        InputError : the grip lies outside the recorded ones.
         """
         held = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)]
         grips = [self.grips_N[j] for j in held]
@@ -73,14 +73,14 @@ class BlackBox:
         return [(self.plants[held[after - 1]], 1 - part), (self.plants[held[after]], part)]
 
     def without(self, grip_N: float) -> "BlackBox":
-        """Leave out the model of one grip: what stands in for it is the blend of its neighbours."""
+        """A copy without the model of one grip, which blends the neighbours' models there instead."""
         kept = [j for j, grip in enumerate(self.grips_N) if grip != grip_N]
         grips, plants = tuple(self.grips_N[j] for j in kept), tuple(self.plants[j] for j in kept)
         return BlackBox(grips, plants, self.scatter[kept], self.criterion)
 
 
 def _start(poles: ComplexArray) -> FloatArray:
-    """(order,) log w and log a of sections with these poles; real ones are paired by size."""
+    """(order,) log w and log a of the sections with these poles; real poles are paired by size."""
     upper = poles[poles.imag > 0]
     real = np.sort(-poles[poles.imag == 0].real)
     w = np.concatenate([np.abs(upper), np.sqrt(real[::2] * real[1::2])])
@@ -91,12 +91,13 @@ def _start(poles: ComplexArray) -> FloatArray:
 
 
 class _Projected(Squares):
-    """Residuals of one grip over the poles of its sections, the output always the best one for them.
+    """Residuals of one grip as a function of the poles alone; the output row is always the least squares one.
 
-    The unknowns are log w and log a of the sections. A section has the states of [[0, w], [-w, -a]], driven by w at
-    the second: of one size whatever w is. The projection is variable: the Jacobian is Kaufman's (1975), that at fixed
-    output, less what the output can make up for. Poles and output sought together would crawl along the valley where
-    one makes up for the other. No resonance is narrower than what was measured can resolve.
+    The unknowns are log w and log a of the sections. A section has the states of [[0, w], [-w, -a]] with input w at
+    the second one, so both states are of similar size at any w. The method is variable projection with Kaufman's
+    Jacobian (1975): the Jacobian at fixed output, less its projection on the responses that the output can produce. A
+    joint search for poles and output would crawl along a valley in which one compensates for the other. No resonance
+    is narrower than the measured points resolve.
     """
 
     def __init__(self, one: GripResponse, instrument: Instrument) -> None:
@@ -105,13 +106,13 @@ class _Projected(Squares):
         self._least = least_width(one.estimate.frequencies_Hz)
 
     def widened(self, poles: FloatArray) -> FloatArray:
-        """(order,) log w and log a of the sections, with log a at least that of the distance between bins."""
+        """(order,) log w and log a of the sections, with log a at least what the distance between bins resolves."""
         found = poles.copy()
         found[1::2] = np.maximum(poles[1::2], self._least(poles[::2]))
         return found
 
     def _by_output(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """A and B of the sections, and (order + 1, order + 1) rows of C and D that each output coefficient makes."""
+        """A and B of the sections, and (order + 1, order + 1): the row (C, D) that each output coefficient scales."""
         A, B = np.zeros((poles.size, poles.size)), np.zeros((poles.size, 1))
         for j, (w, a) in enumerate(np.exp(poles.reshape(-1, 2))):
             A[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = [[0.0, w], [-w, -a]]
@@ -124,17 +125,17 @@ class _Projected(Squares):
         return StateSpace(A, B, row[None, :-1], row[None, -1:])
 
     def _stacked(self, plant: StateSpace, slopes: tuple[Slope, ...]) -> tuple[FloatArray, FloatArray]:
-        """Weighted response (2 m,) and its slopes (2 m, p), real parts first."""
+        """Weighted response (2 m,) and its derivatives (2 m, p), real parts first."""
         value, by_unknown = sampled_response(plant, self._instrument, self._one.estimate.frequencies_Hz, slopes)
         value, by_unknown = value / self._one.deviation, (by_unknown / self._one.deviation).T
         return np.concatenate([value.real, value.imag]), np.vstack([by_unknown.real, by_unknown.imag])
 
     def _best(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Output (order + 1,), what was measured (2 m,), and axes (2 m, r) of what an output can make."""
+        """Least squares output (order + 1,), measured response (2 m,), orthonormal basis (2 m, r) of the outputs."""
         wanted = self._one.estimate.response / self._one.deviation
         measured = np.concatenate([wanted.real, wanted.imag])
         A, B, rows = self._by_output(poles)
-        # The output enters linearly.
+        # The response is linear in the output coefficients.
         slopes = tuple(Slope(0 * A, 0 * B, row[None, :-1], row[None, -1:]) for row in rows)
         _, basis = self._stacked(StateSpace(A, B, np.zeros((1, poles.size)), np.zeros((1, 1))), slopes)
         norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
@@ -153,7 +154,7 @@ class _Projected(Squares):
             by_poles.append(Slope(*((getattr(up, part) - getattr(down, part)) / (2 * step) for part in "ABCD")))
         value, slopes = self._stacked(self._plant(wide, output), tuple(by_poles))
         jacobian = slopes - axes @ (axes.T @ slopes)
-        # A width that is held at the least one moves with the frequency of its section alone.
+        # A width held at its lower bound depends on the frequency of its section only.
         held, step = poles[1::2] < self._least(poles[::2]), 1e-6
         along = (self._least(poles[::2] + step) - self._least(poles[::2] - step)) / (2 * step)
         jacobian[:, ::2] += np.where(held, along, 0.0) * jacobian[:, 1::2]
@@ -161,7 +162,7 @@ class _Projected(Squares):
         return value - measured, jacobian
 
     def polished(self, poles: ComplexArray) -> tuple[StateSpace, float]:
-        """Plant and sum of squares that the search from these poles (order,) ends with."""
+        """Plant and sum of squares at the end of the search from these poles (order,)."""
         start, reach = self.widened(_start(poles)), np.log(REACH)
         found, cost = self.search(start, start - reach, start + reach, most=MOST_STEPS, tolerance=TOLERANCE)
         wide = self.widened(found)
@@ -169,10 +170,10 @@ class _Projected(Squares):
 
 
 def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:
-    """One grip: the plant and its sum of squared residuals.
+    """Fit one grip: the plant and its sum of squared residuals.
 
-    Vector fitting minimises an equation's error, which noise biases: a pole that shows little may end below the band,
-    where nothing was measured, and stay there. As long as the residuals are above the noise, other starts follow.
+    Vector fitting minimises an equation error, which noise biases: a weakly visible pole may end below the band,
+    where nothing was measured, and stay there. So other starts follow as long as the residuals exceed the noise.
     """
     held = one.grip_N > 0
     frequencies, target = one.estimate.frequencies_Hz, one.estimate.response.copy()
@@ -205,7 +206,7 @@ def fit_black_box(
     *,
     tick: Callable[[], None] = lambda: None,
 ) -> BlackBox:
-    """A stable real state space of one order at every grip.
+    """Fit a stable real state space of the same order at every grip.
 
     Parameters
     ----------
@@ -214,7 +215,7 @@ def fit_black_box(
 
     Raises
     ------
-    InputError : an odd order, or one out of range.
+    InputError : the order is odd or out of range.
     """
     if order is not None and (order % 2 or not 2 <= order <= HIGHEST_ORDER):
         raise InputError(f"--order {order}: must be even, 2 to {HIGHEST_ORDER}; masses come with two states each")

@@ -1,7 +1,7 @@
-"""The drive chain as numbers, and as a parameterisation of the likelihood with what stood before the records.
+"""The drive chain and its instrument as a model of the likelihood: parameters, unknowns, responses, derivatives.
 
-Nine parameters at a grip, four of the free device, and their derivatives. The chain is that of
-`transopt.plant.drive`: motor mass, transmission, stylus, and the seed's Fig. 4b for the hand.
+The chain has nine parameters at a grip and four for the free device. It is that of `transopt.plant.drive`: motor
+mass, transmission, stylus, and the seed's Fig. 4b for the hand.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from transopt.plant.state_space import StateSpace
 
 SHARED = ("moving_mass_kg", "stylus_mass_kg", "transmission_stiffness_N_m", "transmission_damping_N_s_m")
 HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
-STYLUS = 1  # which of the masses it is
+STYLUS = 1  # index of the stylus among the masses
 RANGE = 1e3  # every parameter of the chain stays within this factor of its start
 UNITS = {"mass_kg": "kg", "stiffness_N_m": "N/m", "damping_N_s_m": "N s/m"}
 
@@ -38,9 +38,9 @@ class DriveChain:
 
     Attributes
     ----------
-    force_per_current_N_A : known, not identified: with it all masses, stiffnesses and dampings scale alike.
+    force_per_current_N_A : known, not identified: all masses, stiffnesses and dampings are proportional to it.
     shared : (4,) values of `SHARED`.
-    hand : (5, 2) constant and per newton of `HAND`; (0, 2) without any.
+    hand : (5, 2) constant and slope per newton of `HAND`; (0, 2) without a hand.
     """
 
     force_per_current_N_A: float
@@ -48,34 +48,34 @@ class DriveChain:
     hand: FloatArray
 
     def hand_at(self, grip_N: float) -> FloatArray:
-        """(5,) values of `HAND`."""
+        """(5,) values of `HAND` at a grip."""
         return np.asarray(self.hand[:, 0] + self.hand[:, 1] * grip_N)
 
     def parameters(self, grip_N: float) -> FloatArray:
-        """(9,) at a held grip, (4,) of the free device."""
+        """(9,) parameters at a held grip, (4,) for the free device."""
         return np.concatenate([self.shared, self.hand_at(grip_N)]) if grip_N > 0 else self.shared
 
     def plant(self, grip_N: float) -> StateSpace:
-        """The model of design at a grip, 0 for the free device.
+        """The plant at a grip, 0 for the free device.
 
         Raises
         ------
-        InputError : not passive there.
+        InputError : the chain is not passive at this grip.
         """
         return chain_of(self.parameters(grip_N), self.force_per_current_N_A)
 
     def with_force(self, force_per_current_N_A: float) -> "DriveChain":
-        """The device of the same response with another force per ampere."""
+        """The device with the same response for another force per ampere."""
         factor = force_per_current_N_A / self.force_per_current_N_A
         return DriveChain(force_per_current_N_A, self.shared * factor, self.hand * factor)
 
     def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
-        """The one plant of a grip, with its weight, as a black box that blends has several."""
+        """The plant of a grip with weight one: the interface of `BlackBox.shares`, which may blend several plants."""
         return [(self.plant(grip_N), 1.0)]
 
 
 def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace:
-    """The chain of (9,) or, free, (4,) parameters."""
+    """The plant of (9,) parameters, or of (4,) for the free device."""
     mass, stylus, stiffness, damping, *hand = parameters.tolist()
     masses, links = [mass, stylus], [Link(stiffness, damping)]
     if hand:
@@ -85,15 +85,15 @@ def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace
 
 
 def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[StateSpace, tuple[Slope, ...]]:
-    """A chain and its derivatives by the logarithm of each parameter, exact.
+    """A chain and its exact derivatives with respect to the logarithm of each parameter.
 
-    The equation of a mass (`transopt.plant.chain`) is in proportion to 1/mass, and linear in every stiffness, whose
-    column of A it is, and in every damping d, whose part of A is -d / mass times the elongation's row of its link by
-    itself.
+    The equation of a mass (`transopt.plant.chain`) is proportional to 1/mass. It is linear in each stiffness, which
+    fills one column of A. It is linear in each damping d, whose part of A is -d / mass times the outer product of its
+    link's elongation row with itself.
 
     Parameters
     ----------
-    parameters : (9,) or (4,).
+    parameters : (9,), or (4,) for the free device.
     """
     plant = chain_of(parameters, force_per_current_N_A)
     n, names = plant.order // 2, (*SHARED, *HAND)[: parameters.size]
@@ -118,13 +118,13 @@ def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[St
 class Coordinates:
     """The unknowns: logarithms of the shared parameters and of the hand's at the lowest and the highest held grip.
 
-    Between these two grips the hand's parameters are linear, so that the chain is passive at every recorded grip
-    whatever the numbers are. With one held grip the hand is taken to be the same at all.
+    Between these two grips the hand's parameters are linear, so any unknowns give a chain that is passive at every
+    recorded grip. With one held grip the hand is taken to be independent of grip.
 
     Attributes
     ----------
     held_N : recorded grips above 0, increasing.
-    shared : names of the parameters that are alike at all grips.
+    shared : names of the parameters that do not depend on grip.
     """
 
     held_N: tuple[float, ...]
@@ -132,7 +132,7 @@ class Coordinates:
 
     @property
     def ends_N(self) -> tuple[float, ...]:
-        """Lowest and highest held grip; fewer where fewer were recorded."""
+        """Lowest and highest held grip; only one or none if no more were recorded."""
         return self.held_N if len(self.held_N) < 2 else (self.held_N[0], self.held_N[-1])
 
     @property
@@ -142,11 +142,11 @@ class Coordinates:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(size,) of the unknowns."""
+        """(size,) names of the unknowns."""
         return (*self.shared, *(f"hand.{name} at {grip:g} N" for grip in self.ends_N for name in HAND))
 
     def shares(self, grip_N: float) -> FloatArray:
-        """(ends,) weight of each end in the hand at a grip."""
+        """(ends,) interpolation weight of each end grip at a grip."""
         if len(self.ends_N) < 2:
             return np.ones(len(self.ends_N))
         low, high = self.ends_N
@@ -159,7 +159,7 @@ class Coordinates:
         return np.asarray(np.log(values))
 
     def _hand(self) -> FloatArray:
-        """(2, ends) from the values at the ends to constant and per newton."""
+        """(2, ends) matrix from the values at the end grips to constant and slope per newton."""
         if len(self.ends_N) < 2:
             return np.array([[1.0], [0.0]])[:, : len(self.ends_N)]
         low, high = self.ends_N
@@ -173,12 +173,12 @@ class Coordinates:
         return DriveChain(force_per_current_N_A, values[: len(SHARED)], hand)
 
     def at(self, grip_N: float) -> FloatArray:
-        """(n + 5, size) from the values at the ends to the n shared parameters and the hand's at a held grip."""
+        """(n + 5, size) matrix from the values at the end grips to the n shared and the hand's parameters."""
         hand = np.kron(self.shares(grip_N), np.eye(len(HAND)))
         return np.asarray(linalg.block_diag(np.eye(len(self.shared)), hand))
 
     def lines(self) -> tuple[tuple[str, ...], FloatArray]:
-        """Names of the q numbers that a model file states, and (q, size) from the values at the ends to them."""
+        """Names of the q numbers in a model file, and the (q, size) matrix from the values at the end grips."""
         parts = ("constant", "per_newton")[: len(self.ends_N)]
         names = (*self.shared, *(f"hand.{name}.{part}" for name in HAND for part in parts))
         each = self._hand()[: len(parts)]
@@ -196,15 +196,15 @@ class Coordinates:
 
 @dataclass(frozen=True)
 class GripResponse:
-    """What was measured at one grip, 0 for the free device.
+    """The measured responses at one grip, 0 for the free device.
 
     Attributes
     ----------
-    grip_N : of the trials, their mean.
-    estimate : acceleration over current, by itself.
-    data : what all lines say, from command to current, acceleration and position, or from current to the latter.
-    outputs : which rows of `responses` the outputs of `data` are.
-    commanded : whether the input of `data` is the command.
+    grip_N : mean grip of the trials.
+    estimate : response of acceleration over current.
+    data : condensed lines from the command to current, acceleration and position, or from the current to the others.
+    outputs : row of `responses` for each output of `data`.
+    commanded : whether the input of `data` is the command; else it is the current.
     """
 
     grip_N: float
@@ -220,9 +220,9 @@ class GripResponse:
 
 
 class ChainModel:
-    """Responses of all grips and their slopes by theta: the chain's unknowns, then those of `INSTRUMENT`.
+    """Responses of all grips and their derivatives by theta: the chain's unknowns, then those of `INSTRUMENT`.
 
-    A group is a grip, its outputs and whether the command goes in (see `GripResponse`).
+    A group is a grip, its outputs, and whether the command is its input (see `GripResponse`).
     """
 
     def __init__(
@@ -263,7 +263,7 @@ class ChainModel:
 
 
 def instrument_at(values: FloatArray, known: Instrument) -> Instrument:
-    """The instrument of (6,) unknowns; parts that it does not have stay absent."""
+    """The instrument with these (6,) unknowns; an ideal part of `known` stays ideal."""
     pole, ticks, gain, sensor, late, factor = values.tolist()
     amplifier = known.amplifier
     if amplifier is not None:
@@ -294,7 +294,7 @@ def unknowns_of(instrument: Instrument) -> FloatArray:
 
 
 class ChainSearch:
-    """One likelihood, where to begin, and how far each unknown may go."""
+    """The likelihood of a chain with the bounds of its unknowns."""
 
     def __init__(
         self,
@@ -313,7 +313,7 @@ class ChainSearch:
         self._coordinates, self._free, self._rate = coordinates, free, 1 / instrument.dt_s
 
     def bounds(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p,) lowest and highest."""
+        """Lower and upper bounds (p,) of the unknowns."""
         size, rate = self._coordinates.size, self._rate
         low, high = start - np.log(RANGE), start + np.log(RANGE)
         low[size:] = [np.log(1e-3 * rate), 0.0, -np.log(20.0), np.log(0.01 * rate), -20.0, -np.log(20.0)]
@@ -321,9 +321,9 @@ class ChainSearch:
         return low, high
 
     def coarse(self, start: FloatArray) -> tuple[FloatArray, float]:
-        """Point that the search from a start leads to, and its sum of squares."""
+        """Unknowns at the end of a search from a start, and their sum of squares, without covariance."""
         return self.likelihood.search(start, *self.bounds(start), self._free, most=60)
 
     def maximum(self, start: FloatArray) -> Maximum:
-        """The best unknowns near a start."""
+        """The maximum of the likelihood near a start, with its covariance."""
         return self.likelihood.maximum(start, *self.bounds(start), self._free)

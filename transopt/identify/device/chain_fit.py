@@ -1,10 +1,10 @@
-"""The drive chain and what stood between it and the records, by one likelihood over all trials and grips.
+"""The drive chain and its instrument, fitted by one likelihood over all trials and grips.
 
-What goes in is the command, which nothing disturbs, or the measured current where the amplifier is no pole and delay.
-What comes out are the measured current, the acceleration and, where the encoder moved by counts enough, its position.
-Unknown are the chain, the amplifier, and what nobody may have told of the accelerometer: its pole, its gain, and by
-how much later than the current it is read. Such a nuisance is kept only where the records contradict its nominal
-value; then it is named.
+The input is the command, which has no noise, or the measured current if the amplifier is not one pole and a delay.
+The outputs are the measured current, the acceleration and, where the encoder moves by enough counts, the position.
+The unknowns are the chain, the amplifier, and three nuisances of the accelerometer that the files may not state: its
+pole, its gain, and the delay of its reading against the current. A nuisance is kept, and named, only where the
+records contradict its nominal value.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,28 +40,28 @@ from transopt.identify.likelihood import Maximum
 
 RANDOM_STARTS = 6
 SPREAD = 3.0  # random starts lie within this factor of the nominal device scaled to the data
-LOOSE = 0.1  # relative error allowed in the first stage, so that one sharp peak does not rule the search
-DECIMATION = 4
-SAME = 0.05  # sums of squares of the first stage that differ by less count as the same device
+LOOSE = 0.1  # relative error allowed in the first stage, so that one sharp peak does not dominate the search
+DECIMATION = 4  # the first stage takes every fourth bin
+SAME = 0.05  # relative difference of sums of squares below which two starts count as having found the same device
 EXPLAINED = 2.0  # mean square of the residuals below which no further start is tried
-UNKNOWN = 0.5  # standard deviation of a logarithm from which on a parameter counts as not identified
-VARIES = 4.0  # observed variance between trials over the noise's, from which on a hand is said to vary
-SIGNIFICANT = 5.0  # deviations of a nuisance from its nominal value that the records must show to keep it
-MISFIT = 3.0  # mean square of the residuals from where on the fit is lacking
-WHOLLY = 1.3  # mean square of the residuals up to which a fit leaves nothing unexplained
-BETTER = 4.0  # times smaller a misfit that nuisances leave behind, where they do not explain all of it
-SUSPECTED_HZ = 3000.0  # where the search for a pole begins that no file states
+UNKNOWN = 0.5  # standard deviation of its logarithm above which a parameter counts as not identified
+VARIES = 4.0  # variance between trials over that of the noise above which a hand counts as varying
+SIGNIFICANT = 5.0  # standard deviations from its nominal value at which a nuisance is kept
+MISFIT = 3.0  # mean square of the residuals above which the model lacks something
+WHOLLY = 1.3  # mean square of the residuals up to which a fit explains the records
+BETTER = 4.0  # factor by which nuisances must reduce the misfit to be kept if they do not explain the records
+SUSPECTED_HZ = 3000.0  # start of the search for an accelerometer pole that no file states
 NUISANCES = ("accelerometer_pole", "late", "gain")
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Something that no file states and that the records show.
+    """A property of the accelerometer that differs from what the files state, estimated from the records.
 
     Attributes
     ----------
-    name : of `NUISANCES`.
-    value : a frequency in Hz, samples, or a factor.
+    name : one of `NUISANCES`.
+    value : pole [Hz], delay [samples] or gain [1].
     deviation : its standard deviation.
     """
 
@@ -72,18 +72,18 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class ChainFit:
-    """The drive chain that fits best.
+    """The drive chain of maximum likelihood.
 
     Attributes
     ----------
-    device : the parameters.
-    instrument : what stood between it and the records, as found.
-    nuisances : what of the accelerometer was found other than stated.
-    coordinates : how the chain was sought; its unknowns are the first of `maximum`.
+    device : its parameters.
+    instrument : amplifier and accelerometer as fitted.
+    nuisances : properties of the accelerometer that differ from what was stated.
+    coordinates : the chain's unknowns, which come first in `maximum`.
     maximum : all unknowns, those of `INSTRUMENT` last.
-    grips_N : of the responses.
-    trials : of all held grips together.
-    starts, agreeing : how many starts there were, and how many of them led to the best device.
+    grips_N : grips of the responses.
+    trials : number of trials of all held grips.
+    starts, agreeing : number of starts, and of those that led to the best device.
     """
 
     device: DriveChain
@@ -98,46 +98,47 @@ class ChainFit:
 
     @property
     def unknowns(self) -> FloatArray:
-        """(size,) of the chain."""
+        """(size,) unknowns of the chain."""
         return self.maximum.unknowns[: self.coordinates.size]
 
     @property
     def covariance(self) -> FloatArray:
-        """(size, size) of the chain's unknowns."""
+        """(size, size) covariance of the chain's unknowns."""
         return self.maximum.covariance[: self.coordinates.size, : self.coordinates.size]
 
     @property
     def varying(self) -> NDArray[np.bool_]:
-        """(size,) unknowns of the hand that differ from trial to trial by more than noise makes them."""
+        """(size,) whether an unknown is the hand's and differs between trials by more than noise explains."""
         of_hand = np.arange(self.coordinates.size) >= len(SHARED)
         return np.asarray(of_hand & (self.maximum.between[: self.coordinates.size] > VARIES))
 
     @property
     def trials_to_an_end(self) -> float:
-        """How many trials tell of the hand at either of the two grips that it is stated at."""
+        """Number of trials per end grip, which the hand's parameters are estimated from; at least 1."""
         return max(self.trials / max(len(self.coordinates.ends_N), 1), 1.0)
 
     @property
     def scatter(self) -> float:
-        """Mean square of the residuals: 1 where the model is right and the noise is known."""
+        """Mean square of the residuals: near 1 if the model is right."""
         return self.maximum.scatter
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Unknowns of the chain that ended at a bound."""
+        """Names of the chain's unknowns that ended at a bound."""
         names = self.coordinates.names
         return tuple(name for name, at in zip(names, self.maximum.bounded, strict=False) if at)
 
     @property
     def unidentified(self) -> dict[str, float]:
-        """Unknowns that these responses leave open, with the standard deviation of their logarithm."""
+        """Names of the chain's unknowns that are not identified -> standard deviation of their logarithm."""
         sigma = np.sqrt(np.diag(self.covariance))
         return {name: float(s) for name, s in zip(self.coordinates.names, sigma, strict=True) if s > UNKNOWN}
 
     def stated(self) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
         """Names, values (q,), covariance (q, q) and 95 % intervals (q, 2) as a model file states them, in SI.
 
-        What must be positive has its interval on a logarithmic scale, constants and slopes on a plain one.
+        Intervals of the shared parameters, which are positive, are symmetric on a logarithmic scale; those of the
+        hand's constants and slopes on a linear one.
         """
         names, values, matrix = self.coordinates.stated(self.unknowns)
         covariance = matrix @ self.covariance @ matrix.T
@@ -148,7 +149,7 @@ class ChainFit:
         return names, values, covariance, spans
 
     def meaningless(self) -> list[str]:
-        """Why parameters that predict well may be no masses, springs and dampers of the device all the same."""
+        """Reasons why the parameters may predict well and still not be the device's masses, springs and dampers."""
         said = []
         if self.scatter > MISFIT:
             said.append(
@@ -161,15 +162,15 @@ class ChainFit:
 
 
 def factor_of(sigma: float) -> float:
-    """Half the 95 % interval of a positive number from the deviation of its logarithm; at most the range searched."""
+    """Factor to either end of a positive number's 95 % interval, by its logarithm's deviation; at most `RANGE`."""
     return float(np.exp(min(quantile() * sigma, np.log(RANGE))))
 
 
 def scaled_to(device: DriveChain, measured: Sequence[GripResponse], instrument: Instrument) -> DriveChain:
-    """A device like this one, as heavy and as fast as the measured one.
+    """A device scaled so that its response has the height and the peak frequency of the measured one.
 
-    The response falls as all masses, stiffnesses and dampings grow alike, and shifts along the frequency axis with
-    the root of stiffness over mass: heights and peaks of measured and modelled response are laid over each other.
+    The response is inversely proportional to a common factor of all masses, stiffnesses and dampings, and its peak
+    moves with the root of stiffness over mass.
     """
     one = min(measured, key=lambda response: response.grip_N)
     frequencies, size = one.estimate.frequencies_Hz, np.abs(one.estimate.response)
@@ -187,15 +188,15 @@ def scaled_to(device: DriveChain, measured: Sequence[GripResponse], instrument: 
 
 
 def _free(measured: Sequence[GripResponse], coordinates: Coordinates, instrument: Instrument) -> NDArray[np.bool_]:
-    """(p,) what these records may tell: the amplifier where the current was read beside the command, a gain where the
-    encoder says how far the device moved."""
+    """(p,) whether these records can determine an unknown: the amplifier if the current was read beside the command,
+    the accelerometer's gain if an encoder measured the motion."""
     amplifier = instrument.amplifier is not None and all(CURRENT in one.outputs for one in measured)
     told = [amplifier, amplifier, amplifier, True, True, any(max(one.outputs) > ACCELERATION for one in measured)]
     return np.array([True] * coordinates.size + told)
 
 
 def _with_amplifier(measured: Sequence[GripResponse], instrument: Instrument) -> Instrument:
-    """The instrument with the amplifier that the currents alone tell; as it was where they were not read."""
+    """The instrument with the amplifier fitted to the measured currents; unchanged if they were not measured."""
     amplifier = instrument.amplifier
     if amplifier is None or any(CURRENT not in one.outputs for one in measured):
         return instrument
@@ -214,19 +215,19 @@ def fit_chain(
     random_starts: int = RANDOM_STARTS,
     tick: Callable[[], None] = lambda: None,
 ) -> ChainFit:
-    """The most likely chain and instrument.
+    """Fit the chain and the instrument of maximum likelihood.
 
-    First a start on each fourth bin with a relative error of 10 % allowed, so that low and high frequencies count
-    alike; then on everything. Further starts follow where that leaves the records unexplained. No regularisation:
-    what the data leave open shows in the covariance. All nuisances are free at first; those that do not differ from
-    their nominal values by five standard deviations are then taken back, the least different one first.
+    The first stage takes every fourth bin and allows a relative error of 10 %, so that low and high frequencies count
+    equally; the second takes all bins. Further starts follow if the residuals stay large. There is no regularisation:
+    what the data do not determine shows in the covariance. All nuisances are free at first; those that differ from
+    their nominal values by less than five standard deviations are then fixed, the least significant one first.
 
     Parameters
     ----------
-    measured : one per grip, 0 for the free device.
+    measured : one response per grip, 0 for the free device.
     instrument : as stated by the files and the scene.
-    nominal : where to start, with the known force per ampere.
-    random_starts : beside the nominal device, as it is and scaled to the data.
+    nominal : device to start from, with the known force per ampere.
+    random_starts : number of starts in addition to the nominal device, unscaled and scaled to the data.
     tick : called after each start.
 
     Raises
@@ -246,7 +247,8 @@ def fit_chain(
     tail = unknowns_of(sought)
     chain_alone = np.arange(free.size) < coordinates.size
     nuisances = np.array([False] * coordinates.size + [name in NUISANCES for name in INSTRUMENT])
-    # Nuisances could make up for a chain that is far off, and a chain for nuisances: both orders are tried.
+    # Nuisances can compensate for a chain that is far off, and a chain for nuisances. So each start is searched
+    # twice: with both free at once, and with the nuisances freed only after the chain was fitted.
     first, second = (
         ChainSearch(measured, coordinates, sought, force, moving, loose=LOOSE, step=DECIMATION)
         for moving in (chain_alone, free & (chain_alone | nuisances))
@@ -287,7 +289,7 @@ def fit_chain(
 
     final, known = with_nuisances(kept)
     if kept and final.scatter > WHOLLY:
-        # What is no chain can be bent towards one by any nuisance: none is named that does not explain most of it.
+        # A device that is not a chain is fitted better with any nuisance: keep them only if they explain most of it.
         plain = with_nuisances(())
         if plain[0].scatter < BETTER * final.scatter:
             kept, (final, known) = (), plain
@@ -296,9 +298,10 @@ def fit_chain(
 
 
 def _weighed(measured: Sequence[GripResponse], found: Maximum) -> list[GripResponse]:
-    """The responses with the noise of the encoder as large as it turned out.
+    """The responses with the noise of the encoder raised to its residuals.
 
-    Its steps are no noise: the same sweep meets the same ones in every trial, which then agree on their error.
+    Its quantisation is not random: the same sweep meets the same steps in every trial, so the scatter between trials
+    underestimates the error.
     """
     weighed = []
     for one, squares, points in zip(measured, found.chi_square, found.points, strict=True):
@@ -311,14 +314,14 @@ def _weighed(measured: Sequence[GripResponse], found: Maximum) -> list[GripRespo
 
 
 def _contradicted(found: Maximum, coordinates: Coordinates, stated: Instrument) -> tuple[str, ...]:
-    """Nuisances whose nominal values the records exclude, by backward elimination on the normal distribution."""
+    """Nuisances that differ significantly from nominal, by backward elimination in the normal approximation."""
     nominal = unknowns_of(stated)
     left = [INSTRUMENT.index(name) for name in NUISANCES if found.free[coordinates.size + INSTRUMENT.index(name)]]
     off = found.unknowns[coordinates.size :] - nominal
     spread = found.covariance[coordinates.size :, coordinates.size :].copy()
     pole = INSTRUMENT.index("accelerometer_pole")
     if stated.accelerometer_Hz is None:
-        # No pole at all is a time constant of 0: a distance of 1 in units of what was found.
+        # An ideal accelerometer has a time constant of 0: its relative distance from the one found is 1.
         off[pole] = 1.0
     while left:
         sizes = [abs(off[j]) / np.sqrt(max(spread[j, j], 1e-300)) for j in left]
@@ -333,7 +336,7 @@ def _contradicted(found: Maximum, coordinates: Coordinates, stated: Instrument) 
 
 
 def refit(fit: ChainFit, measured: Sequence[GripResponse]) -> ChainFit:
-    """Fit again to other responses, for example to one grip less, begun where `fit` ended."""
+    """Fit again to other responses, for example without one grip, starting from `fit`."""
     coordinates = Coordinates(tuple(sorted(one.grip_N for one in measured if one.grip_N > 0)))
     force = fit.device.force_per_current_N_A
     free = np.concatenate([np.ones(coordinates.size, dtype=bool), fit.maximum.free[fit.coordinates.size :]])
@@ -344,7 +347,7 @@ def refit(fit: ChainFit, measured: Sequence[GripResponse]) -> ChainFit:
 
 
 def response_slopes(fit: ChainFit, grip_N: float, frequencies_Hz: FloatArray) -> ComplexArray:
-    """(size, m) derivatives of the chain's acceleration over current by its unknowns."""
+    """(size, m) derivatives of the chain's response, acceleration over current, with respect to its unknowns."""
     free = np.arange(fit.maximum.unknowns.size) < fit.coordinates.size
     force = fit.device.force_per_current_N_A
     model = ChainModel([(grip_N, (ACCELERATION,), False)], fit.coordinates, fit.instrument, force, free)
@@ -352,8 +355,8 @@ def response_slopes(fit: ChainFit, grip_N: float, frequencies_Hz: FloatArray) ->
 
 
 def response_variance(fit: ChainFit, one: GripResponse) -> tuple[FloatArray, FloatArray]:
-    """(m,) of the chain's acceleration over current at the bins of an estimate, E|.|^2: of the fitted one against the
-    mean of what was recorded, and against the next tap's, whose hand is another one where hands were seen to vary."""
+    """(m,) variance E|.|^2 of the fitted response at the bins of an estimate, twice: against the mean recorded
+    response, and against that of the next tap, whose hand differs where the hand varies between trials."""
     slopes = response_slopes(fit, one.grip_N, one.estimate.frequencies_Hz)
     spread = np.sqrt(np.where(fit.varying, fit.trials_to_an_end, 1.0))
     found = [
@@ -396,13 +399,13 @@ def _result(
 
 @dataclass(frozen=True)
 class GripFit:
-    """A hand fitted to one grip alone, the drive kept: against the functions linear in grip.
+    """A hand fitted to one grip alone with the drive fixed, compared with the hand that is linear in grip.
 
     Attributes
     ----------
-    grip_N : of the response.
-    scatter : mean square of its residuals with the functions linear in grip.
-    own_scatter : the same with the hand of this grip alone.
+    grip_N : grip of the response.
+    scatter : mean square of its residuals with the hand that is linear in grip.
+    own_scatter : the same with the hand fitted to this grip alone.
     difference_dB : largest ratio of the two models' magnitudes where coherence is high.
     """
 
@@ -413,7 +416,7 @@ class GripFit:
 
 
 def fit_per_grip(fit: ChainFit, measured: Sequence[GripResponse], *, least_coherence: float) -> list[GripFit]:
-    """Lack of fit of the hand's linear functions: each held grip once more with a hand of its own."""
+    """Lack of fit of the hand that is linear in grip: fit each held grip again with a hand of its own."""
     force, found = fit.device.force_per_current_N_A, []
     for one in measured:
         if one.grip_N == 0:

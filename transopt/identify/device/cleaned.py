@@ -1,15 +1,13 @@
-"""What is no device's answer, taken out of the records: a pure delay of a channel, and what moves slowly by itself.
+"""Remove from records what is not the device's response: a pure delay of a channel, and leakage of slow motion.
 
 Current and acceleration often come from two instruments: a DAQ that starts later, a wireless sensor, a filter of
-linear phase. No device answers a current that late, and no chain of masses can be fitted to it: a lag of 50 ms leaves
-94 % of the answer unexplained. What the nominal device would have answered, shifted along the record until it fits
-best, shows the lag.
+linear phase. No device responds that late, and no chain of masses can be fitted: a delay of 50 ms leaves 94 % of the
+response unexplained. The delay is where the nominal device's response to the current best matches the record.
 
-A record ends in the middle of a hand's tremor or a drift. To the Fourier transform that is a jump from the record's
-end to its beginning, whose lines fall off with the frequency alone: they are the same from bin to bin, look like an
-answer to the input, and by the luck of a few trials they agree. The motion itself is what a first model leaves of the
-record below `SLOW_HZ`; its lines above `TAKEN_HZ` are leakage and nothing else, and are subtracted. Lines below stay
-as they are.
+A record ends amid a hand's tremor or a drift. To the Fourier transform that is a jump from the record's end to its
+beginning, whose lines fall off only in proportion to 1 / frequency: they vary slowly over the bins, look like a
+response to the input, and in a few trials may agree by chance. The slow motion is the residual of a first model below
+`SLOW_HZ`; its lines above `TAKEN_HZ` are leakage only, and are subtracted. Lines below stay unchanged.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,23 +25,23 @@ from transopt.identify.measurement import Measurement
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
-LEAST_S = 2e-3  # less could be the device's own, for which the amplifier and the hold are in the model
-LONGEST_S = 0.5
-CLEARLY = 2.0  # times the likeness that there is without any shift
-LEAST_LIKENESS = 0.2  # of 1, which a device equal to the nominal one has
-EXCITED = 0.02  # of the largest line of the current
+LEAST_S = 2e-3  # a shorter delay could be the device's own, which the model's amplifier and hold account for
+LONGEST_S = 0.5  # longest delay searched
+CLEARLY = 2.0  # least likeness at the delay over that at a delay below `LEAST_S`
+LEAST_LIKENESS = 0.2  # least likeness at the delay; a device equal to the nominal one has 1
+EXCITED = 0.02  # share of the current's largest line above which a line is used
 FEWEST_LINES = 50
 BAND_HZ = (5.0, 1000.0)
 SLOW_HZ, TAKEN_HZ = 20.0, 25.0
-NOTICED_HZ = 100.0  # up to which leakage is compared with the noise
-NOTICED = 0.05  # of the noise's energy there, from which on it is taken out
+NOTICED_HZ = 100.0  # frequency up to which leakage is compared with the rest of the residual
+NOTICED = 0.05  # energy of the leakage over that of the rest above which it is removed
 
 
 def _likeness(run: Measurement, amplifier: Amplifier | None, plant: StateSpace, instrument: Instrument) -> FloatArray:
-    """(n,) how well the recorded acceleration fits what the nominal device makes of the current, over lags from 0 on.
+    """(n,) likeness of the recorded acceleration and the nominal device's response to the current, over lags from 0.
 
-    Of the cross-spectrum only the phases are used, as far as the current has anything at a line: its sum over lines
-    is then sharp, while the plain correlation of a resonant device has one hump per period of the resonance.
+    Only the phases of the cross-spectrum are used, at the lines that the current excites: the peak over lags is then
+    sharp, while the plain correlation of a resonant device has one maximum per period of the resonance.
     """
     current, recorded = felt_current(run, amplifier), run.require("acceleration", "acceleration_m_s2")
     size = fft.next_fast_len(2 * recorded.values.size, real=True)
@@ -69,7 +67,7 @@ def delay_samples(
     nominal: Callable[[float], StateSpace],
     instrument: Instrument,
 ) -> int:
-    """Samples by which all runs' acceleration comes later than a device's; 0 if it is not clear."""
+    """Pure delay [samples] of the acceleration's channel, common to all runs; 0 if it is not clear."""
     courses = [np.abs(_likeness(run, amplifier, nominal(run.grip_N or 0.0), instrument)) for run in runs]
     together = np.mean([course[: min(map(len, courses))] for course in courses], axis=0)
     best = int(np.argmax(together))
@@ -79,7 +77,7 @@ def delay_samples(
 
 
 def without_delay(runs: Sequence[Measurement], samples: int) -> list[Measurement]:
-    """The runs with accelerations that many samples earlier; the end, whose answer was not recorded, is cut off."""
+    """The runs with their accelerations shifted earlier by `samples`; the end without acceleration is cut off."""
 
     def moved(quantity: str, x: Signal) -> Signal:
         values = x.values[samples:] if quantity == "acceleration" else x.values[: x.values.size - samples]
@@ -89,12 +87,12 @@ def without_delay(runs: Sequence[Measurement], samples: int) -> list[Measurement
 
 
 def finding(samples: int, dt_s: float) -> Finding:
-    """What was done, for the user."""
+    """The finding that tells the user which delay was removed."""
     return Check.DELAYED.at("acceleration", late_ms=1e3 * samples * dt_s, samples=samples)
 
 
 def leakage(residual_m_s2: FloatArray, dt_s: float) -> tuple[FloatArray, float]:
-    """(n,) what the slow part of a residual (n,) leaks into faster lines, and its energy there over the rest."""
+    """(n,) leakage of the slow part of a residual (n,) into faster lines, and its energy there over the rest's."""
     n = residual_m_s2.size
     parts = fft.dct(residual_m_s2, norm="ortho")
     parts[int(2 * n * dt_s * SLOW_HZ) + 1 :] = 0.0  # the k-th cosine has k half periods in the record
@@ -107,7 +105,7 @@ def leakage(residual_m_s2: FloatArray, dt_s: float) -> tuple[FloatArray, float]:
 
 
 def without_leakage(grip: Grip, model: Model, instrument: Instrument) -> Grip | None:
-    """The grip with its response from records without leakage; None where there is none worth the while."""
+    """The grip with the response of records without leakage; None if the leakage is negligible."""
     found, most = [], 0.0
     for run in grip.fitted:
         recorded = run.require("acceleration", "acceleration_m_s2")

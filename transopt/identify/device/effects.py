@@ -1,10 +1,10 @@
-"""What a device does at the amplitude of use that no response shows, told apart by name.
+"""Nonlinear effects of a device at the amplitude of use, which no frequency response shows, identified by name.
 
-Each candidate is a force that acts inside the drive chain, beside the linear ones, as the motion predicted by the
-chain makes it: friction against the motor's velocity, play that takes back a part of the transmitted force, a skin
-whose spring grows with the cube of its stretch; and an amplifier whose current falls short of the command with the
-cube of it. The chain turns the force into an acceleration; the candidate that explains most of what was missed is
-named. It is the first order of a perturbation: small effects add to the linear answer, each in a shape of its own.
+Each candidate is a nonlinear force inside the drive chain, computed from the motion that the linear chain predicts:
+friction against the motor's velocity, play that takes back a part of the transmitted force, a skin whose spring force
+has a cubic term; and an amplifier whose current falls short of the command by a cubic term. The chain turns the force
+into an acceleration, the candidate's shape; the candidate that explains most of the residual is named. This is a
+first-order perturbation: small effects add to the linear response.
 """
 
 from collections.abc import Sequence
@@ -27,23 +27,23 @@ from transopt.identify.measurement import Measurement
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import AtUse, ModelError
 
-HIGHPASS_HZ = 25.0  # what is slower in a held hand is its tremor, and little of a tap
-QUIET = 0.02  # of the predicted peak: below, a record shows its noise alone
+HIGHPASS_HZ = 25.0  # slower motion of a held device is mostly tremor, and little of a tap
+QUIET = 0.02  # share of the predicted peak below which a record counts as noise only
 LEAST_QUIET_S = 0.02
-OFFSET = 0.1  # of what an offset makes of a record, that has to lie where it rests
-LOWEST_HZ = 0.1  # stands for 0 Hz, where a free chain answers with a drift
-ALIGNED_HZ = 500.0  # below which command and current are laid over each other
-CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
-EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
-LEAST_PERIODS, EXCITED = 2, 1e-6  # after the transient; of the largest line, from which on a line is excited
-LOUD = 5.0  # deviations of the noise, from which on the shape of a cause is in the detection lines
-SHOWS, CLEARLY = 0.15, 3.0  # of the distortion that a cause explains, and how much more than another
-PLAYS = 0.02  # of the answer: the distortion from which on play is to be feared
-OF_THE_CURRENT = 0.5  # of the acceleration's distortion that the current must have to be its cause
-SLOW, PLAY = 0.02, 0.1  # of the largest speed and stretch: over which friction and play change their sign
-SHORTFALL = 0.01  # of the largest current that the amplifier may miss before it is named
-SIGNIFICANT = 50.0  # variances of the noise that a dead band takes off the residual of a current
-CROSSOVER, CROSSOVERS = 2e-3, 40  # A, the least that is looked for; and how many are, up to a tenth of the peak
+OFFSET = 0.1  # least share of an offset's filtered energy at rest, for the offset to be estimated there
+LOWEST_HZ = 0.1  # replaces 0 Hz, where the response of a free chain is infinite
+ALIGNED_HZ = 500.0  # command and current are aligned in time below this frequency
+CERTAIN = 4.0  # standard deviations of the noise at which an excess is significant
+EXPLAINS = 0.25  # share of the residual that a candidate must explain to be named
+LEAST_PERIODS, EXCITED = 2, 1e-6  # periods after the transient; share of the largest line of an excited line
+LOUD = 5.0  # standard deviations of the noise at which a candidate is significant at the detection lines
+SHOWS, CLEARLY = 0.15, 3.0  # share of the distortion that a candidate must explain, and over that of another
+PLAYS = 0.02  # distortion, as a share of the response, above which play is suspected
+OF_THE_CURRENT = 0.5  # share of the acceleration's distortion in the current above which the amplifier is the cause
+SLOW, PLAY = 0.02, 0.1  # of the largest speed and elongation: range over which friction and play change sign
+SHORTFALL = 0.01  # share of the largest current missing above which the amplifier is named
+SIGNIFICANT = 50.0  # reduction of a current's residual, in variances of the noise, that makes a dead band significant
+CROSSOVER, CROSSOVERS = 2e-3, 40  # least dead band [A] and number of dead bands tried, up to a tenth of the peak
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class Missed:
 
     Attributes
     ----------
-    run : what was recorded.
-    current_A : (n,) that the prediction is of.
+    run : the record.
+    current_A : (n,) input of the prediction.
     residual : (n,) recorded less predicted acceleration after the high-pass [m/s^2].
-    energy : of the recorded acceleration where something happens.
-    excess : energy of the residual there beyond the noise's, over `energy`.
-    deviation : of `excess`, by the noise alone; infinite where the record never rests, so that its noise is unknown.
+    energy : energy of the recorded acceleration outside the rests.
+    excess : energy of the residual there less that of the noise, over `energy`.
+    deviation : standard deviation of `excess` due to noise; infinite if the record never rests and so shows no noise.
     """
 
     run: Measurement
@@ -69,10 +69,10 @@ class Missed:
 
 
 def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement) -> Missed:
-    """What a prediction from the command misses beyond the noise; from the current where that alone was recorded.
+    """Residual of a prediction from the command beyond the noise; from the current if no command was recorded.
 
-    As a design predicts: with the amplifier's pole and delay and a gain of one. The noise is that of the record
-    itself where the prediction rests.
+    It predicts like a design does: with the amplifier's pole and delay and a gain of one. The noise is estimated from
+    the record where the prediction is at rest.
     """
     recorded = run.require("acceleration", "acceleration_m_s2")
     current = _commanded(run, instrument)
@@ -83,7 +83,7 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
     residual = measured - predicted
     size = np.abs(predicted)
     least = QUIET * size.max(initial=0.0)
-    # Not yet begun, or rung down for good.
+    # Quiet: before the prediction begins, or after it has decayed for good.
     quiet = (np.maximum.accumulate(size) < least) | (np.maximum.accumulate(size[::-1])[::-1] < least)
     known = float(step[quiet] @ step[quiet])  # the high-pass lets an offset through only where a record begins
     offset = float(step[quiet] @ residual[quiet]) / known if known > OFFSET * float(step @ step) else 0.0
@@ -104,9 +104,9 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
 
 
 def _commanded(run: Measurement, instrument: Instrument) -> Signal:
-    """The current that a design expects: the command's, laid over the measured one in time.
+    """The current that a design expects from the command, aligned in time with the measured one.
 
-    A card of its own may read the command late; what is a shift is no error of the model.
+    The command may be read late by a separate card; such a shift is not an error of the model.
     """
     if run.command is None or run.current is None:
         return felt_current(run, instrument.amplifier)
@@ -122,18 +122,18 @@ def _commanded(run: Measurement, instrument: Instrument) -> Signal:
 
 
 def _from_rest(values: FloatArray) -> FloatArray:
-    """(n,) less what they begin with."""
+    """(n,) values less their initial level."""
     return values - np.median(values[: max(3, values.size // 50)])
 
 
 def _passed(start_s: float, dt_s: float, values: FloatArray) -> FloatArray:
-    """(n,) what is fast enough to be of a tap."""
+    """(n,) values after the high-pass, which keeps what a tap is made of."""
     return highpass(Signal(start_s, dt_s, values), HIGHPASS_HZ).values
 
 
 def _alike(noise: FloatArray) -> float:
-    """How many times as uncertain the energy of this noise is as that of white noise: the sum of its squared
-    autocorrelations (Bartlett 1946)."""
+    """Variance of this noise's energy over that of white noise: the sum of its squared autocorrelations
+    (Bartlett 1946)."""
     size = fft.next_fast_len(2 * noise.size, real=True)
     power = np.abs(fft.rfft(noise - noise.mean(), size)) ** 2
     along = fft.irfft(power, size)[: noise.size // 2]
@@ -141,7 +141,7 @@ def _alike(noise: FloatArray) -> float:
 
 
 def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
-    """What each record missed beyond noise and beyond what the response's own error explains."""
+    """Relative excess of each record beyond noise and beyond the expected error of the linear response."""
     stated = []
     for one in found:
         assert one.run.grip_N is not None
@@ -160,14 +160,14 @@ def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
 
 @dataclass(frozen=True)
 class Distortion:
-    """What a periodic excitation finds at lines that it does not excite: rms per line over that at excited ones.
+    """Distortion under a periodic excitation: rms per line at lines not excited, over that at excited lines.
 
-    Less what is noise; 0 where it is no more than noise.
+    The noise is subtracted; a value is 0 if it is not significant.
 
     Attributes
     ----------
-    even, odd : of the acceleration at even and at odd detection lines.
-    current_even, current_odd : of the measured current at the same lines; 0 where it was not measured.
+    even, odd : distortion of the acceleration at even and at odd detection lines.
+    current_even, current_odd : that of the measured current at the same lines; 0 if it was not measured.
     """
 
     even: float
@@ -181,7 +181,7 @@ class Distortion:
         return max(self.even, self.odd)
 
     def words(self) -> str:
-        """What it says of the device, and what to do about it."""
+        """A sentence for the user: the distortion, its likely kind, and a remedy."""
         size = (
             f"{100 * self.odd:.2g} % odd and {100 * self.even:.2g} % even distortion at lines that were not excited"
         )
@@ -197,12 +197,13 @@ class Distortion:
 
 @dataclass(frozen=True)
 class _Lines:
-    """Lines at which a periodic record was excited or not; the first period, its transient, is left out.
+    """Excited and detection lines of a periodic record; its first period, the transient, is left out.
 
     Attributes
     ----------
-    first, size, periods : sample at which the second period begins, samples of one, and how many whole ones follow.
-    excited, even, odd : (size // 2 + 1,) lines of one period: with excitation, and between those without.
+    first, size, periods : sample at which the second period begins, samples per period, number of whole periods.
+    excited, even, odd : (size // 2 + 1,) masks of the excited lines, and of the even and odd ones without excitation
+        between them.
     """
 
     first: int
@@ -214,7 +215,7 @@ class _Lines:
 
     @classmethod
     def of(cls, run: Measurement) -> "_Lines | None":
-        """Lines of a run; None for one that does not repeat, or not often enough."""
+        """Lines of a run; None if it is not periodic or has too few periods."""
         given, period_s = run.command if run.command is not None else run.current, run.period_s
         if run.acceleration is None or given is None or period_s is None:
             return None
@@ -232,24 +233,24 @@ class _Lines:
         return cls(first, size, periods, excited, silent & (k % 2 == 0), silent & (k % 2 == 1))
 
     def mean(self, values: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """(m,) spectrum of the mean period, and the variance of the noise in it, by the scatter of the periods."""
+        """(m,) spectrum of the mean period, and its noise variance (m,) from the scatter of the periods."""
         whole = values[self.first : self.first + self.size * self.periods].reshape(self.periods, self.size)
         spectra = np.fft.rfft(whole, axis=1)
         return spectra.mean(axis=0), spectra.var(axis=0, ddof=1) / self.periods
 
 
 def distortion(run: Measurement) -> Distortion | None:
-    """Even and odd distortion by the detection lines of a periodic record; None of one that has none.
+    """Even and odd distortion at the detection lines of a periodic record; None if the record is not periodic.
 
-    A linear device answers at excited lines alone; what scatters between the periods is noise (Pintelon & Schoukens
-    2012, Ch. 4).
+    A linear device responds at excited lines only; scatter between the periods is noise (Pintelon & Schoukens 2012,
+    Ch. 4).
     """
     lines = _Lines.of(run)
     if lines is None:
         return None
 
     def levels(values: FloatArray) -> tuple[float, float]:
-        """At even and at odd detection lines."""
+        """Relative rms at even and at odd detection lines; 0 where it is not significant."""
         mean, noise = lines.mean(values)
         beyond, found = np.abs(mean) ** 2 - noise, []
         scale = max(float(beyond[lines.excited].mean()), np.finfo(float).tiny)
@@ -264,11 +265,11 @@ def distortion(run: Measurement) -> Distortion | None:
 
 
 def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple[str, float]]:
-    """The cause of a distortion, and which part of it at the detection lines it explains; none where all is quiet.
+    """The cause of a distortion, and the share of the detection lines that it explains; empty if there is none.
 
-    No error of a linear model reaches these lines, so friction and stiffening are told by their shapes alone. Play
-    that opens and closes has no shape of a small disturbance: it is named where the distortion is strong and neither
-    of the two is in it.
+    No error of a linear model affects these lines, so friction and stiffening are recognised by their shapes alone.
+    Play that opens and closes is not a small perturbation and has no such shape: it is named if the distortion is
+    strong and neither of the other two explains it.
     """
     wanted: list[ComplexArray] = []
     shapes: dict[str, list[ComplexArray]] = {"friction": [], "stiffening": []}
@@ -278,7 +279,7 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
         if lines is None or found is None or run.grip_N is None or not within(run.grip_N, fit.grips_N):
             continue
         if max(found.current_even, found.current_odd) > OF_THE_CURRENT * found.largest:
-            continue  # the amplifier's, which is said elsewhere
+            continue  # the amplifier causes it, which `Distortion.words` tells
         silent = lines.even | lines.odd
         mean, variance = lines.mean(run.require("acceleration", "").values)
         wanted.append(mean[silent])
@@ -293,7 +294,7 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
     for name, parts in shapes.items():
         shape = np.concatenate(parts)
         explained = _explained(shape, np.concatenate(wanted))
-        chance = noise / (2 * shape.size)  # what noise has along one real direction
+        chance = noise / (2 * shape.size)  # energy of the noise along one real direction
         share[name] = explained / beyond if explained > LOUD**2 * chance else 0.0
     best, other = sorted(share, key=lambda name: -share[name])
     if share[best] > SHOWS and share[best] > CLEARLY * share[other]:
@@ -302,16 +303,16 @@ def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple
 
 
 def _explained(shape: FloatArray | ComplexArray, wanted: FloatArray | ComplexArray) -> float:
-    """The energy of `wanted` (n,) that a shape (n,) explains; with the other sign it is no such effect."""
+    """Energy of `wanted` (n,) that a shape (n,) explains; 0 for a negative coefficient, which no such effect has."""
     along = max(float(np.vdot(shape, wanted).real), 0.0)
     return along**2 / max(float(np.vdot(shape, shape).real), np.finfo(float).tiny)
 
 
 def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:
-    """The candidate that explains most of what the records missed, and which part of it; none where none does.
+    """The candidate that explains most of the records' residuals, and the share that it explains; empty if none does.
 
-    An effect bends the linear fit to the sweeps as well: so the chain's parameters may move too, by the same for all
-    records, and a candidate has to explain what is left of the residuals then.
+    An effect also biases the linear fit to the sweeps. So the chain's parameters may change, by the same amounts for
+    all records, and a candidate must explain what then remains of the residuals.
 
     Parameters
     ----------
@@ -335,7 +336,7 @@ def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:
 
 
 def _slopes(fit: ChainFit, run: Measurement) -> FloatArray:
-    """(n, p) what the chain's unknowns change of a predicted acceleration after the high-pass [m/s^2]."""
+    """(n, p) derivatives of a predicted acceleration after the high-pass by the chain's p unknowns [m/s^2]."""
     assert run.grip_N is not None
     current = _commanded(run, fit.instrument)
     grip_N = run.grip_N
@@ -346,7 +347,7 @@ def _slopes(fit: ChainFit, run: Measurement) -> FloatArray:
 
 
 def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measurement) -> FloatArray:
-    """(n,) acceleration after the high-pass that a candidate of some size adds [m/s^2]."""
+    """(n,) acceleration after the high-pass that a candidate adds, up to a factor [m/s^2]."""
     assert run.grip_N is not None
     plant = device.plant(run.grip_N)
     current = _commanded(run, instrument)
@@ -378,7 +379,7 @@ def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measureme
 def _through(
     plant: StateSpace, given: FloatArray, row: FloatArray, direct: float, dt_s: float, values: FloatArray
 ) -> FloatArray:
-    """(n,) what an input along `given` makes of an output `row`, from rest."""
+    """(n,) response from rest of output `row`, with feedthrough `direct`, to an input that enters along `given`."""
     poles, modes = np.linalg.eig(plant.A)
     gains = (row @ modes) * np.linalg.solve(modes, given.astype(complex))
 
@@ -389,12 +390,11 @@ def _through(
 
 
 def current_missed(instrument: Instrument, run: Measurement) -> tuple[float, float]:
-    """What an amplifier does that is no pole and delay; zeros where command and current were not both read.
+    """Saturation and dead band of an amplifier beyond pole and delay; zeros unless command and current were read.
 
     Returns
     -------
-    Part of the largest current that is missing, as the cube of the command shows it; and half the width of the
-    commands that the amplifier does not follow [A].
+    Missing share of the largest current, from a fit with a cubic term, and half width of the dead band [A].
     """
     if run.current is None or run.command is None or instrument.amplifier is None:
         return 0.0, 0.0
@@ -407,7 +407,7 @@ def current_missed(instrument: Instrument, run: Measurement) -> tuple[float, flo
         lost = replace(run.command, values=np.clip(run.command.values, -half_A, half_A))
         course = measured + instrument.amplifier_gain * _commanded(replace(run, command=lost), instrument).values
         found, left, *_ = np.linalg.lstsq(np.stack(shapes, axis=1), course, rcond=None)
-        # A dead band is believed where it takes more off the residual than chance does.
+        # A dead band is accepted only if it reduces the residual by more than chance does.
         worth = 1 - (SIGNIFICANT / expected.size if half_A and not dead_A else 0.0)
         if left.size and left[0] < worth * wanted:
             wanted, dead_A, cube = float(left[0]), float(half_A), float(found[1])

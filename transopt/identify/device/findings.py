@@ -1,7 +1,7 @@
-"""What is said of the records of a device besides the verdict: what they have beside the model, what to record again.
+"""Findings about a device's records beside the verdict: effects the model lacks, noise, and what to record again.
 
-No noise of the records spoils a fit, in which every line counts by its noise. Mains hum, the hand's tremor and the
-steps of a converter cost trials all the same, and each has a remedy of its own.
+Noise does not bias a fit, which weights every line by its noise. But mains hum, the hand's tremor and the steps of a
+converter cost trials, and each has its own remedy.
 """
 
 from collections.abc import Sequence
@@ -30,28 +30,28 @@ from transopt.identify.findings import Finding, beside
 from transopt.identify.measurement import Measurement
 from transopt.scene.model_error import ModelError
 
-READ_LATE = 0.02  # samples, from which on it is said
-RINGS, MOST_HZ = 0.3, 2000.0  # damping ratio of a resonance, and the highest that is named
-DISTORTED = 0.01  # of the answer, from which on distortion is said
-CLOCKS_ALIKE, CLOCKS_APART = 1e-3, 0.05  # relative: closer is one clock, farther another rate
+READ_LATE = 0.02  # delay of the acceleration's reading [samples] above which it is reported
+RINGS, MOST_HZ = 0.3, 2000.0  # largest damping ratio and frequency of a resonance that is named
+DISTORTED = 0.01  # distortion, as a share of the response, above which it is reported
+CLOCKS_ALIKE, CLOCKS_APART = 1e-3, 0.05  # relative difference of rates: one clock below; another rate meant above
 REMEDIES = {
     "friction": "refine the library on the device (transopt-play refine), or loosen bearings and guides",
     "backlash": "preload the transmission; no library makes up for play",
     "stiffening": "record at the amplitude that is played, and refine the library on the device",
 }
 MAINS_HZ = (50.0, 60.0)
-STANDS_OUT = 6.0  # times the variance of the neighbouring bins
+STANDS_OUT = 6.0  # variance over that of the neighbouring bins above which mains hum is reported
 TREMOR_HZ, BESIDE_HZ = (7.0, 13.0), (20.0, 45.0)
-TREMBLES = 10.0  # times the variance beside
-COARSE = 0.1  # of the noise that the rounding of a converter makes, from which on it is said
-FEW_LEVELS = 0.2  # of the samples: a converter's values recur
-MISFIT_RELATIVE = 0.06  # mean error (0.5 dB) from where the fit is lacking
+TREMBLES = 10.0  # variance over that of the band beside above which tremor is reported
+COARSE = 0.1  # share of the noise due to a converter's rounding above which it is reported
+FEW_LEVELS = 0.2  # distinct values over samples up to which a converter's steps are looked for
+MISFIT_RELATIVE = 0.06  # mean relative error (0.5 dB) above which a band lacks fit
 SMOOTHED_BINS = 9
-NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
+NOT_LINEAR_DB = 1.0  # difference between the hand of one grip and the lines over all grips that the user is warned of
 
 
 def two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
-    """Why records cannot serve whose rate is almost, but not quite, the servo's: one of two clocks is wrong."""
+    """The shortfall of records whose rate is almost, but not exactly, the servo's: one of the two clocks is wrong."""
     if servo_s is None or not CLOCKS_ALIKE < abs(recorded_s / servo_s - 1) < CLOCKS_APART:
         return []
     return [
@@ -62,7 +62,7 @@ def two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
 
 
 def distorted(repeated: Sequence[Measurement]) -> list[Finding]:
-    """What the detection lines of periodic records say; nothing of those that are quiet."""
+    """Findings of distortion at the detection lines of periodic records; none for a record without distortion."""
     found = [(run, distortion(run)) for run in repeated]
     return [beside(run.name, said.words()) for run, said in found if said is not None and said.largest >= DISTORTED]
 
@@ -75,7 +75,7 @@ def causes_of(
     error: ModelError,
     repeated: Sequence[Measurement],
 ) -> list[Finding]:
-    """What the records have beside the model, each with the name of its cause, and what to do about it."""
+    """Findings of effects beside the model, each with the name of its cause and a remedy."""
     found = list[Finding]()
 
     def say(cause: str, where: str, text: str) -> None:
@@ -130,7 +130,7 @@ def causes_of(
                 "identify the amplifier too, and refine the library on the device"
             )
             say("amplifier crossover", "current_A", text)
-        listened = any(distortion(run) is not None for run in repeated)  # detection lines know better than taps
+        listened = any(distortion(run) is not None for run in repeated)  # detection lines beat taps in telling causes
         if chain is not None and not listened:
             for cause, share in named(chain, loud):
                 text = (
@@ -142,7 +142,7 @@ def causes_of(
 
 
 def beyond_a_chain(box: BlackBox) -> Finding:
-    """What a black box has that no chain of drive and hand makes: its resonances at the middle grip, for the user."""
+    """The finding that no chain of drive and hand fits, with the resonances of the black box at the middle grip."""
     poles = np.linalg.eigvals(box.plants[len(box.plants) // 2].A)
     rings = (poles.imag > 0) & (-poles.real < RINGS * np.abs(poles))
     named_Hz = sorted(np.abs(poles[rings]) / (2 * np.pi))
@@ -155,9 +155,9 @@ def beyond_a_chain(box: BlackBox) -> Finding:
 
 
 def noise_findings(grips: Sequence[Grip]) -> list[Finding]:
-    """One finding for each kind that stands out, with its remedy."""
+    """One finding for each significant kind of noise, with its remedy."""
     spectra = [_noise(grip) for grip in grips]
-    # Each says nothing where its kind does not stand out.
+    # Each text is empty if its kind of noise is not significant.
     said = {
         "mains hum": _hum(spectra),
         "hand tremor": _tremor(grips, spectra),
@@ -167,13 +167,13 @@ def noise_findings(grips: Sequence[Grip]) -> list[Finding]:
 
 
 def _noise(grip: Grip) -> tuple[FloatArray, FloatArray]:
-    """(b,) middles of the bins [Hz] and variances of the acceleration's lines in them."""
+    """Middles of the bins [Hz] and noise variances of the acceleration's lines in them, (b,) each."""
     data = grip.response.data
     return data.frequencies_Hz.mean(axis=1), data.noise[grip.response.outputs.index(ACCELERATION)]
 
 
 def _hum(spectra: Sequence[tuple[FloatArray, FloatArray]]) -> str:
-    """The mains: bins that hold its frequency or the first multiples of it, and stand out of their neighbours."""
+    """Mains hum: bins at its frequency or the first harmonics whose noise exceeds that of their neighbours."""
     most, which = 0.0, 0.0
     for mains in MAINS_HZ:
         ratios = []
@@ -194,7 +194,7 @@ def _hum(spectra: Sequence[tuple[FloatArray, FloatArray]]) -> str:
 
 
 def _tremor(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray]]) -> str:
-    """The hand's own motion at 7 to 13 Hz, against what lies just above it."""
+    """Tremor of the hand at 7 to 13 Hz, compared with the band just above it."""
     most = 0.0
     for grip, (f, noise) in zip(grips, spectra, strict=True):
         inside, beside = ((f >= low) & (f <= high) for low, high in (TREMOR_HZ, BESIDE_HZ))
@@ -209,7 +209,7 @@ def _tremor(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArra
 
 
 def _steps(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray]]) -> str:
-    """A converter whose rounding, step^2 / 12, makes much of the noise that a line shows."""
+    """Steps of a converter whose rounding noise, step^2 / 12, is a large share of a line's noise."""
     worst, largest = 0.0, 0.0
     for grip, (_, noise) in zip(grips, spectra, strict=True):
         for run in grip.fitted:
@@ -231,7 +231,7 @@ def _steps(grips: Sequence[Grip], spectra: Sequence[tuple[FloatArray, FloatArray
 
 
 def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) -> list[tuple[float, float]]:
-    """Bands [Hz] where the model is off by more than the noise explains and by more than half a decibel."""
+    """Bands [Hz] where the model's error exceeds both what noise explains and half a decibel."""
     e = response.estimate
     error = modelled(model, response.grip_N, instrument, e.frequencies_Hz) - e.response
     window = np.ones(min(SMOOTHED_BINS, e.response.size))
@@ -247,7 +247,7 @@ def _band(low_Hz: float, high_Hz: float) -> str:
 
 
 def advice(grips: Sequence[Grip], model: Model, instrument: Instrument, played_N: Sequence[float]) -> list[str]:
-    """What to record again, and where."""
+    """Sentences that tell what to record again, and where."""
     said = []
     for grip in grips:
         for band in low_coherence(grip.response):
@@ -276,7 +276,7 @@ def advice(grips: Sequence[Grip], model: Model, instrument: Instrument, played_N
 
 
 def about_chain(fit: ChainFit, own_hands: Sequence[GripFit]) -> list[str]:
-    """What the fit itself says against its numbers."""
+    """Sentences on weaknesses of the chain's fit: undetermined parameters, a hand not linear in grip, lone starts."""
     said = [f"{name} ended at its bound: these records do not determine it" for name in fit.at_bounds]
     for name, sigma in fit.unidentified.items():
         if name not in fit.at_bounds:

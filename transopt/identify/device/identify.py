@@ -1,4 +1,4 @@
-"""Identification of a device: the likeliest chain, a black box where no chain explains the records, and a verdict."""
+"""Identification of a device: the chain of maximum likelihood, a black box if no chain fits, and a verdict."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -62,23 +62,23 @@ from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import ModelError
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 
-PREFERENCE = 0.9  # a black box must be that much better than the chain, whose parameters mean something
+PREFERENCE = 0.9  # largest error over the chain's at which a black box is chosen: a chain's parameters are physical
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is known or asked for.
+    """What is known beforehand, and what the user asks for.
 
     Attributes
     ----------
     nominal : device to start from, with the known force per ampere.
-    scene_plant : to check units by; None for none.
-    amplifier : identified or known; None is ideal.
-    kind, order : of the model; order None finds one.
+    scene_plant : plant at a grip, to check units with; None to skip the check.
+    amplifier : identified or known amplifier; None if ideal.
+    kind, order : kind and order of the model; None chooses an order.
     played_N : grips that the scene plays.
-    random_starts : of the chain's fit.
-    taps : designs the taps of the scene with a model; None where no scene is to be played.
-    servo_s : period that the device's servo is said to have; None where nobody says.
+    random_starts : number of random starts of the chain's fit.
+    taps : function that designs the taps of the scene with a model; None without a scene.
+    servo_s : stated period of the device's servo; None if unknown.
     """
 
     nominal: DriveChain
@@ -99,18 +99,18 @@ def identify(
     *,
     tick: Callable[[str], None] = lambda _: None,
 ) -> DeviceResult:
-    """Responses, both fits, validation, advice.
+    """Identify a device: estimate responses, fit both kinds of model, validate them, and advise what to record again.
 
     Parameters
     ----------
     runs : sweeps.
     transients : for validation only.
-    settings : what is known or asked for.
-    tick : called with what was just done.
+    settings : prior knowledge and the user's choices.
+    tick : called with the name of each finished step.
 
     Raises
     ------
-    InputError : records that cannot be used, an order that cannot be.
+    InputError : records that cannot be used, or an order out of range.
     """
     repeated = [run for run in runs if run.period_s is not None]
     records, transients, late = _ready(runs, transients, settings, tick)
@@ -125,7 +125,7 @@ def identify(
     if chain is not None and chosen.kind is Kind.DRIVE:
         advised += about_chain(chain, own_hands)
     causes, wrong = ["clock"], two_clocks(records.instrument.dt_s, settings.servo_s)
-    if not wrong:  # else what is found (a gain, a pole) makes up for the clock
+    if not wrong:  # with a wrong clock, an apparent gain or pole would only compensate for it
         beside_it = causes_of(chosen, chain, grips, used, error, repeated) + noise_findings(grips)
         if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
             beside_it.append(beyond_a_chain(box))
@@ -160,11 +160,11 @@ def _ready(
     settings: Settings,
     tick: Callable[[str], None],
 ) -> tuple[Records, Sequence[Measurement], list[Finding]]:
-    """Records to fit to, the transients to judge by, and what was found on the way.
+    """Records to fit, transients to validate with, and findings.
 
     Raises
     ------
-    InputError : no sweep among the files, or records that cannot be used.
+    InputError : there is no sweep among the files, or the records cannot be used.
     """
     sweeps = [run for run in runs if run.period_s is None and not run.held_out]
     if not sweeps:
@@ -187,7 +187,7 @@ def _measured(records: Records) -> list[GripResponse]:
 def _fitted(
     records: Records, repeated: Sequence[Measurement], settings: Settings, tick: Callable[[str], None]
 ) -> tuple[Records, ChainFit | None, BlackBox | None]:
-    """The kinds of model that are asked for, or may be the better one; the records without what leaks into them."""
+    """The records without leakage, and the fitted models: the kind asked for, or both if either may be better."""
     chain: ChainFit | None = None
     box: BlackBox | None = None
     held = any(grip.grip_N > 0 for grip in records.grips)
@@ -211,7 +211,7 @@ def _fitted(
 def _candidates(
     records: Records, chain: ChainFit | None, box: BlackBox | None, tick: Callable[[str], None]
 ) -> list[Candidate]:
-    """The models, validated, the better one first."""
+    """The validated models, the better one first."""
     found = []
     if chain is not None:
         found.append(_validated_chain(chain, records, _measured(records)))
@@ -223,21 +223,21 @@ def _candidates(
 
 
 def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
-    """Whether a black box could do better: where a chain leaves something unexplained that is linear."""
+    """Whether a black box may fit better: there is no chain, or no nonlinear effect explains the chain's residual."""
     return chain is None or (chain.scatter > EXPLAINED and not named_by_lines(chain, repeated))
 
 
 def _at_use(
     chosen: Candidate, runs: Sequence[Measurement], recorded_N: Sequence[float]
 ) -> tuple[ModelError, list[Missed]]:
-    """How far the chosen model is off, taps at the amplitude of use included, and what each such record missed."""
+    """Error of the chosen model, taps at the amplitude of use included, and the residual of each such record."""
     known = [run for run in runs if run.grip_N is not None and within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
     return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
 
 
 def _begun_late(run: Measurement) -> list[Finding]:
-    """Whether a burst is recorded from its middle on, so that what is missing would be held against the model."""
+    """Find a burst whose record begins within it: the missing beginning would look like an error of the model."""
     signals = (
         ("command", run.command, "A"),
         ("current", run.current, "A"),
@@ -247,7 +247,7 @@ def _begun_late(run: Measurement) -> list[Finding]:
 
 
 def _largest_A(grip_N: float, runs: Sequence[Measurement]) -> float:
-    """Largest current of the runs at a grip; the command's where no current was measured."""
+    """Largest current of the runs at a grip; the largest command where no current was measured."""
     signals = [run.current or run.command for run in runs if recorded_at(run, [grip_N]) is not None]
     return max((float(np.abs(each.values).max(initial=0.0)) for each in signals if each is not None), default=0.0)
 
@@ -255,13 +255,13 @@ def _largest_A(grip_N: float, runs: Sequence[Measurement]) -> float:
 def _on_one_clock(
     runs: Sequence[Measurement], transients: Sequence[Measurement], settings: Settings
 ) -> tuple[Sequence[Measurement], Sequence[Measurement], list[Finding]]:
-    """Runs and transients without a pure delay of the acceleration's channel, and what was done."""
+    """Runs and transients with a pure delay of the acceleration's channel removed, and a finding if there was one."""
     together = [*runs, *transients]
     instrument = instrument_of(together, settings.amplifier)
     if any(run.grip_N is None for run in together) or check_rates(
         [Trial(run.name, x, x) for run in together if (x := run.acceleration) is not None]
     ):
-        return runs, transients, []  # refused by name when they are sorted
+        return runs, transients, []  # `sort_trials` refuses them and names the file
     samples = delay_samples(runs, settings.amplifier, settings.nominal.plant, instrument)
     if samples == 0:
         return runs, transients, []
@@ -277,7 +277,7 @@ def _validated(
     records: Records,
     error: ModelError,
 ) -> Candidate:
-    """Errors at recorded grips, at inner ones by the model `without` them, and at grips that have transients only."""
+    """Errors at recorded grips, at inner grips with the model `without` them, and at grips with transients only."""
     grips = records.grips
     between = {
         grip.grip_N: together([compare(without(grip.grip_N), grip.grip_N, instrument, run) for run in grip.kept])
@@ -300,7 +300,7 @@ def _validated(
 
 
 def _validated_chain(fit: ChainFit, records: Records, measured: Sequence[GripResponse]) -> Candidate:
-    """The drive chain, at inner grips by a fit without them that begins where this one ended."""
+    """The validated drive chain; at inner grips it is refitted without them, starting from this fit."""
 
     def without(grip_N: float) -> Model:
         return refit(fit, [one for one in measured if one.grip_N != grip_N]).device
@@ -310,7 +310,7 @@ def _validated_chain(fit: ChainFit, records: Records, measured: Sequence[GripRes
 
 
 def _validated_box(box: BlackBox, records: Records, measured: Sequence[GripResponse]) -> Candidate:
-    """The black box; as many real unknowns as twice its order share the information of all lines evenly."""
+    """The validated black box; its 2 x order unknowns are taken to spread their variance evenly over the bins."""
 
     def variance(one: GripResponse) -> tuple[FloatArray, FloatArray]:
         known = 2 * one.deviation**2 * box.order / one.deviation.size

@@ -1,8 +1,8 @@
-"""What a record of sampled signals shows of a continuous device, exactly, with derivatives.
+"""Exact sampled response of a continuous device behind its instrument, with derivatives.
 
 A command is held over a servo period; the amplifier's current follows with a pole and a delay; the accelerometer has
-a pole of its own; everything is read at the ticks. The ratio of the sampled acceleration's spectrum to the sampled
-current's is therefore not G(j w): at 10 kHz the images of the hold change it by 1 % at 800 Hz and by 7 % at 2 kHz.
+a pole; all signals are read at the ticks. The ratio of the sampled acceleration's spectrum to the sampled current's
+is therefore not G(j w): at 10 kHz the images of the hold change it by 1 % at 800 Hz and by 7 % at 2 kHz.
 """
 
 from dataclasses import dataclass
@@ -18,23 +18,23 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import acting_states, split_delay
 from transopt.plant.state_space import StateSpace
 
-TAYLOR_DEGREE = 12  # a multiple of 3, of a matrix of norm 1/4: the rest is below 1e-17
-CURRENT, ACCELERATION, POSITION = range(3)  # rows of what `responses` returns
+TAYLOR_DEGREE = 12  # a multiple of 3; for a matrix of norm 1/4 the remainder is below 1e-17
+CURRENT, ACCELERATION, POSITION = range(3)  # rows of the result of `responses`
 INSTRUMENT = ("amplifier_pole", "amplifier_delay", "amplifier_gain", "accelerometer_pole", "late", "gain")
 
 
 @dataclass(frozen=True)
 class Instrument:
-    """What stands between a device and the recorded numbers.
+    """Amplifier, sensors and sampling between a device and its records.
 
     Attributes
     ----------
     dt_s : period of the servo and of the samples, which are read at t_k, before the command of t_k acts.
-    amplifier : None is ideal.
-    accelerometer_Hz : its one pole; None is ideal.
-    gain : of the recorded acceleration over the true one.
-    late : by how many samples the acceleration is read later than the current; a whole number or not.
-    amplifier_gain : of the current over the command, at low frequency.
+    amplifier : None if ideal.
+    accelerometer_Hz : pole of the accelerometer; None if ideal.
+    gain : recorded acceleration over the true one.
+    late : delay [samples] of the acceleration's reading against the current's; may be fractional.
+    amplifier_gain : current over command at low frequency.
     """
 
     dt_s: float
@@ -56,10 +56,11 @@ class Slope:
 
 
 def flow(matrices: FloatArray) -> FloatArray:
-    """(..., 1 + p, n, n) exp(M) of the first matrices and its derivatives along the others.
+    """(..., 1 + p, n, n): exp(M) of the first matrix of each stack and its derivatives along the other p.
 
-    A scaled Taylor series, squared: scipy.linalg.expm and expm_frechet take milliseconds each when their threads meet
-    busy cores. It is summed in powers of M^3, which takes half as many products (Paterson & Stockmeyer 1973).
+    Taylor series with scaling and squaring, since scipy.linalg.expm and expm_frechet take milliseconds each when
+    their threads meet busy cores. Summation in powers of M^3 halves the number of products (Paterson & Stockmeyer
+    1973).
     """
     norm = float(np.abs(matrices[..., 0, :, :]).sum(axis=-2).max())
     squarings = max(int(np.ceil(np.log2(max(4 * norm, 1e-300)))), 0)
@@ -79,15 +80,15 @@ def flow(matrices: FloatArray) -> FloatArray:
 
 
 def _generator(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, instrument: Instrument) -> FloatArray:
-    """(1 + p, N + 1, N + 1) flow of plant, current and accelerometer, the felt command last; ideal parts are absent.
+    """(1 + p, N + 1, N + 1) generator of plant, current, accelerometer and acting command; ideal parts have no state.
 
-    A, B, C, D : (1 + p, ...) of the plant and its slopes, in which the flow is linear.
+    A, B, C, D : (1 + p, ...) of the plant and its derivatives, in which the generator is linear.
     """
     n = A.shape[1]
     pole, sensed = instrument.amplifier is not None, instrument.accelerometer_Hz is not None
     size = n + pole + sensed + 1
     flow = np.zeros((len(A), size, size))
-    current = n if pole else size - 1  # an ideal amplifier's current is the felt command itself
+    current = n if pole else size - 1  # an ideal amplifier's current is the acting command itself
     flow[:, :n, :n], flow[:, :n, current] = A, B[:, :, 0]
     if instrument.accelerometer_Hz is not None:
         rate, row = 2 * np.pi * instrument.accelerometer_Hz, n + pole
@@ -97,13 +98,13 @@ def _generator(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, instr
 
 @dataclass(frozen=True)
 class _Sampled:
-    """x+ = phi x + now c_k + before c_(k-1) with its outputs at the ticks; the model comes first, then its p slopes.
+    """x+ = phi x + now c_k + before c_(k-1) with its outputs at the ticks: the model, then its p derivatives.
 
     Attributes
     ----------
     phi : (1 + p, n, n).
     now, before : (1 + p, n).
-    rows, direct : (1 + p, o, n) and (1 + p, o) of `CURRENT`, `ACCELERATION` and, if asked for, `POSITION`.
+    rows, direct : (1 + p, o, n) and (1 + p, o), outputs `CURRENT`, `ACCELERATION` and, on request, `POSITION`.
     """
 
     phi: FloatArray
@@ -117,7 +118,7 @@ def _sampled(
     plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...], position: bool, moved: tuple[str, ...]
 ) -> _Sampled:
     A, B, C, D = (np.array([getattr(part, name) for part in (plant, *slopes)]) for name in "ABCD")
-    # Entries of plant or slopes count here: a state whose output happens to be zero has a slope all the same.
+    # A state acts if an entry of the plant or of a derivative is not zero: a zero entry may have a derivative.
     entries = StateSpace(np.abs(A).sum(axis=0), plant.B, np.abs(C).sum(axis=0), plant.D, plant.outputs)
     keep = acting_states(entries, position=position)
     A, B, C, n = A[:, keep][:, :, keep], B[:, keep], C[:, :, keep], int(keep.sum())
@@ -135,7 +136,7 @@ def _sampled(
             M[j, n] = M[0, n]
         elif name == "accelerometer_pole":
             M[j, n + pole] = M[0, n + pole]
-    # Elongations and velocities in SI differ by orders of magnitude: exact powers of two bring them together.
+    # Elongations and velocities in SI differ by orders of magnitude: balance them by exact powers of two.
     _, (scale, _) = linalg.matrix_balance(M[0], permute=False, separate=True)
     M = M * scale / scale[:, None]
 
@@ -174,7 +175,7 @@ def _sampled(
 def _resolved(T: ComplexArray, z: ComplexArray, right: ComplexArray) -> ComplexArray:
     """(n, m) solutions of (z I - T) x = right (n, m) for an upper triangular T.
 
-    Summed by numpy, whose products with long vectors would wake the threads of BLAS for a few additions each.
+    It sums with einsum, since matrix products would start the threads of BLAS for a few additions each.
     """
     x = np.empty_like(right)
     for j in range(T.shape[0] - 1, -1, -1):
@@ -202,15 +203,15 @@ def responses(
     """Sampled current, acceleration and position over the command at the given frequencies, and their derivatives.
 
     With x+ = Phi x + G0 c_k + G1 c_(k-1) between ticks (G0, G1: after and before the delayed switch) and w whole
-    periods of delay, H = z^-w (C (z - Phi)^-1 (G0 + G1 / z) + D / z). A Schur form of Phi makes one back-substitution
-    of every frequency.
+    periods of delay, H = z^-w (C (z - Phi)^-1 (G0 + G1 / z) + D / z). With a Schur form of Phi each frequency takes
+    one back-substitution.
 
     Parameters
     ----------
     frequencies_Hz : (m,) above 0, up to half the rate.
     slopes : p derivatives of the plant.
-    position : whether the encoder's is asked for.
-    moved : q of `INSTRUMENT`, to be differentiated by: poles and gains by their logarithms, the delay in seconds,
+    position : whether to include the encoder's position.
+    moved : q names of `INSTRUMENT` to differentiate by: poles and gains by their logarithms, the delay in seconds,
         `late` in samples.
 
     Returns
@@ -222,7 +223,7 @@ def responses(
     z: ComplexArray = 1 / back
     T, Z = linalg.schur(model.phi[0].astype(complex), output="complex")
     whole = 0 if instrument.amplifier is None else split_delay(instrument.amplifier.delay_s, instrument.dt_s)[0]
-    # In the Schur form: n equations driven by the state, by 1 and by z^-1, and o rows of outputs of the same.
+    # In the Schur basis: n state equations and o output rows, with columns for the state, for c_k and for c_(k-1).
     Zh, driven = Z.conj().T, np.stack([model.now, model.before], axis=2)
     equations = np.concatenate([Zh @ model.phi @ Z, Zh @ driven], axis=2)
     outputs = np.concatenate([model.rows @ Z, np.zeros((*model.direct.shape, 1)), model.direct[..., None]], axis=2)
@@ -233,7 +234,7 @@ def responses(
     value = np.einsum("on,nm->om", outputs[0], state) * scale
     if not slopes and not moved:
         return np.asarray(value), np.zeros((0, *value.shape), dtype=complex)
-    # The observer's row times what moves in the equation of the state, and what moves in the output's.
+    # Derivative of the output: adjoint rows times the derivative of the state equation, plus that of the output row.
     observed, moves = _observed(T, z, outputs[0, :, :-2]), equations[1:] @ state
     slope = (observed.transpose(2, 0, 1) @ moves.transpose(2, 1, 0)).transpose(2, 1, 0)
     slope = (slope + outputs[1:] @ state) * scale
@@ -252,7 +253,7 @@ def courses(
 ) -> FloatArray:
     """Current, acceleration and position at the ticks under commands, from rest, and their derivatives.
 
-    The sampled model of `responses` over time in place of frequency, without gain and lateness of the instrument.
+    It is the sampled model of `responses` in the time domain, without gain and lateness of the instrument.
 
     Parameters
     ----------
@@ -265,7 +266,7 @@ def courses(
     model = _sampled(plant, instrument, slopes, position=True, moved=())
     whole = 0 if instrument.amplifier is None else split_delay(instrument.amplifier.delay_s, instrument.dt_s)[0]
     felt = np.append(np.zeros(whole + 1), command_A)[: command_A.size + 1]
-    felt = np.stack([felt[1:], felt[:-1]])  # of this tick and of the one before it
+    felt = np.stack([felt[1:], felt[:-1]])  # acting commands of this tick and of the previous one
     phi, n = model.phi[0], model.phi.shape[1]
     driven, one = np.stack([model.now, model.before], axis=2), np.eye(n)
     states = LinearSystem(phi, driven[0], one, np.zeros((n, 2))).outputs(felt)
@@ -295,7 +296,7 @@ def sampled_response(
     Parameters
     ----------
     frequencies_Hz : (m,) above 0, up to half the rate.
-    slopes : p derivatives of the plant, which leave the current as it is.
+    slopes : p derivatives of the plant; the current does not depend on the plant.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What identification found: candidates, the chosen one, what is wrong or missing, and the part of a model file."""
+"""The result of identification: candidates, the chosen one, findings, and the part of a model file."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -33,14 +33,14 @@ class Candidate:
 
     Attributes
     ----------
-    kind : of model.
-    model : gives the plants of a grip.
-    instrument : what stood between it and the records.
-    transients : grip -> those of its transients that were kept out of the fit.
-    between : relative error at grips that the model does not know: those with transients only, and inner held ones by
-        the same kind of model fitted without them.
-    error : how far its response is off.
-    off : the same as a part of the answer to a current of even spectrum.
+    kind : kind of model.
+    model : gives the plants at a grip.
+    instrument : amplifier and accelerometer of the records.
+    transients : grip -> its held-out transients, measured and predicted.
+    between : grip -> relative error at grips not fitted: those with transients only, and inner held ones with the
+        same kind of model fitted without them.
+    error : expected error of its response.
+    off : that error relative to the response, for a current with a flat spectrum.
     """
 
     kind: Kind
@@ -53,29 +53,29 @@ class Candidate:
 
     @property
     def recorded(self) -> dict[float, float]:
-        """Grip -> relative error of what was kept out; NaN where nothing was."""
+        """Grip -> relative error of its held-out transients; NaN if it has none."""
         return {grip: together(runs) for grip, runs in self.transients.items()}
 
 
 @dataclass(frozen=True)
 class DeviceResult:
-    """What identification found.
+    """The result of identification.
 
     Attributes
     ----------
-    grips : with their responses.
+    grips : recorded grips with their responses.
     chosen : the better candidate.
-    other : the other one; None where only one kind was asked for or possible.
-    chain : the fit behind the drive chain, if there is one.
-    own_hands : its lack of fit by grip.
-    black_box : the fit behind the state space, if there is one.
-    error : how far the response of the chosen one is off, and what taps at the amplitude of use missed beyond it.
-    predicted : what that makes of the scene's taps; None where no scene was named.
-    uncovered : which of these taps ask for more current than was recorded, in a sentence; empty if none does.
-    causes : what was found to be in the records or the device beside the model, by name.
-    findings : of the records.
-    advice : what to record again, where.
-    short : why the result is not good enough.
+    other : the other candidate; None if only one kind was asked for or possible.
+    chain : fit of the drive chain; None if there is none.
+    own_hands : lack of fit of the chain's hand by grip.
+    black_box : fit of the state space; None if there is none.
+    error : expected error of the chosen model's response, and the excess that taps at the amplitude of use show.
+    predicted : predicted errors of the scene's taps; None without a scene.
+    uncovered : one sentence on taps that need more current than was recorded; empty if none does.
+    causes : names of effects found in the records or the device beside the model.
+    findings : findings about the records.
+    advice : what to record again, and where.
+    short : shortfalls: why the result is not fit to design with.
     """
 
     grips: list[Grip]
@@ -94,7 +94,7 @@ class DeviceResult:
 
     @property
     def residuals(self) -> list[float]:
-        """Residuals of the chosen model by grip: mean square over the noise's."""
+        """Mean square of the chosen model's residuals over the noise, by grip."""
         if self.chosen.kind is Kind.STATE_SPACE:
             assert self.black_box is not None
             return [float(value) for value in self.black_box.scatter]
@@ -107,7 +107,7 @@ class DeviceResult:
 
     @property
     def verdict(self) -> str:
-        """One sentence for the model file and for the user: how far the chosen model can be relied upon."""
+        """One sentence for the model file and the user: how far the chosen model can be relied upon."""
         words = [verdict(self.predicted, self.chosen.recorded, self.uncovered)]
         if self.chosen.kind is Kind.DRIVE and self.chain is not None:
             words += self.chain.meaningless()

@@ -1,4 +1,4 @@
-"""Records of a device made ready for identification: sorted by grip, checked, some kept out of the fit."""
+"""Prepare the records of a device for identification: sort them by grip, check them, hold some out for validation."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -41,16 +41,16 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
 QUANTITIES = ("command", "current", "acceleration")
-LEAST_TO_HOLD_OUT = 3  # trials of a grip, of which one is then kept for validation
-LEAST_BINS = 30  # of a response: a fourth of them, which the first stage of a fit takes, outnumbers a grip's unknowns
-ALIKE = 0.5  # correlation of measured and expected acceleration from which on sign and size mean something
-MOST_GAIN = 2.0  # by which current and command may differ either way
-LEAST_COUNTS = 2.0  # of the encoder, below which it shows its own steps rather than a motion
-ONE_POLE = 3.0  # mean square of what one pole and a delay leave of the current over the noise's, at most
-CERTAIN = 6.0  # deviations of a rate that jittered stamps tell
-MOST_LAG = 20  # ticks searched for a shift between them
-BAND_HZ = (2.0, 800.0)  # where a design needs the model
-FREE_BAND_HZ = (20.0, 800.0)  # below, a free device only drifts, further than its stroke
+LEAST_TO_HOLD_OUT = 3  # trials of a grip from which on one is held out for validation
+LEAST_BINS = 30  # the first stage of a fit takes a fourth of the bins, which must outnumber a grip's unknowns
+ALIKE = 0.5  # correlation of measured and expected signal above which sign and ratio are judged
+MOST_GAIN = 2.0  # largest factor between current and command, either way
+LEAST_COUNTS = 2.0  # motion in counts of the encoder below which it shows its quantisation only
+ONE_POLE = 3.0  # largest mean square of the current's residual over the noise for one pole and a delay to fit
+CERTAIN = 6.0  # standard deviations by which rates from jittered time stamps may differ and still count as equal
+MOST_LAG = 20  # ticks searched for a shift between command and current
+BAND_HZ = (2.0, 800.0)  # band in which a design needs the model
+FREE_BAND_HZ = (20.0, 800.0)  # below it a free device only drifts, beyond its stroke
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ class Grip:
 
     Attributes
     ----------
-    grip_N : their mean, 0 for the free device.
-    response : from the fitted ones.
+    grip_N : mean grip, 0 for the free device.
+    response : response estimated from the fitted runs.
     fitted : runs that the model is fitted to.
-    kept : runs that it is validated with; there may be none.
+    kept : runs held out for validation; may be empty.
     """
 
     grip_N: float
@@ -73,14 +73,14 @@ class Grip:
 
 @dataclass(frozen=True)
 class Records:
-    """Everything that was recorded, in order.
+    """All records, sorted by grip.
 
     Attributes
     ----------
-    grips : increasing.
-    instrument : what stands between the device and the recorded numbers.
-    between : transients at grips without sweeps, between those with.
-    findings : not fatal.
+    grips : in increasing order.
+    instrument : amplifier and accelerometer of the records.
+    between : transients at grips without sweeps that lie between grips with sweeps.
+    findings : findings that are not fatal.
     """
 
     grips: list[Grip]
@@ -90,7 +90,7 @@ class Records:
 
 
 def felt_current(run: Measurement, amplifier: Amplifier | None) -> Signal:
-    """The measured current, or what the known amplifier makes of the command.
+    """The measured current, or the known amplifier's response to the command.
 
     Raises
     ------
@@ -107,11 +107,11 @@ def felt_current(run: Measurement, amplifier: Amplifier | None) -> Signal:
 
 
 def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> Instrument:
-    """What stands between the device and these records.
+    """The amplifier and accelerometer of these records.
 
     Raises
     ------
-    InputError : files that state different accelerometers, or none that holds an acceleration.
+    InputError : the files state different accelerometers, or the first has no acceleration.
     """
     poles = {run.name: run.accelerometer_Hz for run in runs}
     first = next(iter(poles))
@@ -124,10 +124,10 @@ def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> I
 
 
 def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> list[Finding]:
-    """Check a recorded current against the command: another unit, the wrong way round, read at another instant.
+    """Check a recorded current against the command for a wrong unit, a wrong sign, or a shift in time.
 
-    A shift of whole ticks between current and acceleration looks like a device of other masses, which a record with
-    the same shift cannot tell from the true one: only the command can.
+    A shift of whole ticks between current and acceleration looks like a device with other masses. A held-out record
+    with the same shift does not reveal it; only the command does.
     """
     if run.command is None or run.current is None:
         return []
@@ -153,7 +153,7 @@ def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> l
 
 
 def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -> list[Finding]:
-    """A trial that answers against the others, or in another unit: the mean of all would hide it."""
+    """Find a trial whose response has the opposite sign of the others or another unit; their mean would hide it."""
     if estimate.trials < 2:
         return []
     clear = estimate.coherence >= np.median(estimate.coherence) / 2
@@ -170,15 +170,15 @@ def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -
 
 
 def _unlike(name: str, turned: bool, ratio: float, others: str) -> list[Finding]:
-    """A file whose acceleration answers the current the other way than `others` do, or `ratio` times as strongly."""
+    """Findings for a file whose response has the opposite sign (`turned`) of `others` or `ratio` times their size."""
     found = [Check.ANSWERS_TURNED.at(name, others=others)] if turned else []
     return found + check_unit(name, ratio, others)
 
 
 def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate, where: str) -> list[Finding]:
-    """A run kept for validation that answers against the response of its grip, or in another unit.
+    """Find a held-out run whose sign or unit contradicts the response of its grip.
 
-    Such a run would be taken for an error of the model.
+    Such a run would look like an error of the model.
     """
     given, answer = fft.rfft(trial.input.values), fft.rfft(trial.output.values)
     lines = np.fft.rfftfreq(trial.input.values.size, trial.input.dt_s)
@@ -188,13 +188,13 @@ def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate
     found, along = answer[inside], float(np.vdot(expected, answer[inside]).real)
     size = float(np.linalg.norm(expected) * np.linalg.norm(found))
     if not abs(along) > ALIKE * size:
-        return []  # no word either way
+        return []  # too little correlation to judge
     ratio = abs(along) / float(np.linalg.norm(expected)) ** 2
     return _unlike(run.name, along < 0, ratio, f"the sweeps of {where}")
 
 
 def _one_rate(runs: Sequence[Measurement], first: Measurement) -> list[Measurement]:
-    """The runs at the rate of the first one, where theirs is another only by the jitter of their time stamps."""
+    """The runs with the rate of `first` where theirs differs only by the jitter of their time stamps."""
     wanted = first.require("acceleration", "acceleration_m_s2").dt_s
 
     def alike(run: Measurement) -> bool:
@@ -212,16 +212,16 @@ def sort_trials(
     *,
     tick: Callable[[], None] = lambda: None,
 ) -> Records:
-    """Grips with their responses, the runs to validate a model with, and what is wrong but not fatal.
+    """Sort and check the records: grips with their responses, held-out runs, and findings that are not fatal.
 
-    Without `transients` the last trial of a grip that has three or more is kept for validation.
+    Without `transients` the last trial of each grip with three or more is held out for validation.
 
     Parameters
     ----------
     runs : sweeps.
-    transients : recorded apart, for validation only.
-    nominal : plant at a grip to compare the unit of acceleration with; None without any.
-    tick : after each grip.
+    transients : separate records for validation only.
+    nominal : plant at a grip, to check the unit of the acceleration with; None to skip the check.
+    tick : called after each grip.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def sort_trials(
         trials = [trials_of[id(run)] for run in fitted]
         response = response_of(grip_N, fitted, instrument, follows=follows)
         estimate = response.estimate
-        # What is too short answers any way: that comes first.
+        # A record that is too short fails the other checks by chance, so its length is checked first.
         again = check_bins(where, estimate, LEAST_BINS)
         again += check_cycles(where, trials, estimate, _band_Hz(grip_N)[0])
         for run in (*fitted, *kept):
@@ -287,8 +287,8 @@ def sort_trials(
 def current_follows(groups: Sequence[Sequence[Measurement]], instrument: Instrument) -> bool:
     """Whether the measured current follows the command by one pole and a delay, in the runs of every grip.
 
-    One amplifier drives the device at all grips. One that is no pole at one of them may look like another pole
-    elsewhere, and by that it would contradict the others.
+    One amplifier drives the device at all grips. If it is not one pole at one grip, it may look like a different pole
+    at another, and the grips would contradict each other; so it has to be one pole at all of them.
     """
     amplifier = instrument.amplifier
     if amplifier is None or any(run.current is None or run.command is None for group in groups for run in group):
@@ -297,10 +297,10 @@ def current_follows(groups: Sequence[Sequence[Measurement]], instrument: Instrum
 
 
 def _own_amplifier(groups: Sequence[Sequence[Measurement]], stated: Amplifier | None) -> Amplifier | None:
-    """The amplifier as commands and currents show it behind a dead band; as stated where they show none.
+    """The amplifier fitted, dead band included, to commands and currents; the stated one if that fit has shortfalls.
 
-    Between two samples the current goes as pole and delay make it go, also where the measured one goes in: a pole
-    that is 10 % off moves the transmission by three standard deviations.
+    Pole and delay determine the current between samples even if the measured current is the input: an error of 10 %
+    in the pole moves the transmission's parameters by three standard deviations.
     """
     runs = [run for group in groups for run in group]
     if stated is None or any(run.current is None or run.command is None for run in runs):
@@ -314,10 +314,10 @@ def _own_amplifier(groups: Sequence[Sequence[Measurement]], stated: Amplifier | 
 
 
 def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrument, *, follows: bool) -> GripResponse:
-    """What all lines of the runs of a grip say.
+    """The responses of a grip from its runs.
 
-    The command goes in where the current follows it by a pole and a delay (`follows`), or was not recorded; else the
-    measured current does, with its noise.
+    The input is the command if the current follows it by a pole and a delay (`follows`) or was not recorded; else it
+    is the measured current, with its noise.
     """
     measured = all(run.current is not None for run in runs)
     names = ["acceleration"]
@@ -336,7 +336,7 @@ def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrume
 
 
 def _condensed(runs: Sequence[Measurement], given: str, names: Sequence[str], instrument: Instrument) -> Condensed:
-    """The runs from the signal `given` to those of `names`; an encoder below where it shows its steps alone."""
+    """Condense runs from the signal `given` to those of `names`; an encoder counts only where it moves enough."""
 
     def values(run: Measurement, name: str) -> FloatArray:
         x = getattr(run, name)
@@ -352,21 +352,21 @@ def _condensed(runs: Sequence[Measurement], given: str, names: Sequence[str], in
         moved = np.abs(data.values()[-1]).max(axis=1) * size
         known, noise = data.known.copy(), data.noise.copy()
         known[-1] = np.logical_and.accumulate(moved > LEAST_COUNTS * count)
-        # Trials of one sweep meet the same steps: their error of count / sqrt(12) does not average out.
+        # Trials of the same sweep meet the same steps, so their error of count / sqrt(12) does not average out.
         noise[-1] += len(runs) * (count**2 / 12 if np.isfinite(count) else 0.0)
         data = replace(data, known=known, noise=noise)
     return data
 
 
 def _one_pole(data: Condensed, amplifier: Amplifier) -> bool:
-    """Whether one pole and a delay explain the current, the one output, from the command."""
+    """Whether one pole and a delay explain the response from the command to the current, the only output."""
     if data.middles_Hz.size < LEAST_BINS:
         return False
     return fit_pole([data], start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
 
 
 def recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
-    """The recorded grip that a transient is of; None for one that was not recorded."""
+    """The recorded grip that a transient belongs to; None if there is none."""
     assert run.grip_N is not None
     wanted = run.grip_N
     near = [grip for grip in recorded_N if abs(grip - wanted) < GRIP_STEP_N and (grip > 0) == (wanted > 0)]
@@ -374,7 +374,7 @@ def recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
 
 
 def _outside(run: Measurement, recorded_N: Sequence[float]) -> list[Finding]:
-    """A transient at a grip that no model will know."""
+    """The finding for a transient at a grip outside the recorded ones; empty if the grip lies between them."""
     assert run.grip_N is not None
     if run.grip_N > 0 and within(run.grip_N, recorded_N):
         return []
@@ -387,7 +387,7 @@ def _band_Hz(grip_N: float) -> tuple[float, float]:
 
 
 def low_coherence(response: GripResponse) -> list[tuple[float, float]]:
-    """Bands [Hz] within 2 (free: 20) to 800 Hz whose coherence is low, or that were not excited at all."""
+    """Bands [Hz] within 2 (free device: 20) to 800 Hz with low coherence or without excitation."""
     e, (low, high) = response.estimate, _band_Hz(response.grip_N)
     inside = (e.frequencies_Hz >= low) & (e.frequencies_Hz <= high)
     bands = runs_of(e.frequencies_Hz[inside], e.coherence[inside] < COHERENT)

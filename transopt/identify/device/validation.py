@@ -1,14 +1,15 @@
-"""Identified models against transients that were not used in the fit, in the time domain.
+"""Validation of identified models on held-out transients in the time domain, and their expected errors.
 
-Measured and predicted acceleration both pass a causal 8 Hz high-pass: in a record of a held device what is slower is
-mostly the hand's own motion, which no model of the device predicts. The error that is left is what a design with this
-model would not know of.
+Measured and predicted acceleration both pass a causal 8 Hz high-pass: slower motion of a held device is mostly the
+hand's own, which no model of the device predicts. The remaining error is the one that a design with this model
+ignores.
 
-What a model is good for is said by how far its response is off, and what that makes of the taps to be played. In a
-band of frequency the mean square of (model - estimate) is the noise's, less what the fit has made up for, plus that
-of the model's own error. With the noise known from the records and the parameters' covariance from the fit, the
-expected square of the model's error is  misfit - 2 noise + 2 variance  (Mallows 1973, C_p), where variance is that of
-the fitted response. Where the misfit is not significantly more than noise, only the variance is left.
+The verdict on a model rests on the expected error of its response, and on the errors of the scene's taps that follow
+from it. In a band of frequency the mean square of (model - estimate) is that of the noise, less the part that the fit
+absorbs, plus that of the model's own error. With the noise known from the records and the parameters' covariance from
+the fit, the expected square of the model's error is  misfit - 2 noise + 2 variance  (Mallows 1973, C_p), where
+variance is that of the fitted response. Where the misfit does not exceed the noise significantly, only the variance
+remains.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,18 +29,18 @@ from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import ModelError, Predicted
 
 HIGHPASS_HZ = 8.0
-PADDING_S = 0.5  # after a record, for the ringing that its end cuts off
-NEAR_ZERO = 1e-3  # of a spectrum's line: a free device has no finite state at exactly 0 Hz, but a response beside it
+PADDING_S = 0.5  # zeros after a record, so that its ringing does not wrap around
+NEAR_ZERO = 1e-3  # of the line spacing; replaces 0 Hz, where a free device has no finite state
 BANDS_PER_OCTAVE = 3
-CHANCE = 1e-5  # at which noise alone makes a band's misfit as large: below it the misfit is the model's
-EDGE = 2  # bins at either end of what was excited
-TAP_HZ = 5.0, 600.0  # where a tap has its energy
-FIT = 0.05  # predicted relative error of a tap up to which a model is fit to design with
-WORTHLESS = 0.5
+CHANCE = 1e-5  # p value below which a band's misfit is attributed to the model, not to noise
+EDGE = 2  # bins left out at either end of the excited band
+TAP_HZ = 5.0, 600.0  # band that holds the energy of a tap
+FIT = 0.05  # largest predicted relative error of a tap for a model that is fit to design with
+WORTHLESS = 0.5  # predicted relative error of a tap from which on a model supports no design
 
 
 class Model(Protocol):
-    """Plants and their weights in the output at a grip; see `BlackBox.shares`."""
+    """A model that gives plants and their weights at a grip; see `BlackBox.shares`."""
 
     def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]: ...
 
@@ -50,8 +51,8 @@ class Transient:
 
     Attributes
     ----------
-    run : what was recorded.
-    nrmse : relative error of the prediction, after the high-pass.
+    run : the record.
+    nrmse : relative rms error of the prediction after the high-pass.
     measured, predicted : (n,) acceleration after the high-pass [m/s^2], the measured one less its static offset.
     """
 
@@ -62,7 +63,7 @@ class Transient:
 
 
 def modelled(model: Model, grip_N: float, instrument: Instrument, frequencies_Hz: FloatArray) -> ComplexArray:
-    """(m,) sampled acceleration over sampled current at a grip [m/s^2/A]."""
+    """(m,) response of a model at a grip: sampled acceleration over sampled current [m/s^2/A]."""
     blended = np.zeros(frequencies_Hz.size, dtype=complex)
     for plant, weight in model.shares(grip_N):
         blended += weight * sampled_response(plant, instrument, frequencies_Hz)[0]
@@ -72,12 +73,12 @@ def modelled(model: Model, grip_N: float, instrument: Instrument, frequencies_Hz
 def through(
     values: FloatArray, dt_s: float, ratio: Callable[[FloatArray], ComplexArray], *, zero_Hz: float | None = None
 ) -> FloatArray:
-    """(..., n) what a signal (n,) from rest becomes behind responses; what rings on after its end is cut off.
+    """(..., n) output of frequency responses to a signal (n,) from rest; ringing after its end is cut off.
 
     Parameters
     ----------
     ratio : frequencies (m,) above 0 -> responses (..., m).
-    zero_Hz : the frequency that stands for 0, where responses may be infinite; without it a small part of the first.
+    zero_Hz : frequency that replaces 0 Hz, where responses may be infinite; None for `NEAR_ZERO` of the first line.
     """
     size = fft.next_fast_len(values.size + round(PADDING_S / dt_s), real=True)
     frequencies = fft.rfftfreq(size, dt_s)
@@ -86,19 +87,19 @@ def through(
 
 
 def predict(model: Model, grip_N: float, instrument: Instrument, current_A: FloatArray) -> FloatArray:
-    """(n,) sampled acceleration behind the accelerometer's pole that a sampled current from rest comes with [m/s^2].
+    """(n,) predicted acceleration, sampled behind the accelerometer's pole, for a sampled current from rest [m/s^2].
 
-    Through the ratio of the sampled spectra, so that what the current does between its samples is what a held
-    command makes it do; inverting the hold in the time domain is unstable where the delay exceeds half a period.
+    The ratio of sampled spectra implies that the current between samples is the response to a held command. Inverting
+    the hold in the time domain instead would be unstable for delays above half a period.
     """
     return through(current_A, instrument.dt_s, lambda f: modelled(model, grip_N, instrument, f))
 
 
 def compare(model: Model, grip_N: float, instrument: Instrument, run: Measurement) -> Transient:
-    """One transient through the model.
+    """Compare one transient with the model's prediction.
 
-    The accelerometer's static offset (1 g, if it stands upright) is the constant that suits best: it comes through
-    the high-pass as its step response.
+    The accelerometer's static offset (1 g if it stands upright) passes the high-pass as a step response; it is fitted
+    by least squares and subtracted.
     """
     recorded = run.require("acceleration", "acceleration_m_s2")
 
@@ -113,7 +114,7 @@ def compare(model: Model, grip_N: float, instrument: Instrument, run: Measuremen
 
 
 def together(transients: Sequence[Transient]) -> float:
-    """Relative error of several transients as one: a quiet one counts no more than a loud one. NaN without any."""
+    """Relative error of several transients in one sum, so that loud ones weigh more than quiet ones; NaN if empty."""
     if not transients:
         return float("nan")
     measured, predicted = (
@@ -123,7 +124,7 @@ def together(transients: Sequence[Transient]) -> float:
 
 
 def called(grip_N: float) -> str:
-    """How messages call a grip."""
+    """The name of a grip in messages."""
     return "free device" if grip_N == 0 else f"{grip_N:.3g} N"
 
 
@@ -134,9 +135,9 @@ class Taps:
     Attributes
     ----------
     speeds_m_s, grips_N : (nv,), (ng,).
-    current_A : (ng, nv, N).
+    current_A : (ng, nv, N) currents.
     energy : (ng, nv) sum of squares of each tap's N samples of acceleration.
-    dt_s : of the samples.
+    dt_s : sampling period.
     """
 
     speeds_m_s: tuple[float, ...]
@@ -152,12 +153,12 @@ def model_error(
     instrument: Instrument,
     variance: Callable[[GripResponse], tuple[FloatArray, FloatArray]],
 ) -> ModelError:
-    """The expected square of the error of a fitted response.
+    """The expected square of the error of a fitted response, in bands of frequency.
 
     Parameters
     ----------
-    variance : (m,) of the fitted response at the bins of an estimate, E|.|^2, against the mean of what was recorded
-        and against what the next tap will meet.
+    variance : function that gives the variances E|.|^2 (m,) of the fitted response at the bins of an estimate,
+        against the mean recorded response and against that of the next tap.
     """
     low = min(one.estimate.frequencies_Hz[0] for one in measured)
     high = max(one.estimate.frequencies_Hz[-1] for one in measured)
@@ -179,13 +180,13 @@ def _row(
     coming: FloatArray,
     edges: FloatArray,
 ) -> FloatArray:
-    """(bands,) of one grip."""
-    # At the ends of an excitation a response is no polynomial over the lines of a bin.
+    """(bands,) expected square of the error at one grip."""
+    # At the ends of the excited band the response is not a polynomial over the lines of a bin.
     inner = slice(EDGE, -EDGE) if one.estimate.response.size > 4 * EDGE else slice(None)
     f, noise, variance = one.estimate.frequencies_Hz[inner], 2 * one.deviation[inner] ** 2, variance[inner]
     coming = coming[inner]
     beyond = np.abs(modelled(model, one.grip_N, instrument, f) - one.estimate.response[inner]) ** 2 - noise + variance
-    # What a sensor makes smaller was larger on the device.
+    # The error on the device is the one behind the sensor, divided by the sensor's squared gain.
     seen = instrument.gain**2 / (1 + (f / (instrument.accelerometer_Hz or np.inf)) ** 2)
     band = np.clip(np.searchsorted(edges, f, side="right") - 1, 0, edges.size - 2)
     count = np.bincount(band, minlength=edges.size - 1)
@@ -195,18 +196,18 @@ def _row(
         return np.asarray(np.bincount(band, values, edges.size - 1)[filled] / count[filled])
 
     excess = mean(beyond / seen)
-    # Squares of complex errors have 2 degrees of freedom each, the noise those that it was estimated from.
+    # Squares of complex errors have 2 degrees of freedom each; the noise has those of its estimate.
     ratio, degrees = 1 + mean(beyond / noise), mean(one.estimate.degrees[inner])
     clear = stats.f.sf(ratio, 2 * count[filled], degrees) < CHANCE
     if stats.f.sf(np.average(ratio, weights=count[filled]), 2 * count.sum(), degrees.sum()) < CHANCE:
-        clear |= excess > 0  # too little in any one band, but not in all together
+        clear |= excess > 0  # the misfit is significant over all bands together, if not in each one
     total = mean(coming / seen) + np.where(clear, np.maximum(excess, 0.0), 0.0)
     middles = np.log(np.sqrt(edges[:-1] * edges[1:]))
     return np.asarray(np.exp(np.interp(middles, middles[filled], np.log(np.maximum(total, 1e-300)))))
 
 
 def relative(error: ModelError, measured: Sequence[GripResponse]) -> float:
-    """How large a part of the answer to a current of even spectrum the model's error is, over all grips."""
+    """Rms error of the model relative to the response, over all grips, for a current with a flat spectrum."""
     parts = []
     for one, row in zip(measured, error.power, strict=True):
         f = one.estimate.frequencies_Hz
@@ -233,12 +234,12 @@ def predict_taps(error: ModelError, taps: Taps) -> Predicted:
 
 
 def verdict(predicted: Predicted | None, held_out: Mapping[float, float], uncovered: str = "") -> str:
-    """In plain words what a model is good for.
+    """One sentence that tells what a model is good for.
 
     Parameters
     ----------
-    held_out : grip -> relative error on what was kept out of the fit, noise included; NaN where nothing was.
-    uncovered : what of the taps was not recorded (`not_covered`).
+    held_out : grip -> relative error of its held-out transients, noise included; NaN if it has none.
+    uncovered : sentence on taps beyond the recorded currents (`not_covered`).
     """
     known = [error for error in held_out.values() if np.isfinite(error)]
     noise = f"; one recorded trial misses {100 * max(known):.2g} %, its noise included" if known else ""
@@ -258,7 +259,7 @@ def verdict(predicted: Predicted | None, held_out: Mapping[float, float], uncove
 
 
 def not_covered(error: ModelError, taps: Taps) -> str:
-    """One sentence where taps ask for more current than was recorded, and with what to record it; else empty."""
+    """One sentence if taps need more current than was recorded, with the record to add; else empty."""
     peaks = np.abs(taps.current_A).max(axis=-1)
     beyond = [
         (float(row.max()), error.recorded_at(grip), grip)
@@ -275,7 +276,7 @@ def not_covered(error: ModelError, taps: Taps) -> str:
 
 
 def short_of(predicted: Predicted | None) -> list[str]:
-    """What keeps a model from being good enough, with what to record again."""
+    """Shortfalls of a model by its predicted taps, each with what to record again."""
     if predicted is None:
         return []
     said = []

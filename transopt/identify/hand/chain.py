@@ -3,10 +3,10 @@
 The seed calls this fit difficult: of the two masses only the stylus is measured. Here the surface force drives the
 simulated chain, its stylus acceleration is compared with the recorded one, and nonlinear least squares from several
 starts finds the parameters, each a line over grip and none negative at any recorded grip (passive). The covariance is
-that of White's sandwich over trials, since hands that vary leave residuals that are alike within a tap.
+White's sandwich over trials, since a hand that varies from tap to tap leaves residuals correlated within a tap.
 
-One line for all hands is biased where they scatter: by 0.5 % of the stylus mass and 1 % of the hand mass for hands
-that scatter by 5 to 10 % from tap to tap. These intervals do not cover that.
+One line for all taps is biased if the hand varies: by 0.5 % of the stylus mass and 1 % of the hand mass for a hand
+that varies by 5 to 10 % from tap to tap. The intervals do not include this bias.
 """
 
 from collections.abc import Sequence
@@ -33,20 +33,20 @@ from transopt.scene.model_parts import FourthOrderHand, SecondOrderHand
 SHARED = ("stylus_mass_kg",)
 NAMES = (*SHARED, *(f"hand.{name}.{part}" for name in HAND for part in ("constant", "per_newton")))
 STARTS = 6
-DETERMINED = 0.25  # half width of the interval at the middle grip, relative
-MOST_UNKNOWN = 0.15  # half width of the interval of the response, relative, rms over the band of a tap
-MOST_MISSED = 0.15  # relative error of the acceleration: hands of one person do not differ more
+DETERMINED = 0.25  # largest relative half width of the interval at the middle grip of a determined parameter
+MOST_UNKNOWN = 0.15  # largest relative half width of the interval of the response, rms over the band of a tap
+MOST_MISSED = 0.15  # largest relative error of the acceleration: one person's taps do not differ more
 LEAST_RATE_HZ, GOOD_RATE_HZ = 2000.0, 5000.0  # a slower record loses the course of the force between its samples
-LEAST_TAPS, MARGIN = 81, 1.5  # of how many taps are asked for
-LOUD_HZ = 200.0  # where the force is heard beyond it, louder taps tell no more
-ENTANGLED = 0.95  # correlation
+LEAST_TAPS, MARGIN = 81, 1.5  # least number of taps asked for; factor on the number computed
+LOUD_HZ = 200.0  # if the force stands out of its noise beyond this, louder taps tell no more
+ENTANGLED = 0.95  # correlation above which two parameters are determined only together
 _FEW = 18  # taps that the starts are tried on
-_OVERSAMPLED = 5
-_TOLERANCE, _TRIES = 1e-6, 30
-_RELEASES = 20  # of parameters that reached zero on the way
-_LEAST_KG, _LEAST_SHARE = 1e-3, 1e-6  # of a mass; of the guess of a spring or a damper
-_LEAST_GUESS = (0.01, 1.0, 10.0)  # kg, N s/m, N/m of the whole hand, where the second order shows none
-_SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # where the starts are drawn around
+_OVERSAMPLED = 5  # compared samples per period of the low-pass frequency
+_TOLERANCE, _TRIES = 1e-6, 30  # relative tolerance of a search; its largest number of evaluations
+_RELEASES = 20  # restarts of parameters that reached zero during the search
+_LEAST_KG, _LEAST_SHARE = 1e-3, 1e-6  # lower bounds of a mass, and of a spring or damper as a share of its guess
+_LEAST_GUESS = (0.01, 1.0, 10.0)  # least guess of mass [kg], damping [N s/m] and stiffness [N/m] of the whole hand
+_SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # guess: skin resonance and damping ratio, share of the mass
 
 
 @dataclass(frozen=True)
@@ -55,18 +55,18 @@ class ChainFit(Fit):
 
     Attributes
     ----------
-    stylus_mass_kg : of whatever moves rigidly with the accelerometer.
+    stylus_mass_kg : mass that moves rigidly with the accelerometer.
     lines : name of `HAND` -> its line over grip.
-    grips_N : recorded, increasing.
-    taps, rate_Hz, window_s, heard_Hz : how many there are, how they were sampled, how long they are from contact on,
-        and up to where their force stands out of its noise.
-    intervals : (11, 2) 95 %, covariance : (11, 11), both of `NAMES`.
-    uncertain : name of the stylus mass and of each line -> half width of its interval at the middle grip, relative.
-    entangled : pairs whose values at the middle grip are correlated by more than `ENTANGLED`.
+    grips_N : recorded grips, increasing.
+    taps, rate_Hz, window_s, heard_Hz : number of taps, their sampling rate, their length from contact on, and the
+        frequency up to which their force stands out of its noise.
+    intervals : (11, 2) 95 % intervals. covariance : (11, 11). Both in the order of `NAMES`.
+    uncertain : name of the stylus mass and of each line -> relative half width of its interval at the middle grip.
+    entangled : pairs whose values at the middle grip have a correlation above `ENTANGLED` in magnitude.
     unexplained : median over the taps of |a - model| / |a|.
-    expected, second : sum of squares of the relative errors that other taps of this session would show, and those of
-        the second-order hand.
-    starts : sums of squares reached from each start, the best first.
+    expected : sum of squares of the relative errors expected for other taps of this session.
+    second : sum of squares of the relative errors of the second-order hand.
+    starts : sum of squares reached from each start, the best first.
     """
 
     stylus_mass_kg: float
@@ -87,7 +87,7 @@ class ChainFit(Fit):
 
     @property
     def undetermined(self) -> list[str]:
-        """Names of the parameters whose interval at the middle grip is wider than `DETERMINED`, either way."""
+        """Names of the parameters whose relative half width at the middle grip exceeds `DETERMINED` or is NaN."""
         return [name for name, share in self.uncertain.items() if not share <= DETERMINED]
 
     def word(self) -> str:
@@ -99,7 +99,7 @@ class ChainFit(Fit):
                 f"; not determined by these taps: {', '.join(self.undetermined)} (more than {100 * DETERMINED:.0f} %)"
             )
         if self.entangled:
-            # The names once each: of six, up to fifteen pairs are entangled.
+            # Each name is printed once: six parameters have up to fifteen entangled pairs.
             text += f"; only together: {', '.join(dict.fromkeys(name for pair in self.entangled for name in pair))}"
         agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
         text += f"; {agreeing} of {len(self.starts)} starts end in the same optimum"
@@ -122,7 +122,7 @@ class ChainFit(Fit):
                 f"record at {GOOD_RATE_HZ:g} Hz or faster"
             )
         if self.unexplained > MOST_MISSED:
-            # What else shows follows from it.
+            # Other shortfalls would only follow from this one.
             return [
                 *found,
                 f"the fourth-order hand misses {100 * self.unexplained:.0f} % of the acceleration (at most "
@@ -138,13 +138,13 @@ class ChainFit(Fit):
         return found
 
     def _to_record(self, unknown: float) -> str:
-        """Taps that carry the hand where a response is known to a share: longer ones, louder ones, or more."""
+        """Taps to record so that the response is known well enough: longer ones, louder ones, or more of them."""
         if self.window_s < 0.9 * REACTION_S:
             return f"{1e3 * REACTION_S:.0f} ms from contact on (--window {REACTION_S:g})"
         if self.heard_Hz < LOUD_HZ:
             loud = f"whose force stands out of its noise beyond {self.heard_Hz:.0f} Hz ({LOUDER})"
             return f"{LEAST_TAPS} taps or more {loud}"
-        # Variance falls with the taps beyond as many as there are unknowns.
+        # The variance falls with the number of taps in excess of the number of unknowns.
         beyond = (self.taps - len(NAMES)) * (unknown / MOST_UNKNOWN) ** 2
         return f"{max(np.ceil(MARGIN * (len(NAMES) + beyond)), LEAST_TAPS):.0f} taps or more at grips like these"
 
@@ -165,22 +165,22 @@ class ChainFit(Fit):
         }
 
     def part(self) -> FourthOrderHand:
-        """The hand as a model file keeps it, not judged."""
+        """The hand as a part of a model file, without verdict and sources."""
         return FourthOrderHand.model_validate({**self.stated(), "verdict": "not judged", "sources": []})
 
 
 @dataclass(frozen=True)
 class _Session:
-    """T taps side by side, shorter ones filled up with zeros that weigh nothing.
+    """T taps in one array, shorter ones padded with zeros of zero weight.
 
     Attributes
     ----------
-    force, acceleration : (T, n) of the taps, SI.
-    weight : (T, n) such that each tap counts by its relative error.
+    force, acceleration : (T, n) samples of the taps, SI.
+    weight : (T, n) weights that make each tap's residuals relative to its acceleration.
     dt_s : (T,) sampling periods.
     window_s : (T,) lengths.
-    grips_N : (T,).
-    coordinates : the unknowns, at the lowest and the highest grip.
+    grips_N : (T,) grips.
+    coordinates : the unknowns: parameter values at the lowest and the highest grip.
     """
 
     force: FloatArray
@@ -206,16 +206,16 @@ class _Session:
 
     @cached_property
     def at_taps(self) -> FloatArray:
-        """(T, 6, 11) from the values at the ends to the parameters of each tap."""
+        """(T, 6, 11) matrices from the values at the end grips to the parameters of each tap."""
         return np.array([self.coordinates.at(grip) for grip in self.grips_N.tolist()])
 
     @cached_property
     def every(self) -> int:
-        """Only each sample of this many is compared: both sides are low-passed, so its neighbours say the same."""
+        """Step between compared samples: both sides are low-passed, so neighbouring samples are redundant."""
         return max(1, int(1 / (float(self.dt_s.max()) * _OVERSAMPLED * LOWPASS_HZ)))
 
     def residuals(self, theta: FloatArray) -> FloatArray:
-        """(P, T, n / every) weighted residuals for the values at the ends (P, 11)."""
+        """(P, T, n / every) weighted residuals for values at the end grips (P, 11)."""
         P, T = len(theta), self.grips_N.size
         stylus, *hand = np.einsum("tqe,pe->qpt", self.at_taps, theta).reshape(1 + len(HAND), -1)
         simulated = _simulate(
@@ -227,7 +227,7 @@ class _Session:
         return ((simulated.reshape(P, T, -1) - self.acceleration) * self.weight)[..., :: self.every]
 
     def second_order(self, hand: HandFit) -> FloatArray:
-        """(T, n / every) weighted residuals of the second-order hand; infinite where that is not passive."""
+        """(T, n / every) weighted residuals of the second-order hand; infinite (1, 1) if that is not passive."""
         try:
             part = SecondOrderHand.model_validate({**hand.stated(), "verdict": "not judged", "sources": []})
         except ValidationError:
@@ -241,7 +241,7 @@ class _Session:
         return ((np.array(simulated) - self.acceleration) * self.weight)[..., :: self.every]
 
     def squares(self, scale: FloatArray) -> Squares:
-        """The sum of squares of parameters in units of `scale` (11,)."""
+        """The sum of squares as a function of the parameters in units of `scale` (11,)."""
         return Squares(by_differences(lambda sets: self.residuals(sets * scale).reshape(len(sets), -1)))
 
 
@@ -250,14 +250,14 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
 
     Parameters
     ----------
-    stylus : (L,) mass.
-    hand : (5, L) in the order of `HAND`.
-    dt_s : (L,).
+    stylus : (L,) masses.
+    hand : (5, L) parameters in the order of `HAND`.
+    dt_s : (L,) sampling periods.
     """
     mass, skin_k, skin_b, arm_k, arm_b = hand
     L, n = force.shape
-    # States: deviation of the stylus, of the hand mass, their velocities; then the force and its slope. In units of
-    # the step all entries are small, though stiffness over mass is not.
+    # States: deviations of stylus and hand mass, their velocities, then the force and its slope. With the step as
+    # unit of time all entries are small, although stiffness over mass is large.
     step = dt_s[:, None]
     matrices = np.zeros((L, 6, 6))
     matrices[:, 0, 2] = matrices[:, 1, 3] = matrices[:, 4, 5] = 1.0
@@ -266,7 +266,7 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     matrices[:, 2, :5], matrices[:, 3, :4] = step**2 * stylus_row, step**2 * hand_row
     hold = flow(matrices[:, None])[:, 0]
     transition, to_force, to_slope = hold[:, :4, :4], hold[:, :4, 4], hold[:, :4, 5]
-    # Rows C A^k by doubling, and from them the response to a hat of one sample.
+    # Rows C A^k by doubling, and from them the response to a hat function (linear interpolation of one sample).
     rows = stylus_row[:, None, :4]
     power = transition
     while rows.shape[1] < n:
@@ -278,7 +278,7 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     response[:, 0] += stylus_row[:, 4]
     response[:, 1:] += (rows[:, :-1] @ (to_force - to_slope)[:, :, None])[..., 0]
     found = signal.fftconvolve(response, force, axes=1)[:, :n]
-    # The state starts from rest however large the first force is.
+    # The state starts at rest even if the first force is not zero.
     return np.asarray(found - after * force[:, :1])
 
 
@@ -287,9 +287,9 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS) -
 
     Parameters
     ----------
-    taps : the session's.
+    taps : all taps of the session.
     hand : the second-order fit of the same taps; the starts are drawn around it, log-uniform within a factor of 3.
-    starts : tried on a few taps; the best goes on with all of them.
+    starts : number of starts tried on a few taps; the best is continued with all taps.
     """
     taps = [_below(tap, hand.heard_Hz) for tap in taps]
     ends = (float(hand.grips_N.min()), float(hand.grips_N.max()))
@@ -301,7 +301,7 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS) -
     guess = _guess(hand, ends)
     random = np.random.default_rng(0)
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
-    # No parameter is negative at either end, nor by rounding between them.
+    # No parameter is negative at either end, and so none is between them, rounding included.
     least = _LEAST_SHARE * guess
     least[[0, 1, 1 + len(HAND)]] = _LEAST_KG  # the stylus, and the hand's mass at both ends
     bounds = least / guess, np.full(guess.size, np.inf)
@@ -314,7 +314,7 @@ def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS) -
 
 
 def _below(tap: HandTap, cutoff_Hz: float) -> HandTap:
-    """The tap without what lies above a frequency, in which its force is noise."""
+    """The tap low-passed at the frequency above which its force is noise."""
     if cutoff_Hz >= min(LOWPASS_HZ, 0.45 / tap.dt_s):
         return tap
     sos = signal.butter(4, cutoff_Hz, fs=1 / tap.dt_s, output="sos")
@@ -323,7 +323,7 @@ def _below(tap: HandTap, cutoff_Hz: float) -> HandTap:
 
 
 def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
-    """(11,) stylus mass and the hand's values at both ends, from mass, damper and spring of the second-order hand."""
+    """(11,) guess of stylus mass and of the hand at both end grips, from the second-order hand."""
     mass, damping, stiffness = (
         np.array([max(line.line.at(grip), 0.1 * float(np.median(line.at_taps)), least) for grip in ends])
         for line, least in zip(hand.lines, _LEAST_GUESS, strict=True)
@@ -343,15 +343,15 @@ def _with_uncertainty(
     hand: HandFit,
     costs: tuple[float, ...],
 ) -> ChainFit:
-    """The fit of an optimum theta (11,), with covariance, intervals, and what the taps leave open.
+    """The fit at an optimum theta (11,), with covariance, intervals and undetermined parameters.
 
     Parameters
     ----------
-    at : residuals there and their Jacobian by theta in units of `scale`.
+    at : residuals at the optimum and their Jacobian with respect to theta in units of `scale`.
     """
     T, p = session.grips_N.size, theta.size
     residuals, J = at[0].reshape(T, -1), at[1]
-    # One score per tap: what is left of a tap whose hand was another is alike all over it.
+    # One score per tap: the residuals of a tap are correlated, since its hand differs from that of other taps.
     scores = np.einsum("tnp,tn->tp", J.reshape(T, -1, p), residuals)
     bread, meat = inverse(J), scores.T @ scores
     covariance = np.outer(scale, scale) * (bread @ meat @ bread) * T / (T - p)
@@ -362,7 +362,7 @@ def _with_uncertainty(
     middle, of_middle = to_middle @ theta, to_middle @ covariance @ to_middle.T
     deviation = np.sqrt(np.diagonal(of_middle))
     names = (*SHARED, *(f"hand.{name}" for name in HAND))
-    with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that ended at zero is not determined
+    with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that ended at zero counts as not determined
         uncertain = np.where(middle > 0, quantile(T - p) * deviation / middle, np.inf)
         correlation = np.nan_to_num(of_middle / np.outer(deviation, deviation))
     entangled = [
@@ -381,7 +381,7 @@ def _with_uncertainty(
         uncertain=dict(zip(names, uncertain.tolist(), strict=True)),
         entangled=tuple(entangled),
         unexplained=float(np.median(np.linalg.norm(residuals, axis=1) * np.sqrt(session.every))),
-        # Takeuchi's criterion: what other taps show beyond those that were fitted.
+        # Takeuchi's criterion: the error expected for other taps exceeds that of the fitted ones by 2 tr(bread meat).
         expected=session.every * float(np.sum(residuals**2) + 2 * np.sum(bread * meat)),
         second=session.every * float(np.sum(session.second_order(hand) ** 2)),
         starts=costs,
@@ -389,16 +389,16 @@ def _with_uncertainty(
 
 
 def hand_part(fit: HandFit, chain: ChainFit, runs: Sequence[Measurement]) -> SecondOrderHand | FourthOrderHand:
-    """What the model file states: the hand of fourth order where it is the better one and the taps carry it.
+    """The hand for the model file: of fourth order if that is better and without shortfalls, else of second order.
 
     Raises
     ------
-    pydantic.ValidationError : no passive hand.
+    pydantic.ValidationError : the hand is not passive.
     """
     if chain.is_better and not chain.shortfalls():
         return FourthOrderHand.model_validate(chain.content(runs))
     content = fit.content(runs)
     if fit.unexplained > MOST_UNEXPLAINED and chain.is_better:
-        # No other tap would make one mass of this hand.
+        # More taps would not make one mass fit this hand, so the file states what the fourth order lacks.
         content |= {"verdict": chain.verdict(), "shortfalls": chain.shortfalls()}
     return SecondOrderHand.model_validate(content)

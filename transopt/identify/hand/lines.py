@@ -17,15 +17,15 @@ QUANTITIES = ("mass_kg", "damping_N_s_m", "stiffness_N_m")
 COEFFICIENTS = tuple(f"{quantity}.{part}" for quantity in QUANTITIES for part in ("constant", "per_newton"))
 LEAST_TRIALS, LEAST_GRIPS = 12, 3
 RESAMPLES = 2000
-_SAME_GRIP, _SAME_GRIP_N = 0.15, 0.1  # grips no farther apart than this count as one
-_PLAUSIBLE_KG = (0.03, 1.0)  # of a hand with a stylus
-LEAST_HEARD_HZ = 100.0  # below it nothing of a fast tap is known
-# Beyond these the model is not fit to design with.
+_SAME_GRIP, _SAME_GRIP_N = 0.15, 0.1  # grips no farther apart than this (relative plus absolute) count as one
+_PLAUSIBLE_KG = (0.03, 1.0)  # mass of a hand with a stylus
+LEAST_HEARD_HZ = 100.0  # if the force stands out of its noise only below this, fast taps are not known
+# Beyond the following limits the model is not fit to design with.
 MOST_UNEXPLAINED = 0.10
-MOST_UNCERTAIN = 0.25  # half width of the interval at the middle grip, relative
+MOST_UNCERTAIN = 0.25  # relative half width of the interval at the middle grip
 LACK_OF_FIT_P = 0.01
 LOUDER = "tap faster, on a harder object, or with a force sensor of less noise"
-MOST_SHIFTED = 1.25  # times more unexplained than with force and acceleration shifted by a sample
+MOST_SHIFTED = 1.25  # unexplained part as recorded over that with force and acceleration shifted by a sample
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class GripLine:
     Attributes
     ----------
     quantity : which of `QUANTITIES`.
-    at_taps : (T,) of the single taps.
-    line : least squares through them.
-    intervals : (2, 2) 95 % of its constant and of its slope.
+    at_taps : (T,) values of the single taps.
+    line : least squares line through them.
+    intervals : (2, 2) 95 % intervals of its constant and of its slope.
     band : (p, 3) grips, and lower and upper end of the 95 % interval of the line there.
-    lack_of_fit_p : how likely taps would stray this far from a line if it were one; NaN without repeats.
+    lack_of_fit_p : p value of the test for lack of fit; NaN without repeated grips.
     """
 
     quantity: str
@@ -56,12 +56,12 @@ class HandFit(Fit):
 
     Attributes
     ----------
-    grips_N : (T,).
-    fits : one per tap.
-    lines : of `QUANTITIES`.
-    covariance : (6, 6) of `COEFFICIENTS`, of the bootstrap, SI.
-    shifted : median unexplained part with the force a sample earlier, and a sample later, than it was recorded.
-    heard_Hz : up to where the force stands out of its noise.
+    grips_N : (T,) grips of the taps.
+    fits : fit of each tap.
+    lines : in the order of `QUANTITIES`.
+    covariance : (6, 6) bootstrap covariance in the order of `COEFFICIENTS`, SI.
+    shifted : median unexplained part with the force shifted by a sample, earlier and later than recorded.
+    heard_Hz : frequency up to which the force stands out of its noise.
     """
 
     grips_N: FloatArray
@@ -73,7 +73,7 @@ class HandFit(Fit):
 
     @property
     def recorded_N(self) -> list[float]:
-        """Grips of the session, those that count as one by their mean, from the lightest tap to the firmest."""
+        """Grips of the session: the lightest, the means of the inner groups (`grip_groups`), and the firmest."""
         grips = [float(self.grips_N[group].mean()) for group in grip_groups(self.grips_N)]
         return [float(self.grips_N.min()), *grips[1:-1], float(self.grips_N.max())]
 
@@ -84,7 +84,7 @@ class HandFit(Fit):
 
     def shortfalls(self) -> list[str]:
         if self.unexplained > MOST_UNEXPLAINED:
-            # Whatever else shows follows from it.
+            # Other shortfalls would only follow from this one.
             return [
                 f"one mass on a spring and a damper leaves {100 * self.unexplained:.0f} % of the surface force "
                 f"unexplained (at most {100 * MOST_UNEXPLAINED:.0f} %): the stylus moves within the grip, or force "
@@ -105,7 +105,7 @@ class HandFit(Fit):
             )
         low, high = float(self.grips_N.min()), float(self.grips_N.max())
         for line in self.lines:
-            # At both ends, and so in between.
+            # A line that is positive at both ends is positive in between.
             for grip_N in (low, high):
                 if not line.line.at(grip_N) > 0:
                     found.append(
@@ -155,19 +155,20 @@ class HandFit(Fit):
 
 
 def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int = 0) -> HandFit:
-    """Each tap by itself, then lines over grip; intervals by resampling trials.
+    """Fit each tap by itself, then lines over grip; intervals by resampling trials.
 
-    Trials, not residuals, are resampled: hands vary more than sensors err, and not alike at every grip. The intervals
-    are studentised (bootstrap-t), exact to second order; percentiles are 1 % short of their nominal coverage here.
+    Trials, not residuals, are resampled: hands vary more than sensors err, and not equally at every grip. The
+    intervals are studentised (bootstrap-t), accurate to second order; percentiles are 1 % short of their nominal
+    coverage here.
 
     Parameters
     ----------
-    resamples : bootstrap samples.
-    seed : of their draw.
+    resamples : number of bootstrap samples.
+    seed : seed of their draw.
 
     Raises
     ------
-    InputError : too few taps or grips, or masses that no hand has.
+    InputError : too few taps or grips, or a mass that no hand has.
     """
     grips = np.array([tap.grip_N for tap in taps])
     if len(taps) < LEAST_TRIALS:
@@ -189,7 +190,7 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
     coefficients, covariances = _lines(grips, values, np.ones(len(taps)))
     random = np.random.default_rng(seed)
     weights = random.multinomial(len(taps), np.full(len(taps), 1 / len(taps)), size=resamples).astype(float)
-    # A resample of a single grip has no slope.
+    # A resample that holds a single grip determines no slope.
     weights = weights[[np.ptp(grips[row > 0]) > 0 for row in weights]]
     again, drawn_with = _lines(grips, values, weights)
     axis = np.linspace(grips.min(), grips.max(), 41)
@@ -221,7 +222,7 @@ def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int =
 
 
 def _shifted(tap: HandTap, by: int) -> HandTap:
-    """The tap with its force `by` samples earlier."""
+    """The tap with its force shifted `by` samples earlier."""
     if by > 0:
         return replace(tap, force_N=tap.force_N[by:], acceleration_m_s2=tap.acceleration_m_s2[:-by])
     return replace(tap, force_N=tap.force_N[:by], acceleration_m_s2=tap.acceleration_m_s2[-by:])
@@ -244,14 +245,14 @@ def _lines(grips: FloatArray, values: FloatArray, weights: FloatArray) -> tuple[
 
     Returns
     -------
-    (q, ..., 2) constant and slope, and (q, ..., 2, 2) their covariance, consistent whatever the scatter does over
+    (q, ..., 2) constant and slope, and (q, ..., 2, 2) their covariance, consistent even if the scatter varies with
     grip (White 1980, with the leverages of MacKinnon and White's HC2).
     """
     count = weights.sum(-1)
     mean = weights @ grips / count
     away = grips - mean[..., None]
     spread = (weights * away**2).sum(-1)
-    # What each tap adds to the constant and to the slope.
+    # Contribution of each tap to the constant and to the slope.
     to_slope = away / spread[..., None]
     parts = np.stack([1 / count[..., None] - mean[..., None] * to_slope, to_slope], axis=-2)
     leverage = np.minimum(1 / count[..., None] + away * to_slope, 0.9)
@@ -268,25 +269,26 @@ def _studentised(
 
     Parameters
     ----------
-    found, covariance : (2,), (2, 2) of the line. again, drawn_with : (B, 2), (B, 2, 2) of its resamples.
+    found, covariance : (2,) coefficients of the line and (2, 2) their covariance.
+    again, drawn_with : (B, 2), (B, 2, 2) the same of each resample.
     """
 
     def error(matrix: FloatArray) -> FloatArray:
-        # Rounding may take a form that is all but zero below it.
+        # Rounding may make a quadratic form that is nearly zero negative.
         return np.asarray(np.sqrt(np.maximum(np.einsum("pi,...ij,pj->...p", points, matrix, points), 0.0)))
 
     centre, own = points @ found, error(covariance)
     away, drawn = again @ points.T - centre, error(drawn_with)
-    # A quantity that is zero at every tap, such as the spring of a hand that shows none, has no scatter.
+    # A quantity that is zero at every tap, such as the spring of a hand that has none, does not scatter.
     t = np.divide(away, drawn, out=np.zeros_like(away), where=drawn > 0)
     tails = np.quantile(t, [(1 + LEVEL) / 2, (1 - LEVEL) / 2], axis=0)
     return np.asarray((centre - tails * own).T)
 
 
 def _lack_of_fit(grips: FloatArray, y: FloatArray, line: LinearInGrip, groups: Sequence[np.ndarray]) -> float:
-    """p of the F test of the groups' means about the line against the scatter within the groups.
+    """p value of the F test: scatter of the groups' means about the line against the scatter within the groups.
 
-    Grips within a group differ a little, so each tap counts with its distance from the line.
+    Grips within a group differ a little, so the test uses each tap's distance from the line.
     """
     left = y - line.constant - line.per_newton * grips
     within = sum(float(((left[g] - left[g].mean()) ** 2).sum()) for g in groups)

@@ -1,17 +1,17 @@
-"""One tap on a real surface: where it begins, what spoils it, and the mass on spring and damper that it shows.
+"""One tap on a real surface: find its contact, check its recording, and fit a mass on a spring and a damper to it.
 
-Seed Eqs. 1-2, with y the stylus' deviation from the motion that the hand intends, which is to go straight on at the
-incoming speed: F_surface = m y'' + b y' + k y. Before contact y = 0, so y' and y are integrals of the acceleration
-from contact on, and neither the incoming speed nor an encoder is needed. A hand cannot answer a tap within 30 ms:
-there the fit ends.
+Seed Eqs. 1-2: F_surface = m y'' + b y' + k y, where y is the stylus' deviation from the intended motion, which goes
+straight on at the incoming speed. Before contact y = 0, so y' and y are integrals of the acceleration from contact
+on, and neither the incoming speed nor an encoder is needed. A hand cannot react to a tap within 30 ms; the fit ends
+there.
 
-What biases such a fit, and what is done about it:
+Sources of bias, and their remedies:
 
-- a force and an acceleration that are not seen at the same time. The accelerometer's pole at 2.5 kHz alone, 64 us,
-  takes 4 % of the damping away and adds 13 % of stiffness; so the force goes through the same pole.
-- noise in the regressors (errors in variables). It pulls m down by its share of the power of a. Both sides go through
-  the same causal 500 Hz low-pass, which no linear relation between them notices, and the share falls to 1e-4.
-- a static offset, which integrates to a drift: taken from the record before contact.
+- a delay between force and acceleration. The accelerometer's pole at 2.5 kHz alone, 64 us, lowers the damping by 4 %
+  and raises the stiffness by 13 %; so the force is filtered by the same pole.
+- noise in the regressors (errors in variables). It lowers m by its share of the power of a. Both sides are filtered
+  by the same causal 500 Hz low-pass, which keeps any linear relation between them, and the share falls to 1e-4.
+- a static offset, which integrates to a drift. It is estimated from the record before contact and subtracted.
 """
 
 from collections.abc import Sequence
@@ -28,17 +28,17 @@ REACTION_S = 30e-3  # the hand's intention goes straight on for this long
 LOWPASS_HZ = 500.0
 _BASELINE_S = 5e-3  # least record before contact
 _GUARD_S = 0.5e-3  # before the force is seen to rise
-_RISE = 0.02  # of its peak, at which a force is no noise
-_NOISE = 6.0  # standard deviations
-_STANDS_OUT = 10.0  # times the noise of a sample: no noise is as high
-_LEAST_HEARD_HZ, _HEARD_BANDS = 50.0, 20  # a third of an octave apart and closer
-_HEARD = 100.0  # times the noise's power
-_FEWEST = 4  # samples that an offset is taken from
-_IN_PULSE = 0.1  # of the peak: a record that begins higher begins in the pulse
-_STUCK = 4  # samples at one extreme value: an end stop
-_JITTER = 0.2  # steps off the uniform grid, rms
-_CALIBRATION = 0.2  # relative difference of displacements by encoder and by accelerometer
-MOST_LEFT_OUT = 0.2  # of the trials
+_RISE = 0.02  # share of its peak at which the force counts as risen
+_NOISE = 6.0  # standard deviations of the noise at which the force counts as risen
+_STANDS_OUT = 10.0  # least peak over the noise of a sample: no noise is as high
+_LEAST_HEARD_HZ, _HEARD_BANDS = 50.0, 20  # lowest and number of the bands, a third of an octave apart or closer
+_HEARD = 100.0  # least power over that of the noise in a band
+_FEWEST = 4  # least samples that an offset is estimated from
+_IN_PULSE = 0.1  # share of the peak: a record that begins higher begins within the pulse
+_STUCK = 4  # samples at one extreme value that count as clipped
+_JITTER = 0.2  # largest rms deviation of the time stamps from the uniform grid, in steps
+_CALIBRATION = 0.2  # largest relative difference of displacements by encoder and by accelerometer
+MOST_LEFT_OUT = 0.2  # largest share of trials left out
 _NEAR_G = 1.3  # a ratio within this factor of 9.81 is taken for 9.81
 
 
@@ -48,13 +48,13 @@ class HandTap:
 
     Attributes
     ----------
-    name : of the trial, for messages.
+    name : name of the trial, for messages.
     grip_N : as stated.
     speed_m_s : incoming speed as stated; None if the file has none.
     dt_s : sampling period.
-    force_N, acceleration_m_s2 : (n,) without offsets, alike delayed and low-passed.
-    noise_N : rms of the force before contact, as it was recorded; NaN without a rest.
-    note : what a user should know about how it was cut; empty if nothing.
+    force_N, acceleration_m_s2 : (n,) without offsets, equally delayed and low-passed.
+    noise_N : rms of the recorded force before contact; NaN if nothing was recorded before it.
+    note : a warning about how the tap was cut; empty if there is none.
     """
 
     name: str
@@ -68,12 +68,12 @@ class HandTap:
 
     @property
     def velocity_m_s(self) -> FloatArray:
-        """(n,) of the deviation, from rest."""
+        """(n,) velocity of the deviation y, from rest."""
         return integrate.cumulative_trapezoid(self.acceleration_m_s2, dx=self.dt_s, initial=0)
 
     @property
     def displacement_m(self) -> FloatArray:
-        """(n,) of the deviation, from zero."""
+        """(n,) deviation y, from zero."""
         return integrate.cumulative_trapezoid(self.velocity_m_s, dx=self.dt_s, initial=0)
 
 
@@ -107,7 +107,7 @@ def cut_tap(
     accelerometer_Hz: float | None = None,
     window_s: float = REACTION_S,
 ) -> HandTap:
-    """Find the contact, take the offsets away, delay force like acceleration, low-pass both, cut.
+    """Find the contact, subtract the offsets, delay the force like the acceleration, low-pass both, and cut.
 
     Parameters
     ----------
@@ -115,11 +115,11 @@ def cut_tap(
     force_N, acceleration_m_s2 : (n,) as recorded, on one time grid.
     dt_s : sampling period.
     accelerometer_Hz : pole of the accelerometer, None for one to be taken as ideal.
-    window_s : from contact to the end of what is fitted.
+    window_s : time from contact to the end of the fitted samples.
 
     Raises
     ------
-    InputError : no contact, or a record that ends too early; without the trial's name.
+    InputError : no contact, or a record that ends too early; the message lacks the trial's name.
     """
     contact = onset(force_N, dt_s)
     begin = max(contact - int(np.ceil(_GUARD_S / dt_s)) - _unseen(force_N, contact), 0)
@@ -149,8 +149,8 @@ def cut_tap(
 def heard_Hz(taps: Sequence[HandTap]) -> float:
     """Frequency up to which the force of all taps together stands out of its noise, at most `LOWPASS_HZ`.
 
-    Above it a model of the response to the force fits noise, and takes the stylus for heavier than it is. Each tap
-    fades out over its second half, so that what a soft object's force ends with does not look like a fast one.
+    Above it a model of the response to the force would fit noise and overestimate the stylus' mass. Each tap is faded
+    out over its second half: a soft object's force does not end at zero, and a cut would add high frequencies.
     """
     known = [tap for tap in taps if tap.noise_N > 0]
     if not known:
@@ -162,28 +162,28 @@ def heard_Hz(taps: Sequence[HandTap]) -> float:
         lines = np.exp(-2j * np.pi * np.outer(bands, tap.dt_s * np.arange(faded.size)))
         power += np.abs(lines @ faded) ** 2
         noise += tap.noise_N**2 * faded.size
-    # A pulse has zeros in its spectrum, in which a wider band still has force.
+    # A pulse has zeros in its spectrum; averaging over neighbouring bands bridges them.
     heard = np.convolve(np.pad(power, 1, mode="edge"), np.full(3, 1 / 3), mode="valid") > _HEARD * noise
     return float(bands[max(int(np.argmin([*heard, False])) - 1, 0)])
 
 
 def _one_pole(x: FloatArray, rate: float) -> FloatArray:
-    """Exact response of a pole at `rate` per sample to an input that is linear between its samples."""
+    """Exact response of a pole of `rate` (angular frequency times sampling period) to a piecewise linear input."""
     q = np.exp(-rate)
     after = 1 - (1 - q) / rate
     return np.asarray(signal.lfilter([after, 1 - q - after], [1.0, -q], x))
 
 
 def onset(force_N: FloatArray, dt_s: float) -> int:
-    """Sample at which the surface force rises out of the noise: the first one, if the record begins in the pulse.
+    """Sample at which the surface force rises out of the noise; the first sample if the record begins in the pulse.
 
-    A trigger without pre-roll, as of an instrumented hammer, leaves no rest to know offset and noise from. The noise
-    is then taken from the steps between samples, and the offset from the first of them, or as 0 if they are in the
-    pulse.
+    A trigger without pre-roll, as of an instrumented hammer, leaves no rest before contact to estimate offset and
+    noise from. The noise is then estimated from differences between samples, and the offset from the first samples,
+    or taken as 0 if these lie in the pulse.
 
     Raises
     ------
-    InputError : it never does.
+    InputError : the force never rises out of the noise.
     """
     quiet = force_N[: max(int(_BASELINE_S / dt_s), _FEWEST)]
     noise = float(stats.median_abs_deviation(np.diff(force_N), scale="normal")) / np.sqrt(2)
@@ -204,7 +204,7 @@ def onset(force_N: FloatArray, dt_s: float) -> int:
 
 
 def _unseen(force_N: FloatArray, contact: int) -> int:
-    """Samples from contact to the onset: a soft object's force rises so slowly that noise hides its beginning."""
+    """Samples from the true contact to the detected one: noise hides the beginning of a soft object's slow rise."""
     away = np.abs(force_N - np.median(force_N[: max(contact, 1)]))
     peak = contact + int(np.argmax(away[contact:]))
     return int(np.ceil(float(away[contact] / away[peak]) * (peak - contact)))
@@ -215,7 +215,7 @@ def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
 
     Raises
     ------
-    InputError : the trial lacks a column or its grip, or cannot be used; trial first, remedy last.
+    InputError : the trial lacks a column or its grip, or cannot be used; the message names the trial and a remedy.
     """
     force = trial.require("force", "force_N")
     acceleration = trial.require("acceleration", "acceleration_m_s2")
@@ -242,11 +242,11 @@ def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
 
 
 def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> tuple[list[HandTap], list[str]]:
-    """The taps of a session, and why which trials are left out.
+    """The taps of a session, and for each trial left out the reason.
 
     Raises
     ------
-    InputError : more than a fifth of the trials cannot be used; the first of them, and how many more there are.
+    InputError : more than a fifth of the trials cannot be used; the message tells the first reason and their number.
     """
     taps, complaints = [], []
     for trial in trials:
@@ -276,7 +276,7 @@ def _check_recording(trial: Measurement) -> None:
 
 
 def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
-    """Force against acceleration, and acceleration against position where there is one."""
+    """Check the sign of force against acceleration, and sign and unit of acceleration against a recorded position."""
     ratio = None if trial.position is None or tap.note else _displacement_ratio(trial, tap)
     opposite = float(tap.force_N @ tap.acceleration_m_s2) < 0
     if ratio is not None and ratio < 0:
@@ -300,7 +300,7 @@ def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
 
 
 def _displacement_ratio(trial: Measurement, tap: HandTap) -> float:
-    """Deviation by the encoder over deviation by the accelerometer."""
+    """Deviation measured by the encoder over that measured by the accelerometer."""
     position = trial.require("position", "position_m")
     force = trial.require("force", "force_N")
     contact = onset(force.values, force.dt_s)
