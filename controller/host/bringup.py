@@ -1,8 +1,8 @@
-"""The bring-up check: what must hold of a device before it may be armed, step by step, expected beside seen.
+"""The bring-up check: the steps that a device must pass before it may be armed, each with expected and seen values.
 
-Nobody is asked to confirm anything: the person is asked to do things, and the device's own readings show that it was
-done and what came of it. The steps that only look come first; a current flows only once all of those have passed.
-Every size is checked upwards and downwards, in sign too.
+No step relies on a person's confirmation: the person is asked to do something, and the device's readings show
+whether it was done and with which result. The steps that only look come first; a current flows only after all of
+them have passed. Every quantity is checked for being too large, too small, and of the wrong sign.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ WITHIN = f"within {100 * TOLERANCE:g} %"
 
 @dataclass(frozen=True)
 class Result:
-    """One step. passed : None if it was left out, for the reason that stands in `seen`."""
+    """Result of one step. passed : None if the step was left out; `seen` then tells why."""
 
     name: str
     expected: str
@@ -32,11 +32,11 @@ class Result:
 
 @dataclass(frozen=True)
 class Step:
-    """One step.
+    """One step of the check.
 
     Attributes
     ----------
-    drives : a current flows, so that everything before it has to have passed; needs configuration and library.
+    drives : whether a current flows. Such a step needs configuration and library, and that all steps before passed.
     """
 
     name: str
@@ -84,17 +84,17 @@ SWEEP_STEPS = (
     PULSES,
     Step("trial-sweep", check_drives.trial_sweep, f"a sweep at gain {TRIAL_GAIN:g} is played to its end", True),
 )
-# What a device may lack, or what the person at it may have no way to do.
+# Steps that may be left out: a device may lack the part, or the person may have no way to do what is asked.
 SKIPPABLE = ("emergency-stop", "encoder", "accelerometer", "grip-zero", "grip-hold")
 OF_GRIP = ("grip-zero", "grip-hold")
 
 
 def check_skipped(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, if all of them may be left out.
+    """The names of steps to leave out, checked.
 
     Raises
     ------
-    InputError : one may not.
+    InputError : a step must not be left out, or does not exist.
     """
     for name in names:
         if name not in SKIPPABLE:
@@ -103,11 +103,11 @@ def check_skipped(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def check_step(name: str) -> str:
-    """The name of one step to repeat, if there is such a step.
+    """The name of one step to repeat, checked.
 
     Raises
     ------
-    InputError : there is none.
+    InputError : there is no step of this name.
     """
     names = list(dict.fromkeys(step.name for step in (*STEPS, *SWEEP_STEPS)))
     if name not in names:
@@ -121,16 +121,16 @@ def run_steps(
     tell: Callable[[Result], None] | None = None,
     only: str | None = None,
 ) -> list[Result]:
-    """All steps in order; `tell` is called with each as it is done.
+    """Run all steps in order; `tell` is called with the result of each.
 
     Parameters
     ----------
-    skip : names of steps to leave out, of SKIPPABLE.
-    only : the one step to be done; None for all.
+    skip : names of steps to leave out, from `SKIPPABLE`.
+    only : the one step to run; None for all.
 
     Raises
     ------
-    LinkLostError : the device is gone.
+    LinkLostError : the link to the device is lost.
     """
     results: list[Result] = []
     for step in SWEEP_STEPS if check.settings.host_starts else STEPS:
@@ -143,7 +143,7 @@ def run_steps(
 
 
 def _lacking(check: Check, step: Step) -> str | None:
-    """Why a step means nothing on this device."""
+    """Reason why a step does not apply to this device; None if it does."""
     if step.name in OF_GRIP and check.settings.assumed_grip_N is not None:
         return "left out: this device has no grip sensor, or this library needs none"
     if step.name == "accelerometer" and not check.described.accelerometer.sensor:
@@ -171,16 +171,16 @@ def _result(check: Check, step: Step, skip: tuple[str, ...], before: list[Result
 
 
 def drop_evidence(check: Check) -> None:
-    """Let the device forget what it has seen, after a step that the host alone found to have failed.
+    """Make the device discard its evidence after a step failed that only the host can judge.
 
-    The grip, and whether the trial tap was the predicted one, only the host can judge.
+    Only the host judges the grip and compares the trial tap with its prediction.
     """
     if check.configuration is not None and check.device.fault is None:
         check.device.configure(check.configuration, anew=True)
 
 
 def passed(check: Check, results: Sequence[Result], skip: tuple[str, ...] = ()) -> bool:
-    """Whether the device may be armed: no step failed, and each was done or left out by the user or for its kind."""
+    """Whether the device may be armed: each step passed, was left out by the user, or does not apply to it."""
     steps = {step.name: step for step in (*STEPS, *SWEEP_STEPS)}
     return all(
         result.passed

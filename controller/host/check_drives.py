@@ -1,4 +1,4 @@
-"""The steps of the bring-up check in which a current flows: small pulses, then a tap or a sweep at a tenth."""
+"""The steps of the bring-up check in which a current flows: small pulses, then a tap or a sweep at a gain of 0.1."""
 
 import numpy as np
 
@@ -14,15 +14,15 @@ from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import Recorder
 from controller.servo.interface import Notice
 
-MEASURED_PAIRS = 4  # of single pulses, where no library predicts them
-SLACK_S = 0.5  # after what the device does by itself, for its events
-AROUND_S = (0.03, 0.06)  # a contact, of which every tick is taken: what is compared, and the rest before it
+MEASURED_PAIRS = 4  # pairs of single pulses that are measured if no library predicts them
+SLACK_S = 0.5  # waiting time for events beyond the duration of what the device plays
+AROUND_S = (0.03, 0.06)  # time recorded at every tick before and after a contact, for the comparison
 
 
 def pulses(check: Check) -> Verdict:
-    """Pairs of pulses of either sign, so small that they do no harm with the wrong sign either.
+    """Play pairs of pulses of both signs, so small that they do no harm even with the wrong sign.
 
-    The device plays them and judges them itself: without its own verdict it does not arm, whatever a host says.
+    The device plays and judges them itself: without its own positive verdict it does not arm, whatever a host sends.
     """
     check.person.asked("hold the stylus above the surface, still: it will tremble")
     check.need_rest()
@@ -47,11 +47,11 @@ def pulses(check: Check) -> Verdict:
 
 
 def _measure(check: Check) -> None:
-    """Take for the prediction what a few single pulses do, where no library says it.
+    """Measure the response to a few single pulses and use it as the prediction, since no library gives one.
 
     Raises
     ------
-    FailedError : a current or an acceleration that no sound device has.
+    FailedError : the current or the acceleration is that of a faulty device.
     """
     s = check.settings
     if check.take_measured is None or not s.has_accelerometer:
@@ -62,7 +62,7 @@ def _measure(check: Check) -> None:
         if one is None:
             raise FailedError("telemetry was lost while pulses were measured")
         found.append(one)
-        # After a wrong one no other follows.
+        # No further pulse follows a faulty response.
         _need_sound(check, *one)
     current, acceleration = (float(np.mean(values)) for values in zip(*found, strict=True))
     check.note(current=current)
@@ -73,7 +73,7 @@ def _need_sound(check: Check, current: float, acceleration: float) -> None:
     """
     Raises
     ------
-    FailedError : a current over what was asked, or an acceleration [m/s^2 per A], that no sound device has.
+    FailedError : the ratio of current to command, or the acceleration [m/s^2 per A], is that of a faulty device.
     """
     if sound(current) and acceleration > 0:
         return
@@ -84,7 +84,7 @@ def _need_sound(check: Check, current: float, acceleration: float) -> None:
 
 
 def _single(check: Check, size_A: float) -> tuple[float, float] | None:
-    """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
+    """Current over command, and acceleration per ampere [m/s^2], of one pulse; None if telemetry was lost."""
     s, wanted, begin = check.settings, check.settings.pulse_ticks, len(check.happened)
     check.device.pulse(size_A, wanted)
     with check.every_tick():
@@ -124,7 +124,7 @@ def trial_sweep(check: Check) -> Verdict:
 
 
 def trial_tap(check: Check) -> Verdict:
-    """A tap at a tenth, which has to be the one that the library predicts."""
+    """Play a tap at a gain of 0.1 and compare it with the library's prediction."""
     check.person.asked("hold the stylus above the surface, still")
     s = check.settings
     least_N = s.grip_min_N + s.grip_margin_N
@@ -167,7 +167,7 @@ def trial_tap(check: Check) -> Verdict:
 
 
 def _tapped(check: Check, begin: int) -> Happened | None:
-    """Let a tap be played at a tenth; its end, None if it has not come."""
+    """Arm for a trial tap at a gain of 0.1; the event of its end, None if it does not come."""
     check.device.arm(TRIAL_GAIN, trial=True)
     try:
         check.person.asked("tap the surface")
@@ -177,7 +177,7 @@ def _tapped(check: Check, begin: int) -> Happened | None:
 
 
 def _as_predicted(check: Check, recorder: Recorder) -> tuple[str, bool]:
-    """The trial tap beside its prediction, where there is an accelerometer."""
+    """Compare the trial tap with its prediction, if there is an accelerometer: words and verdict."""
     if check.library is None or not check.described.accelerometer.sensor:
         return "", True
     if not recorder.contacts:

@@ -1,7 +1,7 @@
-"""The steps of the bring-up check that only look: link, emergency stop, encoder, accelerometer, grip, current offset.
+"""The bring-up steps without current: link, emergency stop, encoder, accelerometer, grip, current offset.
 
-The encoder is measured against a way that the person knows, the accelerometer against gravity, where there is any,
-and against the encoder while the stylus is shaken. So both scales are known before any current flows.
+The encoder is compared with a distance that the person measures; the accelerometer with gravity, if its axis has a
+component of it, and with the encoder while the stylus is shaken. So both scales are known before any current flows.
 """
 
 from math import ceil
@@ -17,35 +17,35 @@ from controller.servo.interface import Fault, State
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 LINK_S, LINK_ERROR_S, CLOCK_OFF = 1.0, 0.05, 0.01
-SPARE = 2.0  # of what a line carries: frames of few records have more beside them, and nothing is to wait in a queue
-SELDOM_S = 10e-3  # between two records at most, by which a hand's motion can still be seen
-CLOCK_S = 10.0  # for as many heartbeats as the clock is fitted to
-LATE_S = 0.1  # of records in that time: a batch, an adapter's latency and a host's pause
-WAY_M = 10e-3  # that the person measures
-LEAST_WAY = 0.1  # of it that has to be seen, or the stylus was not moved
-UNSTEADY = 0.15  # of what was moved: an encoder of another scale makes more counts of a hand's tremor
-REST_M_S2 = 0.2 * STANDARD_GRAVITY_M_S2  # by which the accelerometer may be off at rest
-GRAVITY_M_S2 = 0.5 * STANDARD_GRAVITY_M_S2  # from which a stated value at rest tells the scale
+SPARE = 2.0  # reserve of the line's rate: frames of few records have more overhead, and nothing may queue
+SELDOM_S = 10e-3  # longest time between two records that still shows a hand's motion
+CLOCK_S = 10.0  # longest wait for the clock's window of heartbeats to fill
+LATE_S = 0.1  # delay of records without loss: a batch, an adapter's latency and a pause of the host
+WAY_M = 10e-3  # distance that the person moves the stylus, by a ruler
+LEAST_WAY = 0.1  # share of it that must be seen for the stylus to count as moved
+UNSTEADY = 0.15  # unsteadiness at rest allowed, as a share of the motion: a wrong scale also scales a hand's tremor
+REST_M_S2 = 0.2 * STANDARD_GRAVITY_M_S2  # largest error of the accelerometer at rest
+GRAVITY_M_S2 = 0.5 * STANDARD_GRAVITY_M_S2  # least stated reading at rest by which its scale can be judged
 SHAKE_S = 1.5
 GRIP_ZERO_N, GRIP_HELD_N = 0.2, 0.7
-GRIP_STEADY = 0.1  # of a weight's reading
+GRIP_STEADY = 0.1  # largest range of a weight's reading, relative
 OFFSET_A = 0.05
 Verdict = tuple[str, bool]
 
 
 def link(check: Check) -> Verdict:
-    """Heartbeats there and back, and the device's clock against the host's."""
+    """Check the link: heartbeats, the device's clock against the host's, and the rate of telemetry."""
     session = check.device.session
     check.wait(lambda: bool(check.records), LINK_S)
     carried, damaged = _carried(check)
     words = ""
     if carried < 1.0:
-        # What takes too much room on the line is looked at more seldom, and a tap is kept on the device.
+        # The line is too slow for a record of every tick: read fewer; the device buffers a tap and sends it later.
         words = f"; {remedy(check.dt_s, carried)}"
         every = ceil(SPARE / carried) if carried > 0.0 else 0
         if 0 < every * check.dt_s <= SELDOM_S:
             check.look(every)
-            # Heartbeats that waited behind the records say little of the clock: until they are past.
+            # Heartbeats queued behind the records hardly determine the clock: wait until new ones have replaced them.
             check.wait(lambda: bool(check.records) and _is_clock_known(check), CLOCK_S)
             carried, damaged = _carried(check)
             words = f", one record of {every} ticks, and a tap is sent afterwards{words}"
@@ -64,13 +64,13 @@ def _is_clock_known(check: Check) -> bool:
 
 
 def _carried(check: Check) -> tuple[float, int]:
-    """Part of the records that came within a while, 1 where none was lost or late, and frames that came damaged."""
+    """Share of the records that arrived within `LINK_S`, 1 if none was lost or late, and number of damaged frames."""
     before, missed = check.device.session.decoder.bad_frames, check.missed
     first = check.records[-1][0] if check.records else 0
     check.device.listen(LINK_S)
     if not check.records:
         return 0.0, 0
-    # A device keeps records that wait; those of a slow line are late before one is missing.
+    # A device buffers records, so on a slow line they are late before any is missing.
     late_s = LINK_S - (check.records[-1][0] - first) * check.dt_s
     lost = check.missed - missed + (check.rows(late_s) if late_s > LATE_S else 0)
     return max(1.0 - lost / check.rows(LINK_S), 0.0), check.device.session.decoder.bad_frames - before
@@ -94,7 +94,7 @@ def emergency_stop(check: Check) -> Verdict:
 
 
 def encoder(check: Check) -> Verdict:
-    """A way that the person measures, by the encoder."""
+    """Compare the encoder with a distance that the person measures."""
     way = WAY_M / check.settings.count_m
     check.person.asked("let the stylus rest near the surface")
     check.forget()
@@ -118,7 +118,7 @@ def encoder(check: Check) -> Verdict:
 
 
 def accelerometer(check: Check) -> Verdict:
-    """At rest what was stated, and in motion what the encoder says."""
+    """Compare the accelerometer at rest with the stated reading, and in motion with the encoder."""
     check.person.asked("let the stylus rest")
     check.forget()
     check.wait(check.at_rest, min(check.patience_s, 5 * WINDOW_S))
@@ -170,7 +170,7 @@ def grip_zero(check: Check) -> Verdict:
 
 
 def grip_hold(check: Check) -> Verdict:
-    """Held it reads more than nothing; with a known weight it reads that."""
+    """Check that the grip sensor responds when held, and its scale if a known weight is given."""
     check.person.asked("hold the stylus firmly, as for a tap, above the surface")
     check.forget()
     most = check.settings.grip_short_N
@@ -192,7 +192,7 @@ def grip_hold(check: Check) -> Verdict:
         f"put the weight of {1e3 * weight / STANDARD_GRAVITY_M_S2:g} g on the grip sensor, nothing else"
     )
     check.forget()
-    check.device.listen(2 * WINDOW_S)  # for the hand to go and the weight to come
+    check.device.listen(2 * WINDOW_S)  # time to let go and to put the weight on
     check.forget()
 
     def steady() -> bool:

@@ -1,4 +1,4 @@
-"""What the steps of the bring-up check share: the device, the person at it, what was read, what was found."""
+"""State shared by the steps of the bring-up check: the device, the person at it, readings and results."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -20,22 +20,22 @@ from controller.servo.settings import Settings
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 
-PATIENCE_S = 30.0  # for what a person has to do
-KEPT_S = 6.0
-WINDOW_S = 0.3  # over which readings are averaged
-STILL_M, STILL_COUNTS = 0.3e-3, 2  # in that time; a hand's tremor is 0.1 mm each way
+PATIENCE_S = 30.0  # longest wait for a person to do what is asked
+KEPT_S = 6.0  # newest telemetry that is kept
+WINDOW_S = 0.3  # readings are averaged over this time
+STILL_M, STILL_COUNTS = 0.3e-3, 2  # motion within the window that counts as rest; a hand's tremor is +-0.1 mm
 
 
 class Person(Protocol):
     """Whoever stands at the device."""
 
     def asked(self, what: str) -> None:
-        """To do something; returns at once."""
+        """Ask the person to do something; return at once."""
         ...
 
 
 class FailedError(Exception):
-    """A step cannot go on; the text says what was seen instead."""
+    """A step cannot continue; the text tells what was seen instead."""
 
 
 class Check:
@@ -43,21 +43,21 @@ class Check:
 
     Parameters
     ----------
-    device : connected, IDLE, with configuration and library if there are any; every record of telemetry on.
-    settings : of its configuration.
+    device : connected and IDLE, with configuration and library if there are any, sending telemetry of every tick.
+    settings : settings of its configuration.
     loaded : whether it has configuration and library.
-    described : what its owner says of it.
-    library : that it holds; None without one.
-    grip_weight_N : of a known weight that the grip sensor is checked with; None without one.
-    configuration : in force; None without one.
-    take_measured : puts a configuration in force that predicts the test pulse as it was measured, per ampere, and
-        returns its settings; None where a library predicts it.
+    described : its device file.
+    library : the library on the device; None without one.
+    grip_weight_N : known weight to check the grip sensor with; None without one.
+    configuration : the active configuration; None without one.
+    take_measured : function that activates a configuration with the measured response to the test pulse (per ampere)
+        as its prediction, and returns its settings; None if a library predicts it.
 
     Attributes
     ----------
-    every : ticks from one record to the next; more than one on a line that does not carry each.
-    found : ratios of what was seen to what was expected, as far as the steps have come.
-    remarks : on what is off at rest, in words.
+    every : ticks from one record to the next; more than one on a line too slow for every tick.
+    found : ratios of seen to expected values that the steps have measured so far.
+    remarks : sentences on readings that are wrong at rest.
     """
 
     def __init__(
@@ -99,15 +99,15 @@ class Check:
 
     @property
     def off(self) -> list[str]:
-        """Sentences on what is off, one for each part; empty if nothing that could be named is."""
+        """One sentence for each part that is off; empty if none could be identified."""
         return [*self.remarks, *diagnosis(self.found)]
 
     def note(self, **ratios: float) -> None:
-        """Keep what a step has found."""
+        """Store ratios that a step has measured."""
         self.found = replace(self.found, **ratios)
 
     def wait(self, met: Callable[[], bool], limit_s: float) -> bool:
-        """Until it is so; False if it is not within the limit. A fault that nobody asked for ends the step."""
+        """Wait until `met` is true; False if it is not within the limit. Any fault but the emergency stop raises."""
         return met() or self.device.listen(limit_s, until=lambda news: self._unless(news) or met())
 
     def _unless(self, news: News) -> bool:
@@ -117,26 +117,26 @@ class Check:
         return False
 
     def ticks(self, duration_s: float) -> int:
-        """Whole servo periods in it."""
+        """Number of servo periods in a duration."""
         return round(duration_s / self.dt_s)
 
     def rows(self, duration_s: float) -> int:
-        """Records that come in it."""
+        """Number of records that come in a duration."""
         return round(duration_s / (self.every * self.dt_s))
 
     def look(self, every: int, before: int = 0) -> None:
-        """Take one record of so many ticks from now on, see `Device.set_telemetry`."""
+        """Request one record per `every` ticks from now on, see `Device.set_telemetry`."""
         self.device.set_telemetry(every, before)
         self.every = every
         self.forget()
 
     @contextmanager
     def every_tick(self, before: int = 0) -> Iterator[None]:
-        """Take a record of every tick; a device keeps what its line does not carry.
+        """Request a record of every tick within the block; the device buffers what a slow line does not carry.
 
         Parameters
         ----------
-        before : not 0 waits for a waveform, and has so many from before it.
+        before : if not 0, records start with the next waveform, this many ticks before it.
         """
         every = self.every
         if every > 1 or before:
@@ -148,42 +148,42 @@ class Check:
                 self.look(every)
 
     def catch_up(self, tick: int) -> None:
-        """Wait for the records up to a tick, for as long as any come."""
+        """Wait for the records up to a tick, as long as records keep coming."""
         self.device.catch_up(lambda: self.records[-1][0] if self.records else -1, tick)
 
     def came(self, what: Notice | LinkNotice, begin: int) -> Happened | None:
-        """The first such event since there were `begin` of them."""
+        """The first event of this kind from index `begin` of `happened` on; None if there is none."""
         return next((event for event in self.happened[begin:] if event.what is what), None)
 
     def wait_for(self, what: Notice | LinkNotice, begin: int, limit_s: float) -> Happened | None:
-        """Wait for the first such event; None if it does not come within the limit."""
+        """Wait for the first event of this kind from index `begin` on; None if it does not come within the limit."""
         self.wait(lambda: self.came(what, begin) is not None, limit_s)
         return self.came(what, begin)
 
     def column(self, name: str, duration_s: float = WINDOW_S) -> FloatArray:
-        """The newest readings of so long a time."""
+        """The newest readings, up to this duration of them."""
         newest = islice(reversed(self.records), self.rows(duration_s))
         return column((record for _, record in newest), name)[::-1]
 
     def mean(self, name: str) -> float:
-        """Mean of a whole window; NaN before one has come."""
+        """Mean over the newest window; NaN before a whole window has come."""
         return float(self.column(name).mean()) if self.is_window_full else float("nan")
 
     @property
     def is_window_full(self) -> bool:
-        """Whether readings of a whole window have come."""
+        """Whether the readings fill a whole window."""
         return len(self.records) >= self.rows(WINDOW_S)
 
     def forget(self) -> None:
-        """Forget what was read before now."""
+        """Discard all readings up to now."""
         self.records.clear()
 
     def still(self, most_counts: float) -> bool:
-        """Whether a whole window has come in which the counts stayed within so many."""
+        """Whether the encoder's range over a whole window is at most `most_counts`."""
         return self.is_window_full and float(np.ptp(self.column("encoder_counts"))) <= most_counts
 
     def at_rest(self) -> bool:
-        """Whether a whole window has come in which the stylus was still."""
+        """Whether the stylus was at rest for a whole window."""
         return self.still(self.still_counts)
 
     def need_rest(self) -> None:

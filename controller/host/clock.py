@@ -1,8 +1,8 @@
-"""The device's tick against the host's clock, from round trips of the heartbeat.
+"""Regression of the device's tick on the host's clock, from round trips of the heartbeat.
 
-A LEASE that left at host time a and whose answer came at b was stamped by the device somewhere between: the middle,
-give or take half the round trip. Trips that waited in a queue are longer, and only ever longer, so the quicker half
-of the last trips is taken (as NTP does), a line is fitted, and what still lies off it is weighed down (Huber).
+The device stamps a LEASE at some time between its departure at host time a and the arrival of the answer at b: at the
+middle, with an error of at most half the round trip. Queueing only ever lengthens a trip, so the quicker half of the
+last trips is used (as in NTP), and a line is fitted with Huber weights against outliers.
 """
 
 from collections import deque
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 WINDOW = 64  # trips: 6 s at rest, 3 s armed
-LEAST_TRIPS = 8  # for a drift of its own; before that the device's clock is taken to run as the host's
+LEAST_TRIPS = 8  # to estimate a drift; with fewer trips the drift is taken as 0
 LEAST_SPAN_S = 0.5
 HUBER = 1.5
 PASSES = 5
@@ -23,8 +23,8 @@ class ClockFit:
 
     Attributes
     ----------
-    error_s : bound on the error at the newest trip: half the quickest round trip, within which no two times
-        differ, half a tick, and two standard errors of the line there.
+    error_s : bound on the error at the newest trip: half the quickest round trip, plus half a tick, plus two standard
+        errors of the line there.
     """
 
     dt_s: float
@@ -43,7 +43,7 @@ class ClockFit:
 
 
 class ClockRegression:
-    """Collects round trips; `fit` is the line through the last ones, None before the first."""
+    """Collects round trips; `fit` gives the line through the last `WINDOW` of them, None before the first."""
 
     def __init__(self, dt_s: float) -> None:
         self._dt_s = dt_s
@@ -59,7 +59,7 @@ class ClockRegression:
         sent, received, ticks = (np.array(column, dtype=float) for column in zip(*self._trips, strict=True))
         trip = received - sent
         quick = trip <= np.median(trip)
-        # A stamp counts whole ticks: on average half of one has passed since.
+        # A stamp counts whole ticks, so on average half a tick has passed since.
         host, device = ((sent + received) / 2)[quick], (ticks[quick] + 0.5) * self._dt_s
         origin = float(host[-1])
         x, y = host - origin, device - (host - origin)

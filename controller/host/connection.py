@@ -1,7 +1,7 @@
-"""The line to a device as the host sees it, and the errors that every line has.
+"""The interface of a line to a device, and the errors common to all lines.
 
-`controller.host.transport.Transport` is a serial port, `controller.host.emulated.EmulatedPort` that of a board in an
-emulator, `controller.sim.port.SimulatedPort` the port `sim:`, a device that is computed. Everything above,
+`controller.host.transport.Transport` is a serial port, `controller.host.emulated.EmulatedPort` the line to a board in
+an emulator, `controller.sim.port.SimulatedPort` the port `sim:` with a simulated device. Everything above,
 `controller.host.driver.Device` and the commands, is the same for all.
 """
 
@@ -13,11 +13,11 @@ CLOCK = ",clock="  # between the two names of an emulated board's port
 
 
 class PortError(InputError):
-    """The port cannot be opened or used; the message is one line with what to do."""
+    """The port cannot be opened or used; the message is one line with a remedy."""
 
 
 class UnpluggedError(PortError):
-    """The port went away while it was open; `detail` is what the system said of it."""
+    """The port disappeared while it was open; `detail` is the system's message."""
 
     def __init__(self, message: str, detail: str = "") -> None:
         super().__init__(message)
@@ -29,8 +29,8 @@ class Connection(Protocol):
 
     Attributes
     ----------
-    name : of the port, as errors and tables show it.
-    harmless : nothing is moved and nobody is touched: a device there needs no bring-up check.
+    name : name of the port in errors and tables.
+    harmless : whether the device moves nothing and touches nobody, so that it needs no bring-up check.
     """
 
     @property
@@ -40,15 +40,15 @@ class Connection(Protocol):
     def harmless(self) -> bool: ...
 
     def now_s(self) -> float:
-        """Time of a clock that only grows; in a simulation it grows while `read` waits."""
+        """Time of a monotonic clock; in a simulation it advances while `read` waits."""
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, waiting for the first byte for so long at most; empty if nothing came.
+        """Read the bytes that have come, after waiting at most `timeout_s` for the first; empty if none came.
 
         Raises
         ------
-        UnpluggedError : the port is gone, and all that came before has been read.
+        UnpluggedError : the port is gone, and all bytes that came before have been read.
         """
         ...
 
@@ -56,10 +56,10 @@ class Connection(Protocol):
         """
         Raises
         ------
-        UnpluggedError : the port is gone, or takes nothing any more.
+        UnpluggedError : the port is gone or accepts no more data.
         """
         ...
 
     def close(self) -> None:
-        """Whatever state it is in, any number of times."""
+        """Close the port, in any state; may be called repeatedly."""
         ...

@@ -1,15 +1,15 @@
-"""What is off at a device, by how much, and which part it is: from ratios of what was seen to what was expected.
+"""Diagnosis of a device: which part is off and by how much, from ratios of seen to expected values.
 
 With the factors by which the amplifier (A), its monitor (M), the motor's force (T), the encoder (E) and the
 accelerometer (C) differ from what is stated, the check sees
 
-    current of a pulse over what was asked          c = A M
+    current of a pulse over its command             c = A M
     acceleration of it over the model's             a = A T C
     path by the encoder over the true one           E, by a ruler, and p = A T E of a pulse
     encoder over accelerometer, of a hand's motion  s = E / C
 
-so a single error shows in a pattern of its own. Several errors at once are refused as well, since no two of them
-cancel in all four, and what is named then is the likeliest single one.
+so each single error has its own pattern. Several errors at once are refused too, since no two of them cancel in all
+four ratios; the part named is then that of the most likely single error.
 """
 
 import math
@@ -18,25 +18,25 @@ from dataclasses import dataclass
 
 from controller.protocol.capacity import EVIDENCE_LEAST, EVIDENCE_MOST
 
-TOLERANCE = EVIDENCE_MOST - 1  # by which a ratio may differ from 1, up and down; the device's own
-GRIP_LEAST, GRIP_MOST = 0.6, 1.7  # of the model's acceleration, which another grip may explain
-NOTHING = 0.05  # a ratio below this is no answer at all
+TOLERANCE = EVIDENCE_MOST - 1  # largest deviation of a ratio from 1; the device applies the same
+GRIP_LEAST, GRIP_MOST = 0.6, 1.7  # ratios of acceleration to the model's that another grip may explain
+NOTHING = 0.05  # a smaller ratio counts as no response
 UNKNOWN = float("nan")
 
 
 @dataclass(frozen=True)
 class Ratios:
-    """Seen over expected, signed; NaN where it was not measured.
+    """Ratios of seen to expected values, signed; NaN if not measured.
 
     Attributes
     ----------
     current : c, of the pulses. acceleration : a, of the pulses. path : p, of the pulses.
-    ruler : E, of a way that a person measured.
+    ruler : E, from a distance that a person measured.
     motion : s, encoder over accelerometer.
-    gravity : C, of what the accelerometer reads at rest over what was stated.
-    grip : of a known weight.
-    trial : of the trial tap over its prediction.
-    speed : s again, of the trial tap's approach.
+    gravity : C, reading of the accelerometer at rest over the stated one.
+    grip : reading of a known weight over that weight.
+    trial : size of the trial tap over its prediction.
+    speed : s again, from the approach of the trial tap.
     """
 
     current: float = UNKNOWN
@@ -51,9 +51,9 @@ class Ratios:
 
     @property
     def accelerometer(self) -> float:
-        """C by the hand's motion: what is left of s when the encoder is known from the ruler.
+        """C from the hand's motion: E / s, with E from the ruler, or 1 if that was not measured.
 
-        NaN where nothing was compared, or the encoder gives nothing to compare with.
+        NaN if there was no comparison, or the encoder does not respond.
         """
         encoder = 1.0 if math.isnan(self.ruler) else self.ruler
         if math.isnan(self.motion) or abs(encoder) < NOTHING or self.motion == 0:
@@ -62,17 +62,17 @@ class Ratios:
 
 
 def sound(ratio: float) -> bool:
-    """Whether a ratio is 1 within the tolerance; NaN is not."""
+    """Whether a ratio is 1 within the tolerance; false for NaN."""
     return EVIDENCE_LEAST <= ratio <= EVIDENCE_MOST
 
 
 def off(ratio: float) -> bool:
-    """Whether it was measured and is not sound."""
+    """Whether a ratio was measured and is not sound."""
     return not math.isnan(ratio) and not sound(ratio)
 
 
 def by_how_much(ratio: float) -> str:
-    """`nothing of`, `the opposite of`, `minus 3 times` or `3 times`, to be put before what it is a part of."""
+    """A ratio in words: `nothing of`, `the opposite of`, `minus 3 times` or `3 times`, to be put before a noun."""
     if abs(ratio) < NOTHING:
         return "nothing of"
     if ratio < 0:
@@ -81,7 +81,7 @@ def by_how_much(ratio: float) -> str:
 
 
 def diagnosis(found: Ratios) -> list[str]:
-    """Sentences, one for each part that is off; empty if nothing is."""
+    """One sentence for each part that is off; empty if none is."""
     return list(_sentences(found))
 
 
@@ -101,7 +101,7 @@ def _sentences(r: Ratios) -> Iterator[str]:
 
 
 def _driven(r: Ratios) -> Iterator[str]:
-    """What the pulses show."""
+    """Sentences on parts that the pulses show to be off."""
     current, force = r.current, _first(r.acceleration, r.path)
     if off(current) and off(force) and _alike(current, force):
         if abs(current) < NOTHING:
@@ -112,7 +112,7 @@ def _driven(r: Ratios) -> Iterator[str]:
     if off(current):
         yield f"the current monitor reads {by_how_much(current)} the current that flows"
     if off(force):
-        # The model's answer depends on the grip, by a fourth between 1 and 5 N.
+        # The model's response depends on the grip: by a fourth between 1 and 5 N.
         doubt = math.isnan(r.grip) and GRIP_LEAST <= force <= GRIP_MOST
         yield (
             f"the motor pushes with {by_how_much(force)} the force that the library's model says"
@@ -127,7 +127,7 @@ def _first(*ratios: float) -> float:
 
 
 def _alike(one: float, other: float) -> bool:
-    """Whether two ratios are one error: both nothing, or within the tolerance of each other."""
+    """Whether two ratios show the same error: both no response, or equal within the tolerance."""
     if abs(one) < NOTHING or abs(other) < NOTHING:
         return abs(one) < 2 * NOTHING and abs(other) < 2 * NOTHING
     return sound(one / other)

@@ -1,4 +1,4 @@
-"""A device on a port, with calls that wait: what the command line uses.
+"""A device on a port, with blocking calls: the interface that the command line uses.
 
     with Device("/dev/ttyACM0") as device:
         device.configure(configuration)
@@ -7,11 +7,11 @@
         device.listeners.append(print)
         device.listen(60.0)
 
-One thread, the caller's, pumps everything: there is no second one that could keep the lease alive while the program
-hangs or waits for a prompt, so a host that stops looking after its device loses it within the lease. Calls that wait
-pump; between two calls while armed no more than a lease may pass. Leaving the block, by Ctrl-C or any other exception
-too, stops the device: disarmed if all is well, else by an emergency stop, and waits a moment to see it obeyed.
-Every wait is bounded, by the session's own deadlines at the latest. Not thread-safe.
+The caller's thread alone pumps the link. No second thread could keep the lease alive while the program hangs or waits
+at a prompt, so a device whose host stops attending to it disarms within the lease. Blocking calls pump; while armed,
+no more than a lease may pass between two calls. Leaving the block stops the device: it is disarmed, or, on Ctrl-C or
+any other exception, stopped by an emergency stop whose effect is awaited for a moment. Every wait is bounded, at the
+latest by the session's own deadlines. Not thread-safe.
 """
 
 from collections.abc import Callable
@@ -27,20 +27,20 @@ from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED, EvidenceRe
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
 
-CONNECT_S = 3.0  # a board that starts anew when its port is opened takes two
+CONNECT_S = 3.0  # a board that restarts when its port is opened takes 2 s
 ANSWER_S = 10.0
 UPLOAD_S = 60.0
 STOP_S = 0.5
-LATE_S = 2.0  # for telemetry that is under way
-REST_S = 0.2  # a window of the approach's fit, with some room
+LATE_S = 2.0  # longest wait for telemetry in transit
+REST_S = 0.2  # longest wait for the device to detect rest: a window of the approach's fit, with a margin
 
 
 class DeviceError(InputError):
-    """The device cannot do what was asked, or is gone; one line with what to do."""
+    """The device cannot do what was requested, or is gone; the message is one line with a remedy."""
 
 
 class RefusedError(DeviceError):
-    """The device has refused; `reason` says why."""
+    """The device has refused a request; `reason` tells why."""
 
     def __init__(self, message: str, reason: Reason) -> None:
         super().__init__(message)
@@ -48,7 +48,7 @@ class RefusedError(DeviceError):
 
 
 class LinkLostError(DeviceError):
-    """The session is over: silent, unplugged, another version, not our device."""
+    """The session has ended: the device is silent, unplugged, of another version, or not one of ours."""
 
 
 Listener = Callable[[News], None]
@@ -69,19 +69,18 @@ class Device:
 
     Parameters
     ----------
-    port : a name, opened here as a serial port, or a connection that is already open; closed with the device either
-        way.
+    port : name of a port to open, or an open connection; both are closed with the device.
 
     Attributes
     ----------
-    session : for everything beside the calls here: clock, counters, state.
-    listeners : called with all news.
-    name, harmless : of the connection.
+    session : gives access to clock, counters and state.
+    listeners : functions called with each piece of news.
+    name, harmless : those of the connection.
 
     Raises
     ------
     PortError : the port cannot be opened.
-    LinkLostError : no device of ours answers.
+    LinkLostError : no transopt device answers.
     """
 
     def __init__(
@@ -98,17 +97,17 @@ class Device:
             raise
 
     def connect(self, timeout_s: float = CONNECT_S) -> None:
-        """Say HELLO on the open port; also after the link was lost, which arms nothing."""
+        """Send HELLO on the open port; works again after a lost link, and never arms anything."""
         self.session.connect(self.now_s(), timeout_s)
         self._wait(lambda news: isinstance(news, Connected), timeout_s + 1.0, "connect")
 
     def now_s(self) -> float:
-        """Time by the clock that all waits here are measured with."""
+        """Time of the clock that all waits use."""
         return self._connection.now_s()
 
     @property
     def hello(self) -> HelloReply:
-        """What the device said of itself at the last connect."""
+        """The device's reply to HELLO at the last connect."""
         assert self.session.device is not None
         return self.session.device
 
@@ -126,7 +125,7 @@ class Device:
         """
         Raises
         ------
-        DeviceError : a fault is latched, so that nothing but `reset` makes sense.
+        DeviceError : a fault is latched, so that only `reset` is possible.
         """
         if self.state is State.FAULT:
             why = "" if self.fault is None else f": {self.fault.value}"
@@ -135,13 +134,13 @@ class Device:
     # Requests: each returns when the device has done it.
 
     def configure(self, configuration: bytes, *, anew: bool = False) -> bool:
-        """Put a configuration in force; whether anything had to be sent. anew : even if it is there already."""
+        """Activate a configuration; return whether it had to be sent. anew : send it even if it is active already."""
         self.need_no_fault()
         self.session.configure(configuration, anew=anew)
         return not self._done(Kind.CONFIGURE_COMMIT).skipped
 
     def upload(self, image: bytes, progress: Callable[[int, int], None] | None = None) -> bool:
-        """Put a library in force; whether it had to be sent. progress : called with bytes done and in all."""
+        """Activate a library; return whether it had to be sent. progress : called with bytes sent and in all."""
 
         def watch(news: News) -> None:
             if progress is not None and isinstance(news, Progress):
@@ -156,15 +155,15 @@ class Device:
             self.listeners.remove(watch)
 
     def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
-        """From here on `listen` or `pump` at least once per lease.
+        """Arm the device. From here on call `listen` or `pump` at least once per lease.
 
-        A device that has just been configured or reset knows of no rest before it has read for a while.
+        A device that has just been configured or reset must read its sensors for a while before it can detect rest.
         """
         self.need_no_fault()
         self._at_rest(lambda: self.session.arm(gain, lease_ms, trial=trial), Kind.ARM)
 
     def start(self, *, negative: bool = False) -> None:
-        """An excitation, if the device is still armed; returns when it has begun."""
+        """Start an excitation on the armed device; returns when it has begun."""
         self.need_no_fault()
         if self.session.state is not SessionState.ARMED:
             raise DeviceError(f"{self.name}: {Reason.NOT_ARMED.value}")
@@ -184,43 +183,43 @@ class Device:
         self._done(Kind.GAIN)
 
     def set_telemetry(self, every: int, before: int = 0) -> None:
-        """One record every so many ticks, 0 for none; they come as `Samples` to the listeners.
+        """Request one record per `every` ticks, 0 for none; the listeners get them as `Samples`.
 
-        before : not 0 keeps them back until a waveform plays; they then begin with so many from before it.
+        before : if not 0, the device holds records back until a waveform plays, and starts this many before it.
         """
         self.session.set_telemetry(every, before)
         self._done(Kind.TELEMETRY)
 
     def catch_up(self, newest: Callable[[], int], tick: int) -> None:
-        """Wait for telemetry that the device has kept, for as long as any of it comes.
+        """Wait for telemetry that the device has buffered, as long as records keep coming.
 
         Parameters
         ----------
-        newest : tick of the last record that came. tick : of the last that is wanted.
+        newest : function that gives the tick of the newest record. tick : tick of the last record wanted.
         """
         while (seen := newest()) < tick:
             if not self.listen(LATE_S, until=lambda _: newest() > seen):
                 return
 
     def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
-        """Test pulses; returns when they have begun. pairs : 0 for a single one, else the configuration's, judged."""
+        """Play test pulses; returns when they have begun. pairs : 0 for a single one, else pairs that are judged."""
         self.need_no_fault()
         self._at_rest(lambda: self.session.pulse(current_A, ticks, pairs), Kind.PULSE)
 
     def evidence(self) -> EvidenceReply:
-        """What the device has seen of itself, for this start and this configuration."""
+        """The evidence that the device has gathered since its start under this configuration."""
         self.session.evidence()
         found = self._wait(lambda news: isinstance(news, Witnessed), ANSWER_S, "evidence")
         assert isinstance(found, Witnessed)
         return found.evidence
 
     def lacks_trial(self) -> bool:
-        """Whether its pulses were sound but the library in force is new to it: `arm` needs a trial of it first."""
+        """Whether the pulses were sound but the active library needs a trial before `arm`."""
         both = PULSE_SOUND | TRIAL_FINISHED
         return not self.hello.simulated and self.evidence().bits & both == PULSE_SOUND
 
     def surface(self, counts: float) -> None:
-        """Tell the device where the surface is, in counts after the encoder's direction."""
+        """Set the surface's position, in counts along the encoder's direction."""
         self.need_no_fault()
         self.session.surface(counts)
         self._done(Kind.SURFACE)
@@ -228,7 +227,7 @@ class Device:
     # Waiting.
 
     def _at_rest(self, ask: Callable[[], None], kind: Kind) -> None:
-        """Ask for what a device does at rest alone, again while it says that the stylus moves, `REST_S` at most."""
+        """Make a request that requires rest; repeat it for up to `REST_S` while the device reports that it moves."""
         end_s = self.now_s() + REST_S
         while True:
             ask()
@@ -241,11 +240,11 @@ class Device:
             self.listen(REST_S / 10)
 
     def listen(self, duration_s: float, until: Callable[[News], bool] = lambda news: False) -> bool:
-        """Pump for so long, or until some news; whether that came.
+        """Pump for this duration, or until `until` is true for some news; return whether it was.
 
         Raises
         ------
-        LinkLostError : the link is gone; nothing will be armed by itself.
+        LinkLostError : the link is lost; nothing is armed by itself.
         """
         end_s = self.now_s() + duration_s
         while True:
@@ -255,11 +254,11 @@ class Device:
                 return False
 
     def pump(self, until_s: float = 0.0) -> list[News]:
-        """Send what is due, wait for bytes till the next deadline or `until_s` at the latest, and tell the news.
+        """Send what is due, wait for bytes until the next deadline or `until_s`, and pass the news to the listeners.
 
         Raises
         ------
-        LinkLostError : the link is gone; what came before it has gone to the listeners.
+        LinkLostError : the link is lost; the listeners have got all news from before.
         """
         try:
             now_s = self.now_s()
@@ -299,7 +298,7 @@ class Device:
     # The end.
 
     def emergency_stop(self) -> None:
-        """At once; waits a moment for the device to report its fault. Never raises for a link that is gone."""
+        """Stop at once; wait a moment for the device to report its fault. Never raises if the link is gone."""
         self.session.emergency_stop(self.now_s())
         end_s = self.now_s() + STOP_S
         with suppress(DeviceError, PortError):
@@ -308,7 +307,7 @@ class Device:
                 self.pump(end_s)
 
     def close(self) -> None:
-        """Disarm if there is somebody to disarm, then let go of the port; any number of times."""
+        """Disarm the device if it may be armed, then close the port; may be called repeatedly."""
         try:
             if self.session.state in OPEN and (self.session.device_state is not State.IDLE or self.session.arming):
                 with suppress(DeviceError):
@@ -323,7 +322,7 @@ class Device:
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         try:
-            # An ARM that was not answered may have been heard.
+            # An ARM without an answer may still have reached the device.
             armed = self.session.device_state in (State.ARMED, State.PLAYING) or self.session.arming
             if error is not None and armed:
                 self.emergency_stop()
@@ -336,7 +335,7 @@ def arm_at_rest(device: Device, lease_ms: int, within_s: float) -> None:
 
     Raises
     ------
-    DeviceError : it was not within this time.
+    DeviceError : the device could not be armed within `within_s`.
     """
     end_s = device.now_s() + within_s
     while True:

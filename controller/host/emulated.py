@@ -1,9 +1,9 @@
-"""The line to a board in an emulator, whose time passes only while the host waits for it.
+"""The line to a board in an emulator, whose time advances only while the host waits for it.
 
-A port of the name `PORT,clock=PORT2` is one: two pseudo-terminals of the emulator. On the second the host gives the
-board a turn, `TURN_S` of its time, and says how many bytes it has sent before. The board takes those first, and ends
-the turn by saying how many it has sent in it. So nothing depends on how fast the emulator is, or on what else the
-machine has to do.
+Its name is `PORT,clock=PORT2`, two pseudo-terminals of the emulator. On the second one the host starts a turn of
+`TURN_S` of the board's time by sending the number of bytes that it has sent before. The board reads those first, and
+ends the turn by replying with the number of bytes that it has sent. So nothing depends on the speed of the emulator
+or the load of the machine.
 """
 
 import os
@@ -12,9 +12,9 @@ import termios
 
 from controller.host.connection import CLOCK, PortError, UnpluggedError
 
-TURN_S = 5e-3  # as port/stm32f405/emulated.c has it
-STANDSTILL_S, LATE_S = 30.0, 0.5  # in which a turn has to be through; in which its bytes come, or were nobody's
-SAID_BYTES, MOST_BYTES = 2, 4096  # of a count, and of what is sent before a turn
+TURN_S = 5e-3  # equal to that in port/stm32f405/emulated.c
+STANDSTILL_S, LATE_S = 30.0, 0.5  # longest duration of a turn; longest wait for its bytes
+SAID_BYTES, MOST_BYTES = 2, 4096  # size of a count; most bytes sent before a turn
 BLOCK_BYTES = 1 << 16
 
 
@@ -38,7 +38,7 @@ class EmulatedPort:
         try:
             for terminal in name.split(CLOCK, 1):
                 self._open.append(os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
-                termios.tcflush(self._open[-1], termios.TCIFLUSH)  # what came for another host
+                termios.tcflush(self._open[-1], termios.TCIFLUSH)  # discard bytes meant for a previous host
         except (OSError, termios.error) as error:
             self.close()
             raise PortError(f"{name}: {error}: give the terminals that the emulator has printed") from None
@@ -58,7 +58,7 @@ class EmulatedPort:
                 return data
 
     def write(self, data: bytes) -> None:
-        """Keep it: the board takes it in its turns."""
+        """Queue the bytes; the board reads them in its next turns."""
         self._terminals()
         self._leaving += data
 
@@ -72,7 +72,7 @@ class EmulatedPort:
         return self._open
 
     def _turn(self, port: int, clock: int) -> bytes:
-        """Let the board have one; what it sent in it.
+        """Give the board one turn; return the bytes that it sent.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class EmulatedPort:
 
 
 def _read(terminal: int, wanted: int, most: int, within_s: float) -> bytes:
-    """At least so many bytes, fewer if the next do not come in this time.
+    """Read at least `wanted` bytes; fewer if the next ones do not come within `within_s`.
 
     Raises
     ------

@@ -1,12 +1,12 @@
-"""What a host keeps of devices from one command to the next: a line for each, in small files of the user's.
+"""Data about devices that the host keeps between commands, in small files in the user's state directory.
 
-A device knows only the hash of the library that it was sent; the name of the scene that it was solved from is kept
-here. A library that was uploaded elsewhere has no name.
+A device knows only the hash of its library; the name of the scene that the library was solved from is kept here. A
+library that was uploaded from elsewhere has no name.
 
-Sweeps identify a device, so there may be no library that predicts its test pulses. The check then measures the
-acceleration per ampere with a few single pulses, and what it found is the prediction that the device judges its own
-pulses by: so the current is checked, the sign, and that the pulses come back alike. `record sweep` needs the same
-number for the same configuration; it is kept for one start of a device.
+Sweeps identify a device, so there may be no library yet that predicts its test pulses. The check then measures the
+acceleration per ampere with a few single pulses, and the device judges its pulses by that measurement: this checks
+the current, the sign, and that the response repeats. `record sweep` needs the same number for the same
+configuration; it is kept for one start of a device.
 """
 
 import os
@@ -22,11 +22,11 @@ SHOWN = 8  # hexadecimal digits
 
 @dataclass(frozen=True)
 class Kept:
-    """A file of lines with a key and a value, the last one of a key.
+    """A file of lines with a key and a value, one line per key.
 
     Attributes
     ----------
-    name : of the file. most : how many lines it keeps, the newest.
+    name : name of the file. most : number of lines it keeps, the newest ones.
     """
 
     name: str
@@ -38,18 +38,18 @@ class Kept:
         return (Path(base) if base else Path.home() / ".local" / "state") / "transopt" / self.name
 
     def _values(self) -> dict[str, str]:
-        # A file that cannot be read says nothing: a library has no name, and nothing was measured.
+        # A file that cannot be read counts as empty: libraries have no names, and no pulse was measured.
         with suppress(OSError, UnicodeDecodeError):
             lines = self._path.read_text(encoding="utf-8").splitlines()
             return {key: value for key, _, value in (line.partition(" ") for line in lines) if value}
         return {}
 
     def recall(self, key: str) -> str:
-        """The value of a key; empty where none is kept."""
+        """The value of a key; empty if there is none."""
         return self._values().get(key, "")
 
     def remember(self, key: str, value: str) -> None:
-        """Keep a value. Where nothing can be written there is none the next time."""
+        """Store a value; silently without effect if the file cannot be written."""
         values = self._values()
         values.pop(key, None)
         lines = [*list(values.items())[1 - self.most :], (key, " ".join(value.split()))]
@@ -63,7 +63,7 @@ LIBRARIES, PULSES = Kept("libraries", 1000), Kept("pulses", 200)
 
 
 def library_in_words(library_sha256: bytes) -> str:
-    """`wood_on_foam (3fa2b1c0)`, or only the hash of a library without a name; `no library` for zeros."""
+    """`wood_on_foam (3fa2b1c0)`; only the hash if the library has no name; `no library` for a hash of zeros."""
     if not any(library_sha256):
         return "no library"
     digest = library_sha256.hex()
@@ -72,12 +72,12 @@ def library_in_words(library_sha256: bytes) -> str:
 
 
 def remember_library(library_sha256: bytes, name: str) -> None:
-    """Give a library its name."""
+    """Store the name of a library."""
     LIBRARIES.remember(library_sha256.hex(), name)
 
 
 def measured_pulse(boot: int) -> float | None:
-    """Acceleration per ampere [m/s^2] as measured since this start; None where it was not."""
+    """Acceleration per ampere [m/s^2] measured since this start of the device; None if not measured."""
     with suppress(ValueError):
         found = float(PULSES.recall(f"{boot:08x}"))
         return found if 0 < found < float("inf") else None
@@ -85,5 +85,5 @@ def measured_pulse(boot: int) -> float | None:
 
 
 def remember_pulse(boot: int, acceleration_m_s2: float) -> None:
-    """Keep a measured pulse; if nothing can be written, `record sweep` asks for the check again."""
+    """Store a measured pulse; if it cannot be written, `record sweep` demands the check again."""
     PULSES.remember(f"{boot:08x}", repr(acceleration_m_s2))

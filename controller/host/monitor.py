@@ -1,4 +1,4 @@
-"""What a device does, live in the terminal; without one, its events line by line."""
+"""Live view of a device in the terminal; its events line by line if the output is no terminal."""
 
 import time
 from collections import Counter, deque
@@ -18,14 +18,13 @@ EVENTS_SHOWN = 6
 
 
 class Monitor:
-    """Takes a session's news, as a listener of `driver.Device`; a context manager.
+    """A listener of `driver.Device` that shows a session's news; a context manager.
 
-    Drawn by whoever brings the news, never by a thread of its own, and ten times a second at most: a lease does not
-    wait for a terminal.
+    The caller's thread draws, at most ten times a second, so that a slow terminal does not delay the lease.
 
     Attributes
     ----------
-    events : how often each event came. faults : in the order they came.
+    events : number of each kind of event. faults : in order of arrival.
     """
 
     def __init__(
@@ -67,7 +66,7 @@ class Monitor:
             self._live.update(self.table(), refresh=True)
 
     def table(self) -> Table:
-        """Table of what is shown, as it stands now."""
+        """The table with its present values."""
         table = Table(title=self._title, show_header=False)
         table.add_column("what", no_wrap=True, min_width=len("emergency stop"))
         # This fits 60 columns with the frame, and keeps its width while the readings change.
@@ -104,7 +103,7 @@ class Monitor:
 
 
 def event_line(event: Happened, dt_s: float) -> str:
-    """An event in words."""
+    """An event as one line of text."""
     where = "" if event.speed_m_s != event.speed_m_s else f" ({event.speed_m_s:.3f} m/s, {event.grip_N:.2f} N)"
     kind = "FAULT: " if isinstance(event.what, Fault) else ""
     return f"{event.tick * dt_s:9.4f} s  {kind}{event.what.value}{where}"

@@ -1,8 +1,8 @@
-"""A hand's motion by the encoder beside the same motion by the accelerometer: what one reads over the other.
+"""Ratio of a hand's motion by the encoder to the same motion by the accelerometer.
 
-Both are band-passed alike and the encoder's path is derived twice, so that neither gravity, nor an offset, nor the
-accelerometer's noise at low frequencies is in it: over a shake of a centimetre at 2 to 4 Hz the accelerations of some
-m/s^2 stand far above both sensors' noise.
+Both signals pass the same band-pass and the encoder's path is differentiated twice, which removes gravity, offsets
+and the accelerometer's low-frequency noise. A shake of a centimetre at 2 to 4 Hz has accelerations of some m/s^2, far
+above both sensors' noise.
 """
 
 from dataclasses import dataclass
@@ -12,21 +12,21 @@ import scipy
 
 from transopt.base.signals import FloatArray
 
-LOW_HZ, HIGH_HZ = 1.5, 15.0  # of a shaking hand
-SETTLING_S = 0.3  # of the filter, left out at both ends
-LEAST_M_S2 = 0.3  # rms of a shake from which anything can be told
-NOTHING = 0.05  # of the other sensor's: noise
+LOW_HZ, HIGH_HZ = 1.5, 15.0  # band of a shaking hand
+SETTLING_S = 0.3  # settling time of the filter, left out at both ends
+LEAST_M_S2 = 0.3  # least rms of a shake for a comparison
+NOTHING = 0.05  # rms over the other sensor's below which a sensor shows only noise
 COHERENT = 0.9  # least correlation of two records of the same motion
 
 
 @dataclass(frozen=True)
 class Shaken:
-    """One shake.
+    """One shake seen by both sensors.
 
     Attributes
     ----------
-    encoder_m_s2, accelerometer_m_s2 : rms of the acceleration by either sensor, within the band.
-    correlation : of the two, -1 to 1.
+    encoder_m_s2, accelerometer_m_s2 : rms of the acceleration within the band, by each sensor.
+    correlation : correlation of the two signals, -1 to 1.
     """
 
     encoder_m_s2: float
@@ -35,14 +35,14 @@ class Shaken:
 
     @property
     def enough(self) -> bool:
-        """Whether one sensor saw a shake from which something can be told."""
+        """Whether at least one sensor saw a shake large enough for a comparison."""
         return max(self.encoder_m_s2, self.accelerometer_m_s2) >= LEAST_M_S2
 
     @property
     def ratio(self) -> float:
-        """What the encoder says over what the accelerometer says, signed; NaN if the two have nothing in common.
+        """Rms by the encoder over that by the accelerometer, signed; NaN if the two are not coherent.
 
-        0 where only the accelerometer moves, infinite where only the encoder does.
+        0 if only the accelerometer shows motion, infinite if only the encoder does.
         """
         if self.encoder_m_s2 < NOTHING * self.accelerometer_m_s2:
             return 0.0
@@ -57,7 +57,7 @@ def shaken(dt_s: float, position_m: FloatArray, acceleration_m_s2: FloatArray) -
     """
     Parameters
     ----------
-    dt_s : between two readings. position_m, acceleration_m_s2 : (n,) by encoder and by accelerometer.
+    dt_s : sampling period. position_m, acceleration_m_s2 : (n,) readings of encoder and accelerometer.
     """
     edge = round(SETTLING_S / dt_s)
     if position_m.size < 3 * edge:

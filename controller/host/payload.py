@@ -1,4 +1,4 @@
-"""What a device is given to play: configuration and image, of a library's transients or of one excitation."""
+"""The data that a device plays from: configuration and image, of a library's transients or of one excitation."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,19 +25,20 @@ from transopt.plant.coil import CoilModel
 from transopt.problem.warm_coil import WarmCoil, currents, norms
 from transopt.scene.scene import Scene
 
-EXCITATION_LIMIT_A = 1.25  # of a device that knows no coil: what the built-in motor bears continuously
-TRIAL_HZ, TRIAL_S, TRIAL_A = (20.0, 500.0), 0.5, 0.5  # of the bring-up check, at its gain
-ROUNDED = 1e-9  # of a limit
-# A blocked rotor stands still, and a held stylus moves less than a count at high frequencies.
+EXCITATION_LIMIT_A = 1.25  # for a device without a coil model: the continuous current of the built-in motor
+TRIAL_HZ, TRIAL_S, TRIAL_A = (20.0, 500.0), 0.5, 0.5  # sweep of the bring-up check, before its gain
+ROUNDED = 1e-9  # relative rounding error allowed in a limit
+# Disables the stuck-sensor check: a blocked rotor stands still, and a held stylus moves by less than a count at high
+# frequencies.
 NEVER_STUCK: dict[str, Any] = {"stuck_A_s": 1e3, "stuck_s": LONGEST_S}
 
 
 def load_playable(path: str | Path) -> Library:
-    """Read, prove and look at a library before anything of it is played.
+    """Read and prove a library, and check that a device of this kind can play it.
 
     Raises
     ------
-    InputError : what `load_proven` refuses; a library of voltages or of named targets.
+    InputError : `load_proven` refuses it, or it is a library of voltages, of places or of named targets.
     """
     library = load_proven(path)
     if library.axes.targets or library.axes.places or library.driven_by.unit != "A":
@@ -50,7 +51,7 @@ def load_playable(path: str | Path) -> Library:
 
 @dataclass(frozen=True)
 class Load:
-    """Bytes of `configuration_of` these settings, and of `image_of` what they play."""
+    """Settings with their configuration (`configuration_of`) and the image to play (`image_of`), in bytes."""
 
     settings: Settings
     configuration: bytes
@@ -59,7 +60,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Payload(Load):
-    """Load with the library that it was made of, and the device that it was made for."""
+    """A load with its library and its device."""
 
     library: Library
     device: DeviceFile = BUILT_IN
@@ -69,10 +70,10 @@ AnyLoad = TypeVar("AnyLoad", bound=Load)
 
 
 def fitted(given: AnyLoad, capacity: Capacity) -> tuple[AnyLoad, str]:
-    """What a device of this capacity is given, and what that costs in words; empty where all of it fits.
+    """The load reduced to the capacity of a device, and a phrase on what is lost; empty if all of it fits.
 
-    Cool commands, those for a hot coil, go to 8 bit where 16 do not fit, and stay behind where 8 do not either.
-    An image whose first waveforms alone are too large comes back as it is.
+    Cool commands, those for a hot coil, are stored in 8 bits if 16 do not fit, and left out if 8 do not fit either.
+    An image that is too large even without cool commands is returned unchanged.
     """
     table, head = bank_of(given.image)
     if table.cool_command_A is None or too_large(given.image, capacity) is None:
@@ -92,7 +93,7 @@ def payload(path: Path, device: DeviceFile = BUILT_IN) -> Payload:
     """
     Raises
     ------
-    InputError : no library, or one that this device cannot play.
+    InputError : the file is no library, or the device cannot play it.
     """
     return payload_of(load_proven(path), device=device)
 
@@ -103,13 +104,13 @@ def payload_of(
     """
     Parameters
     ----------
-    device : what it is to be played on.
-    table : of another method than the library's own; its waveforms are followed by as many zeros as the library's.
-    settings : other than library and device say, see `Settings`.
+    device : the device to play it on.
+    table : waveforms of another method than the library's own; they get the same number of trailing zeros.
+    settings : overrides of the settings by library and device, see `Settings`.
 
     Raises
     ------
-    InputError : one that this device cannot play.
+    InputError : the device cannot play the library.
     """
     numbers = {**library_numbers(device, library), **pulse_numbers(device, library)}
     stated = Settings.of(library, **{**numbers, **settings})
@@ -120,7 +121,7 @@ def payload_of(
 
 
 def _with_tail(table: Bank, samples: int) -> Bank:
-    """A table whose waveforms are followed by so many zeros."""
+    """The table with `samples` zeros appended to each waveform."""
     room = ((0, 0), (0, 0), (0, samples))
     cool = None if table.cool_command_A is None else np.pad(table.cool_command_A, room)
     return replace(table, command_A=np.pad(table.command_A, room), cool_command_A=cool)
@@ -129,21 +130,21 @@ def _with_tail(table: Bank, samples: int) -> Bank:
 def excitation_settings(
     hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN, pushed: float | None = None
 ) -> Settings:
-    """Settings under which the host starts what plays.
+    """Settings for excitations that the host starts.
 
-    They say nothing of the excitation, so that a configuration that has passed the check is good for all of them.
+    They do not depend on the excitation, so a configuration that has passed the check serves all excitations.
 
     Parameters
     ----------
-    hello : of the device; asked for nothing beyond its hardware.
-    library : whose limits, amplifier and coil hold. Without one those that the device says it has: its own limit
-        where it knows its coil, else 1.25 A and the built-in coil; the built-in pole as far as the hardware has it.
-    device : its encoder and sensors.
-    pushed : what a test pulse was measured to do [m/s^2 per A], its prediction where no library has one.
+    hello : the device's reply to HELLO, with the limits of its hardware.
+    library : file whose limits, amplifier and coil apply. None takes those of the device: its own limit if it has a
+        coil model, else 1.25 A and the built-in coil; and the built-in pole, clipped to the hardware's range.
+    device : device file with encoder and sensors.
+    pushed : measured response to a test pulse [m/s^2 per A], its prediction without a library.
 
     Raises
     ------
-    InputError : no library.
+    InputError : the file is no library.
     """
     if library is not None:
         loaded = load_proven(library)
@@ -166,11 +167,11 @@ def excitation_settings(
 
 
 def need_hardware(settings: Settings, hello: HelloReply) -> None:
-    """Name the first number that the device refuses as beyond its hardware, which it says by its value alone.
+    """Check the settings against the device's hardware and name the field; the device itself reports the value only.
 
     Raises
     ------
-    InputError : there is one.
+    InputError : a setting exceeds the hardware's range.
     """
     s, amplifier = settings, settings.amplifier
     scale, monitor = (min(abs(part), 1.0) for part in (s.amplifier_scale, s.monitor_scale))
@@ -193,7 +194,7 @@ def need_hardware(settings: Settings, hello: HelloReply) -> None:
 
 
 def _excitation_limit_A(hello: HelloReply, device: DeviceFile) -> float:
-    """Most current without a library: the hardware's where a known coil stops the heat, else a careful one."""
+    """Current limit without a library: the hardware's if a coil model limits the heat, else a conservative one."""
     if not hello.has_coil:
         return min(EXCITATION_LIMIT_A, hello.current_A * device.amplifier.part)
     read_A = hello.over_current_A * min(abs(device.amplifier.monitor_scale), 1.0) / Settings.over_current
@@ -201,7 +202,7 @@ def _excitation_limit_A(hello: HelloReply, device: DeviceFile) -> float:
 
 
 def _coil(hello: HelloReply) -> CoilModel:
-    """The coil that the device says it has, at its warmest surroundings; the built-in one where it says nothing."""
+    """The coil model of the device at its highest ambient; the built-in one if the device has none."""
     if not hello.has_coil:
         return RE_25
     warm_C = hello.ambient_C
@@ -219,7 +220,7 @@ def _coil(hello: HelloReply) -> CoilModel:
 
 
 def excitation_settings_of(scene: Scene, amplifier_tolerance: float, device: DeviceFile = BUILT_IN) -> Settings:
-    """Settings for a scene's own device, whose amplifier may be off by this part."""
+    """Settings for the device of a scene, with a relative tolerance of its amplifier."""
     coil = scene.coil()
     return Settings(
         dt_s=scene.time.dt_s,
@@ -237,11 +238,11 @@ def excitation_settings_of(scene: Scene, amplifier_tolerance: float, device: Dev
 def trial_sweep(
     hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN, pushed: float | None = None
 ) -> Load:
-    """A short one for the bring-up check, under the settings of all others; see `excitation_settings`.
+    """The short sweep of the bring-up check, under the settings of all excitations; see `excitation_settings`.
 
     Raises
     ------
-    InputError : no library.
+    InputError : the file is no library.
     """
     settings = excitation_settings(hello, library, device, pushed)
     size_A = min(TRIAL_A, 0.5 * settings.current_limit_A)
@@ -249,12 +250,12 @@ def trial_sweep(
 
 
 def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> Load:
-    """What a device needs to play a command (N,) [A] at the host's word; the last sample is zero.
+    """The load for a command (N,) [A] that the host starts; its last sample is zero.
 
     Raises
     ------
-    InputError : more samples than the device holds, more current than the settings allow, more heat than the coil
-        takes from its start.
+    InputError : more samples than the device holds, more current than the settings allow, or more heat than the coil
+        takes from its start temperatures.
     """
     s, N = settings, command_A.size
     room = min(hello.capacity_waveform_samples, hello.capacity_samples)
@@ -299,8 +300,8 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
 
 
 def configured(settings: Settings) -> bytes:
-    """The configuration of these settings without its surface, which is sent apart.
+    """The configuration of these settings without the surface, which is sent separately.
 
-    So the surface may move, by `zero` or by drift, and what the device has seen under the configuration stands.
+    So the surface may move, by `zero` or by drift, without invalidating the evidence under the configuration.
     """
     return configuration_of(replace(settings, surface_counts=0.0))

@@ -1,8 +1,8 @@
-"""What small pulses of current do to a held stylus: by a library's model, and by the sensors.
+"""Response of a held stylus to small pulses of current, predicted by a library's model or measured.
 
-A pulse of 0.1 A is felt as a tremble and harmless with any sign. What is compared is the current over the second
-half of the pulse, when the amplifier has settled, and the mean acceleration over the first 5 ms, before the hand's
-springs push back: that depends on the motor's force and on the masses, and little on the grip.
+A pulse of 0.1 A is felt as a tremble and is harmless with either sign. Two quantities are compared: the current over
+the second half of the pulse, when the amplifier has settled, and the mean acceleration over the first 5 ms, before
+the hand's springs push back; it depends on the motor's force and on the masses, and little on the grip.
 """
 
 from typing import Any
@@ -16,37 +16,41 @@ from transopt.base.errors import InputError
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 
-FINER = 20  # steps of the rollout per servo period
-SINGLE_PRECISION = 1e-6  # relative, above the rounding of a float32
+FINER = 20  # steps of the simulation per servo period
+SINGLE_PRECISION = 1e-6  # relative; above the rounding of a float32
 PULSE_A = 0.1
-# If there is an accelerometer a pulse is only as long as its acceleration and its settled current need; the
-# encoder has been compared with the accelerometer by then. Without one the path has to be long, and its mean over
-# more pulses, since a hand trembles by as much.
+# been compared with the accelerometer before. Without one the path must be long and averaged over more pulses, since
+# a hand's tremor is as large.
+# If there is an accelerometer, a pulse is only as long as the acceleration and the settled current need; the encoder
+# has been compared with the accelerometer before. Without one the path must be long and averaged over more pulses,
+# since a hand's tremor is as large.
+# been compared with the accelerometer before. Without one the path must be long and averaged over more pulses, since
+# a hand's tremor is as large.
 PULSE_S, PAIRS = 10e-3, 8
 BLIND_PULSE_S, BLIND_PAIRS = 20e-3, 30
-NO_PATH_M = 1e-9  # per ampere: shorter than any encoder's five counts, so that the path is not judged
+NO_PATH_M = 1e-9  # path per ampere that turns off its judgement, since it is shorter than five counts of any encoder
 
 
 def pairs_of(device: DeviceFile) -> int:
-    """Number of pairs of pulses, over which a hand's tremor averages out."""
+    """Number of pairs of pulses that averages out a hand's tremor."""
     return PAIRS if device.accelerometer.sensor else BLIND_PAIRS
 
 
 def most_pulse_A(device: DeviceFile) -> float:
-    """Largest test pulse: within the hardware's limit as a current, and as the command that goes to the amplifier."""
+    """Largest test pulse within the hardware's limit, both as a current and as the command to the amplifier."""
     scale = abs(device.amplifier.scale)
-    # The device keeps the scale in single precision, and its limit is exact.
+    # The device stores the scale in single precision, and its limit is exact.
     return min(device.hardware.pulse_A or PULSE_A, PULSE_A) * (1.0 if scale >= 1 else scale * (1 - SINGLE_PRECISION))
 
 
 def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
-    """Fields of `Settings`: the test pulse, and what the library's own model says of it at up to four of its grips.
+    """Fields of `Settings`: the test pulse, and its response predicted by the library's model at up to four grips.
 
-    The motion is exact, from rest, behind the accelerometer's pole.
+    The motion is exact, from rest, and filtered by the accelerometer's pole.
 
     Raises
     ------
-    InputError : a model of the wrong sign.
+    InputError : the model has the wrong sign.
     """
     dt_s = library.dt_s
     sensed = device.accelerometer.sensor
@@ -65,7 +69,7 @@ def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
 
 
 def measured_numbers(device: DeviceFile, dt_s: float, acceleration_m_s2: float) -> dict[str, Any]:
-    """Numbers for a device without a model, with the measured acceleration per ampere, for any grip."""
+    """Fields of `Settings` for a device without a model: the measured acceleration per ampere, for any grip."""
     return {
         "pulse_A": most_pulse_A(device),
         "pulse_ticks": round(PULSE_S / dt_s),
@@ -76,7 +80,7 @@ def measured_numbers(device: DeviceFile, dt_s: float, acceleration_m_s2: float) 
 
 
 def _pushed(library: Library, s: Settings, grip_N: float, accelerometer_Hz: float) -> tuple[float, float]:
-    """Per ampere: mean acceleration over the readings that are compared, path of the encoder to the pulse's end."""
+    """Response per ampere: mean acceleration over the compared readings, and encoder's path at the pulse's end."""
     dt_s, amplifier, duration_s = s.dt_s, s.amplifier, s.pulse_ticks * s.dt_s
     delay_s = 0.0 if amplifier is None else amplifier.delay_s
     fine_s = dt_s / FINER

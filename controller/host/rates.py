@@ -1,10 +1,10 @@
-"""What telemetry asks of a line, and what to do about one that is too slow for it."""
+"""The rate of telemetry, and remedies for a line that is too slow for it."""
 
 from controller.protocol.messages import Record
 from transopt.base.writing import rounded_down
 
-UART_BITS = 10  # of a byte with start and stop
-FRAMING = 1.08  # on the records alone: heads, check sums, stuffing, events and heartbeats beside them
+UART_BITS = 10  # bits per byte, start and stop included
+FRAMING = 1.08  # bytes on the line over those of the records: headers, check sums, stuffing, events, heartbeats
 BAUDS = (
     115_200,
     230_400,
@@ -21,11 +21,11 @@ BAUDS = (
 
 
 def remedy(dt_s: float, carried: float, kept_s: float = 0.0) -> str:
-    """What a line lacks that brought only a part of the records of every tick.
+    """A phrase on what to do about a line that carries only a share of the records of every tick.
 
     Parameters
     ----------
-    carried : that part. kept_s : length of a sweep that the device keeps until the line has carried it.
+    carried : share of the records carried. kept_s : longest sweep that the device can buffer on this line.
     """
     needed_B_s = Record.FORMAT.size / dt_s
     baud = next((baud for baud in BAUDS if baud >= UART_BITS * FRAMING * needed_B_s), None)

@@ -1,4 +1,4 @@
-"""Requests of the host, one under way at a time, asked again until answered."""
+"""Queue of the host's requests: one is outstanding at a time and is repeated until answered."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from controller.protocol.messages import Frame
 from controller.protocol.packed import Packed
 
 STOP_COPIES, STOP_EVERY_S = 3, 0.01
-GIVE_UP_S = 5.0  # a device that is there but does not answer this one question
+GIVE_UP_S = 5.0  # longest wait for the answer to one request of a device that is otherwise alive
 
 
 @dataclass(slots=True)
@@ -20,7 +20,7 @@ class _Asked:
 
 
 class Requests:
-    """First in, first out; each gets the next sequence number."""
+    """First-in first-out queue; each request gets the next sequence number."""
 
     def __init__(self, session: int, patience: Patience) -> None:
         self._session, self._patience = session, patience
@@ -30,7 +30,7 @@ class Requests:
 
     @property
     def open(self) -> Packed | None:
-        """The one that is under way."""
+        """The outstanding request; None if there is none."""
         return None if self._asked is None else self._asked.frame.message
 
     @property
@@ -41,7 +41,7 @@ class Requests:
         self._waiting.extend(messages)
 
     def add_first(self, *messages: Packed) -> None:
-        """Before all that wait."""
+        """Put messages before all that wait."""
         self._waiting.extendleft(reversed(messages))
 
     def forget_waiting(self) -> None:
@@ -52,11 +52,11 @@ class Requests:
         self._asked = None
 
     def holds(self, *kinds: type[Packed]) -> bool:
-        """Whether such a request is under way or waits."""
+        """Whether a request of these kinds is outstanding or waits."""
         return any(isinstance(request, kinds) for request in (self.open, *self._waiting))
 
     def frame(self, now_s: float) -> Frame | None:
-        """What is to be sent now, if anything."""
+        """The frame to send now; None if there is none."""
         if self._asked is None:
             if not self._waiting:
                 return None
@@ -74,7 +74,7 @@ class Requests:
         return asked.frame
 
     def answered(self, sequence: int, now_s: float) -> Packed | None:
-        """The request that an answer belongs to; None if it is a repetition or of none."""
+        """The request that an answer belongs to; None if the answer is a repetition or unexpected."""
         asked = self._asked
         if asked is None or asked.first_s is None or asked.frame.sequence != sequence:
             return None
@@ -85,23 +85,23 @@ class Requests:
         return asked.frame.message
 
     def overdue(self, now_s: float) -> bool:
-        """Whether the one under way has been asked in vain for too long."""
+        """Whether the outstanding request has gone unanswered for too long."""
         asked = self._asked
         return asked is not None and asked.first_s is not None and now_s - asked.first_s >= GIVE_UP_S
 
     def deadline_s(self) -> float | None:
-        """When to come back; minus infinity: now, something waits to be asked."""
+        """Time to call `frame` again; minus infinity if a request waits, None if there is nothing to do."""
         if self._asked is not None:
             return self._asked.next_s
         return float("-inf") if self._waiting else None
 
 
 class Stops:
-    """When an emergency stop is due: at once, thrice, and on until the device is seen in FAULT.
+    """Schedule of the emergency stop: at once, at least three times, and on until the device reports FAULT.
 
     Attributes
     ----------
-    until_fault : whether the device's report is waited for.
+    until_fault : whether to repeat until the device reports FAULT.
     """
 
     def __init__(self) -> None:
@@ -115,11 +115,11 @@ class Stops:
 
     @property
     def deadline_s(self) -> float:
-        """Infinity if none is to come."""
+        """Time of the next stop; infinity if there is none."""
         return self._next_s if self._left or self.until_fault else float("inf")
 
     def due(self, now_s: float) -> bool:
-        """Whether one has to go out now; it then counts as sent."""
+        """Whether a stop must be sent now; it then counts as sent."""
         if now_s < self.deadline_s:
             return False
         self._left, self._next_s = max(self._left - 1, 0), now_s + STOP_EVERY_S

@@ -1,12 +1,12 @@
 """The host's end of the protocol, sans-IO: bytes and time in, events and bytes out.
 
-    receive(data, now_s)      what came since the last call, also nothing: events
-    bytes_to_send(now_s)      what has to go out now
-    next_deadline_s()         when to come back at the latest, if nothing comes before
+    receive(data, now_s)      take the bytes that came since the last call (may be empty), return events
+    bytes_to_send(now_s)      the bytes to send now
+    next_deadline_s()         time of the next call at the latest, if no bytes come before
 
-`now_s` is any clock that only grows. Requests are queued and carried out one after the other; their outcome is an
-event, Completed or Refused. Every wait is bounded. The session keeps the lease while it is pumped, and never arms by
-itself: `arm` sends one ARM, whatever happens to it. Not thread-safe: one thread calls everything.
+`now_s` is the time of any monotonic clock. Requests are queued and executed one after the other; the outcome of each
+is an event, Completed or Refused. Every wait is bounded. The session renews the lease while it is pumped, and never
+arms by itself: `arm` queues one ARM and never repeats the request. Not thread-safe: one thread makes all calls.
 """
 
 import secrets
@@ -28,21 +28,21 @@ from controller.protocol.wire import Decoder, encode
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
 
-SILENCE_S = 0.6  # without any frame, though asked, the link is dead
-HEARTBEAT_S = 0.1  # at rest; armed, a quarter of the lease
-LEASES_PER_TERM = 4
-LEAST_BODY = 128  # bytes; every request but those with data has to fit
+SILENCE_S = 0.6  # the link counts as dead after this time without any answer to a request
+HEARTBEAT_S = 0.1  # longest period of the heartbeat; while armed, a quarter of the lease if that is shorter
+LEASES_PER_TERM = 4  # heartbeats per lease
+LEAST_BODY = 128  # bytes; every request without data must fit
 
 
 class Session:
-    """One host, one device, any number of connections one after the other.
+    """One host and one device, over any number of successive connections.
 
     Attributes
     ----------
-    state : of the session, see `states`. device : who answered HELLO last, None before.
+    state : state of the session, see `session_states`. device : last reply to HELLO, None before the first.
     device_state, fault : as the device last reported.
-    decoder : of this connection, with its counts. events, records : what the device tells on its own.
-    dropped_frames : sound ones of another session or of no meaning.
+    decoder : decoder of this connection, with its counters. events, records : streams that the device sends unasked.
+    dropped_frames : number of intact frames of another session or without meaning.
     """
 
     def __init__(self, token: Callable[[], int] = lambda: secrets.randbits(31) + 1) -> None:
@@ -58,31 +58,31 @@ class Session:
         self._begin(0)
 
     def _begin(self, session: int) -> None:
-        """Forget everything that belongs to one connection."""
+        """Reset everything that belongs to one connection."""
         self._session, self.decoder, self._patience = session, Decoder(), Patience()
         self._requests = Requests(session, self._patience)
         self._upload: Upload | None = None
         self._image = b""
-        self._configuration_sha256 = self._library_sha256 = m.NO_HASH  # asked for in this connection
-        self._configuration_there = self._library_there = m.NO_HASH  # what the device is known to have
+        self._configuration_sha256 = self._library_sha256 = m.NO_HASH  # requested in this connection
+        self._configuration_there = self._library_there = m.NO_HASH  # known to be active on the device
         self._clock: ClockRegression | None = None
         self._bytes_seen, self._connect_until_s = 0, 0.0
-        self._unanswered_s: float | None = None  # since when nothing came though something was asked
+        self._unanswered_s: float | None = None  # time of the first frame sent since the last one received
         self._lease_ms, self._next_lease_s, self._lease_number = LEASE_DEFAULT_MS, 0.0, 0
 
     # What the user asks for.
 
     def connect(self, now_s: float, timeout_s: float = 2.0) -> None:
-        """Say HELLO; Connected or Ended is reported within `timeout_s`."""
+        """Send HELLO; Connected or Ended is reported within `timeout_s`."""
         self._go(Trigger.CONNECT)
         self._begin(self._token())
         self._connect_until_s = now_s + timeout_s
         self._requests.add(m.Hello(m.MAGIC, m.PROTOCOL, self._token()))
 
     def configure(self, configuration: bytes, *, anew: bool = False) -> None:
-        """Put a configuration (`configuration.configuration_of`) in force, unless it is there already.
+        """Activate a configuration (`configuration.configuration_of`), unless it is active already.
 
-        anew : also then, so that the device forgets its evidence.
+        anew : send it even then, so that the device discards its evidence.
         """
         self._go(Trigger.PREPARE)
         device = self._known()
@@ -90,18 +90,18 @@ class Session:
         if self._configuration_there == self._configuration_sha256 and not anew:
             self._news.append(t.Completed(Kind.CONFIGURE_COMMIT, skipped=True))
             return
-        # Nothing is certain until it is done; and the device drops a library that does not fit.
+        # Both are unknown until the request is done; the device drops a library that does not fit the configuration.
         self._configuration_there = self._library_there = m.NO_HASH
         chunk = device.body_limit - m.Configure.FORMAT.size
         parts = [m.Configure(at, configuration[at : at + chunk]) for at in range(0, len(configuration), chunk)]
         self._requests.add(*parts, m.ConfigureCommit(self._configuration_sha256))
 
     def upload(self, image: bytes) -> None:
-        """Put a library (`image.image_of`) in force, unless it is there already.
+        """Activate a library (`image.image_of`), unless it is active already.
 
         Raises
         ------
-        InputError : larger than what the device holds; says what would fit. The session goes on.
+        InputError : the image exceeds the device's capacity; the message tells what would fit. The session continues.
         """
         device = self._known() if self.state in OPEN else None
         reason = None if device is None else too_large(image, capacity_of(device))
@@ -122,7 +122,7 @@ class Session:
 
         Raises
         ------
-        InputError : no lease or gain that any device takes.
+        InputError : the lease or the gain is out of the range that every device has.
         """
         checked("lease_ms", lease_ms, LEASE_LEAST_MS, LEASE_MOST_MS, " ms")
         checked("gain", gain, 0.0, 1.0)
@@ -133,45 +133,45 @@ class Session:
         self._requests.add(m.Arm(int(trial), lease_ms, gain, self._configuration_sha256, self._library_sha256))
 
     def start(self, *, negative: bool = False) -> None:
-        """An excitation, once, while ARMED; FINISHED tells its end. negative : with the other sign."""
+        """Start an excitation once, while ARMED; FINISHED reports its end. negative : play it with opposite sign."""
         self._ask(m.Start(int(negative)), Trigger.START)
 
     def disarm(self) -> None:
-        """Gives up whatever else is under way. No lease is kept until the device answers."""
+        """Disarm; cancels all other requests. The lease is not renewed until the device answers."""
         self._go(Trigger.ASK)
         self._requests.clear()
         self._upload = None
         self._requests.add(m.Disarm())
 
     def reset(self) -> None:
-        """Leave FAULT, if its cause is gone."""
+        """Make the device leave FAULT, if the cause is gone."""
         self._ask(m.Reset())
 
     def set_gain(self, gain: float) -> None:
         self._ask(m.Gain(checked("gain", gain, 0.0, 1.0)))
 
     def set_telemetry(self, every: int, before: int = 0) -> None:
-        """One record every so many ticks, 0 for none; before : not 0 keeps them back, see `messages.Telemetry`."""
+        """Request one record per `every` ticks, 0 for none; before : see `messages.Telemetry`."""
         ticks, kept = (int(checked("telemetry", each, 0, 0xFFFF, " ticks")) for each in (every, before))
         self._ask(m.Telemetry(ticks, kept))
 
     def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
-        """Test pulses; their end is an event. pairs : 0 for a single one, else the configuration's, judged."""
+        """Play test pulses; their end is an event. pairs : 0 for a single one, else pairs that the device judges."""
         limit_A = self._known().pulse_A if self.state in OPEN else current_A
         checked("pulse", current_A, -limit_A, limit_A, " A")
         checked("pairs", pairs, 0, 0xFF)
         self._ask(m.Pulse(current_A, int(checked("pulse", ticks, 1, 0xFFFF, " ticks")), pairs), Trigger.PREPARE)
 
     def evidence(self) -> None:
-        """What the device has seen of itself, for this start and this configuration; `Witnessed` says it."""
+        """Request the evidence since the device's start under this configuration; it comes as `Witnessed`."""
         self._ask(m.Evidence())
 
     def surface(self, counts: float) -> None:
-        """Tell the device where the surface is, in counts after the encoder's direction."""
+        """Set the surface's position, in counts along the encoder's direction."""
         self._ask(m.Surface(counts))
 
     def emergency_stop(self, now_s: float) -> None:
-        """At once, in any state; again and again until the device says FAULT, at least thrice."""
+        """Send an emergency stop at once, in any state; at least three times, until the device reports FAULT."""
         self._stops.start(now_s, until_fault=self.state in OPEN and self.device_state is not State.FAULT)
         self._upload = None
         if self.state in OPEN:
@@ -179,26 +179,26 @@ class Session:
             self._requests.add(m.Disarm())
 
     def unplugged(self, detail: str = "") -> None:
-        """The transport has failed."""
+        """Report that the transport has failed."""
         self._end(Cause.UNPLUGGED, detail)
 
     def close(self) -> None:
-        """Nothing more is sent; an armed device disarms when its lease runs out: `disarm` first."""
+        """End the session; nothing more is sent. Call `disarm` first: an armed device disarms only with its lease."""
         self._end(Cause.CLOSED)
 
     @property
     def clock(self) -> ClockFit | None:
-        """Host time against device ticks; None before the first heartbeat."""
+        """Fit of host time against device ticks; None before the first heartbeat."""
         return None if self._clock is None else self._clock.fit()
 
     @property
     def idle(self) -> bool:
-        """Whether everything asked for has been answered."""
+        """Whether all requests have been answered."""
         return self._requests.empty and self._upload is None
 
     @property
     def arming(self) -> bool:
-        """Whether an ARM or a DISARM waits or is not answered yet: whatever was reported, the device may be armed."""
+        """Whether an ARM or DISARM is unanswered, so that the device may be armed whatever it last reported."""
         return self._requests.holds(m.Arm, m.Disarm)
 
     def _ask(self, message: Packed, trigger: Trigger = Trigger.ASK) -> None:
@@ -206,7 +206,7 @@ class Session:
         self._requests.add(message)
 
     def _known(self) -> m.HelloReply:
-        assert self.device is not None  # every state that asks is behind a HELLO_REPLY
+        assert self.device is not None  # requests are possible only in states after a HELLO_REPLY
         return self.device
 
     def _go(self, trigger: Trigger) -> None:
@@ -232,7 +232,7 @@ class Session:
             self._news.append(Ended(cause, detail))
 
     def _seen(self, state: int, fault: int) -> None:
-        """The device's own state, as it reports it."""
+        """Take over the state that the device reports."""
         if state >= len(STATES) or (fault and not isinstance(EVENTS.get(fault), Fault)):
             raise BreachError(f"state {state}, fault {fault}")
         now, why = STATES[state], EVENTS.get(fault)
@@ -246,7 +246,7 @@ class Session:
     # What comes in.
 
     def receive(self, data: bytes, now_s: float) -> list[News]:
-        """Events since the last call, those of time that has passed included."""
+        """Process received bytes; return the events since the last call, timeouts included."""
         if self.state not in OVER:
             self._bytes_seen += len(data)
             try:
@@ -342,7 +342,7 @@ class Session:
         self._seen(reply.state, reply.fault)
 
     def _time(self, now_s: float) -> None:
-        """What time alone brings about."""
+        """Check the timeouts."""
         if self.state is SessionState.CONNECTING:
             if now_s >= self._connect_until_s:
                 if self._bytes_seen:
@@ -359,7 +359,7 @@ class Session:
     # What goes out.
 
     def bytes_to_send(self, now_s: float) -> bytes:
-        """Everything that is due."""
+        """All bytes that are due at `now_s`."""
         frames = [self._loose(m.EmergencyStop())] if self._stops.due(now_s) else []
         if self.state not in OVER:
             if self.events.ack_due:
@@ -393,11 +393,11 @@ class Session:
 
     @property
     def _leasing(self) -> bool:
-        # A device that shall come to rest gets no more lease, whatever happens to the words that tell it so.
+        # No lease is renewed while a DISARM is unanswered: even if the DISARM is lost, the device then disarms.
         return self._clock is not None and not isinstance(self._requests.open, m.Disarm)
 
     def next_deadline_s(self) -> float:
-        """When `receive` and `bytes_to_send` are wanted next; infinity if only bytes can bring anything."""
+        """Latest time of the next call of `receive` and `bytes_to_send`; infinity if only bytes matter."""
         deadlines = [self._stops.deadline_s]
         if self.state is SessionState.CONNECTING:
             deadlines.append(self._connect_until_s)

@@ -1,8 +1,8 @@
 """The host session's states and every transition between them, in one table (after h11).
 
-What a trigger may not do in a state does not stand in the table: out of turn from the host it is a misuse, from the
-device a breach of the protocol, and either ends the session until another connect. Nothing in the table leads to
-ARMED but the device's report that it is armed; only the user's ARM makes the device report so.
+A transition that is not in the table is not allowed: caused by the host it is a misuse, by the device a breach of the
+protocol; either ends the session until the next connect. Only the device's report that it is armed leads to ARMED,
+and only the user's ARM makes the device report so.
 """
 
 from enum import Enum, auto
@@ -11,7 +11,7 @@ from controller.servo.interface import State
 
 
 class MisuseError(RuntimeError):
-    """The program asked for something out of turn; the session is over until another connect."""
+    """The program made a call that the state does not allow; the session is over until the next connect."""
 
 
 class SessionState(Enum):
@@ -20,18 +20,18 @@ class SessionState(Enum):
     READY = auto()  # the device is IDLE
     ARMED = auto()  # the device is ARMED or PLAYING
     FAULTED = auto()  # the device is in FAULT
-    ENDED = auto()  # unplugged, silent, closed, no device of ours
-    MISUSED = auto()  # the host's error
-    BROKEN = auto()  # the device's error
+    ENDED = auto()  # unplugged, silent, closed, or not a transopt device
+    MISUSED = auto()  # by an error of the host
+    BROKEN = auto()  # by an error of the device
 
 
 class Trigger(Enum):
-    CONNECT = auto()  # the user's
-    ASK = auto()  # any request but those below
+    CONNECT = auto()  # by the user, as the next four
+    ASK = auto()  # any request but the next three
     ARM = auto()
-    START = auto()  # of an excitation
+    START = auto()  # start of an excitation
     PREPARE = auto()  # configuration, upload, pulse
-    IDLE_SEEN = auto()  # the device's reports
+    IDLE_SEEN = auto()  # reported by the device, as the next two
     ACTIVE_SEEN = auto()
     FAULT_SEEN = auto()
     END = auto()  # silence, unplugged, closed, not our device

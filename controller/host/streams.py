@@ -1,4 +1,4 @@
-"""What the device tells on its own, put back in order: events once each, telemetry with its gaps counted."""
+"""Streams that the device sends unasked, put in order: each event once, telemetry with its gaps counted."""
 
 from controller.protocol.codes import EVENTS, STATES
 from controller.protocol.events import Happened, Samples
@@ -8,15 +8,15 @@ NUMBERS = 1 << 32
 
 
 class BreachError(Exception):
-    """What the device sent cannot follow what was said before."""
+    """The device broke the protocol: its message is invalid or does not fit what it sent before."""
 
 
 class EventStream:
-    """Events in order; goes on over any number of connections with a device that has not started anew.
+    """Events in order, over any number of connections to a device that has not restarted.
 
     Attributes
     ----------
-    wanted : number of the next event to tell. ack_due : whether the device waits to hear that number.
+    wanted : number of the next event. ack_due : whether this number must be sent to the device.
     """
 
     def __init__(self) -> None:
@@ -24,13 +24,13 @@ class EventStream:
         self._boot: int | None = None
 
     def connected(self, boot: int, oldest: int) -> None:
-        """A device greets: what it has reported before and the host has acknowledged is not reported again."""
+        """Resume at a HELLO: acknowledged events are not reported again, unless the device has restarted."""
         if boot != self._boot or oldest > self.wanted:
             self.wanted = oldest
         self._boot, self.ack_due = boot, False
 
     def take(self, event: Event) -> list[Happened]:
-        """What to report: nothing if it was reported already, or if one before it is still to come."""
+        """The event to report; empty if it was reported before, or if an earlier event is still missing."""
         self.ack_due = True
         if event.number != self.wanted:
             return []
@@ -43,22 +43,22 @@ class EventStream:
 
 
 class RecordStream:
-    """Telemetry since it was last asked for.
+    """Telemetry since the last request for it.
 
     Attributes
     ----------
-    missed : records lost so far.
+    missed : number of records lost so far.
     """
 
     def __init__(self) -> None:
         self.missed = self._next = 0
 
     def restart(self) -> None:
-        """The device numbers from 0 again."""
+        """Start a new stream, numbered from 0."""
         self._next = 0
 
     def take(self, data: TelemetryData) -> list[Samples]:
-        """What to report: nothing if it was reported already."""
+        """The samples to report; empty if they were reported before."""
         size = Record.FORMAT.size
         if not data.records or len(data.records) % size or not data.every:
             raise BreachError(f"telemetry of {len(data.records)} bytes")

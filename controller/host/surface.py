@@ -1,13 +1,13 @@
-"""Finds the surface, in counts: measured once by touching it, and followed when the counts drift.
+"""Find the surface in counts of the encoder: measure it once by touching, and follow its drift.
 
-An incremental encoder starts at any number, slips at its coupling and drifts with temperature; a surface that is off
-by a count of 24.5 um comes 0.1 ms too early or too late at 0.25 m/s.
+An incremental encoder starts at an arbitrary count, slips at its coupling and drifts with temperature. An error of
+one count of 24.5 um shifts the contact by 0.1 ms at 0.25 m/s.
 
-The rule of the drift: after a tap the stylus often comes to lie on the surface, so the first rest after each contact
-is looked at, 0.2 s within 2 counts (or 50 um, of a fine encoder) and within 0.5 mm of the surface. Three such rests
-in a row on the same side of the surface, each by more than that band, are no chance: the surface is moved by their
-median. A rest within the band, or on the other side, starts the row anew, and so does a move. A hand's tremor is
-wider than the band, so that a stylus that is held still in the air is no rest.
+Rule for the drift: after a tap the stylus often comes to rest on the surface. So the first rest after each contact is
+evaluated: 0.2 s within a band of 2 counts (50 um for a fine encoder) and within 0.5 mm of the surface. Three such
+rests in a row on the same side of the surface, each farther off than the band, are not by chance: the surface is
+moved by their median. A rest within the band or on the other side restarts the row, and so does a move. A hand's
+tremor exceeds the band, so a stylus held in the air does not count as at rest.
 """
 
 from collections import deque
@@ -18,16 +18,16 @@ from controller.servo.interface import Notice
 
 REST_S, REST_COUNTS, REST_M, NEAR_M = 0.2, 2, 50e-6, 0.5e-3
 IN_A_ROW = 3
-AWAY_M = 1e-3  # that a stylus leaves the surface by between two touches
+AWAY_M = 1e-3  # least distance from the surface between two touches
 
 
 def band_counts(count_m: float) -> float:
-    """Within so many counts a stylus rests, and the surface is where it was."""
+    """Band in counts: readings within it are a rest, and a rest within it of the surface is no drift."""
     return max(REST_COUNTS, REST_M / count_m)
 
 
 class Rest:
-    """The newest readings of `REST_S`; tells when they lie within the band."""
+    """Detects a rest: all readings of the last `REST_S` within the band."""
 
     def __init__(self, dt_s: float, count_m: float) -> None:
         self._every, self._counts = 1, deque[int](maxlen=max(round(REST_S / dt_s), 1))
@@ -44,7 +44,7 @@ class Rest:
 
     @property
     def counts(self) -> float | None:
-        """Counts at which the stylus rests; None while it does not."""
+        """Median counts of the rest; None while the stylus moves."""
         full = len(self._counts) == self._counts.maxlen
         if not full or max(self._counts) - min(self._counts) > self.band:
             return None
@@ -52,20 +52,19 @@ class Rest:
 
 
 class Drift:
-    """Watches the rests between taps, as a listener of `driver.Device`.
+    """A listener of `driver.Device` that evaluates the rests between taps.
 
     Attributes
     ----------
-    surface_counts : in force.
-    moved : by how many counts the surface is to be moved; 0 while there is nothing to do. Whoever moves it calls
-        `done`.
+    surface_counts : the surface in use.
+    moved : counts by which the surface must be moved; 0 if it need not. The caller moves it and then calls `done`.
     """
 
     def __init__(self, dt_s: float, count_m: float, surface_counts: float) -> None:
         self._rest, self._near, self._band = Rest(dt_s, count_m), NEAR_M / count_m, band_counts(count_m)
         self.surface_counts, self.moved = surface_counts, 0.0
         self._offsets: list[float] = []
-        self._looks = False  # for the first rest after a contact
+        self._looks = False  # whether the first rest after a contact is awaited
 
     def take(self, news: News) -> None:
         if isinstance(news, Happened) and news.what is Notice.CONTACT:
@@ -89,17 +88,17 @@ class Drift:
             self.moved = float(median(self._offsets))
 
     def done(self) -> None:
-        """The surface has been moved."""
+        """Confirm that the surface has been moved."""
         self.surface_counts += self.moved
         self.moved, self._offsets = 0.0, []
 
 
 class Touches:
-    """Rests of a stylus that touches the surface again and again, as a listener of `driver.Device`.
+    """A listener of `driver.Device` that collects the rests of a stylus that touches the surface repeatedly.
 
     Attributes
     ----------
-    counts : of each touch so far; between two of them the stylus was away from the surface.
+    counts : counts of each touch; between two touches the stylus left the surface.
     """
 
     def __init__(self, dt_s: float, count_m: float) -> None:
@@ -122,11 +121,11 @@ class Touches:
 
     @property
     def agree(self) -> bool:
-        """Whether the newest touches were at one place, which the stylus reached from outside each time."""
+        """Whether the newest `IN_A_ROW` touches agree within twice the band."""
         newest = self.counts[-IN_A_ROW:]
         return len(newest) == IN_A_ROW and max(newest) - min(newest) <= 2 * self._rest.band
 
     @property
     def surface(self) -> float:
-        """Their median."""
+        """Median counts of the newest `IN_A_ROW` touches."""
         return float(median(self.counts[-IN_A_ROW:]))

@@ -1,10 +1,10 @@
-"""Trials of an excitation on a device: started, listened to, and kept only if they are whole.
+"""Trials of an excitation on a device: start them, record them, and keep them only if complete.
 
-A trial is every tick of the excitation, with a rest before it and what rings after it. One of which telemetry was
-lost, or in which the grip was not the one asked for, is repeated, not written.
+A trial holds every tick of the excitation, with a rest before it and the ringing after it. A trial with lost
+telemetry or a wrong grip is repeated, not written.
 
-Every tick is asked for only while a trial goes on, so that the memory in which a device keeps its telemetry is empty
-when it begins: what a slow line does not carry meanwhile comes afterwards.
+Records of every tick are requested only during a trial. So the device's telemetry buffer is empty when a trial
+begins, and what a slow line does not carry during the trial is sent after it.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,37 +24,37 @@ from controller.servo.interface import Fault, Notice, State
 from transopt.base.signals import FloatArray
 from transopt.base.terminal import make_folder
 
-BEFORE_S, AFTER_S = 0.05, 0.1  # of rest, and of ringing
-WINDOW_S = 0.3  # over which the grip and the rest are looked at
-STILL_M = 5e-4  # in that time; a hand's tremor is 0.1 mm each way
-FREE_N = 0.2  # a sensor that nobody touches
-GRIP_N, GRIP_PART = 0.3, 0.1  # by which the grip may be off, the larger of the two
+BEFORE_S, AFTER_S = 0.05, 0.1  # recorded rest before, and ringing after the excitation
+WINDOW_S = 0.3  # window in which grip and rest are judged
+STILL_M = 5e-4  # motion within the window that counts as rest; a hand's tremor is +-0.1 mm
+FREE_N = 0.2  # largest reading of a grip sensor that nobody touches
+GRIP_N, GRIP_PART = 0.3, 0.1  # allowed error of the grip, absolute and relative; the larger one applies
 ATTEMPTS = 3  # at each trial
-PATIENCE_S = 60.0  # for what a person has to do
-LOOK_S = 0.02  # between two records while nothing but the hand is looked at: 3 kB/s
-WAITED_S = 2e-3  # beyond the rest before it, for two clocks that differ
-KEPT_PART = 0.9  # of what was kept once, that a shorter sweep may take
+PATIENCE_S = 60.0  # longest wait for a person to do what is asked
+LOOK_S = 0.02  # period of records while only the hand is watched: 3 kB/s
+WAITED_S = 2e-3  # margin of waiting times for the difference of the two clocks
+KEPT_PART = 0.9  # share of the buffered length that a shorter sweep is advised to use
 
 
 class AbortedError(Exception):
-    """No trial can be had any more; the text says why."""
+    """No further trial is possible; the text tells why."""
 
 
 class _AgainError(Exception):
-    """This one is not whole; the text says why."""
+    """This trial is not complete; the text tells why."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What the device measured, tick by tick.
+    """The measurements of one trial, tick by tick.
 
     Attributes
     ----------
-    time_s : (n,) 0 at the first sample of the excitation; a row's command answers its readings and is held until the
-        next row, so a current of row k knows commands before k only.
-    command_A, current_A, acceleration_m_s2, position_m : (n,); the command as it went out, limits included.
-    grip_N : mean while it played; 0 of the free device.
-    negative : played with the other sign. cut_ticks : in which a limit cut the command.
+    time_s : (n,) 0 at the first sample of the excitation. The command of a row follows its readings and is held until
+        the next row, so the current of row k depends on commands before k only.
+    command_A, current_A, acceleration_m_s2, position_m : (n,); the command as issued, after all limits.
+    grip_N : mean during the excitation; 0 for the free device.
+    negative : whether it was played with opposite sign. cut_ticks : number of ticks in which a limit cut the command.
     """
 
     time_s: FloatArray
@@ -69,11 +69,11 @@ class Trial:
     def write(
         self, path: Path, accelerometer_Hz: float, *, held_out: bool = False, period_s: float | None = None
     ) -> None:
-        """Into a file; `held_out` for a trial to validate with, which is never fitted; the period of what repeats.
+        """Write the trial to a file. held_out : for validation only. period_s : period of a repeated excitation.
 
         Raises
         ------
-        InputError : the place cannot be written.
+        InputError : the file cannot be written.
         """
         columns = {
             "time_s": self.time_s,
@@ -92,7 +92,7 @@ class Trial:
 
 @dataclass
 class _Ears:
-    """What came since the last `forget`."""
+    """Records and events since the last `forget`."""
 
     records: list[tuple[int, Record]] = field(default_factory=list)
     happened: list[Happened] = field(default_factory=list)
@@ -107,18 +107,18 @@ class _Ears:
         self.records, self.happened = [], []
 
     def at(self, what: Notice) -> int | None:
-        """The tick of its last event."""
+        """The tick of the last event of this kind; None if there is none."""
         return next((event.tick for event in reversed(self.happened) if event.what is what), None)
 
 
 class Sweeps:
-    """Trials on one device, which is armed no longer than each takes; a context manager that listens.
+    """Trials on one device, armed only during each trial; a context manager that listens to the device.
 
     Parameters
     ----------
-    device : IDLE, the excitation in force. samples : of the excitation. gain : of it.
-    hold : asks whoever is at it for a grip. grip_N : 0 to let go, None for any.
-    assumed_grip_N : of a device without a grip sensor, whose readings are not looked at; None with one.
+    device : IDLE, with the excitation loaded. samples : length of the excitation. gain : its gain.
+    hold : function that asks the person for a grip. grip_N : requested grip; 0 to let go, None for any.
+    assumed_grip_N : grip of a device without a grip sensor, used in place of readings; None with a sensor.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class Sweeps:
         self._assumed_grip_N = assumed_grip_N
         self._dt_s = device.hello.dt_s
         self._ears = _Ears()
-        self._looked = 0  # at this tick, whether the hand is ready
+        self._looked = 0  # tick at which the hand was last judged
 
     def __enter__(self) -> "Sweeps":
         self._device.listeners.append(self._ears.take)
@@ -148,13 +148,13 @@ class Sweeps:
         self._device.listeners.remove(self._ears.take)
 
     def trial(self, *, negative: bool, tell: Callable[[str], None]) -> Trial:
-        """One whole trial; `tell` is called with why one was not.
+        """Record one complete trial; `tell` is called with the reason whenever one is incomplete.
 
         Raises
         ------
-        AbortedError : a fault, a lost lease, the grip that was asked for did not come, the device does not start, or
-            no trial was whole.
-        DeviceError : it does not arm. LinkLostError : the device is gone.
+        AbortedError : a fault, a lost lease, the requested grip did not come, the device does not start, or no
+            attempt was complete.
+        DeviceError : the device does not arm. LinkLostError : the link is lost.
         """
         why = ""
         for _ in range(ATTEMPTS):
@@ -167,12 +167,12 @@ class Sweeps:
         raise AbortedError(f"{ATTEMPTS} attempts at a trial, none whole: {why}")
 
     def try_out(self, tell: Callable[[str], None]) -> None:
-        """The excitation once at a tenth, which a device wants of each one that is new to it.
+        """Play the excitation once at a gain of 0.1, which a device requires for each new excitation.
 
         Raises
         ------
-        AbortedError : a fault, a lost lease, the device does not start, or it does not end.
-        DeviceError : it does not arm. LinkLostError : the device is gone.
+        AbortedError : a fault, a lost lease, the device does not start, or the excitation does not end.
+        DeviceError : the device does not arm. LinkLostError : the link is lost.
         """
         if not self._device.lacks_trial():
             return
@@ -183,7 +183,7 @@ class Sweeps:
         self._play(negative=False)
         self._device.disarm()
 
-    # What comes before.
+    # Before a trial.
 
     def _wait_for_hand(self) -> None:
         self._device.set_telemetry(max(round(LOOK_S / self._dt_s), 1))
@@ -203,7 +203,7 @@ class Sweeps:
         return column((record for _, record in self._ears.records[-size:]), name)
 
     def _ready(self) -> bool:
-        """Whether for a whole window the stylus was still, and held as asked."""
+        """Whether the stylus was at rest and held as requested for a whole window."""
         ears, window = self._ears, round(WINDOW_S / self._dt_s)
         newest = ears.records[-1][0] if ears.records else 0
         if not ears.records or newest - ears.records[0][0] < window or newest - self._looked < window // 10:
@@ -214,13 +214,13 @@ class Sweeps:
         return float(np.ptp(places)) * self._count_m <= STILL_M and self._wrong_grip(grips) is None
 
     def _grips(self, read_N: FloatArray) -> FloatArray:
-        """What was read; without a sensor what was asked for, else what is assumed."""
+        """The grips as read; without a sensor the requested grip, or the assumed one if none was requested."""
         if self._assumed_grip_N is None:
             return read_N
         return np.full_like(read_N, self._assumed_grip_N if self._grip_N is None else self._grip_N)
 
     def _wrong_grip(self, grips: FloatArray) -> str | None:
-        """Why these readings are not the grip that was asked for, None if they are."""
+        """Reason why these readings are not the requested grip; None if they are."""
         asked, mean = self._grip_N, float(grips.mean())
         if asked is None:
             return None
@@ -232,15 +232,15 @@ class Sweeps:
     def _until(
         self, met: Callable[[], bool], limit_s: float, over: tuple[State, ...] = (State.FAULT, State.IDLE)
     ) -> bool:
-        """Until it is so, or for so long; whether it was.
+        """Wait until `met` is true, for at most `limit_s`; return whether it was.
 
         Raises
         ------
-        AbortedError : the device went into one of the states in which it is over.
+        AbortedError : the device entered one of the states `over`.
         """
         came = self._device.listen(limit_s, until=lambda _: self._device.state in over or met())
         if self._device.state in over:
-            # The event that says why may come after the state.
+            # The event with the reason may come after the state.
             self._device.listen(0.1)
             self._need_nothing_wrong()
             raise AbortedError(f"the device is {self._device.state.value}")
@@ -252,14 +252,14 @@ class Sweeps:
             raise AbortedError(wrong[0])
 
     def _play(self, *, negative: bool) -> int:
-        """Start it on the armed device; the tick at which it ended."""
+        """Start the excitation on the armed device; return the tick at which it ended."""
         duration_s = self._samples * self._dt_s
         try:
             self._device.start(negative=negative)
         except LinkLostError:
             raise
         except DeviceError as refused:
-            self._until(lambda: False, 0.0)  # a fault or a lost lease says more
+            self._until(lambda: False, 0.0)  # a fault or a lost lease gives a better reason
             self._device.disarm()
             raise AbortedError(str(refused)) from None
         self._until(lambda: self._ears.at(Notice.FINISHED) is not None, duration_s + LATE_S)
@@ -277,7 +277,7 @@ class Sweeps:
         self._until(lambda: False, BEFORE_S + WAITED_S)
         end = self._play(negative=negative)
         self._until(lambda: self._has(end + after), AFTER_S + WAITED_S)
-        # What follows takes longer than a lease may.
+        # Catching up may take longer than a lease.
         self._device.disarm()
         self._device.catch_up(lambda: self._ears.records[-1][0] if self._ears.records else -1, end + after)
         # A lost lease may have been reported only now, and nothing is armed again after one.
@@ -293,10 +293,10 @@ class Sweeps:
         return bool(self._ears.records) and self._ears.records[-1][0] >= tick
 
     def _remedy(self, begin: int) -> str:
-        """What to do about a line that was too slow for the excitation that began at this tick.
+        """Remedy for a line that was too slow for the excitation that began at this tick.
 
-        The first gap says how long a sweep the device keeps. With r records of memory and a part c of them carried it
-        comes behind f = r / (1 - c) records, and of n in all r + c n are there.
+        The first gap tells how long a sweep the device can buffer. With a buffer of r records and a carried share c,
+        the first loss comes after f = r / (1 - c) records, and of n records r + c n arrive.
         """
         ticks = np.array([tick for tick, _ in self._ears.records], dtype=float)
         gaps = np.flatnonzero(np.diff(ticks) > 1)
@@ -324,7 +324,7 @@ class Sweeps:
             current_A=column(records, "measured_current_A"),
             acceleration_m_s2=acceleration,
             position_m=column(records, "encoder_counts") * self._count_m,
-            # A sensor's zero may lie a little below.
+            # The zero of a sensor may be slightly negative.
             grip_N=0.0 if self._grip_N == 0 else max(float(grips.mean()), 0.0),
             negative=negative,
             cut_ticks=int(np.sum(command != transient)),
@@ -332,18 +332,18 @@ class Sweeps:
 
 
 def request(grip_N: float | None) -> str:
-    """What a person is asked to do for a trial."""
+    """The sentence that asks a person for a grip."""
     if grip_N is None:
         return "hold the stylus as it shall be recorded, still"
     return "let go of the stylus, and leave it alone" if grip_N == 0 else f"hold the stylus still, at {grip_N:g} N"
 
 
 def free_numbers(folder: Path, count: int) -> list[Path]:
-    """Names for so many files, after the last that is there: none is ever written over.
+    """Paths for `count` new files, numbered after the last existing one, so that none is overwritten.
 
     Raises
     ------
-    InputError : the folder cannot be made or written.
+    InputError : the folder cannot be created or written.
     """
     make_folder(folder)
     there = [path.stem.removeprefix("sweep_") for path in folder.glob("sweep_*.npz")]

@@ -1,9 +1,9 @@
-"""A serial port as a stream of bytes: the one file that knows pyserial.
+"""A serial port as a stream of bytes: the only file that uses pyserial.
 
 Names are those of `serial.serial_for_url`: a device (`/dev/ttyACM0`, `COM3`, a pseudo-terminal), `loop://`,
-`socket://HOST:PORT`; a device may have its rate behind it, as in `/dev/ttyUSB0@4000000`. A thread of its own reads
-into a bounded queue, because what is not fetched in time is lost in the driver's buffer. What pyserial and the system
-throw, and where they throw nothing, becomes one of four errors of one line.
+`socket://HOST:PORT`; the baud rate may follow a device, as in `/dev/ttyUSB0@4000000`. A separate thread reads into a
+bounded queue, since the driver's buffer loses what is not fetched in time. Errors of pyserial and of the system,
+silent ones included, become `PortError` or `UnpluggedError` with a message of one line.
 
 Thread-safety: `read` by one thread and `write` by one (the same or another); `close` by any, any number of times.
 """
@@ -24,12 +24,12 @@ from serial.tools import list_ports
 
 from controller.host.connection import PortError, UnpluggedError
 
-BAUD = 115_200  # of a real UART only; over USB it means nothing
+BAUD = 115_200  # matters for a real UART only, not over USB
 WINDOWS = re.compile(r"^(\\\\\.\\)?COM\d+$", re.IGNORECASE)
 MOST_BAUD = 12_000_000
 POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
 WRITE_TIMEOUT_S = 1.0
-WRITE_BYTES = 1024  # handed over at once, for which the slowest line needs a tenth of that time
+WRITE_BYTES = 1024  # bytes per write; the slowest line needs a tenth of the timeout for them
 CLOSE_S = 1.0
 BLOCK_BYTES = 4096
 QUEUE_BLOCKS = 1024
@@ -37,7 +37,7 @@ QUEUE_BLOCKS = 1024
 
 @dataclass(frozen=True)
 class Listed:
-    """A serial port as the system lists it; vendor : of a USB device, None of any other."""
+    """A serial port as the system lists it; vendor : vendor id of a USB device, else None."""
 
     name: str
     description: str
@@ -45,7 +45,7 @@ class Listed:
 
 
 def listed_ports() -> list[Listed]:
-    """The serial ports there are, by their names."""
+    """The serial ports of this machine, sorted by name."""
     found = [
         Listed(port.device, (port.description or "").removeprefix("n/a"), port.vid) for port in list_ports.comports()
     ]
@@ -53,11 +53,11 @@ def listed_ports() -> list[Listed]:
 
 
 def without_rate(name: str) -> tuple[str, int]:
-    """Name of a port and its rate, from `NAME@RATE`.
+    """Name of a port and its baud rate, from `NAME@RATE`.
 
     Raises
     ------
-    PortError : a rate that is none.
+    PortError : the rate is not a number in range.
     """
     port, at, rate = name.rpartition("@")
     if not at or "://" in name:
@@ -73,7 +73,7 @@ def _ports_in_words() -> str:
 
 
 def _refusal(name: str, error: Exception) -> PortError:
-    """Why it does not open, by the system's number, which pyserial often leaves only in its text."""
+    """The error of a port that does not open, by the system's errno, which pyserial often gives only in its text."""
     number = getattr(error, "errno", None)
     cause = error.__context__
     if number is None and isinstance(cause, OSError):
@@ -99,11 +99,11 @@ class Transport:
 
     Parameters
     ----------
-    name : of the port, as `serial_for_url` takes it.
+    name : name of the port for `serial_for_url`, with an optional baud rate.
 
     Raises
     ------
-    PortError : no such port, no permission, busy, or not a port.
+    PortError : there is no such port, permission is denied, the port is busy, or it is no serial port.
     """
 
     harmless = False
@@ -113,15 +113,15 @@ class Transport:
         self._closing, self._failed = threading.Event(), threading.Event()
         self._detail = ""
         self._queue: queue.Queue[bytes] = queue.Queue(QUEUE_BLOCKS)
-        # Not every kind of port knows the word.
+        # URL ports do not know this argument.
         exclusive: dict[str, Any] = {} if "://" in name else {"exclusive": True}
         path, baud = without_rate(name)
         try:
             self._port = serial.serial_for_url(path, baud, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
         except (OSError, ValueError) as error:  # SerialException is an OSError
             raise _refusal(path, error) from None
-        # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
-        # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
+        # On a file descriptor the reader waits by select and reads without blocking, also from a socket, whose
+        # `in_waiting` is not a count. Ports without one (loop://, Windows) block for one byte.
         self._descriptor = self._descriptor_of_port()
         self._reader = threading.Thread(target=self._read_on, name=f"reader of {name}", daemon=True)
         self._reader.start()
@@ -159,7 +159,7 @@ class Transport:
                 self._port.write(data[at : at + WRITE_BYTES])
         except serial.SerialTimeoutException:
             self._fail("it has taken no data for a second")
-        # A port that another thread is closing, or that is gone, fails in any of these ways.
+        # A port that is gone, or that another thread is closing, raises any of these.
         except (OSError, TypeError, ValueError, AttributeError) as error:
             self._fail(str(error))
         self._check()
@@ -170,7 +170,7 @@ class Transport:
             self._port.cancel_read()
         if threading.current_thread() is not self._reader:
             self._reader.join(CLOSE_S)
-        # On a port that is gone, termios.error, which is no OSError, comes from here.
+        # A port that is gone raises termios.error here, which is not an OSError.
         with contextlib.suppress(Exception):
             self._port.close()
 
@@ -193,7 +193,7 @@ class Transport:
             self._failed.set()
 
     def _read_on(self) -> None:
-        """The reader's thread: dies only with a word about it."""
+        """The reader's thread: reads until closed, and records why it ended."""
         try:
             while not self._closing.is_set():
                 if self._descriptor is None:
@@ -205,12 +205,12 @@ class Transport:
                     continue
                 if data:
                     self._put(data)
-        except Exception as error:  # also termios.error, TypeError of a port closed meanwhile
+        except Exception as error:  # termios.error too, and TypeError of a port closed meanwhile
             self._fail(str(error) or type(error).__name__)
         else:
             self._fail("closed")
         with contextlib.suppress(queue.Full):
-            self._queue.put_nowait(b"")  # wakes whoever waits
+            self._queue.put_nowait(b"")  # wakes a waiting `read`
 
     def _put(self, data: bytes) -> None:
         while not self._closing.is_set():

@@ -1,8 +1,8 @@
 """The sending half of a windowed upload: go-back-N with cumulative acknowledgements, sans-IO.
 
-The device takes DATA only in order and answers each with the offset it wants next. An answer that repeats itself says
-that something was lost: everything from there on is sent again, once per loss. If no answer comes at all a timer does
-the same, its patience doubling up to a bound.
+The device accepts DATA only in order and answers each frame with the offset that it wants next. A repeated answer
+means a loss: everything from that offset on is sent again, once per loss. Without any answer a timer does the same;
+its timeout doubles up to a bound.
 """
 
 from controller.protocol.messages import Data
@@ -12,7 +12,7 @@ STALLED_S = 5.0
 
 
 class Patience:
-    """How long to wait for an answer: from the round trips seen (Jacobson 1988), doubled after every vain wait."""
+    """Retransmission timeout: from measured round trips (Jacobson 1988), doubled after every expiry."""
 
     def __init__(self) -> None:
         self._smooth_s: float | None = None
@@ -20,7 +20,7 @@ class Patience:
         self._factor = 1.0
 
     def seen(self, trip_s: float) -> None:
-        """A round trip of something that was sent only once (Karn)."""
+        """Take a round trip; only of a frame that was sent once (Karn's rule)."""
         if self._smooth_s is None:
             self._smooth_s, self._spread_s = trip_s, trip_s / 2
         else:
@@ -40,15 +40,15 @@ class Patience:
 
 
 class BadAckError(ValueError):
-    """The device wants what was never sent."""
+    """The device acknowledges bytes that were never sent."""
 
 
 class Upload:
-    """One image on its way, `window_frames` frames of `chunk` bytes at a time.
+    """The upload of one image with a window of `window_frames` frames of `chunk` bytes.
 
     Attributes
     ----------
-    acknowledged : bytes that have arrived.
+    acknowledged : number of bytes that have arrived.
     """
 
     def __init__(self, image: bytes, offset: int, window_frames: int, chunk: int, patience: Patience) -> None:
@@ -66,19 +66,19 @@ class Upload:
 
     @property
     def deadline_s(self) -> float | None:
-        """When to come back if no answer comes; None with nothing under way."""
+        """Time of the retransmission if no answer comes; None if nothing is unacknowledged."""
         return self._deadline_s
 
     def stalled(self, now_s: float) -> bool:
-        """Whether nothing has arrived for too long, though the device is there."""
+        """Whether the upload has made no progress for too long, though the device is alive."""
         return self._progress_s is not None and now_s - self._progress_s >= STALLED_S
 
     def acknowledge(self, wanted: int, now_s: float) -> bool:
-        """An ACK; whether it was progress.
+        """Take an ACK; return whether it was progress.
 
         Raises
         ------
-        BadAckError : it wants more than was sent.
+        BadAckError : the ACK lies beyond what was sent.
         """
         if wanted > self._highest:
             raise BadAckError(f"device wants offset {wanted}, {self._highest} of {len(self._image)} sent")
@@ -94,14 +94,14 @@ class Upload:
             self._deadline_s = None if self._next == wanted else now_s + self._patience.now_s()
             return True
         if wanted == self.acknowledged and self._next > wanted:
-            # What was under way behind the loss repeats the answer once each: only more than that is another loss.
+            # Each frame in flight behind the loss repeats the answer once; only further repeats mean another loss.
             self._repeats += 1
             if self._repeats > self._tolerated:
                 self._go_back()
         return False
 
     def frames(self, now_s: float) -> list[Data]:
-        """What may be sent now."""
+        """The frames that may be sent now."""
         if self._deadline_s is not None and now_s >= self._deadline_s:
             self._patience.in_vain()
             self._go_back()
