@@ -1,4 +1,4 @@
-"""Which simulated device a command means: a scene's, with what is wrong with it."""
+"""The simulated device that a command refers to: that of a scene, with its imperfections."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ def find_scene(scene: str) -> Scene:
 
     Raises
     ------
-    InputError : there is none, or it cannot be used.
+    InputError : there is no such scene, or it is invalid.
     """
     from transopt.scene import builtin
 
@@ -26,7 +26,7 @@ def scene_like(named: str | Path) -> Scene:
 
     Raises
     ------
-    InputError : it is none of these.
+    InputError : the name is neither a scene nor a library.
     """
     path = Path(named)
     return scene_of(load_library(path)) if path.suffix.lower() == ".npz" else find_scene(str(named))

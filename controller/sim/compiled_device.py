@@ -1,4 +1,4 @@
-"""The compiled device as a process of its own, started from Python, with a simulated stylus in a simulated hand."""
+"""The compiled device in a separate process started from Python, with a simulated stylus in a simulated hand."""
 
 import subprocess
 import tempfile
@@ -8,19 +8,19 @@ from types import TracebackType
 from controller.firmware.build import CORE, FIRMWARE, build, sources
 from transopt.base.errors import InputError
 
-ENDS_S = 5.0  # a process that is asked to end has this long
+ENDS_S = 5.0  # longest wait for the process to end before it is killed
 
 
 class CompiledDevice:
-    """`transopt-device` as it is compiled from firmware/core and firmware/host, in real time.
+    """The program `transopt-device`, compiled from the firmware's core and host port, running in real time.
 
     Parameters
     ----------
-    plant : `plant_file.plant_bytes`. options : of the program, like "--delay-ms", "16".
+    plant : from `plant_file.plant_bytes`. options : command-line options of the program, like "--delay-ms", "16".
 
     Attributes
     ----------
-    name : of its port, as `driver.Device` opens it. process : the device's own.
+    name : name of its port, for `driver.Device`. process : the running program.
 
     Raises
     ------
@@ -40,14 +40,14 @@ class CompiledDevice:
                 text=True,
             )
             assert self.process.stdout is not None
-            # The plant is read before the port is named.
+            # The program reads the plant file before it prints the port's name, so the folder may go afterwards.
             self.name = self.process.stdout.readline().strip()
         if not self.name:
             said = self.process.communicate()[1].strip()
             raise InputError(f"transopt-device does not start: {said}")
 
     def close(self) -> None:
-        """Whatever state it is in."""
+        """End the process, in any state."""
         self.process.terminate()
         try:
             self.process.communicate(timeout=ENDS_S)

@@ -1,7 +1,7 @@
-"""The current of a motor on a PWM bridge, pulse by pulse in the mean: what stands behind an amplifier's pole.
+"""The mean current of a motor on a PWM bridge with a PI loop: the physical model behind an amplifier's pole.
 
-Between two samples of its PI loop the bridge puts a mean voltage on the motor, whose current follows exactly; it
-jumps with the voltage where the motor has eddy currents. The ripple about this mean only heats (`plant.bridge`).
+Between two samples of its PI loop the bridge applies a constant mean voltage; the motor's current follows exactly,
+and jumps with the voltage if the motor has eddy currents. The ripple about the mean only heats (`plant.bridge`).
 """
 
 import math
@@ -10,25 +10,25 @@ import numpy as np
 
 from transopt.plant.bridge import Bridge
 
-DUTIES = np.linspace(0.0, 1.0, 2001)  # at which the ripple's heat is tabulated
-PHASE = 0.3  # of a sample, at which the clocks of loop and servo start apart: they shall never tick together
+DUTIES = np.linspace(0.0, 1.0, 2001)  # duty cycles at which the ripple's heat is tabulated
+PHASE = 0.3  # initial offset of the loop's clock from the servo's, in samples, so that the two never tick together
 
 
 class CurrentLoop:
-    """PI loop, bridge and winding of one motor; time passes in `advance` alone.
+    """PI loop, bridge and winding of one motor; time advances in `advance` only.
 
-    Between the pulses, where the loop samples, the jump of a current is over; the reading is scaled so that it is
-    right for a steady current.
+    The loop samples between the pulses, when the jump of the current has decayed; the reading is scaled to be right
+    for a steady current.
 
     Parameters
     ----------
     bridge : with the motor's nominal values, to which the loop is tuned.
-    faster : the loop's gain over that of the bridge.
+    faster : factor on the loop's gain.
 
     Attributes
     ----------
     bridge : as given.
-    voltage_V : on the motor now, in the mean over a pulse's period.
+    voltage_V : present voltage on the motor, mean over a pulse's period.
     """
 
     def __init__(self, bridge: Bridge, faster: float) -> None:
@@ -40,14 +40,14 @@ class CurrentLoop:
         self.voltage_V = self._next_V = 0.0
 
     def advance(self, duration_s: float, command_A: float, emf_V: float, R_ohm: float) -> tuple[float, float]:
-        """Mean of the current [A] and of its square, ripple included [A^2], over a time of one command.
+        """Mean current [A] and mean square current with ripple [A^2] over a time of constant command.
 
         Parameters
         ----------
-        emf_V : k_e w, against which a voltage of the same sign drives. R_ohm : of the copper as warm as it is.
+        emf_V : back-EMF k_e w, opposed to a voltage of the same sign. R_ohm : winding resistance at its temperature.
         """
         if self._left_s is None:
-            # The motor has turned before time began.
+            # The first call starts in equilibrium with the motor's back-EMF.
             self.voltage_V, self._next_V, self._left_s = emf_V, emf_V, PHASE * self.bridge.period_s
         jump, tau_s = self.bridge.jump_A_V, self.bridge.inductance_H / R_ohm
         left_s, total_A_s, total_A2_s = duration_s, 0.0, 0.0
@@ -72,7 +72,7 @@ class CurrentLoop:
         return total_A_s / duration_s, total_A2_s / duration_s
 
     def _sample(self, command_A: float, emf_V: float) -> None:
-        """One step of the PI; what it finds acts from the next sample on, within the rail."""
+        """One step of the PI loop; its voltage, limited to the rail, acts from the next sample on."""
         self.voltage_V, jump = self._next_V, self.bridge.jump_A_V
         error_A = command_A - self._slow_A + emf_V * jump / (1 - self.bridge.circuit.R_ohm * jump)
         wanted_V = self.voltage_V + self._gain * (error_A - self._decay * self._error_A)

@@ -1,6 +1,6 @@
-"""The coil of a simulated device on a bench supply, its temperatures taken: what identifies the coil.
+"""A simulated heating record of a coil on a bench supply, from which the coil is identified.
 
-No device measures this on a port either: it knows neither the coil's voltage nor its temperature.
+A device on a port cannot record it: it measures neither the coil's voltage nor its temperature.
 """
 
 from dataclasses import replace
@@ -13,13 +13,13 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import CoilModel, effective_square
 
-STEP_S = 0.05  # of the coil's integration: 1/240 of the winding's time constant, an error of microkelvins
+STEP_S = 0.05  # integration step: 1/240 of the winding's time constant, for an error of microkelvins
 
 
 def true_coil(model: CoilModel, mismatch: float, seed: int) -> CoilModel:
     """The coil with both thermal resistances and both time constants times 1 +- `mismatch`, independent and uniform.
 
-    Only for a heating record: in a tap the simulated coil is the scene's, since no limit there feels the difference.
+    It serves heating records only: in a tap the simulated coil is the scene's, since no limit depends on it there.
     """
     R_wh, R_ha, tau_w, tau_h = 1 + mismatch * np.random.default_rng([seed, 8]).uniform(-1, 1, 4)
     return replace(
@@ -42,7 +42,7 @@ def heat_record(
     current_noise_A: float = SEED_SENSORS.current_noise_A,
     seed: int,
 ) -> dict[str, FloatArray]:
-    """A constant current from the coil's rest, then none; the winding as its resistance tells it.
+    """Simulate a constant current from rest, then no current, and measure winding and housing with noise.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def heat_record(
 
     Returns
     -------
-    Columns (n,) by name as `write_measurement` takes them. Row k is read at k `every_s`; the current of row k flows
-    until row k + 1.
+    Columns (n,) by name for `write_measurement`. Row k is read at k `every_s`; the current of row k flows until row
+    k + 1.
 
     Raises
     ------
-    InputError : the winding would leave its limit.
+    InputError : the winding would exceed its limit.
     """
     rows = round((heating_s + cooling_s) / every_s) + 1
     current = np.where(np.arange(rows) < round(heating_s / every_s), current_A, 0.0)

@@ -1,4 +1,4 @@
-"""A simulated hand that holds the stylus still, as firmly as it is asked: a world behind the port `sim:`."""
+"""A simulated hand that holds the stylus still with a requested grip: a world behind the port `sim:`."""
 
 from controller.servo.interface import Output, Readings, State
 from controller.sim.sensors import noise_seed
@@ -9,15 +9,15 @@ from controller.sim.user import StillHand
 
 
 class HoldingHand:
-    """Takes hold of the stylus anew at each request, or lets go of it at 0 N.
+    """A hand that takes hold of the stylus at each request, or lets go at 0 N; a `controller.sim.port.World`.
 
-    A `controller.sim.port.World`. Each hold is a simulation of its own, with its own noise. While the device is not
-    armed nothing is integrated: the sensors say without noise where the stylus is held, and on its way back there.
+    Each hold is a separate simulation with its own noise. Before the device is armed nothing is integrated: the
+    sensors read, without noise, the place where the stylus is held, or its way back there.
 
     Parameters
     ----------
-    device : the true one, mismatch included.
-    imperfections : of the sensors; their own mismatch is not put on again.
+    device : the true device, mismatch included.
+    imperfections : those of the sensors; its mismatch is already in `device`.
     """
 
     def __init__(self, device: TrueDevice, dt_s: float, imperfections: Imperfections, seed: int) -> None:
@@ -27,7 +27,7 @@ class HoldingHand:
         self._way.clear()
 
     def hold(self, grip_N: float) -> None:
-        """Still, with this grip, where the stylus hung at first."""
+        """Hold the stylus still with this grip at its initial place."""
         self._simulator = Simulator(
             self._device,
             StillHand(grip_N),
@@ -50,7 +50,7 @@ class HoldingHand:
         return Readings(tick, read.encoder_counts, read.grip_N, read.current_A, read.acceleration_m_s2)
 
     def advance(self, output: Output) -> None:
-        """One servo period; an armed device may move the stylus, and what has moved rings on."""
+        """One servo period; once the device has been armed, the stylus may move and keeps ringing."""
         self._moves = self._moves or output.state in (State.ARMED, State.PLAYING)
         if self._moves:
             self._simulator.advance(output.command_A)

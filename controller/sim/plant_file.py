@@ -14,18 +14,18 @@ MOST_SEGMENTS = 2
 
 
 def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
-    """The file: sizes, numbers, start, maps by grip, then per servo period the hand's intention, grip and map.
+    """The file: sizes, numbers, initial state, maps by grip; per servo period the hand's intention, grip and map.
 
-    The compiled plant goes through the trajectory over and over, so the user's motion should have this period.
+    The compiled plant repeats the trajectory endlessly, so the user's motion should have this period.
 
     Parameters
     ----------
-    simulator : new, without a struck object; its sensors' noise is drawn anew by the plant.
-    duration_s : of the trajectory, whole servo periods of it.
+    simulator : not yet advanced, without a struck object; the plant draws the sensors' noise itself.
+    duration_s : duration of the trajectory, rounded to whole servo periods.
 
     Raises
     ------
-    InputError : friction, which the plant does not have; a hand that lets go and takes hold again.
+    InputError : the device has friction, which the plant does not model, or the hand lets go and takes hold again.
     """
     s = simulator
     device, sensors, dt_s = s.device, s.sensors, s.dt_s
@@ -69,7 +69,7 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
 
 
 def _maps(grips: FloatArray) -> tuple[list[float], FloatArray]:
-    """The grips at which maps are made, and which of them holds in each period: as the simulator takes them."""
+    """The grips of the maps, and the index of the map in each period, by the simulator's rule for a changing grip."""
     taken, used, which = float(grips[0]), [float(grips[0])], np.empty(grips.size)
     places = {taken: 0}
     for k, grip in enumerate(grips.tolist()):

@@ -1,7 +1,7 @@
-"""One tap of servo and simulator without the protocol between, and the truth of it, which no device could tell.
+"""One tap of servo and simulator without the protocol in between, compared with the simulated truth.
 
-What the commands show comes over a port, from a device's own sensors. This is for programs that compare servo,
-library and truth.
+The commands see a device through a port and its sensors only. This module serves programs that compare servo, library
+and truth.
 """
 
 from collections import Counter
@@ -20,11 +20,11 @@ from controller.waveforms.prediction import Prediction, predict, scene_of
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
 
-UNTOUCHED_S = 0.5e-3  # before the lead the motion is the user's alone
+UNTOUCHED_S = 0.5e-3  # margin before the lead, where the user's motion is still undriven
 
 
 class Servo(Protocol):
-    """What plays: `firmware.core_servo.CoreServo`, or an oracle of it."""
+    """The servo that plays: `firmware.core_servo.CoreServo`, or a test oracle of it."""
 
     def arm(self) -> object: ...
 
@@ -32,11 +32,11 @@ class Servo(Protocol):
 
 
 def run(plant: Plant, servo: Servo, ticks: int, observe: Callable[[Readings, Output], None] | None = None) -> None:
-    """Let `ticks` servo periods pass in virtual time.
+    """Run plant and servo for `ticks` servo periods of virtual time.
 
     Parameters
     ----------
-    observe : called once per tick with what was read and answered.
+    observe : called at each tick with the readings and the servo's output.
     """
     for _ in range(ticks):
         readings = plant.readings()
@@ -48,16 +48,16 @@ def run(plant: Plant, servo: Servo, ticks: int, observe: Callable[[Readings, Out
 
 @dataclass(frozen=True)
 class Played:
-    """A tap as it went, with times from the moment at which the device would have met the surface undriven.
+    """A played tap; times count from the instant at which the undriven device would have met the surface.
 
     Attributes
     ----------
-    tap : that was asked for.
-    prediction : of the library.
-    times_s : (K,) of the truth at every integration step; so are current_A and winding_C.
-    acceleration_m_s2 : (K,) of the stylus.
-    command_A : (T,) of the servo at its ticks.
-    events : of the servo, in the order they came.
+    tap : the requested tap.
+    prediction : the library's prediction.
+    times_s : (K,) times of all integration steps, at which current_A and winding_C are given too.
+    acceleration_m_s2 : (K,) true acceleration of the stylus.
+    command_A : (T,) commands of the servo at its ticks.
+    events : events of the servo in order.
     latency_s : the one shift within 1 ms that aligns played and predicted acceleration, positive if played late;
         like both errors NaN if no transient was played.
     tap_error : after that shift, against the recorded tap, until the hand's intention is over.
@@ -96,12 +96,12 @@ class Played:
 
     @property
     def notices(self) -> Counter[Notice]:
-        """How often each came."""
+        """Number of each notice."""
         return Counter(event.what for event in self.events if isinstance(event.what, Notice))
 
 
 def _contact_s(trace: Trace, expected_s: float, lead_s: float) -> float:
-    """When the motor mass would have met z = 0 undriven: its last straight motion before the lead, continued."""
+    """Instant at which the undriven motor mass would meet z = 0, extrapolated from its motion before the lead."""
     k = int(np.searchsorted(trace.times_s, expected_s - lead_s - UNTOUCHED_S)) - 1
     return float(trace.times_s[k] - trace.motor_m[k] / trace.motor_m_s[k])
 
@@ -116,12 +116,12 @@ def play_tap(
 ) -> Played:
     """Arm the servo, let a simulated user tap once, and compare with the library's prediction.
 
-    The true device is that of the library's scene, or another `device`: a library that was solved with an identified
-    model is tried on what the model was identified from. The tap's imperfections are the true device's.
+    The true device is that of the library's scene, or `device`: a library solved with an identified model is tried on
+    the device that the model was identified from. The tap's imperfections are applied to the true device.
 
     Raises
     ------
-    InputError : speed or grip is not a finite number; a library of a black box, without a device to simulate.
+    InputError : speed or grip is not finite, or the library is of a black box and no `device` is given.
     """
     prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
     grid = library.time_grid()

@@ -1,9 +1,9 @@
-"""The port `sim:`: a device that is computed, behind the same bytes as one on a serial port, in virtual time.
+"""The port `sim:`: a simulated device in virtual time, behind the same bytes as a device on a serial port.
 
     host session  <- bytes ->  virtual link  <- bytes ->  compiled core  <- readings, command ->  simulated world
 
-Time passes only while the host waits in `read`, by one servo period at a time: nothing sleeps, and the same seed
-gives the same run. The core is the firmware's, compiled for this machine.
+Time advances only while the host waits in `read`, one servo period at a time: nothing sleeps, and the same seed gives
+the same run. The core is the firmware's, compiled for this machine.
 """
 
 import time
@@ -19,11 +19,11 @@ from transopt.base.errors import InputError
 
 SIMULATED = "sim:"
 BOOT = 1
-SLEEP_S = 1e-3  # shorter waits are not slept: the next ticks catch up
+SLEEP_S = 1e-3  # shorter waits are skipped; the following ticks catch up
 
 
 class Clock(Protocol):
-    """Real time; `time.monotonic` and `time.sleep` as `WallClock`, something faster in tests."""
+    """Clock that paces a run: `WallClock` for real time, a faster one in tests."""
 
     def now_s(self) -> float: ...
 
@@ -31,7 +31,7 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """For people who watch."""
+    """Real time, for runs that people watch."""
 
     def now_s(self) -> float:
         return time.monotonic()
@@ -41,28 +41,28 @@ class WallClock:
 
 
 class World(Protocol):
-    """What the device's sensors see and its motor moves."""
+    """The simulated world that the device's sensors read and its motor drives."""
 
     def readings(self, tick: int) -> Readings: ...
 
     def advance(self, output: Output) -> None:
-        """Let one servo period pass under what the device answered."""
+        """Advance by one servo period under the device's output."""
         ...
 
 
 class SimulatedPort:
-    """A `controller.host.connection.Connection`.
+    """A `controller.host.connection.Connection` to a simulated device.
 
     Parameters
     ----------
     dt_s : servo period of the device.
-    link : between host and device; without one bytes arrive at once and whole.
-    clock : paces the run, for people who watch; without one nothing waits.
+    link : link between host and device; None for one without delay and faults.
+    clock : clock that paces the run; None runs as fast as possible.
 
     Attributes
     ----------
-    ticks : servo periods that have passed.
-    behind_s : how far a paced run fell behind its clock at most.
+    ticks : number of servo periods so far.
+    behind_s : largest delay of a paced run against its clock.
     """
 
     name, harmless = SIMULATED, True
@@ -104,16 +104,16 @@ class SimulatedPort:
         self.link.host_sends(data, self.now_s())
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Nothing to release."""
 
 
 def core_end(settings: Settings, samples: int = 0, longest: int = 0) -> CoreDevice:
-    """The compiled core, on hardware that is good for these settings.
+    """The compiled core on hardware with limits wide enough for these settings.
 
     Parameters
     ----------
-    samples : of all waveforms together, for which there is room at least.
-    longest : samples of one waveform.
+    samples : least capacity for the samples of all waveforms together.
+    longest : least capacity for the samples of one waveform.
 
     Raises
     ------

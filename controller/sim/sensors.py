@@ -1,4 +1,4 @@
-"""What the sensors make of the truth: counts, noise, hysteresis."""
+"""Sensor models: readings from true values by quantisation, noise and hysteresis."""
 
 import math
 from collections.abc import Iterator
@@ -20,9 +20,8 @@ class Sensors:
     count_m : encoder resolution at the tip (seed: 24.5 um).
     accelerometer_noise_g_rtHz, accelerometer_range_g, accelerometer_bandwidth_Hz : ADXL321 with the smallest
         filter capacitor; one pole at the bandwidth.
-    grip_hysteresis : of the force-sensing resistor: its reading follows the grip only once it is off by this part of
-        it. grip_noise_N : rms.
-    current_noise_A : rms of the amplifier's monitor.
+    grip_hysteresis : relative hysteresis of the force-sensing resistor, to either side. grip_noise_N : rms noise.
+    current_noise_A : rms noise of the amplifier's monitor.
     """
 
     count_m: float = 24.5e-6
@@ -35,7 +34,7 @@ class Sensors:
 
     @property
     def accelerometer_noise_m_s2(self) -> float:
-        """Rms behind the pole: a density n through one pole at f has n sqrt(pi f / 2)."""
+        """Rms noise behind the pole: white noise of density n through one pole at f has rms n sqrt(pi f / 2)."""
         density = self.accelerometer_noise_g_rtHz * STANDARD_GRAVITY_M_S2
         return density * math.sqrt(math.pi / 2 * self.accelerometer_bandwidth_Hz)
 
@@ -44,7 +43,7 @@ SEED_SENSORS = Sensors()
 
 
 def noise_seed(seed: int, *place: int) -> int:
-    """Another noise for each trial of one device."""
+    """Seed of the noise of one trial, different for each `place`."""
     return int(np.random.SeedSequence([seed, 7, *place]).generate_state(1, np.uint64)[0] >> 1)
 
 
@@ -58,11 +57,11 @@ class SensorBench:
 
     Parameters
     ----------
-    held_N : grip at the start, where the grip sensor has settled.
+    held_N : initial grip, at which the grip sensor has settled.
 
     Attributes
     ----------
-    keep, new_m_s2 : what of the accelerometer's noise behind its pole stays from tick to tick, and what is new.
+    keep, new_m_s2 : coefficient and innovation of the accelerometer's noise, a first-order autoregression per tick.
     """
 
     def __init__(self, sensors: Sensors, dt_s: float, seed: int, held_N: float) -> None:

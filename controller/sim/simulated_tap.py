@@ -1,7 +1,7 @@
-"""One tap as a simulated hand does it: what is asked of it, and the simulator on which it is under way.
+"""One tap of a simulated hand: its specification, and the simulator that executes it.
 
-The world behind the port `sim:` is made of these taps (`controller.sim.tapping`); `controller.sim.played_tap` plays
-one without the protocol between and asks for the truth.
+The world behind the port `sim:` consists of these taps (`controller.sim.tapping`); `controller.sim.played_tap` plays
+one without the protocol in between and compares it with the truth.
 """
 
 from dataclasses import dataclass, replace
@@ -17,21 +17,21 @@ from transopt.library.library import Library
 from transopt.plant.intention import Yielding
 from transopt.recordings.settings import SimulatedTaps
 
-APPROACH_S, APPROACH_M = 60e-3, 5e-3  # the straight way in: at least so long and so far
-AFTER_S = 20e-3  # simulated after the window
+APPROACH_S, APPROACH_M = 60e-3, 5e-3  # least duration and length of the straight approach
+AFTER_S = 20e-3  # time simulated after the window
 STEPS_AT_CONTACT = 8  # integration steps per segment while a real object is struck
 
 
 @dataclass(frozen=True)
 class SimulatedTap:
-    """What a user does to a device.
+    """Specification of one tap by a user.
 
     Attributes
     ----------
-    gain : that the servo was set to; for the prediction.
-    yields : what the hand does when its intention is over; None for what the hand of the recordings does.
-    incoming_m_s2 : acceleration with which the hand comes.
-    phase : of the contact within a servo tick, 0 to 1; drawn from the seed if None.
+    gain : gain of the servo, for the prediction.
+    yields : the hand's behaviour after its intention; None for that of the recordings.
+    incoming_m_s2 : acceleration of the hand during the approach.
+    phase : phase of the contact within a servo period, 0 to 1; None draws it from the seed.
     """
 
     speed_m_s: float
@@ -96,7 +96,7 @@ def _user(library: Library, tap: SimulatedTap, contact_s: float) -> User:
 
 
 def _contact_s(tap: SimulatedTap, dt_s: float) -> float:
-    """When the hand means to be at the surface."""
+    """Instant at which the hand's intention reaches the surface [s]."""
     phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
     return (approach_ticks(tap.speed_m_s, dt_s) + phase) * dt_s
 
@@ -104,12 +104,12 @@ def _contact_s(tap: SimulatedTap, dt_s: float) -> float:
 def tap_simulator(
     library: Library, tap: SimulatedTap, device: TrueDevice, *, trace: bool = False
 ) -> tuple[Simulator, float]:
-    """The device in the hand of a user who is on the way to the surface, and when the hand means to be there [s].
+    """A simulator of a user approaching the surface, and the instant at which the intention reaches it [s].
 
     Parameters
     ----------
-    device : the true one, before the tap's imperfections.
-    trace : keep the truth at every step.
+    device : the true device without the tap's imperfections.
+    trace : whether to keep the truth at every step.
     """
     dt = library.time_grid().dt_s
     expected = _contact_s(tap, dt)
@@ -119,7 +119,7 @@ def tap_simulator(
 
 
 def object_simulator(target: SimulatedTaps, device: TrueDevice, tap: SimulatedTap, dt_s: float) -> Simulator:
-    """Put the device into a hand on the way to a real object at the surface; the hand goes straight on."""
+    """A simulator of a hand approaching a real object at the surface; the hand goes straight on."""
     user = TapUser(tap.speed_m_s, tap.grip_N, _contact_s(tap, dt_s))
     wrong, steps = tap.imperfections, STEPS_AT_CONTACT
     return Simulator(device, user, dt_s, imperfections=wrong, seed=tap.seed, target=target, steps=steps)

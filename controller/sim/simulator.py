@@ -1,7 +1,7 @@
-"""The simulator in virtual time: a true device in a user's hand behind the interface of `Plant`.
+"""Simulator of a true device in a user's hand, in virtual time, with the interface `Plant`.
 
-The linear part of the motion is exact (matrix exponential); friction and the contact with a real object enter by
-the midpoint rule, so their error falls with the square of the step. Time passes only in `advance`.
+The linear part of the motion is exact (matrix exponential); friction and the contact with a real object are
+integrated by the midpoint rule, so their error is of second order in the step. Time advances only in `advance`.
 """
 
 import math
@@ -33,19 +33,19 @@ from transopt.base.signals import FloatArray
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.recordings.settings import SimulatedTaps
 
-GRIP_STEP_N = 0.05  # by which the grip may change before the matrices do
-EARLIEST_S = 1e-12  # a delay's fraction of a tick below this is none
+GRIP_STEP_N = 0.05  # change of the grip from which on the matrices are updated
+EARLIEST_S = 1e-12  # a fraction of a tick in the delay below this counts as zero
 
 
 @dataclass(frozen=True)
 class Imperfections:
-    """What the true device has and the design model has not.
+    """Deviations of the true device from the design model.
 
     Attributes
     ----------
-    mismatch : every parameter is off by up to this part of it.
-    crossover_A : half-width of the amplifier's dead band around zero; beyond it the output is that much smaller.
-    ground : friction and springs between motor and base. sensors : their resolution and noise.
+    mismatch : largest relative deviation of every parameter.
+    crossover_A : half-width of the amplifier's dead band around zero; beyond it the output is smaller by this.
+    ground : friction and springs between motor and base. sensors : resolution and noise of the sensors.
     """
 
     mismatch: float = 0.0
@@ -59,12 +59,13 @@ NONE = Imperfections(crossover_A=0.0)
 
 @dataclass(frozen=True)
 class Trace:
-    """The truth at every step, (K,) each.
+    """The true quantities at every step, (K,) each.
 
     Attributes
     ----------
-    times_s : simulator's time. acceleration_m_s2 : of the stylus. motor_m, stylus_m : positions. current_A : in the
-    coil. contact_N : force of a real object on the stylus. winding_C : NaN without a coil.
+    times_s : simulator's time. acceleration_m_s2 : of the stylus. motor_m, stylus_m : positions.
+    motor_m_s : velocity. current_A : in the coil. contact_N : force of a real object on the stylus.
+    winding_C : NaN without a coil.
     """
 
     times_s: FloatArray
@@ -78,7 +79,7 @@ class Trace:
 
 
 class Coil:
-    """Two thermal nodes and copper, by the explicit midpoint rule once per servo period."""
+    """Two-node thermal model with copper's resistance rise, by the explicit midpoint rule once per servo period."""
 
     def __init__(self, model: CoilModel) -> None:
         self._model = model
@@ -102,7 +103,7 @@ class Coil:
 
 
 def true_device(device: TrueDevice, imperfections: Imperfections, seed: int) -> TrueDevice:
-    """The device that a simulator of this seed has, mismatch and amplifier's crossover included."""
+    """The device with a simulator's imperfections: ground, crossover and the mismatch drawn from the seed."""
     known = replace(device, ground=imperfections.ground, crossover_A=imperfections.crossover_A)
     return known.mismatched(imperfections.mismatch, np.random.default_rng([seed, 3]))
 
@@ -112,24 +113,24 @@ class Simulator:
 
     Parameters
     ----------
-    device : as the scene describes it; the mismatch is put on here.
-    user : functions of this simulator's time.
+    device : as the scene describes it; the mismatch is applied here.
+    user : intention and grip as functions of this simulator's time.
     dt_s : servo period.
-    seed : of mismatch and noise; the same seed gives the same run, bit for bit.
+    seed : seed of mismatch and noise; the same seed gives the same run, bit for bit.
     target : a real object at the surface, or None.
     steps : integration steps per segment of a servo period; the delay's end divides the period into two segments.
-    trace : keep the truth at every step.
+    trace : whether to keep the truth at every step.
 
     Attributes
     ----------
-    device : the true one, mismatch included.
-    sensors, bench : what they are, and their states in this run.
+    device : the true device, mismatch included.
+    sensors, bench : parameters of the sensors, and their states in this run.
     dt_s : servo period.
-    behind : of each segment of a servo period, by how many periods its command is older than the newest.
-    steps, step_s : integration steps per segment, and their length by segment.
-    ahead_m : how far the hand aims ahead of its intention, to balance friction.
-    time_s : that has passed.
-    peak_current_A : over all t; between steps the current is monotone.
+    behind : for each segment of a servo period, the age of its command in periods.
+    steps, step_s : integration steps per segment, and their length for each segment.
+    ahead_m : distance by which the hand aims ahead of its intention to balance friction.
+    time_s : time so far.
+    peak_current_A : maximum over all times; between steps the current is monotone.
     """
 
     def __init__(
@@ -159,7 +160,7 @@ class Simulator:
         lengths, behind = ((dt_s,), (whole,)) if late < EARLIEST_S else ((late, dt_s - late), (whole + 1, whole))
         self.behind, self.steps = behind, steps
         self.step_s = tuple(length / steps for length in lengths)
-        # The newest command first.
+        # Newest command first.
         self._commands = deque([0.0] * (behind[0] + 1), maxlen=behind[0] + 1)
         self._nonlinear = nonlinear(self.device, target)
         self._at = Layout(len(self.device.masses_kg))
@@ -184,9 +185,9 @@ class Simulator:
         )
 
     def advance(self, command_A: float) -> None:
-        """One servo period with this command, issued now and held.
+        """Advance by one servo period with this command, issued now and held.
 
-        A command that is not a finite number is a programming error of the servo; the amplifier's range cuts others.
+        A command that is not finite is a programming error of the servo; the amplifier clips others to its range.
         """
         if not math.isfinite(command_A):
             raise ValueError(f"command {command_A} A at tick {self._tick}: must be a finite number")
@@ -213,9 +214,10 @@ class Simulator:
             self._coil.step(square / self.dt_s, self.dt_s)
 
     def _through_bridge(self, loop: CurrentLoop, felt_A: float, step_s: float) -> float:
-        """Put the mean current of the coming step among the states, and give the mean of its square [A^2].
+        """Set the mean current of the coming step in the state; return the mean of its square [A^2].
 
-        The coil's resistance has a share of the ripple in it that the square here has already.
+        The coil's effective resistance and the square both include the ripple's heat, so the square is divided by
+        `heat_factor`.
         """
         circuit = loop.bridge.circuit if self._coil is None else loop.bridge.circuit.at(self._coil.winding_C)
         emf_V = self.device.force_per_current_N_A * float(self._x[self._at.n])
@@ -236,18 +238,18 @@ class Simulator:
         return self._contact_N(self._x)
 
     def trace(self) -> Trace:
-        """What was kept so far.
+        """The truth so far.
 
         Raises
         ------
-        ValueError : made without `trace`.
+        ValueError : the simulator was made without `trace`.
         """
         if self._rows is None:
             raise ValueError("this simulator keeps no trace: make it with trace=True")
         return Trace(*np.array(self._rows).T)
 
     def energy_J(self) -> float:
-        """Kinetic and elastic energy of the chain, the intention at rest; what a passive device cannot gain."""
+        """Kinetic and elastic energy of the chain; with the intention at rest a passive device cannot gain any."""
         masses, stiffness, _ = self.device.at(self._grip_N)
         n = masses.size
         z, v = self._x[:n], self._x[n : 2 * n]
@@ -261,13 +263,13 @@ class Simulator:
         return self._x.copy()
 
     def flow_at(self, grip_N: float) -> Flow:
-        """The exact linear motion at a grip, over the steps of each segment."""
+        """Maps of the exact linear motion at a grip over one step of each segment."""
         return flow(self.device, self._target, self.sensors.accelerometer_bandwidth_Hz, grip_N, self.step_s)
 
     def _start(self) -> FloatArray:
-        """All masses moving with the intention, friction balanced by the springs, nothing else.
+        """Initial state: all masses move with the intention, and the springs balance friction.
 
-        The hand aims ahead by what friction stretches the springs, so that the motor mass is where it means to be.
+        The hand aims ahead by the elongation that friction causes, so that the motor mass is at the intended place.
         """
         n = self._at.n
         x = np.zeros(self._at.states + INPUTS)
@@ -288,14 +290,14 @@ class Simulator:
             return
         skin, n = self.device.skin, self._at.n
         if skin is not None and self._grip_N <= 0 < grip_N:
-            # A hand that takes hold again does so where the stylus is.
+            # A hand that takes hold again takes over position and velocity of the stylus.
             self._x[skin + 1 : n] = self._x[skin]
             self._x[n + skin + 1 : 2 * n] = self._x[n + skin]
         self._grip_N = round(grip_N / GRIP_STEP_N) * GRIP_STEP_N
         self._flow = self.flow_at(self._grip_N)
 
     def _felt(self, command_A: float) -> float:
-        """What the amplifier's pole follows: the command cut at its range, less the crossover's dead band."""
+        """Input of the amplifier's pole: the command clipped to its range, less the crossover's dead band."""
         amplifier, dead = self.device.amplifier, self.device.crossover_A
         if amplifier is not None and abs(command_A) > amplifier.command_limit:
             command_A = math.copysign(amplifier.command_limit, command_A)
@@ -318,7 +320,7 @@ class Simulator:
         return max(elastic * (1 + self._target.contact_damping_s_m * closing), 0.0)
 
     def _push(self, x: FloatArray) -> None:
-        """Put the nonlinear forces of the present state among the inputs."""
+        """Set the inputs to the nonlinear forces of the present state."""
         S = self._at.states
         x[S + MOTOR_FORCE] = self._friction_N(float(x[self._at.n]))
         x[S + CONTACT_FORCE] = self._contact_N(x)
@@ -341,7 +343,7 @@ class Simulator:
         assert self._rows is not None
         x, n, S = self._x, self._at.n, self._at.states
         now = x.copy()
-        # The inputs as they are at this instant, not over the step that led here.
+        # Use the inputs of this instant, not those held over the step that led here.
         now[S + INTENTION] = self._intention_m
         if self._nonlinear:
             self._push(now)

@@ -15,9 +15,9 @@ from controller.sim.true_device import TrueDevice
 from transopt.library.library import Library
 from transopt.recordings.settings import SimulatedTaps
 
-BACK_M_S = 0.5  # with which the hand moves between two taps
-SETTLE_S = 30e-3  # of rest after each tap, in which the last telemetry arrives, and after each move
-LATE_S = 5e-3  # by which the device may take a contact for later than the hand meant it
+BACK_M_S = 0.5  # speed of the hand between two taps
+SETTLE_S = 30e-3  # rest after each tap, in which the last telemetry arrives, and after each move
+LATE_S = 5e-3  # largest delay of the device's contact against the intended one
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Motion:
 
     Attributes
     ----------
-    simulator : of this tap alone, with its own phase and noise.
-    grip_N : with which the stylus is held on the way to where the tap begins.
-    approach_ticks : servo periods until the hand means to be at the surface.
-    after_s : how long the tap goes on from there.
+    simulator : simulator of this tap alone, with its own phase and noise.
+    grip_N : grip on the way to where the tap begins.
+    approach_ticks : servo periods until the intention reaches the surface.
+    after_s : duration of the tap from there on.
     """
 
     simulator: Simulator
@@ -39,35 +39,35 @@ class Motion:
 
 
 def tap_of(library: Library, device: TrueDevice, tap: SimulatedTap) -> Motion:
-    """On the surface that a library renders; `device` is the true one, before the tap's imperfections."""
+    """A tap on the surface that a library renders; `device` is the true device without the tap's imperfections."""
     grid = library.time_grid()
     simulator, _ = tap_simulator(library, tap, device)
-    # The hand goes on for as long as the library looks at it: it stops when its motion is over.
+    # The tap continues to the end of the library's time grid, at which the hand's motion is over.
     after_s = max(AFTER_S, grid.after_stages * grid.dt_s)
     return Motion(simulator, tap.grip_N, approach_ticks(tap.speed_m_s, grid.dt_s), grid.end_s + after_s)
 
 
 def strike_of(target: SimulatedTaps, device: TrueDevice, tap: SimulatedTap, dt_s: float) -> Motion:
-    """On a real object, by the undriven device."""
+    """A tap on a real object by the undriven device."""
     simulator = object_simulator(target, device, tap, dt_s)
     return Motion(simulator, tap.grip_N, approach_ticks(tap.speed_m_s, dt_s), RECORDED_S + LATE_S)
 
 
 class TappingHand:
-    """Holds the stylus still, taps, takes the stylus back, and taps again.
+    """A hand that holds the stylus still, taps, moves it back, and taps again; a `controller.sim.port.World`.
 
-    A `controller.sim.port.World`. While the hand rests or moves between two taps, nothing is integrated: the sensors
-    say without noise where it is held, and that the commanded current flows.
+    While the hand rests or moves between two taps nothing is integrated: the sensors read, without noise, its place
+    and the commanded current.
 
     Parameters
     ----------
-    when : a tap begins only while the device is in this state.
-    pause_s : of rest before a tap that is planned while the hand has nothing to do.
+    when : state of the device in which a tap may begin.
+    pause_s : rest before a tap that is planned while the hand is idle.
     tapped : called after each tap.
 
     Attributes
     ----------
-    forces_N : of a struck object on the stylus, by tick; a force sensor under the object, no part of the device.
+    forces_N : tick -> force of a struck object on the stylus, by a force sensor that is not part of the device.
     """
 
     def __init__(
@@ -82,18 +82,18 @@ class TappingHand:
         self._dt_s, self._when, self._pause_s, self._tapped = dt_s, when, pause_s, tapped
         self.forces_N: dict[int, float] = {}
         self._planned: Iterator[Motion] = iter(())
-        self._motion: Motion | None = None  # that comes, or is under way
+        self._motion: Motion | None = None  # the next tap, or the present one
         self._under_way = False
         self._ticks_left = self._settling = 0
-        self._way: list[int] = []  # to another place: encoder counts tick by tick, the last first
-        self._start = self._counts = 0  # where the tap begins, and where the stylus is
+        self._way: list[int] = []  # encoder counts of a move, tick by tick, the last first
+        self._start = self._counts = 0  # counts where the tap begins, and present counts
         self._grip_N, self._current_A = 0.0, 0.0
         self._count_m = SEED_SENSORS.count_m
         self.plan(motions)
         self._counts = self._start
 
     def plan(self, motions: Iterable[Motion]) -> None:
-        """Further taps; each is asked for when the one before it is over."""
+        """Add further taps; the iterable is advanced when the previous tap is over."""
         self._planned = chain(self._planned, motions)
         if self._motion is None:
             self._prepare()
@@ -101,7 +101,7 @@ class TappingHand:
 
     @property
     def done(self) -> bool:
-        """Nothing is left to do, and the stylus is at rest above the surface."""
+        """Whether no tap is left and the stylus is at rest above the surface."""
         return self._motion is None and not self._way and self._settling == 0
 
     def readings(self, tick: int) -> Readings:
@@ -126,7 +126,7 @@ class TappingHand:
             self._settling -= 1
         elif self._way:
             self._counts = self._way.pop()
-            # A device is armed only when its stylus has been at rest for a while.
+            # A device can be armed only after its stylus has been at rest for a while.
             self._settling = 0 if self._way else self._ticks(SETTLE_S)
         elif self._motion is not None and output.state is self._when:
             self._under_way = self._counts == self._start
@@ -135,7 +135,7 @@ class TappingHand:
     def _end(self, motion: Motion) -> None:
         self._counts = _counts(motion.simulator)
         self._motion, self._under_way = None, False
-        # A recording goes on for so long after its contact.
+        # A recording needs `RECORDED_S` after its contact.
         self._settling = self._ticks(max(SETTLE_S, RECORDED_S + LATE_S - motion.after_s))
         self._go(self._start)
         self._tapped()
@@ -148,7 +148,7 @@ class TappingHand:
         self._way = straight_way(self._counts, to, self._dt_s, self._count_m)
 
     def _prepare(self) -> None:
-        """The next tap, if there is one."""
+        """Take the next planned tap, if there is one."""
         self._motion = next(self._planned, None)
         if self._motion is None:
             return
@@ -158,11 +158,11 @@ class TappingHand:
 
 
 def straight_way(start: int, end: int, dt_s: float, count_m: float) -> list[int]:
-    """Encoder counts tick by tick as a hand moves the stylus from here to there, the last first."""
+    """Encoder counts tick by tick of a straight move from start to end, the last first."""
     ticks = int(np.ceil(abs(end - start) * count_m / (BACK_M_S * dt_s)))
     return [round(counts) for counts in np.linspace(end, start, ticks, endpoint=False)]
 
 
 def _counts(simulator: Simulator) -> int:
-    """Counts of the encoder, without reading it: a reading draws noise."""
+    """Counts of the encoder from the state, since a reading would draw noise."""
     return int(np.floor(simulator.state[0] / simulator.sensors.count_m + 0.5))

@@ -1,7 +1,7 @@
 """The true device: masses, springs and dampers in absolute coordinates, amplifier, coil.
 
-Only the physical parameters of the scene are shared with the design model. Positions are those of the masses along
-the surface normal, not deviations from a nominal motion; the hand's intention is a moving ground.
+It shares with the design model only the physical parameters of the scene. Positions are those of the masses along the
+surface normal, not deviations from a nominal motion; the hand's intention is a moving ground.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import ChainHand, DriveDevice, FourthOrderHand, SecondOrderHand, StateSpaceDevice
 from transopt.scene.scene import Scene
 
-LETTING_GO_N = 0.2  # below this grip the skin's spring and damper fade; at 0 N nobody holds the stylus
+LETTING_GO_N = 0.2  # below this grip the skin's spring and damper fade to zero; at 0 N nobody holds the stylus
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def _joint(stiffness_N_m: float, damping_N_s_m: float) -> Joint:
 
 @dataclass(frozen=True)
 class Ground:
-    """What ties the motor mass to the device's base and the design model does not know.
+    """Forces between the motor mass and the device's base, which the design model does not have.
 
     Attributes
     ----------
@@ -80,10 +80,10 @@ class TrueDevice:
     masses_kg : n masses from the motor to the hand.
     joints : n; joint j between mass j and mass j + 1, the last one between the last mass and the intention.
     stylus : index of the mass that carries the accelerometer and meets real objects.
-    skin : index of the joint that a grip closes; None where stylus and hand are one mass.
-    amplifier : None is ideal. crossover_A : half-width of its dead band around zero.
+    skin : index of the joint that needs a grip to be closed; None where stylus and hand are one mass.
+    amplifier : None if ideal. crossover_A : half-width of its dead band around zero.
     coil : None where the drive is stated at the tip.
-    bridge : what makes the amplifier's pole; None where the pole is all that is known.
+    bridge : PWM bridge and PI loop behind the amplifier's pole; None if only the pole is known.
     """
 
     masses_kg: tuple[LinearInGrip, ...]
@@ -99,7 +99,7 @@ class TrueDevice:
 
     @property
     def delay_s(self) -> float:
-        """From a command to what follows it: the pole, or the loop of a bridge, which has a delay of its own."""
+        """Delay from a command to the amplifier's pole, or to the bridge's loop, less the loop's own delay."""
         of_loop = 0.0 if self.bridge is None else self.bridge.delay_s
         return 0.0 if self.amplifier is None else max(self.amplifier.delay_s - of_loop, 0.0)
 
@@ -137,11 +137,11 @@ class TrueDevice:
 
 
 def device_of(scene: Scene) -> TrueDevice:
-    """The device that a scene describes, nothing wrong with it.
+    """The device that a scene describes, without imperfections.
 
     Raises
     ------
-    InputError : a black box, which has no masses to move, or an actuator that no hand holds.
+    InputError : the device is a black box, which has no masses, or an actuator that no hand holds.
     """
     model = scene.model.moving if isinstance(scene.model, IdentifiedModel) else scene.model
     if isinstance(model, StateSpaceDevice):
@@ -171,7 +171,7 @@ def device_of(scene: Scene) -> TrueDevice:
             masses, stylus, skin = (whole.linear(),), 0, None
             joints = (Joint(stiffness.linear(), damping.linear()),)
         case FourthOrder(stylus_mass_kg=mass, hand=section) | FourthOrderHand(stylus_mass_kg=mass, hand=section):
-            # Taps of a hand show the mass of all that moves with its stylus, the motor's too.
+            # A hand identified from taps includes in its stylus mass all that moves with it, the motor too.
             moving_kg = tip.moving_mass_kg if isinstance(model, FourthOrder) else 0.0
             hand_mass, joints = held(section)
             masses, stylus, skin = (LinearInGrip(moving_kg + mass, 0.0), hand_mass), 0, 0
@@ -193,20 +193,20 @@ def device_of(scene: Scene) -> TrueDevice:
     )
 
 
-# Inputs of the linear flow, all held over a step except the intention, which moves at a held velocity.
+# Inputs of the linear flow, constant over a step except the intention, whose velocity is constant.
 COMMAND, INTENTION, INTENTION_SPEED, MOTOR_FORCE, CONTACT_FORCE = range(5)
 INPUTS = 5
 
 
 class Layout:
-    """Layout of the state vector for n masses: positions, velocities, and these.
+    """Indices into the state vector of n masses: positions, velocities, then the attributes below.
 
     Attributes
     ----------
-    current : in the coil.
-    sensed : acceleration behind the accelerometer's own pole.
+    current : current in the coil.
+    sensed : acceleration behind the accelerometer's pole.
     target : position of the struck object's mass; its velocity follows.
-    states : their number.
+    states : number of states.
     """
 
     def __init__(self, n: int) -> None:
@@ -219,7 +219,7 @@ def nonlinear(device: TrueDevice, target: SimulatedTaps | None) -> bool:
 
 
 def rates(device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float) -> FloatArray:
-    """(S + U, S + U) generator of the linear motion of states and inputs; the inputs' own rows are zero but one.
+    """(S + U, S + U) generator of the linear motion of states and inputs; only the intention's input row is not zero.
 
     The contact force acts on the stylus outwards and on the object inwards.
     """
@@ -230,7 +230,7 @@ def rates(device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float,
     G = np.zeros((S + INPUTS, S + INPUTS))
     G[:n, n : 2 * n] = np.eye(n)
     for j in range(n):
-        # Joint j pulls mass j towards what follows it and that towards mass j.
+        # Joint j pulls mass j and the next mass (or the intention) towards each other.
         if j + 1 < n:
             ahead_z, ahead_v = j + 1, n + j + 1
         else:
@@ -298,9 +298,9 @@ def exponential(X: FloatArray) -> FloatArray:
 def flow(
     device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float, steps_s: tuple[float, ...]
 ) -> Flow:
-    """Matrix exponentials of the linear part for the step of each segment; kept, since grips come back.
+    """Matrix exponentials of the linear part over one step of each segment; cached, since grips recur.
 
-    Half steps only where there are nonlinear forces to be taken in the middle.
+    Half steps are computed only if nonlinear forces have to be evaluated at the midpoint.
     """
     G = rates(device, target, bandwidth_Hz, grip_N)
     n = len(device.masses_kg)
@@ -316,7 +316,7 @@ def _fixed(value: float) -> LinearInGrip:
     return LinearInGrip(value, 0.0)
 
 
-# For a run without library and scene: an RE 25 on a Phantom-class transmission.
+# The device of a run without library and scene: an RE 25 on a Phantom-class transmission.
 DEFAULT_DEVICE = TrueDevice(
     masses_kg=(_fixed(0.014), _fixed(0.026), _fixed(0.010)),
     joints=(

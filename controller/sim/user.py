@@ -1,6 +1,6 @@
-"""The user: where the hand means to be, and how firmly it holds.
+"""Simulated users: the hand's intended position and its grip over time.
 
-What a hand means to do from contact on is `transopt.plant.intention`, for recordings and for simulated users alike.
+The intention from contact on is defined in `transopt.plant.intention`, for recordings and simulated users alike.
 """
 
 import math
@@ -14,18 +14,18 @@ import numpy as np
 from transopt.plant.intention import BRAKING_S, INTENTION_S, Intention, Path
 
 RETREAT_S = 200e-3
-REST_S = 30e-3  # above the surface between two taps
-HOLD_S = 50e-3  # below it
-STARTING_S = 30e-3  # in which the hand reaches the approach's speed, evenly
-STRAIGHT_S, STRAIGHT_M = 40e-3, 3e-3  # straight approach: at least so long and so far together
+REST_S = 30e-3  # rest above the surface between two taps
+HOLD_S = 50e-3  # hold below the surface
+STARTING_S = 30e-3  # duration of the uniform acceleration to the approach's speed
+STRAIGHT_S, STRAIGHT_M = 40e-3, 3e-3  # straight approach: a duration plus a length
 STRAIGHT = Intention(yields="straight")
 
 
 class User(Protocol):
-    """Functions of the simulator's time."""
+    """A user: intention and grip as functions of the simulator's time."""
 
     def intention_m(self, time_s: float) -> float:
-        """Position that the hand means to have along the surface normal."""
+        """Intended position of the hand along the surface normal."""
         ...
 
     def grip_N(self, time_s: float) -> float: ...
@@ -49,8 +49,8 @@ class TapUser(User):
 
     Attributes
     ----------
-    intention : what the hand means to do from contact on.
-    incoming_m_s2 : acceleration with which it comes.
+    intention : intention of the hand from contact on.
+    incoming_m_s2 : acceleration during the approach.
     grip_rate_N_s : ramp of the grip from contact on.
     """
 
@@ -75,13 +75,13 @@ class TapUser(User):
 
 
 def _minimum_jerk(part: float) -> float:
-    """From 0 to 1 as hands move (Flash and Hogan 1985)."""
+    """Minimum-jerk profile from 0 to 1 (Flash and Hogan 1985)."""
     return part**3 * (10 - 15 * part + 6 * part**2)
 
 
 @dataclass(frozen=True)
 class _Cycle:
-    """One of many taps: rest, start, straight in, yield, hold, retreat to where the next one begins."""
+    """One of many taps: rest, start, straight approach, yield, hold, retreat to where the next tap begins."""
 
     start_s: float
     speed_m_s: float
@@ -128,7 +128,7 @@ class _Cycle:
 
 
 def _height_m(speed_m_s: float) -> float:
-    """Above the surface from where an approach starts."""
+    """Height above the surface at which an approach starts."""
     return speed_m_s * (STARTING_S / 2 + STRAIGHT_S) + STRAIGHT_M
 
 
@@ -138,7 +138,7 @@ class _Taps(User):
     tremor: Tremor | None = None
 
     def _at(self, time_s: float) -> tuple[_Cycle, float]:
-        """The tap that is on, and the time by which its cycle goes."""
+        """The present tap, and the time on its cycle's time axis."""
         raise NotImplementedError
 
     def intention_m(self, time_s: float) -> float:
@@ -152,9 +152,9 @@ class _Taps(User):
 
 
 class RepeatedTaps(_Taps):
-    """Taps without end at random speeds and grips; for long runs.
+    """Endless taps at random speeds and grips, for long runs.
 
-    Speeds are drawn evenly in their logarithm, grips evenly; the grip changes during the retreat.
+    Speeds are log-uniform, grips uniform; the grip changes during the retreat.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class RepeatedTaps(_Taps):
         self._starts.append(start_s)
 
     def cycle(self, time_s: float) -> _Cycle:
-        """The tap that is on."""
+        """The present tap."""
         if not self._now.start_s <= time_s < self._now.end_s:
             while time_s >= self._cycles[-1].end_s:
                 self._append(self._cycles[-1].end_s)
@@ -200,12 +200,12 @@ class RepeatedTaps(_Taps):
 
 
 class TapsInTurn(_Taps):
-    """The given taps one after the other, over and over.
+    """The given taps one after the other, repeated endlessly.
 
     Parameters
     ----------
-    taps : (speed [m/s], grip [N]) of each; the grip changes during the retreat.
-    period_s : of a whole round; the hand rests at its start height for what is left. Without it, of the taps alone.
+    taps : (speed [m/s], grip [N]) of each tap; the grip changes during the retreat.
+    period_s : period of a whole round; the hand rests at its start height for the remainder. None for no remainder.
 
     Raises
     ------
@@ -232,11 +232,11 @@ class TapsInTurn(_Taps):
 
 @dataclass(frozen=True)
 class StillHand(User):
-    """Holds the stylus above the surface and does nothing."""
+    """A hand that holds the stylus still above the surface."""
 
     held_N: float = 3.0
     height_m: float = 5e-3
-    period_s: float = 0.1  # of its motion, which any is
+    period_s: float = 0.1  # any value is a period of a motion at rest
 
     def intention_m(self, time_s: float) -> float:
         return self.height_m

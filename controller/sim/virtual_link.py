@@ -1,6 +1,6 @@
-"""A serial link in virtual time, with what links do: delay, lose, damage, repeat, come loose. For tests.
+"""A serial link in virtual time that can delay, lose, damage and repeat frames, and be unplugged; for tests.
 
-Bytes stay in order. Faults strike whole frames as they are sent, by a seeded generator, so a run can be repeated.
+Bytes stay in order. Faults affect whole frames when they are sent, drawn by a seeded generator, so runs repeat.
 """
 
 import random
@@ -12,11 +12,11 @@ from controller.protocol.wire import DELIMITER
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Trouble of one direction.
+    """Disturbances of one direction.
 
     Attributes
     ----------
-    latency_s : of every byte; jitter_s : up to so much more, without overtaking.
+    latency_s : delay of every byte; jitter_s : largest additional delay, without overtaking.
     loss, corruption, repetition : probability per frame. A damaged frame has 1 to 4 bytes changed, cut or inserted.
     """
 
@@ -28,7 +28,7 @@ class Trouble:
 
 
 def damaged(frame: bytes, chance: random.Random) -> bytes:
-    """The frame with 1 to 4 random hits: a byte changed (also to the delimiter), cut out, or put in."""
+    """The frame with 1 to 4 random errors: a byte changed (even to the delimiter), removed, or inserted."""
     data = bytearray(frame)
     for _ in range(chance.randint(1, 4)):
         place = chance.randrange(len(data)) if data else 0
@@ -43,11 +43,11 @@ def damaged(frame: bytes, chance: random.Random) -> bytes:
 
 
 class Direction:
-    """One way.
+    """One direction of a link.
 
     Attributes
     ----------
-    kinds : how many frames of each kind were put in so far.
+    kinds : number of frames sent so far, by kind.
     """
 
     def __init__(self, trouble: Trouble, chance: random.Random) -> None:
@@ -62,7 +62,7 @@ class Direction:
         t, chance = self.trouble, self._chance
         for piece in data.split(DELIMITER)[:-1]:
             frame = piece + DELIMITER
-            # The kind is never 0, so it stands as it is behind the first code byte.
+            # The kind is never 0, so COBS leaves it unchanged after the first code byte.
             self.kinds.update(piece[1:2])
             if chance.random() < t.loss:
                 continue
@@ -73,7 +73,7 @@ class Direction:
             self._under_way.append((self._last_s, frame * copies))
 
     def arrived(self, now_s: float) -> bytes:
-        if not self._under_way or self._under_way[0][0] > now_s:  # as at most instants
+        if not self._under_way or self._under_way[0][0] > now_s:  # fast path: true at most instants
             return b""
         out = []
         while self._under_way and self._under_way[0][0] <= now_s:
@@ -85,7 +85,7 @@ class Direction:
 
 
 class Link:
-    """Both ways; `connected` False loses everything, what is under way included."""
+    """Both directions of a link; while not `connected` everything is lost, frames in transit included."""
 
     def __init__(self, trouble: Trouble | None = None, seed: int = 0) -> None:
         chance = random.Random(seed)

@@ -1,4 +1,4 @@
-"""A simulated world behind the sensors that a device file describes: what a device reads before it puts it right."""
+"""A simulated world behind the sensors of a device file: the raw readings, before the device calibrates them."""
 
 from dataclasses import replace
 
@@ -8,18 +8,18 @@ from controller.sim.port import World
 
 
 class Wired:
-    """A world of true readings, as the sensors of a device give them.
+    """A world whose calibrated readings are turned into raw ones of a device; a `controller.sim.port.World`.
 
-    A `controller.sim.port.World`. The world's own counts are 0 at the surface; `surface_counts` are read there.
+    The inner world's counts are 0 at the surface; the raw encoder reads `surface_counts` there.
 
     Parameters
     ----------
-    world : with the encoder's resolution, the accelerometer's bandwidth and the noise of both in it already.
+    world : includes the encoder's resolution, the accelerometer's bandwidth and the noise of both.
     """
 
     def __init__(self, world: World, device: DeviceFile) -> None:
         self._world, self._device = world, device
-        # Counts are whole numbers; what is left of the surface's place is less than one.
+        # Counts are whole numbers, so the surface is rounded; the error is below one count.
         self._surface = round(device.encoder.surface_counts)
 
     def readings(self, tick: int) -> Readings:
