@@ -1,4 +1,4 @@
-"""Figure of a refinement: error by round, what the device makes of the model, one tap before and after."""
+"""Figure of a refinement: error by round, ratio of device to model, and one tap before and after."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,7 +35,7 @@ def refine_figure(refined: Refined) -> Figure:
 
 
 def _errors(axes: Axes, refined: Refined) -> None:
-    """Draw errors by round at every node; what is kept as the confirming round measured it."""
+    """Draw the errors of every node by round, and those of the confirming round for the designs that are kept."""
     played, kept = refined.history.played, refined.better
     limited = {node: one.limited for results in played for node, one in results.items()}
     styles = {True: "--", False: "-"}
@@ -84,7 +84,7 @@ def _ratios(axes: Axes, refined: Refined) -> None:
 
 
 def _tap(axes: Axes, refined: Refined) -> None:
-    """The node that gained most."""
+    """Draw the tap of the node with the largest gain, before and after."""
     before, window, history = refined.before, refined.window, refined.history
     first, last = history.rounds[0], history.confirmed or {}
 

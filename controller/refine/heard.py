@@ -1,8 +1,8 @@
-"""What one tap says of the node that it was played at: how the device differed from the library's prediction.
+"""Difference between one played tap and the library's prediction, at the node that the tap counts for.
 
-The difference w = a - p is measured by the device's own accelerometer until the hand can react, as
-`controller.record.played` measures it. One shift in time is taken out of every tap: when exactly the stylus met the
-surface is known to some microseconds only, and those would look like a difference that follows the slope of the tap.
+The difference w = a - p is measured by the device's own accelerometer until the hand can react, in the same way as in
+`controller.record.played`. Each tap is aligned in time first: the instant of contact is known to some microseconds
+only, and the error would appear as a difference proportional to the slope of the tap.
 """
 
 from dataclasses import dataclass, replace
@@ -19,22 +19,22 @@ from transopt.base.signals import FloatArray, Signal
 from transopt.library.library import Library
 from transopt.plant.intention import INTENTION_S
 
-FADE_S = 5e-3  # in which what is measured fades out after `INTENTION_S`
-SPEED_PART = 0.15  # a tap this near to a node's speed counts for it, scaled
-GRIP_PART, GRIP_N = 0.15, 0.5  # the same of the grip, whichever is more
+FADE_S = 5e-3  # the measured difference is faded out over this time after `INTENTION_S`
+SPEED_PART = 0.15  # relative distance from a node's speed within which a tap counts for the node, scaled
+GRIP_PART, GRIP_N = 0.15, 0.5  # relative and absolute distance from a node's grip; the larger one applies
 
 Node = tuple[int, int]  # (speed, grip) by index
 
 
 @dataclass(frozen=True)
 class Heard:
-    """One tap at a node, by the device's own sensors.
+    """One tap at a node, measured by the device's own sensors.
 
     Attributes
     ----------
-    difference_m_s2 : (N,) w = a - p at the switching instants, at the node's speed, low-passed, faded out.
-    latency_s : the one shift that was taken out.
-    peak_current_A : as measured; NaN where no current was.
+    difference_m_s2 : (N,) w = a - p at the switching instants, scaled to the node's speed, low-passed, faded out.
+    latency_s : shift by which the tap was aligned.
+    peak_current_A : as measured; NaN if no current was measured.
     """
 
     difference_m_s2: FloatArray
@@ -48,7 +48,7 @@ def nodes_of(library: Library) -> list[Node]:
 
 
 def node_near(library: Library, speed_m_s: float, grip_N: float) -> Node | None:
-    """The node that a tap counts for; None if it is near to none."""
+    """The node that a tap counts for; None if it is near no node."""
     iv = int(np.argmin(np.abs(np.log(library.speeds_m_s / max(speed_m_s, 1e-9)))))
     ig = int(np.argmin(np.abs(library.grips_N - grip_N)))
     grip = float(library.grips_N[ig])
@@ -63,16 +63,16 @@ def fade_of(times_s: FloatArray) -> FloatArray:
 
 
 def smooth(values: FloatArray, dt_s: float) -> FloatArray:
-    """(N,) low-passed as what is measured."""
+    """(N,) values through the low-pass that measured accelerations pass."""
     return lowpass(Signal(0.0, dt_s, values), CUTOFF_HZ).values
 
 
 def hear(contact: Contact, library: Library, settings: Settings, node: Node, bandwidth_Hz: float) -> Heard | str:
-    """What a tap at or near a node says of it; or why it says nothing.
+    """The difference that a tap near a node shows; or the reason why it does not count.
 
     Parameters
     ----------
-    bandwidth_Hz : of the accelerometer, one pole, which is taken out.
+    bandwidth_Hz : bandwidth of the accelerometer, one pole, which is compensated.
     """
     if contact.scale < 1 or contact.cooled > 0:
         return "the coil was too hot for all of the transient"
@@ -90,12 +90,12 @@ def hear(contact: Contact, library: Library, settings: Settings, node: Node, ban
 def heard(
     measured: Signal, prediction: Prediction, speed_m_s: float, bandwidth_Hz: float, peak_current_A: float
 ) -> Heard:
-    """The difference between a measured tap and the prediction of its own speed and grip, at a node's speed.
+    """The difference between a measured tap and the prediction for its own speed and grip, scaled to a node's speed.
 
     Parameters
     ----------
-    measured : acceleration over the time from contact, at rest before it [m/s^2].
-    speed_m_s : of the node, to which the difference is scaled.
+    measured : acceleration over time from contact, zero before the tap [m/s^2].
+    speed_m_s : speed of the node, to which the difference is scaled.
     """
     times = prediction.times_s
     fade, compared = fade_of(times), times <= INTENTION_S

@@ -1,6 +1,7 @@
-"""What a library keeps of its refinement, in `meta["refinement"]`.
+"""The record of a refinement in a library, `meta["refinement"]`.
 
-That is the verdict of every round, and, while the learning goes on from files, all that its next step needs.
+It holds the results of every round and, while a refinement from files is in progress, all data that its next step
+needs.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,7 +18,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 
-DIGITS = 7  # of numbers that were measured
+DIGITS = 7  # significant digits of measured numbers
 
 
 def in_meta(learner: Learner, stated: Mapping[str, Any]) -> dict[str, Any]:
@@ -25,7 +26,7 @@ def in_meta(learner: Learner, stated: Mapping[str, Any]) -> dict[str, Any]:
 
     Parameters
     ----------
-    stated : of device and measurement.
+    stated : entries on device and measurement.
     """
     library, history = learner.library, learner.history
     return {
@@ -58,7 +59,7 @@ def _round(library: Library, results: Round) -> dict[str, Any]:
 
 
 def _learning(learner: Learner) -> dict[str, Any]:
-    """All of the history, node by node."""
+    """The complete history, node by node."""
     history = learner.history
     return {
         "asked": [list(node) for node in learner.asked],
@@ -95,16 +96,16 @@ def _rounded(values: FloatArray) -> list[float]:
 
 
 def is_learning(library: Library) -> bool:
-    """Whether a library is between two steps of a refinement."""
+    """Whether a library is from an unfinished refinement."""
     return bool((library.meta.get("refinement") or {}).get("learning"))
 
 
 def history_of(library: Library) -> tuple[History, list[Node]]:
-    """The history that a library between two steps carries, and the nodes whose taps it waits for.
+    """The history in a library from an unfinished refinement, and the nodes whose taps it waits for.
 
     Raises
     ------
-    InputError : it does not stand there as it was written.
+    InputError : the entry is not as `in_meta` writes it.
     """
     said = library.meta["refinement"]["learning"]
     size = library.command.shape[2]

@@ -1,12 +1,12 @@
-"""Learning from taps, one round after another: which design each node has, what is tried next, when nothing is left.
+"""Learning from rounds of taps: the best design of each node, the next correction, and the end.
 
-A refinement goes through rounds of taps. Round 0 plays the library as it is. Each further round plays, at the nodes
-where something stood out of the taps' scatter, a design that was corrected by it; it takes the place of the node's
-best one only if its gain is beyond chance. What comes out worse beyond chance is tried again with half the gain. When
-no node has anything significant left, or the rounds are over, a confirming round plays what was kept with new taps,
-from which nothing is chosen any more: a node whose gain they do not confirm goes back to what it was.
+Round 0 plays the library as it is. Each further round plays a corrected design at the nodes with a significant
+difference; it replaces the node's best design only if its gain is significant. A design that is significantly worse
+is tried again with half the gain. When no node has a significant difference left, or the rounds are over, a
+confirming round plays the designs that were kept with new taps, from which nothing is selected: a node whose gain
+they do not confirm goes back to its original design.
 
-The learner does not play. Whoever does asks it what to play, and gives it the taps.
+The learner does not play. The caller asks it what to play, and passes it the taps.
 """
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
@@ -22,9 +22,9 @@ from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.library.meta import entry_left_out
 
-LEAST_TAPS = 2  # at a node in a round, to tell its scatter from its mean
-FOLLOWED = 3  # times a correction is enlarged by what the model's optimum does not follow
-LEAST_DEGREES = 2  # of freedom of the scatter of all nodes together, to tell whether it is alike in all directions
+LEAST_TAPS = 2  # taps at a node in a round that are needed to estimate the scatter
+FOLLOWED = 3  # number of times a correction is enlarged by the part that the model's optimum does not follow
+LEAST_DEGREES = 2  # degrees of freedom of the pooled scatter that are needed to estimate its anisotropy
 Resolve = Callable[[Library, Mapping[Node, FloatArray], dict[str, Any]], tuple[Library, dict[Node, str]]]
 
 NOT_TAPPED = f"not tapped {LEAST_TAPS} times"
@@ -38,14 +38,14 @@ NOT_CONFIRMED = "its gain was not confirmed by new taps: it is as it was"
 
 @dataclass(frozen=True)
 class NodeRound:
-    """What one round said of one node.
+    """Result of one round at one node.
 
     Attributes
     ----------
     tapped : the taps, and the design that they played.
-    better : its gain over the best one before is beyond chance; of the first round true.
-    limited : limits bind, so that it cannot get better than the optimum under them.
-    condition : with which the design had been learnt; None before the first correction, and in a confirming round.
+    better : whether its gain over the best earlier design is significant; true in the first round.
+    limited : whether limits bind, so that the node cannot get better than the optimum under them.
+    condition : convergence condition of the correction; None before the first correction, and in a confirming round.
     """
 
     tapped: Tapped
@@ -68,11 +68,11 @@ class Course:
     Attributes
     ----------
     best : number of the round that played its best design.
-    base : of the round that the next correction starts from. It is another one where a design came out better, yet
-        not beyond chance: the next one may be beyond chance better than the best.
-    gain : of the next correction.
-    condition : of the design that is tried.
-    why : why nothing is tried any more; empty while it is.
+    base : number of the round that the next correction starts from. It differs from `best` if a design came out
+        better, but not significantly: the next one may be significantly better than the best.
+    gain : gain of the next correction.
+    condition : convergence condition of the design that is tried.
+    why : reason why the node has ended; empty while it goes on.
     """
 
     best: int = 0
@@ -84,15 +84,15 @@ class Course:
 
 @dataclass(frozen=True)
 class Step:
-    """What is tried at a node.
+    """The next correction at a node.
 
     Attributes
     ----------
     base : the taps and the design that it starts from.
-    part : (K,) of each coefficient that stands out of the scatter.
-    change : (K,) what shall be taken off the acceleration.
-    condition : Q, and that it converges.
-    limited : limits bind in that design.
+    part : (K,) share of each coefficient that is significant.
+    change : (K,) change to subtract from the acceleration.
+    condition : Q and the convergence condition.
+    limited : whether limits bind in that design.
     """
 
     base: Tapped
@@ -104,14 +104,14 @@ class Step:
 
 @dataclass
 class History:
-    """All that a refinement has found so far; what `controller.refine.kept` writes into a library.
+    """All results of a refinement so far, which `controller.refine.kept` writes into a library.
 
     Attributes
     ----------
-    rounds : of taps that were learnt from, the first with the library as it was.
-    courses : of the nodes.
-    confirming : what is asked for, if anything, are the taps that confirm.
-    confirmed : what those said; None before they were played.
+    rounds : rounds used for learning, the first with the original library.
+    courses : course of each node.
+    confirming : whether the next taps are those of the confirming round.
+    confirmed : results of the confirming round; None before it.
     """
 
     rounds: list[Round] = field(default_factory=list)
@@ -126,21 +126,21 @@ class History:
 
 
 class Learner:
-    """Asks for taps of a library at nodes, and makes the next library of them.
+    """Requests taps of a library at nodes, and computes the next library from them.
 
     Parameters
     ----------
-    library : to be refined; with a `history`, the one that its last round asked for.
+    library : library to refine; with a `history`, the library that its last round requested.
     resolve : `transopt.design.resolve.resolve`.
-    rounds : of corrections, at most.
-    meta : what `meta["refinement"]` says of the history, at any time.
+    rounds : largest number of rounds with corrections.
+    meta : function that gives `meta["refinement"]` for the present history.
 
     Attributes
     ----------
-    library : to be played next; once nothing is asked, the result.
-    asked : the nodes at which it is to be tapped; empty when it is over.
-    designed : the library without any correction, whose prediction the device shall make: no device can make all of a
-        recorded tap, and what its design lacks is not the device's fault.
+    library : library to play next; the result once nothing is requested.
+    asked : nodes at which to tap; empty when the refinement is over.
+    designed : the library without any correction; its prediction is the reference of the device. The recorded tap is
+        not, since no device can render all of it.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Learner:
 
     @property
     def number(self) -> int:
-        """Number of the round that is asked for."""
+        """Number of the requested round."""
         return len(self.history.played)
 
     @property
@@ -171,7 +171,7 @@ class Learner:
         return not self.asked
 
     def learn(self, taps: Mapping[Node, Sequence[Heard]]) -> Round:
-        """What the taps of the round that was asked for say; `library` and `asked` are the next round's then."""
+        """Evaluate the taps of the requested round; `library` and `asked` are then those of the next round."""
         found = {node: self._tapped(node, taps[node]) for node in self.asked if len(taps.get(node, ())) >= LEAST_TAPS}
         scatter = self._scatter(found.values())
         limited = {node: "limits" not in entry_left_out(self.library.meta, *node) for node in found}
@@ -193,7 +193,7 @@ class Learner:
 
     @property
     def scatter(self) -> Scatter:
-        """Scatter of all taps so far."""
+        """Scatter of all taps so far, pooled."""
         return self._scatter()
 
     def _scatter(self, more: Iterable[Tapped] = ()) -> Scatter:
@@ -202,12 +202,12 @@ class Learner:
 
     @property
     def changed(self) -> list[Node]:
-        """Nodes whose best design is not the one that they began with."""
+        """Nodes whose best design is not the original one."""
         return [node for node, course in self.history.courses.items() if course.best > 0]
 
     @property
     def ratios(self) -> dict[int, Ratio]:
-        """T of each grip that was tapped at, by index, from all taps: the device stays what it is."""
+        """Index of a tapped grip -> T from all taps of all rounds, since the device does not change."""
         pairs: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
         for results in self.history.played:
             for node, one in results.items():
@@ -219,7 +219,7 @@ class Learner:
         }
 
     def _reference(self, node: Node) -> FloatArray:
-        """(N,) y'' that the device shall make, as far as it is measured."""
+        """(N,) reference y'' of the device within the measured window."""
         return self.window.fade * smooth(self.designed.acceleration_m_s2[node], self.window.dt_s)
 
     def _tapped(self, node: Node, heard: Sequence[Heard]) -> Tapped:
@@ -238,7 +238,7 @@ class Learner:
         return self.history.rounds[self.history.courses[node].best][node].tapped
 
     def _judge(self, node: Node, tapped: Tapped, scatter: Scatter) -> bool:
-        """Whether a design takes the place of the best one; if not, how the course goes on."""
+        """Whether a design replaces the best one; updates the node's course."""
         if self.number == 0:
             return True
         course, found = self.history.courses[node], scatter.gain(self._best(node), tapped, where_changed=True)
@@ -255,7 +255,7 @@ class Learner:
         return False
 
     def _correct(self, scatter: Scatter) -> None:
-        """Corrections of the nodes where something stands out; without any, what has to be confirmed."""
+        """Solve corrections at the nodes with a significant difference; without any, start the confirming round."""
         steps = self._steps(scatter)
         corrections = {
             node: self._corrected(one.base.correction_m_s2, one.change, one) for node, one in steps.items()
@@ -278,7 +278,7 @@ class Learner:
             self._solve({})
 
     def _steps(self, scatter: Scatter) -> dict[Node, Step]:
-        """What is tried next at each node; why nothing is, at the others."""
+        """The next correction of each node that goes on; the reason of the others is stored in their course."""
         steps: dict[Node, Step] = {}
         ratios, open_ = self.ratios, [node for node, course in self.history.courses.items() if not course.why]
         for node in open_:
@@ -299,15 +299,15 @@ class Learner:
         return steps
 
     def _corrected(self, correction_m_s2: FloatArray, change: FloatArray, step: Step) -> FloatArray:
-        """(N,) a correction after a change (K,) is taken off it."""
+        """(N,) the correction less a change (K,), through Q."""
         out, window = self.window.values(change), self.window
         return corrected(correction_m_s2, out, window.dt_s, step.condition.cutoff_Hz, window.fade)
 
     def _missed(self, node: Node, step: Step) -> FloatArray:
-        """(K,) how far the prediction is from changing by as much as it was wanted to, where something stood out.
+        """(K,) residual of the prediction's change against the requested one, in the significant coefficients.
 
-        An optimum follows what is asked in the window only in part where it costs error in the time after it, as slow
-        corrections do. So more is asked, until the model does in the window what the device shall.
+        The optimum follows a request within the window only partly if that causes error after the window, as slow
+        corrections do. So the request is enlarged until the model's change within the window is the wanted one.
         """
         window = self.window
         predicted = window.fade * smooth(self.library.acceleration_m_s2[node], window.dt_s) - self._reference(node)
@@ -315,12 +315,12 @@ class Learner:
         return np.where(step.part > 0, missed, 0.0)
 
     def _off(self, node: Node, found: NodeRound) -> FloatArray:
-        """(K,) u, what the device is off by from what it should do.
+        """(K,) u, the error of the device.
 
-        It should do what the model does at its own optimum for r, which is the prediction of round 0 less the
-        correction that it was solved with. What that optimum leaves of r, for the sake of the hand-over and of the
-        time after the window, is no error of the device. Where limits bind, the model's optimum is out of a weaker
-        device's reach and below a stronger one's: then u = d + w, which is the same where p = r + d.
+        The device's target is the model at its own optimum for r: the prediction of round 0 less the correction that
+        it was solved with. The residual of that optimum from r, due to the hand-over and the time after the window,
+        is no error of the device. Where limits bind, a weaker device cannot reach the model's optimum and a stronger
+        one exceeds it: then u = d + w, which is the same if p = r + d.
         """
         first, window = self.history.rounds[0][node].tapped, self.window
         tapped = found.tapped
@@ -329,7 +329,7 @@ class Learner:
         return tapped.error - first.predicted + window.coefficients(window.fade * first.correction_m_s2)
 
     def _taken_back(self, tried: Container[Node]) -> dict[Node, FloatArray]:
-        """The best correction of every node that nothing new is tried at, where the library has another one."""
+        """Node -> its best correction, for nodes not tried whose correction in the library is a different one."""
         best = {
             node: self._best(node).correction_m_s2
             for node in self.history.courses
@@ -338,13 +338,13 @@ class Learner:
         return {node: d for node, d in best.items() if not np.array_equal(d, self.library.correction_m_s2[node])}
 
     def _confirms(self, node: Node, tapped: Tapped, scatter: Scatter) -> bool:
-        """Better beyond chance where the design was changed, and in all not worse beyond chance."""
+        """Whether the design is significantly better in the changed bands, and not significantly worse over all."""
         first = self.history.rounds[0][node].tapped
         better, whole = scatter.gain(first, tapped, where_changed=True), scatter.gain(first, tapped)
         return better.by_chance < LEVEL <= whole.worse_by_chance
 
     def _finish(self, results: Round) -> None:
-        """What the new taps did not confirm goes back to what it was."""
+        """End the refinement; nodes whose gain the new taps did not confirm go back to their original design."""
         back = {}
         for node in self.asked:
             if node not in results or not results[node].better:
@@ -354,7 +354,7 @@ class Learner:
         self._solve(back)
 
     def _solve(self, corrections: Mapping[Node, FloatArray]) -> dict[Node, str]:
-        """Solve nodes again, and write down what is known; why a node was not solved."""
+        """Solve nodes again and update the record in the library; return the reasons of nodes that failed."""
         self.library, refused = self._resolve(self.library, corrections, {})
         self.library = replace(self.library, meta={**self.library.meta, "refinement": self._meta(self)})
         return refused

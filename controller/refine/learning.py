@@ -1,23 +1,23 @@
-"""Iterative learning from taps on the device: what to ask of the model so that the device makes r.
+"""Iterative learning control from taps: the correction of the model's reference that makes the device follow r.
 
-A tap is repeated, so what the device does beside its prediction comes back: a = p + w with p the model's acceleration
-for the command that was played. The next command is the optimum, under the same limits, for the reference r + d,
+A tap is repeated, so the deviation of the device from its prediction repeats too: a = p + w, with p the model's
+acceleration for the played command. The next command is the optimum, under the same limits, for the reference r + d,
 
     d' = Q (d - L H u),
 
-with the gain L, 0 < L <= 1, Q a zero-phase low-pass, and H the part of u that stands out of the scatter of the
-taps, 0 <= H <= 1 (`significance`). u is what the device is off by. Where no limit binds that is u = a - p_0 with
-p_0 what the model's own optimum for r makes, and with p = r + d, p_0 = r and H = 1 the rule is the usual r + d' = r
-+ Q (d + L e), e = r - a. Where limits bind, u = d + w: p is what the limits leave, and d stays bounded; e would be
-summed up for ever there (integrator wind-up). With T = a / p, from model to device, the error of d shrinks per
-round by
+with the gain L, 0 < L <= 1, a zero-phase low-pass Q, and H the significant share of u, 0 <= H <= 1
+(`significance`). u is the error of the device. Where no limit binds, u = a - p_0 with p_0 the acceleration of the
+model's own optimum for r; for p = r + d, p_0 = r and H = 1 this is the usual rule r + d' = r + Q (d + L e) with
+e = r - a. Where limits bind, u = d + w: p is what the limits allow, and d stays bounded, while e would be summed up
+endlessly (integrator wind-up). With T = a / p, from model to device, the error of d is multiplied per round by at
+most
 
     unlimited     |Q (1 - L T)|
-    limits bind   |Q| (1 - L + L |1 - T|), as the optimum under limits is a projection: it brings nothing apart
+    limits bind   |Q| (1 - L + L |1 - T|), since the optimum under limits is a projection, which is nonexpansive
 
-at most, in every frequency; below 1 the rounds converge (Bristow, Tharayil and Alleyne 2006, "A survey of iterative
-learning control"; with constraints Schoellig, Mueller and D'Andrea 2012). H in the place of 1 brings both nearer to
-1, and never beyond it. T and its uncertainty are measured, and Q ends where this is no longer sure.
+at every frequency; below 1 the rounds converge (Bristow, Tharayil and Alleyne 2006, "A survey of iterative learning
+control"; with constraints Schoellig, Mueller and D'Andrea 2012). H < 1 brings both factors nearer to 1, never above.
+T and its uncertainty are measured, and Q cuts off where convergence is no longer certain.
 """
 
 from collections.abc import Sequence
@@ -30,19 +30,19 @@ from numpy.typing import NDArray
 from transopt.base.filters import lowpass
 from transopt.base.signals import FloatArray, Signal
 
-POINTS = 4096  # of the spectra
-SMOOTHING_HZ = 40.0  # half-width of the frequency average: what 30 ms can resolve
-LOWEST_HZ = 20.0  # below, a window of 30 ms sees no period
-HIGHEST_HZ = 1000.0  # where what is measured is low-passed
-LARGEST_FACTOR = 0.9  # that a round may leave of the error, with the uncertainty on top
-NARROWEST_HZ = 60.0  # a Q below this would leave nothing of a tap
+POINTS = 4096  # length of the Fourier transforms
+SMOOTHING_HZ = 40.0  # half-width of the frequency average: the resolution of 30 ms
+LOWEST_HZ = 20.0  # below it a window of 30 ms holds no whole period
+HIGHEST_HZ = 1000.0  # cutoff of the low-pass on measured accelerations
+LARGEST_FACTOR = 0.9  # largest factor of the error per round, uncertainty included
+NARROWEST_HZ = 60.0  # a Q with a lower cutoff would leave next to nothing of a tap
 SIGMAS = 2.0
 LEAST_GAIN = 0.1
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """T = a / p, what the device makes of the model's acceleration; (m,) each.
+    """T = a / p, the ratio of the device's acceleration to the model's; (m,) each.
 
     Attributes
     ----------
@@ -61,11 +61,11 @@ def _smooth(values: NDArray[np.complex128] | FloatArray, bins: int) -> NDArray[n
 
 
 def ratio(predicted_m_s2: Sequence[FloatArray], measured_m_s2: Sequence[FloatArray], dt_s: float) -> Ratio:
-    """Least squares over all taps of a grip: T = sum of A P* / sum of |P|^2, averaged over some frequencies.
+    """Least squares over all taps of a grip: T = sum of A P* / sum of |P|^2, averaged over neighbouring frequencies.
 
     Parameters
     ----------
-    predicted_m_s2, measured_m_s2 : one (n,) each per tap, on one time axis, filtered alike; at least two taps.
+    predicted_m_s2, measured_m_s2 : one (n,) each per tap, on one time axis, equally filtered; at least two taps.
     """
     P = np.fft.rfft(np.stack(predicted_m_s2), POINTS)
     A = np.fft.rfft(np.stack(measured_m_s2), POINTS)
@@ -80,7 +80,7 @@ def ratio(predicted_m_s2: Sequence[FloatArray], measured_m_s2: Sequence[FloatArr
 
 
 def factors(found: Ratio, gain: float, *, limited: bool) -> FloatArray:
-    """(m,) what a round leaves of the error at most, without Q, at T as measured."""
+    """(m,) largest factor of the error per round, without Q, for T as measured."""
     if limited:
         return np.asarray(1 - gain + gain * np.abs(1 - found.value))
     return np.asarray(np.abs(1 - gain * found.value))
@@ -92,8 +92,8 @@ class Condition:
 
     Attributes
     ----------
-    cutoff_Hz : of Q. factor : largest |Q| times `factors` over all frequencies; it converges if below 1.
-    sure_factor : the same with two standard deviations of T on top.
+    cutoff_Hz : cutoff of Q. factor : largest |Q| times `factors` over all frequencies; below 1 the rounds converge.
+    sure_factor : the same with two standard deviations of T added.
     """
 
     gain: float
@@ -112,9 +112,9 @@ def through_q(frequencies_Hz: FloatArray, cutoff_Hz: float) -> FloatArray:
 
 
 def condition(found: Ratio, gain: float, *, limited: bool) -> Condition:
-    """The widest Q with which a round surely shrinks the error, and by how much.
+    """The widest Q with which a round certainly reduces the error, and the factors.
 
-    Q ends half an octave before the first frequency at which a round might leave more than `LARGEST_FACTOR` of it.
+    Q cuts off half an octave below the first frequency at which the factor may exceed `LARGEST_FACTOR`.
     """
     f = found.frequencies_Hz
     nominal = factors(found, gain, limited=limited)
@@ -127,9 +127,9 @@ def condition(found: Ratio, gain: float, *, limited: bool) -> Condition:
 
 
 def widest(found: Ratio, gain: float, *, limited: bool) -> Condition:
-    """The condition at the gain, or at the first half of it, a quarter and so on at which it is met.
+    """The condition at the largest of gain, gain / 2, gain / 4, ... at which it is met.
 
-    If it is met at none of them, that at the gain itself, which says so.
+    If it is met at none of them, the unmet condition at the gain itself.
     """
     halved = gain
     while halved >= LEAST_GAIN:
@@ -143,14 +143,14 @@ def widest(found: Ratio, gain: float, *, limited: bool) -> Condition:
 def corrected(
     correction_m_s2: FloatArray, change_m_s2: FloatArray, dt_s: float, cutoff_Hz: float, fade: FloatArray
 ) -> FloatArray:
-    """(N,) d' = Q (d - L H u), faded out where nothing was measured any more.
+    """(N,) d' = Q (d - L H u), faded out at the end of the measured window.
 
     Parameters
     ----------
     correction_m_s2 : (N,) d.
-    change_m_s2 : (N,) L H u, of what the device is off by the part that stands out of the scatter.
-    cutoff_Hz : of Q.
-    fade : (N,) 1 over what was measured, falling to 0.
+    change_m_s2 : (N,) L H u, gain times significant share times error of the device.
+    cutoff_Hz : cutoff of Q.
+    fade : (N,) 1 within the measured window, falling to 0.
     """
     mixed = fade * (correction_m_s2 - change_m_s2)
     return np.asarray(fade * lowpass(Signal(0.0, dt_s, mixed), cutoff_Hz).values)

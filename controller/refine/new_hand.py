@@ -1,4 +1,4 @@
-"""A new user's hand from taps that the device played: which taps, what is read of them, and what came of it."""
+"""Calibration of a new user's hand from played taps: choice of taps, their records, comparison of libraries."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,20 +24,20 @@ from transopt.scene.population import Population
 from transopt.scene.scene import Scene
 
 TAPS = 3
-BEFORE_S = 0.05  # of approach, which knows the hand's own course
-NEAR_S = 0.01  # between the first command and the contact that it was played for: longer is another contact
-FIRM = 1.1  # times the grip below which nothing is played: a hand that means to hold so firmly does
-LEAST_NOISE = 1e-3  # of the largest acceleration, where a sensor shows hardly any noise
+BEFORE_S = 0.05  # approach before contact, from which the hand's own motion is estimated
+NEAR_S = 0.01  # largest time between first command and contact; a longer one belongs to another contact
+FIRM = 1.1  # least grip of a node over the least grip that plays, so that a hand reliably exceeds the latter
+LEAST_NOISE = 1e-3  # least noise assumed of the accelerometer, over the range of its readings
 LEAST_GAIN, MOST_LOSS = (
     0.005,
     0.01,
-)  # of tap or felt error, below and above which a library is no other or a worse one
+)  # change of tap or felt error: a smaller gain counts as none, a larger loss as worse
 
 
 def nodes_to_tap(library: Library, device: DeviceFile) -> tuple[list[Node], int]:
-    """Nodes that tell most of a hand, and how many taps at each: the outermost grips and the middle one.
+    """Nodes at which taps tell most about a hand, and the number of taps at each: outermost and middle grips.
 
-    Where there is one grip, or no sensor that reads it, the outermost speeds and the middle one.
+    With one grip only, or without a grip sensor, outermost and middle speeds.
     """
     (nv, ng), middle = library.command.shape[:2], (library.command.shape[0] - 1) // 2
 
@@ -59,7 +59,7 @@ def drive_of(scene: Scene) -> DriveDevice:
 
     Raises
     ------
-    InputError : a device that is no motor, transmission and stylus in a hand.
+    InputError : the device is not a motor, transmission and stylus in a hand.
     """
     grips = [grip for grip in scene.grid.grips_N if grip > 0]
     if not grips:
@@ -97,11 +97,11 @@ def drive_of(scene: Scene) -> DriveDevice:
 
 
 def record_of(contact: Contact, settings: Settings, intention_s: float) -> PlayedRecord | str:
-    """What a played tap says of the hand; or why it says nothing.
+    """The record of a played tap for the calibration; or the reason why it does not count.
 
     Parameters
     ----------
-    intention_s : from contact on, for which a hand goes on as it came.
+    intention_s : time from contact on during which the hand continues its approach.
     """
     if contact.missed:
         return f"{contact.missed} records were lost"
@@ -138,11 +138,11 @@ def calibrated(
     accelerometer_Hz: float,
     sources: Sequence[Source],
 ) -> tuple[Calibration, list[str]]:
-    """The hand behind some taps of a library, and why which of them do not count.
+    """The hand calibrated from taps of a library, and the reasons for taps that do not count.
 
     Raises
     ------
-    InputError : none counts, or the library's device is not a drive in a hand.
+    InputError : no tap counts, or the library's device is not a drive in a hand.
     """
     scene = library.scene()
     drive, found = drive_of(scene), [record_of(each, settings, scene.hand.intention_s) for each in contacts]
@@ -157,7 +157,7 @@ def calibrated(
 
 
 def save_model(path: Path, scene: Scene, device: DriveDevice) -> None:
-    """A model file with the device in its new hand, and what else the scene's own model file has."""
+    """Save a model file with the device in its new hand and the other parts of the scene's own model file."""
     path.unlink(missing_ok=True)
     if isinstance(scene.model, IdentifiedModel):
         if scene.model.amplifier is not None:
@@ -169,11 +169,11 @@ def save_model(path: Path, scene: Scene, device: DriveDevice) -> None:
 
 @dataclass(frozen=True)
 class Tried:
-    """A node played with two libraries, told beside the tap that the new one tracks; NaN where nothing counts.
+    """Errors of a node played with two libraries, both against the tap that the new one tracks; NaN if no tap counts.
 
     Attributes
     ----------
-    before, after : tap error and felt error, of means over the taps, with the library as it was and with the new one.
+    before, after : tap error and felt error, means over the taps, with the old and with the new library.
     """
 
     node: Node
@@ -189,11 +189,11 @@ def tried(
     settings: tuple[Settings, Settings],
     accelerometer_Hz: float,
 ) -> list[Tried]:
-    """What the new library is worth beside the old one, by the device's own sensors.
+    """Errors of the new and of the old library at each node, measured by the device's own sensors.
 
     Parameters
     ----------
-    library : the new one. before, after : taps that the old and the new library played.
+    library : the new library. before, after : taps played with the old and with the new library.
     """
 
     def means(contacts: Sequence[Contact], known: Settings, node: Node) -> tuple[float, float]:
@@ -207,7 +207,7 @@ def tried(
 
 
 def judged(each: Sequence[Tried]) -> tuple[str, bool]:
-    """Whether the new library is better, in words, and whether it may be taken."""
+    """A sentence that compares the new library with the old one, and whether the new one may be used."""
     pairs = np.array([[one.before, one.after] for one in each])
     pairs = pairs[np.isfinite(pairs).all(axis=(1, 2))]
     if not len(pairs):

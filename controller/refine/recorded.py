@@ -1,7 +1,7 @@
-"""Taps of a library that a device with firmware of its own played, read from files.
+"""Taps of a library that a device with other firmware played, read from files.
 
-Such a file says neither the tick at which its waveform began nor when the stylus met the surface. Both are found
-where the record is most like the predicted tap. What the accelerometer reads at rest comes from just before.
+Such a file states neither the tick at which the waveform began nor the instant of contact. Both are found by
+correlation with the predicted tap. The accelerometer's reading at rest is taken from just before the waveform.
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ from transopt.library.library import Library
 from transopt.plant.intention import INTENTION_S
 from transopt.recordings.recording import Recording
 
-LEAST_REST_S = 2e-3  # before the tap
-LEAST_LIKENESS = 0.5  # correlation with the predicted tap; noise has some hundredths, another device 0.9
-LEAST_SCALE, LARGEST_SCALE = 1 / 3, 3.0  # of what was measured, over the prediction: between them no unit is mistaken
+LEAST_REST_S = 2e-3  # least rest recorded before the tap
+LEAST_LIKENESS = 0.5  # least correlation with the predicted tap; noise has some hundredths, another device 0.9
+LEAST_SCALE, LARGEST_SCALE = 1 / 3, 3.0  # of the measured tap over the predicted one; beyond them a unit is wrong
 
 
 @dataclass(frozen=True)
 class RecordedTap:
-    """One tap of a file. node : that it counts for. heard : what it says, or why it says nothing."""
+    """One tap of a file. node : node it counts for. heard : its difference, or the reason why it does not count."""
 
     name: str
     node: Node | None
@@ -33,12 +33,12 @@ class RecordedTap:
 
 
 def recorded_tap(recording: Recording, library: Library, bandwidth_Hz: float) -> RecordedTap:
-    """What a recorded tap says of the node that it is near to.
+    """The difference that a recorded tap shows at the node that it is near.
 
     Parameters
     ----------
-    recording : with its speed; the grip may be left out of a library that has one.
-    bandwidth_Hz : of the accelerometer, one pole, which is taken out.
+    recording : with its speed; the grip may be missing if the library has one grip only.
+    bandwidth_Hz : bandwidth of the accelerometer, one pole, which is compensated.
     """
     speed, grip, name = recording.speed_m_s, recording.grip_N, recording.name
     if grip is None and library.grips_N.size == 1:
@@ -82,7 +82,7 @@ def _hear(
 
 
 def _where(x: Signal, prediction: Prediction) -> float | str:
-    """Time in the record that is the prediction's 0 [s], by the largest correlation; or why it is none."""
+    """Time in the record of the prediction's time 0 [s], by the largest correlation; or why there is none."""
     times, dt = prediction.times_s, float(prediction.times_s[1] - prediction.times_s[0])
     known = times <= INTENTION_S
     p = Signal(float(times[0]), dt, smooth(prediction.whole_m_s2, dt)[known])
@@ -94,7 +94,7 @@ def _where(x: Signal, prediction: Prediction) -> float | str:
     products = scipy.signal.correlate(measured, wanted, mode="valid")
     squares = np.maximum(scipy.signal.correlate(measured**2, np.ones(steps), mode="valid"), np.finfo(float).tiny)
     likeness: FloatArray = products / np.sqrt(squares * (wanted @ wanted))
-    # If little is measured anything is alike: what stands out has to be there as well.
+    # Quiet stretches may correlate by chance: only stretches with enough energy count.
     likeness[squares < 0.25 * squares.max()] = 0.0
     at = int(np.argmax(np.abs(likeness)))
     if abs(likeness[at]) < LEAST_LIKENESS:

@@ -1,4 +1,4 @@
-"""Rounds of taps on the device, each of them with the library that was learnt from those before."""
+"""Rounds of taps on the device, each with the library that was learnt from the previous rounds."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ Play = Callable[[Library, int, Sequence[Node]], Mapping[Node, Sequence[Heard]]]
 
 @dataclass(frozen=True)
 class Refined:
-    """What came of it.
+    """The result of a refinement.
 
     Attributes
     ----------
-    before, library : as it was, and with the design of every node that is kept.
-    history : rounds, courses, and what was confirmed.
-    ratios : T of each grip that was tapped at, by index, from all taps.
-    window : in whose cosines the history stands. scatter : of all taps.
-    designed : as solved for the model, without any correction: what the device shall do.
+    before, library : the original library, and the refined one with the kept design of every node.
+    history : rounds, courses, and the confirming round.
+    ratios : index of a tapped grip -> T from all taps.
+    window : window whose cosine coefficients the history holds. scatter : scatter of all taps.
+    designed : the library solved for the model without any correction, the reference of the device.
     """
 
     before: Library
@@ -55,15 +55,15 @@ def refine(
     *,
     tell: Callable[[Learner, Round], None] = lambda learner, results: None,
 ) -> Refined:
-    """Play, learn, solve again, until nothing significant is left; and confirm with new taps what is kept.
+    """Play, learn and solve again until no significant difference is left; then confirm what is kept with new taps.
 
     Parameters
     ----------
-    play : taps with a library in a round at some nodes, at least two at a node that is to be learnt from.
+    play : function that plays a library in a round at some nodes; a node needs at least two taps to be learnt from.
     resolve : `transopt.design.resolve.resolve`.
-    rounds : of corrections, at most.
-    stated : what `meta["refinement"]` says of device and measurement, beside the history.
-    tell : called with the learner and each round as soon as it was learnt from.
+    rounds : largest number of rounds with corrections.
+    stated : entries of `meta["refinement"]` on device and measurement.
+    tell : called with the learner and the results after each round.
     """
     learner = Learner(library, resolve, rounds, lambda learner: in_meta(learner, stated))
     while not learner.over:

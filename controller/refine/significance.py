@@ -1,25 +1,23 @@
-"""What stands out of the scatter of repeated taps, and which of two designs is better beyond doubt.
+"""Significance tests on repeated taps: of their mean difference from the prediction, and of a design's gain.
 
-Taps at a node differ by the noise of the sensors and by the hand. What their mean differs by from the prediction is
-therefore partly noise, and a correction that takes noise for a difference makes the device worse while the same taps
-say that it became better. So a node is corrected only in what cannot be noise, and a correction is kept only if later
-taps show its gain beyond their scatter.
+Taps at a node differ by sensor noise and by the hand. So the mean difference from the prediction is partly noise. A
+correction by noise makes the device worse, while the same taps indicate an improvement. Therefore a node is corrected
+only by significant differences, and a correction is kept only if later taps show a significant gain.
 
-Everything is done in the orthonormal cosines (DCT-II) of the window that is measured, up to 1 kHz. In them a sum of
-squares over time is a sum of squares over coefficients, noise that is stationary scatters in each nearly
-independently, and a band of frequencies is a stretch of coefficients.
+All tests use the orthonormal cosine coefficients (DCT-II) of the measured window up to 1 kHz. A sum of squares over
+time equals the sum of squares of the coefficients, stationary noise is nearly independent between them, and a band of
+frequencies is a range of coefficients.
 
 In a band of m coefficients, with the scatter S (variance of one coefficient from tap to tap) and the mean u of n
 taps,
 
     f = n |u|^2 / (m S)
 
-is F-distributed if there is nothing but noise, with m and m nu degrees of freedom, nu of the scatter (Hotelling's
-test under a covariance that is the same in every direction of the band). Where the coefficients of a band scatter
-together, as those of a hand do, m is replaced by (tr C)^2 / tr(C^2) of their covariance C (Satterthwaite 1946; Box
-1954), which makes the test stricter. S is the larger of what the node's own taps and all taps together say. A band
-whose f is beyond chance is corrected by the part 1 - 1/f of u that is signal in the mean square (Wiener 1949); no
-other is.
+is F-distributed under noise alone, with m and m nu degrees of freedom, where nu is that of the scatter (Hotelling's
+test for a covariance that is isotropic within the band). If the coefficients of a band are correlated, as those of a
+hand are, m is replaced by (tr C)^2 / tr(C^2) of their covariance C (Satterthwaite 1946; Box 1954), which makes the
+test stricter. S is the larger of two estimates, from the node's own taps and from all taps. A band with significant f
+is corrected by the share 1 - 1/f of u, which is signal in the mean square (Wiener 1949); no other band is corrected.
 """
 
 from collections.abc import Iterable, Sequence
@@ -34,18 +32,18 @@ from controller.refine.heard import fade_of
 from transopt.base.signals import FloatArray
 
 BANDS_HZ = (0.0, 50.0, 100.0, 200.0, 300.0, 400.0, 550.0, 700.0, 1000.0)
-CHANGED = 0.01  # of the squares of the change of a prediction: a band with less was not changed
-LEVEL = 0.01  # chance that anything in a round is taken for a difference and is none; at one node, for a gain
+CHANGED = 0.01  # share of a prediction's squared change below which a band counts as unchanged
+LEVEL = 0.01  # significance level: of a difference over all tests of a round, of a gain at one node
 
 
 @dataclass(frozen=True)
 class Window:
-    """The part of a library's time grid that is measured, and its cosines.
+    """The measured part of a library's time grid, and its cosine transform.
 
     Attributes
     ----------
-    fade : (N,) 1 where everything is measured, falling to 0.
-    dt_s : of the grid.
+    fade : (N,) 1 within the measured window, falling to 0.
+    dt_s : period of the grid.
     """
 
     fade: FloatArray
@@ -58,7 +56,7 @@ class Window:
 
     @property
     def samples(self) -> int:
-        """Number of samples that are measured at all."""
+        """Number of samples with `fade` > 0."""
         return int(np.count_nonzero(self.fade > 0))
 
     @cached_property
@@ -74,12 +72,12 @@ class Window:
         return int(self.bands[-1].stop)
 
     def coefficients(self, values: FloatArray) -> FloatArray:
-        """(..., K) of values (..., N) that are 0 where the window has ended."""
+        """(..., K) coefficients of values (..., N) that are 0 after the window."""
         found = scipy.fft.dct(values[..., : self.samples], type=2, norm="ortho")
         return np.asarray(found[..., : self.size])
 
     def values(self, coefficients: FloatArray) -> FloatArray:
-        """(..., N) from coefficients (..., K)."""
+        """(..., N) values from coefficients (..., K)."""
         whole = np.zeros((*coefficients.shape[:-1], self.samples))
         whole[..., : self.size] = coefficients
         found = np.zeros((*coefficients.shape[:-1], self.fade.size))
@@ -89,15 +87,15 @@ class Window:
 
 @dataclass(frozen=True)
 class Tapped:
-    """What the taps of one round at a node said of the design that was played; coefficients in m/s^2.
+    """The taps of one round at a node and the design that they played; coefficients in m/s^2.
 
     Attributes
     ----------
-    correction_m_s2 : (N,) that the design was solved with.
-    predicted : (K,) prediction less what the device shall make, p - r, r the prediction of the uncorrected design.
+    correction_m_s2 : (N,) correction that the design was solved with.
+    predicted : (K,) prediction less reference, p - r, with r the prediction of the uncorrected design.
     differences : (n, K) measured less predicted, w of each tap; n >= 2.
     reference : sum of the squares of r over the window.
-    peak_current_A : largest that was measured; NaN where none was.
+    peak_current_A : largest measured current; NaN if none was measured.
     """
 
     correction_m_s2: FloatArray
@@ -112,12 +110,12 @@ class Tapped:
 
     @property
     def difference(self) -> FloatArray:
-        """(K,) mean of all taps."""
+        """(K,) mean difference of all taps."""
         return np.asarray(self.differences.mean(axis=0))
 
     @property
     def error(self) -> FloatArray:
-        """(K,) mean tap less what the device shall make."""
+        """(K,) mean tap less reference."""
         return self.predicted + self.difference
 
     @cached_property
@@ -126,7 +124,7 @@ class Tapped:
         return self.differences - self.difference
 
     def squared_in(self, bands: Iterable[slice]) -> float:
-        """Squared error in some bands over the squares of r, without what the scatter of the taps adds to it."""
+        """Squared error in some bands over the squares of r, less the bias due to the scatter of the taps."""
         noise = (self.residuals**2).sum(axis=0) / (self.taps - 1) / self.taps
         return sum(float((self.error**2 - noise)[band].sum()) for band in bands) / self.reference
 
@@ -147,8 +145,8 @@ class Gain:
 
     Attributes
     ----------
-    value : what the later design has less. deviation : its standard deviation.
-    by_chance : chance of at least this gain if there is none; worse_by_chance : of at least this loss.
+    value : reduction by the later design. deviation : its standard deviation.
+    by_chance : p value of the gain; worse_by_chance : p value of a loss.
     """
 
     value: float
@@ -158,7 +156,7 @@ class Gain:
 
 
 class Scatter:
-    """From tap to tap, band by band, of all taps of a refinement together.
+    """Scatter between taps by band, pooled over all taps of a refinement.
 
     Parameters
     ----------
@@ -175,10 +173,10 @@ class Scatter:
         self._free = np.array([self._free_of(C) for C in covariances])
 
     def _free_of(self, covariance: FloatArray) -> float:
-        """(tr C)^2 / tr(C^2) of the true covariance, of which this is an estimate; between 1 and m.
+        """Unbiased (tr C)^2 / tr(C^2) of the true covariance from this estimate; between 1 and m.
 
-        tr of the square of an estimate of nu degrees of freedom is too large by (tr C)^2 / nu (Bai and Saranadasa
-        1996).
+        The trace of the square of an estimate with nu degrees of freedom is biased by (tr C)^2 / nu (Bai and
+        Saranadasa 1996).
         """
         m, nu, trace = len(covariance), self.degrees, float(np.trace(covariance))
         if nu < 2 or trace == 0:
@@ -187,18 +185,18 @@ class Scatter:
         return float(np.clip(trace**2 / max(square, trace**2 / m), 1.0, m))
 
     def _variance_of(self, tapped: Tapped) -> FloatArray:
-        """(bands,) of one coefficient from tap to tap."""
+        """(bands,) variance of one coefficient between taps."""
         own = [float((tapped.residuals[:, band] ** 2).mean()) for band in self._bands]
         return np.asarray(np.maximum(np.array(own) * tapped.taps / (tapped.taps - 1), self._variance))
 
     def standing_out(self, wanted: FloatArray, tapped: Tapped, among: int) -> FloatArray:
-        """(K,) the part of each coefficient of a mean (K,) that is no noise; 0 in bands where all may be.
+        """(K,) share of each coefficient of a mean (K,) that is signal; 0 in bands that are not significant.
 
         Parameters
         ----------
-        wanted : with the scatter of the mean of these taps.
-        among : how many nodes are asked this; the chance that any band of any of them is taken for more than noise
-            and is not is at most `LEVEL`.
+        wanted : mean to test; its scatter is that of the mean of these taps.
+        among : number of nodes tested together; the chance of any false positive in any of their bands is at most
+            `LEVEL` (Bonferroni).
         """
         part = np.zeros(wanted.size)
         tiny = np.finfo(float).tiny
@@ -210,15 +208,15 @@ class Scatter:
         return part
 
     def gain(self, before: Tapped, after: Tapped, *, where_changed: bool = False) -> Gain:
-        """How much better one design is than another, from the taps of both.
+        """Gain of one design over another, from the taps of both.
 
         Parameters
         ----------
-        where_changed : looks only at the bands in which the prediction changed. Errors elsewhere, which are the same
-            in both, scatter as well and hide a gain.
+        where_changed : whether to use only the bands in which the prediction changed. Errors in other bands, equal in
+            both designs, add scatter that hides a gain.
 
-        The squared error of the mean of n taps has the variance 4 e'C e / n + 2 tr(C^2) / (n (n - 1)), with C between
-        equal in all directions and all in the direction of e.
+        The squared error of the mean of n taps has the variance 4 e'C e / n + 2 tr(C^2) / (n (n - 1)); e'C e is taken
+        between that of an isotropic C and that of a C entirely along e.
         """
         changed = np.array([float(((before.predicted - after.predicted)[band] ** 2).sum()) for band in self._bands])
         used = changed >= (CHANGED * changed.sum() if where_changed else 0.0)
@@ -236,7 +234,7 @@ class Scatter:
         return float(np.sqrt(tapped.playback_error**2 + more)) - tapped.playback_error
 
     def _variances_of_squared(self, tapped: Tapped) -> FloatArray:
-        """(bands,) of the squared error in each."""
+        """(bands,) variance of the squared error in each band."""
         n, found = tapped.taps, []
         for band, variance, free in zip(self._bands, self._variance_of(tapped), self._free, strict=True):
             m = band.stop - band.start

@@ -1,4 +1,4 @@
-"""What a refinement did, in words and numbers."""
+"""Lines and tables that report a refinement."""
 
 from collections import Counter
 from pathlib import Path
@@ -23,12 +23,12 @@ LEFT = "nothing significant is left to be learnt"
 
 
 def place(library: Library, node: Node) -> str:
-    """0.1 m/s at 3 N."""
+    """A node in words, like `0.1 m/s at 3 N`."""
     return f"{library.speeds_m_s[node[0]]:g} m/s at {library.grips_N[node[1]]:g} N"
 
 
 def mean_error(results: Round) -> float:
-    """Over the nodes that were tapped at."""
+    """Mean playback error over the tapped nodes; NaN if there is none."""
     each = [node.playback_error for node in results.values()]
     return float(np.mean(each)) if each else float("nan")
 
@@ -38,7 +38,7 @@ def _nodes(count: int) -> str:
 
 
 def round_line(number: int, learner: Learner, results: Round) -> str:
-    """What the taps of a round said, and what follows from it."""
+    """One line with the results of a round."""
     confirming = learner.history.confirmed is not None
     name = "confirming round" if confirming else f"round {number}"
     if not results:
@@ -61,7 +61,7 @@ def round_line(number: int, learner: Learner, results: Round) -> str:
 
 
 def following_line(learner: Learner) -> str:
-    """What is played next, or why nothing is."""
+    """One line that tells what is played next, or why nothing is."""
     if learner.history.confirmed is not None:
         return ""
     if learner.history.confirming:
@@ -74,7 +74,7 @@ def following_line(learner: Learner) -> str:
 
 
 def refine_table(refined: Refined, title: str) -> Table:
-    """Every node: the library as it was, and what the confirming round said of what is kept."""
+    """Table of every node: errors of the original library, and errors of the kept design in the confirming round."""
     before, history = refined.before, refined.history
     confirmed = history.confirmed or {}
     table = Table(title=title, keys=2)
@@ -110,13 +110,13 @@ def _condition_cells(node: NodeRound | None) -> tuple[str, str, str]:
 
 
 def reasons(refined: Refined) -> str:
-    """Why the nodes ended, the most frequent first."""
+    """Reasons why the nodes ended, the most frequent first."""
     counted = Counter(course.why for course in refined.history.courses.values())
     return "; ".join(f"{_nodes(count)}: {why}" for why, count in counted.most_common())
 
 
 def summary(refined: Refined, written: Path) -> tuple[str, bool]:
-    """One line, and whether all that was to be gained was; `written` is the refined library's file."""
+    """One line on the result, and whether it is a success; `written` is the refined library's file."""
     better, history = refined.better, refined.history
     if not better:
         if all(course.why in (NOTHING_LEFT, NO_GAIN) for course in history.courses.values()):
