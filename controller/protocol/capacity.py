@@ -1,4 +1,4 @@
-"""What a device holds and allows: one place for the generated C header, the host and its messages."""
+"""Capacities and limits of a device, in one place for the generated C header, the host and its messages."""
 
 import math
 from dataclasses import dataclass
@@ -32,11 +32,11 @@ MOTION_LEAST_M, MOTION_ALIKE = 5e-4, 0.8  # rms and correlation of what can be c
 
 
 def checked(name: str, value: float, low: float, high: float, unit: str = "") -> float:
-    """The value of what a device is asked for, if it lies within its limits; `options.within` is for a command's.
+    """The value of a request to a device, checked against its limits; `options.within` checks those of a command.
 
     Raises
     ------
-    InputError : it does not, or is no number.
+    InputError : the value is outside the limits or NaN.
     """
     if not low <= value <= high:
         raise InputError(f"{name} = {value:g}{unit}: must be {low:g} to {high:g}{unit}")
@@ -49,9 +49,9 @@ class Capacity:
 
     Attributes
     ----------
-    samples : int16 samples of all waveforms of a library together, a count of 8 bit half of one; two libraries of
-        this size are held.
-    speeds, grips : nodes of the axes. waveform_samples : of one waveform.
+    samples : int16 samples of all waveforms of a library together, where an 8-bit count takes half a sample; the
+        device holds two libraries of this size.
+    speeds, grips : nodes of the axes. waveform_samples : samples of one waveform.
     approach_ticks : `Settings.window_ticks`. latency_ticks : `Wall.latency_ticks`.
     upload_frames : frames of DATA in flight before an ACK.
     """
@@ -67,21 +67,21 @@ class Capacity:
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """What is compiled into a port about the amplifier and the motor behind it; a host may only ask for less.
+    """Limits of amplifier and motor that are compiled into a port; a host may only request less.
 
     Attributes
     ----------
     dt_s : servo period of the timer.
-    current_A : largest size of the true current, for every amplifier in the range of poles.
-    command_A : largest size of what goes out to the amplifier.
+    current_A : largest true current, for every amplifier pole in the range below.
+    command_A : largest command to the amplifier.
     pulse_A, pulse_s : largest size and length of a test pulse.
-    pole_least_Hz, pole_most_Hz : between these lies the amplifier's pole.
-    over_current_A : a larger measured current, as the monitor gives it, is a fault in every state.
-    has_coil : whether the motor's coil is known; the rest is zero without it.
-    R_ohm : of the winding at 25 C.
+    pole_least_Hz, pole_most_Hz : range of the amplifier's pole.
+    over_current_A : a larger raw reading of the current monitor is a fault in every state.
+    has_coil : whether the motor's coil is known; if not, the following numbers are zero.
+    R_ohm : resistance of the winding at 25 C.
     R_wh_K_W, R_ha_K_W : thermal resistance from winding to housing and from housing to ambient.
     tau_w_s, tau_h_s : their time constants.
-    limit_C : of the winding. ambient_C : the warmest surroundings.
+    limit_C : temperature limit of the winding. ambient_C : highest ambient temperature.
     """
 
     dt_s: float = 1e-4

@@ -42,7 +42,7 @@ class Kind(IntEnum):
 
 
 class Reason(Enum):
-    """Why the device refused; the value says it to the user. On the wire the place in this list, from 1."""
+    """Why the device refused; the value is the message to the user. On the wire: the place in this list, from 1."""
 
     NOT_IDLE = "the device is armed or playing: disarm it first"
     FAULT_LATCHED = "a fault is latched: remove its cause, then reset"
@@ -87,7 +87,7 @@ class Stage(IntEnum):
 
 
 class LinkNotice(Enum):
-    """What only a device on a link tells, beside the servo's notices and faults."""
+    """Notices of a device on a link, in addition to the servo's notices and faults."""
 
     LEASE_LOST = "the host was silent for longer than its lease: disarmed, no command"
     PULSE_ENDED = "the test pulse has ended"
@@ -97,7 +97,7 @@ class LinkNotice(Enum):
 What = Notice | Fault | LinkNotice
 STATES = tuple(State)  # code: place in this list
 REASONS = dict(enumerate(Reason, 1))
-# Code on the wire of everything an event can tell; 0 is nothing.
+# Code on the wire -> event; 0 means no event.
 EVENTS: dict[int, What] = {
     **dict(enumerate(Notice, 1)),
     **dict(enumerate(LinkNotice, 32)),

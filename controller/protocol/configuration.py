@@ -1,11 +1,11 @@
-"""`Settings` as a device stores them: one table of float64, the numbers that are stated and no others.
+"""`Settings` as a device stores them: one table of float64 that holds the stated numbers only, none derived.
 
     header    magic u32, version u16, count u16
     values    count float64 in the order of NAMES
 
-Whole numbers and flags (0 or 1) are float64 as well. What does not exist is 0 behind a flag of 0. What follows from
-these numbers (decays of the amplifier, rows of the approach's fit, the coil's update) each end works out for itself,
-by the same formulas in the same order of operations. SHA-256 of the whole is the configuration's hash.
+Whole numbers and flags (0 or 1) are float64 too. A part that does not exist has the flag 0 and zeros. Numbers derived
+from these (decays of the amplifier, rows of the approach's fit, the coil's update) are computed at each end, by the
+same formulas in the same order of operations. SHA-256 of the whole table is the configuration's hash.
 """
 
 import struct
@@ -21,18 +21,18 @@ from transopt.plant.wall import Wall
 CONFIGURATION_MAGIC = 0x46434E54  # "TNCF"
 CONFIGURATION_VERSION = 3
 HEADER = struct.Struct("<IHH")
-# Parts that a device may lack, by the field of Settings they stand in.
+# Optional parts: field of Settings -> type.
 PARTS: dict[str, type] = {"amplifier": Amplifier, "wall": Wall, "coil": CoilModel}
-# An amplifier may be one of voltages; a device's is one of currents, and its name says so.
+# An amplifier may command voltages in general; that of a device commands currents, so its name has the unit A.
 IN_AMPERES = {"amplifier_command_limit": "amplifier_command_limit_A"}
-COMPILED_IN = ("coil_ripple_A",)  # a device counts that of the seed, for which `on_a_device` allows
+COMPILED_IN = ("coil_ripple_A",)  # a device always uses the seed's ripple; `on_a_device` allows for another one
 OPTIONAL = ("slew_limit_A_per_s", "assumed_grip_N")
 PREDICTION = ("pulse_grip_N", "pulse_acceleration", "pulse_path_m")  # over `pulse_nodes` grips
 PLAIN = tuple(f.name for f in fields(Settings) if f.name not in (*PARTS, *OPTIONAL, *PREDICTION))
 
 
 def numbers(settings: Settings) -> dict[str, float]:
-    """Every number of the table, by name and in order."""
+    """Name -> number of the whole table, in order."""
     values = {name: float(getattr(settings, name)) for name in PLAIN}
     values["pulse_nodes"] = float(len(settings.pulse_grip_N))
     for name in PREDICTION:
