@@ -1,7 +1,7 @@
 #include "td_approach.h"
 
-#define BEND_COUNTS 0.6 /* of a cubic in the readings: twice what rounding makes of it */
-#define STEADY_BEND_COUNTS 2.0 /* the same at a steady speed, where that may be a slow sawtooth */
+#define BEND_COUNTS 0.6 /* largest cubic part of the readings for the whole window: twice that of rounding */
+#define STEADY_BEND_COUNTS 2.0 /* the same at a steady speed, where rounding may be a slow sawtooth */
 
 void td_approach_restart(td_approach *approach)
 {
@@ -12,7 +12,7 @@ void td_approach_restart(td_approach *approach)
     approach->phase = TD_NEVER;
 }
 
-/* The reading that leaves the newer half, if there is one. */
+/* The reading that leaves the newer half of the window; 0 before there is one. */
 static int64_t middle_of(const td_approach *approach, const td_config *config)
 {
     const int32_t at = approach->next - config->half_ticks;
@@ -22,8 +22,8 @@ static int64_t middle_of(const td_approach *approach, const td_config *config)
     return approach->counts[at >= 0 ? at : at + config->window_ticks];
 }
 
-/* One reading more in the sums: every one ages by a tick, and the oldest leaves at the window's age. Whether the path of
- * the newer half differs from that of the older one by more than an eighth and two counts. */
+/* Add a reading to the sums: every reading ages by a tick, and the oldest leaves the window. Returns whether the paths of
+ * the newer and the older half differ by more than an eighth and two counts. */
 static bool slide(td_approach *approach, const td_config *config, int64_t newest)
 {
     const int64_t W = config->window_ticks, H = config->half_ticks;
@@ -51,7 +51,7 @@ void td_approach_step(td_approach *approach, const td_config *config, int32_t co
 
     if (approach->read == 0)
         approach->origin = counts;
-    /* Relative to the first reading, so that far from zero the sums stay small. */
+    /* Readings relative to the first one keep the sums small far from zero. */
     changes = slide(approach, config, (int64_t)counts - approach->origin);
     if (approach->read < config->window_ticks) {
         approach->read++;
@@ -72,7 +72,7 @@ void td_approach_step(td_approach *approach, const td_config *config, int32_t co
     ahead = fit->value[0] * s0 + fit->value[1] * s1 + fit->value[2] * s2;
     rate = fit->slope[0] * s0 + fit->slope[1] * s1 + fit->slope[2] * s2;
     approach->speed_m_s = -rate * config->approach_m_s;
-    /* Contact is where the tangent at `ahead` crosses the surface; within a few ticks the curvature is nothing. */
+    /* Contact is where the tangent at `ahead` crosses the surface; within a few ticks the curvature is negligible. */
     if (approach->speed_m_s >= config->least_speed_m_s)
         approach->phase = (ahead + ((td_wide)approach->origin - config->surface_counts)) / rate;
     else
@@ -84,7 +84,7 @@ void td_trigger_restart(td_trigger *trigger)
     trigger->above = 0;
     trigger->ready = false;
     trigger->touching = true;
-    /* Armed too late for a contact that is already on its way: that is told too. */
+    /* If the device is armed too late for a contact under way, the crossing of the surface reports CHATTER. */
     trigger->fresh = true;
     trigger->was_above = false;
 }
@@ -110,13 +110,13 @@ td_touch td_trigger_step(td_trigger *trigger, const td_config *config, td_wide z
         }
     }
     if (trigger->touching) {
-        /* While it comes in, a fast stylus is above the touch height when its contact is already due. */
+        /* A fast stylus coming in may still be above the touch height when its contact is already due. */
         if (z_m > config->touch_height_m && (speed_m_s <= 0 || trigger->ready))
             trigger->touching = trigger->fresh = false;
         return TD_TOUCH_NOTHING;
     }
     due = phase > -1;
-    /* A coarse encoder rounds down to half a count below the surface before the tap is due. */
+    /* A coarse encoder may read half a count below the surface, by rounding, before the tap is due. */
     if (!due && z_m >= -0.5 * config->count_m)
         return TD_TOUCH_NOTHING;
     ready = trigger->ready;

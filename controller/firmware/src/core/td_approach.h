@@ -1,7 +1,7 @@
-/* How fast the stylus comes in and when it will touch, from encoder counts.
+/* Approach speed of the stylus and instant of its contact, from encoder counts.
  *
- * A parabola is fitted by least squares to the last readings and evaluated lead ahead of the newest, which is where
- * the contact lies when the waveform has to start. A line would have to be short, since a hand that accelerates at
+ * A parabola is fitted by least squares to the last readings and evaluated one lead ahead of the newest, where the
+ * contact lies when the waveform has to start. A line would need a short window, since a hand that accelerates at
  * 2 m/s^2 biases its slope. Rms errors of the speed and of the contact time over simulated taps at 0.1 m/s:
  *
  *                     line 3 ms       line 5 ms       parabola 6 ms   parabola 10 ms
@@ -9,13 +9,13 @@
  *     2 m/s^2         3.6 %, 27 us    5.6 %, 56 us    1.1 %, 16 us    0.6 %, 12 us
  *
  * At 0.05 m/s the parabola over 10 ms (2 m/s^2) gives 1.2 %, 25 us; at 0.4 m/s 0.15 %, 2.6 us; at 1 m/s 0.12 %, 1.9 us.
- * Longer windows would ask for more than 10 ms of undisturbed approach.
+ * Longer windows would require more than 10 ms of undisturbed approach.
  *
- * A tap from rest close above the surface begins within the window, or its acceleration changes there, and a parabola is
- * then no more what the readings follow. That shows in them as a part of the cubic that is orthogonal to every parabola
- * (td_parabola_bend). Where it is more than twice what rounding alone makes of it, the newer half of the window is
- * taken. At a steady speed near a whole number of counts per tick rounding is a slow sawtooth, and makes more of it:
- * where the paths of the two halves differ by no more than an eighth and two counts, more is asked for. Rms errors of
+ * A tap from rest close above the surface begins within the window, or its acceleration changes there, so that the
+ * readings do not follow a parabola. They then have a part along the cubic that is orthogonal to every parabola
+ * (td_parabola_bend). If this part exceeds twice that of rounding, only the newer half of the window is used. At a
+ * steady speed near a whole number of counts per tick rounding is a slow sawtooth with a larger cubic part: so the
+ * threshold is higher if the paths of the two halves differ by no more than an eighth and two counts. Rms errors of
  * the contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2, at 24.5 um per count
  * (tests/campaigns/test_from_rest.py):
  *
@@ -25,20 +25,19 @@
  *     half sine       64 us           22 us           28 us
  *     0.1 m/s         13 us           21 us           13 us
  *
- * Steady approaches keep the whole window, and with it the errors above. The sums are of integers, so a sliding update
- * is exact and costs the same for every window.
+ * Steady approaches keep the whole window and the errors above. The sums are integers, so a sliding update is exact and
+ * its cost does not depend on the window.
  *
- * Its oracle is tests/benches/oracle/approach.py.
+ * The test oracle is tests/benches/oracle/approach.py.
  */
 #ifndef TD_APPROACH_H
 #define TD_APPROACH_H
 
 #include "td_config.h"
 
-#define TD_NEVER (-1e9) /* phase of a stylus that does not come in */
+#define TD_NEVER (-1e9) /* phase of a stylus that does not approach */
 
-/* Sliding parabola through encoder counts, over the whole window or, where the motion bends, over its newer half; sums
- * of integers, so the update is exact. */
+/* Sliding parabola through encoder counts, over the whole window or, if the motion is not one, over its newer half. */
 typedef struct {
     int32_t counts[TD_MAX_WINDOW_TICKS]; /* ring, relative to `origin` */
     int32_t read, next, origin;
@@ -48,7 +47,7 @@ typedef struct {
     td_wide phase;            /* ticks by which the newest reading lies after the instant at which c_0 is due */
 } td_approach;
 
-/* Forget all readings: what comes next has nothing to do with them. */
+/* Discard all readings. */
 void td_approach_restart(td_approach *approach);
 
 /* One tick's reading, which lies within +-TD_ENCODER_MOST_COUNTS. */
@@ -56,9 +55,10 @@ void td_approach_step(td_approach *approach, const td_config *config, int32_t co
 
 typedef enum { TD_TOUCH_NOTHING, TD_TOUCH_CONTACT, TD_TOUCH_CHATTER } td_touch;
 
-/* When a transient may start: due once c_0 falls into the tick to come, and a contact only after a while off. */
+/* Decides when a transient starts: it is due once c_0 falls into the next tick, and counts as a contact only if the
+ * stylus was above the rearm height for a while. */
 typedef struct {
-    int32_t above; /* ticks above the rearm height, counted up to those asked for */
+    int32_t above; /* ticks above the rearm height, saturating at the required number */
     bool ready, touching, fresh, was_above;
 } td_trigger;
 

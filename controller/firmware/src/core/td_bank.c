@@ -9,8 +9,8 @@ int32_t td_bank_count(const uint8_t *at, uint32_t bits)
     return bits == 8 ? td_get_i8(at) : td_get_i16(at);
 }
 
-/* sqrt(sum count^2) of one node's waveform. No amplifier of one pole makes a current of more energy than its command has,
- * so this bounds the norm of the current, and nobody's word is needed. */
+/* sqrt(sum count^2) of one node's waveform. The current of a one-pole amplifier never has more energy than its command,
+ * so this bounds the norm of the current without relying on a number from the host. */
 static td_wide root_of_squares(const uint8_t *counts, uint32_t bits, uint32_t samples, size_t node)
 {
     const uint32_t bytes = bits / 8;
@@ -48,7 +48,7 @@ bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
     nodes = (size_t)speeds * grips;
     counts = nodes * samples;
     tables = cool_bits == 0 ? nodes : 2 * nodes;
-    /* A sample of memory holds two counts of 8 bit. */
+    /* One sample of memory holds two 8-bit counts. */
     if ((cool_bits == 8 ? (counts + 1) / 2 : cool_bits / 16 * counts) > TD_MAX_LIBRARY_SAMPLES - counts ||
         size != TD_IMAGE_BYTES + 8 * (speeds + grips + tables) + (2 + cool_bits / 8) * counts)
         return false;
@@ -89,7 +89,7 @@ typedef struct {
 static interval find(const td_wide *nodes, int32_t count, td_wide value, bool nearest)
 {
     interval found = {0, 0, false};
-    int32_t beyond = count - 1; /* the first node that is known to lie behind the interval's beginning */
+    int32_t beyond = count - 1; /* the first node known to lie after the interval's beginning */
     td_wide place;
 
     if (count == 1) {
@@ -112,7 +112,7 @@ static interval find(const td_wide *nodes, int32_t count, td_wide value, bool ne
     return found;
 }
 
-/* The cool command for the same place, if there is one. */
+/* The cool command for the same speed and grip, if there is one. */
 static void cooler(const td_bank *bank, const td_wide *w, const int32_t *node, td_play *play)
 {
     const size_t bytes = bank->cool_bits / 8;
@@ -161,7 +161,7 @@ void td_bank_at(const td_bank *bank, td_wide speed_m_s, td_wide grip_N, td_play 
         play->corner[j] = bank->counts + (size_t)node[j] * (size_t)bank->samples * sizeof(int16_t);
     }
     play->out_of_grid = v.outside || (g.outside && bank->by_grip);
-    /* Norms are convex, so the corners' bound the blend's. */
+    /* Norms are convex, so the blend of the corners' norms bounds the norm of the blend. */
     play->transient_A = w[0] * bank->transient_A[node[0]] +
                         w[1] * bank->transient_A[node[1]] +
                         w[2] * bank->transient_A[node[2]] +

@@ -22,7 +22,7 @@ static bool is(double value, double other)
     return !(value < other || value > other);
 }
 
-/* Numbers of the settings that may have any sign; they are asked for apart. */
+/* Numbers of the settings that may have any sign; they are checked separately. */
 static bool may_be_negative(int place)
 {
     static const uint8_t places[] = {
@@ -60,7 +60,7 @@ static bool is_scale(double value)
     return fabs(value) >= TD_SCALE_LEAST && fabs(value) <= TD_SCALE_MOST;
 }
 
-/* What the owner of the device has found of its sensors, and what a model predicts of a pulse. */
+/* Whether the calibration of the sensors and the prediction of the test pulse are valid. */
 static bool calibration_holds(const double *n)
 {
     int j;
@@ -79,7 +79,7 @@ static bool calibration_holds(const double *n)
     return true;
 }
 
-/* Whether the settings themselves hold (controller/servo/settings.py and what it is made of). */
+/* Whether the settings are valid in themselves (the checks of controller/servo/settings.py and its parts). */
 static bool holds(const double *n)
 {
     int place;
@@ -119,14 +119,14 @@ static bool holds(const double *n)
     return true;
 }
 
-/* What a stated size is to the hardware, at the most: the scale is the host's word, so that neither what is stated nor
- * what the hardware is asked for by it may be larger. */
+/* The larger of a stated size and of the size that the hardware gets for it through the scale. The host states the scale,
+ * so both have to be within the hardware's limit. */
 static double to_hardware(double size, double scale)
 {
     return fabs(scale) < 1 ? size / fabs(scale) : size;
 }
 
-/* Whether it asks for more than this device has; the first such number, NaN if there is none. */
+/* The first number that exceeds this device's limits, NaN if there is none. */
 static double beyond(const double *n, const td_hardware *hardware)
 {
     const double amplifier = n[TD_CFG_AMPLIFIER_SCALE], monitor = n[TD_CFG_MONITOR_SCALE];

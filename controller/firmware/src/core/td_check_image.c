@@ -8,7 +8,7 @@ static bool is_size(double value)
     return isfinite(value) && value >= 0;
 }
 
-/* Header and length: whether it is an image at all, and fits in here. */
+/* Check header and length: whether it is an image, and whether it fits into this device. */
 static td_refusal check_size(const uint8_t *image, size_t size)
 {
     uint64_t nodes, samples, counts, taken;
@@ -28,7 +28,7 @@ static td_refusal check_size(const uint8_t *image, size_t size)
     cool_bits = td_get_u32(image + TD_IMAGE_COOL_BITS);
     if (cool_bits != 0 && cool_bits != 8 && cool_bits != 16)
         return td_refuse(TD_REASON_BAD_FORMAT, cool_bits);
-    /* No image has as many nodes or samples as it has bytes: below that the products do not overflow. */
+    /* An image has fewer nodes and samples than bytes; with this bound the products below do not overflow. */
     if (nodes < 1 || samples < 1 || nodes > size || samples > size)
         return td_refuse(TD_REASON_BAD_FORMAT, (double)size);
     counts = nodes * samples;
@@ -46,7 +46,7 @@ static td_refusal check_size(const uint8_t *image, size_t size)
         return td_refuse(TD_REASON_TOO_LARGE, grips);
     if (samples > TD_MAX_SAMPLES)
         return td_refuse(TD_REASON_TOO_LARGE, (double)samples);
-    /* A sample of memory holds two counts of 8 bit. */
+    /* One sample of memory holds two 8-bit counts. */
     taken = counts + (cool_bits == 8 ? (counts + 1) / 2 : cool_bits / 16 * counts);
     if (taken > TD_MAX_LIBRARY_SAMPLES)
         return td_refuse(TD_REASON_TOO_LARGE, (double)taken);
@@ -64,8 +64,8 @@ static bool is_axis(const td_wide *nodes, int32_t count)
     return true;
 }
 
-/* The feedback's norms, which are the host's word and serve the prediction of heat alone, and the scales of the cool
- * commands: finite in the core's own precision too, none negative. */
+/* Whether the feedback's norms, which the host states and only the prediction of heat uses, and the scales of the cool
+ * commands are finite, in the core's own precision too, and not negative. */
 static bool are_sizes(const td_bank *bank)
 {
     const int32_t nodes = bank->speeds * bank->grips;
@@ -84,14 +84,14 @@ static bool are_sizes(const td_bank *bank)
     return true;
 }
 
-/* What waveforms come to. */
+/* Extremes over waveforms. */
 typedef struct {
-    double peak_A[2]; /* largest |command|, and largest |current| that commands make from rest */
-    double count_A;   /* the largest scale of any */
+    double peak_A[2]; /* largest |command|, and largest |current| by these commands from rest */
+    double count_A;   /* the largest scale */
     bool ends;        /* whether each ends in zeros */
 } reach;
 
-/* One waveform more. */
+/* Take one waveform into the extremes. */
 static void measure(reach *found, const uint8_t *at, uint32_t bits, double scale_A, const td_bank *bank,
                     const td_config *config, uint32_t tail)
 {
@@ -111,7 +111,7 @@ static void measure(reach *found, const uint8_t *at, uint32_t bits, double scale
     }
 }
 
-/* Whether peaks keep the limits, with `room_A` for rounding; the one that does not is told. */
+/* Check the peaks against the limits, with `room_A` for rounding; a refusal names the peak. */
 static td_refusal check_peaks(const reach *found, const td_config *config, double room_A)
 {
     const double walled = config->wall.present ? TD_IMAGE_WALLED_COMMAND : 1;
@@ -125,8 +125,8 @@ static td_refusal check_peaks(const reach *found, const td_config *config, doubl
     return td_granted;
 }
 
-/* Every waveform, first and cool: that it ends in zeros and keeps the limits from rest. The room for rounding is one
- * count, the finer one for the cool ones: those are rounded towards zero. */
+/* Check that every waveform, first and cool, ends in zeros and keeps the limits from rest. The room for rounding is one
+ * count; for the cool ones, which are rounded towards zero, the finer count. */
 static td_refusal check_waveforms(td_bank *bank, const td_config *config, double scale_A, uint32_t tail)
 {
     const size_t samples = (size_t)bank->samples;

@@ -1,5 +1,4 @@
-/* Everything the servo is told before it runs, and what follows from it: worked out once, so that no servo period takes
- * an exp. */
+/* The configuration of the servo, with all derived numbers computed once, so that no servo period needs an exp. */
 #ifndef TD_CONFIG_H
 #define TD_CONFIG_H
 
@@ -7,8 +6,8 @@
 #include "td_parabola.h"
 #include "td_real.h"
 
-#define TD_LEAST_READINGS 4 /* that a parabola is fitted to */
-#define TD_ROUNDED_TICKS 1e-9 /* of a number of ticks */
+#define TD_LEAST_READINGS 4 /* least readings to fit a parabola to */
+#define TD_ROUNDED_TICKS 1e-9 /* rounding error of a number of ticks */
 
 /* Coil, one implicit midpoint step of its two nodes per update (tests/benches/oracle/guard.py). */
 typedef struct {
@@ -16,21 +15,21 @@ typedef struct {
     int32_t ticks;                             /* servo periods per update */
     td_wide by_w;                              /* half an update over the winding's capacity [K/W] */
     td_wide a11, a12, a21, a22;                /* the step's matrix without copper's feedback */
-    td_wide inflow_C, cold;                    /* what the ambient gives the housing; copper at 0 C */
+    td_wide inflow_C, cold;                    /* the ambient's term for the housing; copper's factor at 0 C */
     td_wide R_ohm, rise_K, from_housing;       /* rise_K: of the winding per A^2 and tick, at the limit */
-    td_wide limit_C, play_limit_C;             /* no transient starts above the second */
+    td_wide limit_C, play_limit_C;             /* no transient starts above play_limit_C */
     td_wide start_winding_C, start_housing_C;
-    td_wide dying_ticks;                       /* of the present current: until a command of zero is felt, and after */
-    td_wide least_scale;                       /* a transient that has to be smaller is withheld */
+    td_wide dying_ticks;                       /* ticks of the present current that follow a command of zero */
+    td_wide least_scale;                       /* a transient that would have to be scaled below this is withheld */
 } td_coil;
 
-/* What is stated of a coil. */
+/* The stated numbers of a coil. */
 typedef struct {
     double R_ohm, R_wh_K_W, R_ha_K_W, tau_w_s, tau_h_s, limit_C, ambient_C;
     bool housing_moves;
 } td_coil_numbers;
 
-/* What follows from them for an update; `withhold_K` below the limit no transient starts. */
+/* Derive the numbers of an update; no transient starts less than `withhold_K` below the limit. */
 void td_coil_derive(td_coil *coil, const td_coil_numbers *of, double dt_s, double withhold_K);
 
 bool td_coil_sound(const td_coil *coil);
@@ -43,14 +42,14 @@ typedef struct {
     td_wide smoothing; /* of the derivative filter */
 } td_wall;
 
-/* From raw readings to SI, and from a command to what the amplifier is asked for (controller/servo/settings.py). */
+/* Calibration from raw readings to SI, and from a command to the amplifier's input (controller/servo/settings.py). */
 typedef struct {
     int32_t encoder_direction;
     bool has_accelerometer;
     td_real acceleration_scale, acceleration_rest_m_s2, grip_scale, grip_zero_N, monitor_scale, amplifier_scale;
 } td_calibration;
 
-/* The test pulse by which a device convinces itself of its wiring, and what a model predicts of it per ampere. */
+/* The test pulse by which a device checks its wiring, and its predicted response per ampere. */
 typedef struct {
     td_wide current_A;
     int32_t ticks, skip_ticks, push_ticks; /* of it; to the first reading, and over how many, of the acceleration */
@@ -58,7 +57,7 @@ typedef struct {
     td_wide grip_N[TD_PULSE_NODES], acceleration[TD_PULSE_NODES], path_m[TD_PULSE_NODES];
 } td_pulse_plan;
 
-/* See controller/servo/settings.py for what each is for. */
+/* See controller/servo/settings.py for the meaning of each member. */
 typedef struct {
     td_wide dt_s, lead_s;
     /* encoder, approach, contact */
@@ -66,7 +65,7 @@ typedef struct {
     td_wide encoder_m_s, approach_m_s; /* one count per tick, as the faults and as the fit have it */
     int32_t encoder_limit_counts, window_ticks, half_ticks;
     td_parabola whole, half; /* fits over so many ticks, evaluated the lead ahead of the newest reading */
-    td_wide bend[4];         /* how much of a cubic is in the readings */
+    td_wide bend[4];         /* row that extracts the cubic part of the readings */
     td_wide least_speed_m_s, touch_height_m, rearm_height_m;
     int32_t rearm_ticks;
     /* amplifier and limits */
@@ -88,12 +87,12 @@ typedef struct {
     /* sensors against each other: path without a count, swing of the current that must shake; infinite without an
      * accelerometer and for an excitation. Ticks of a rest, and of a block of the window that is listened to. */
     td_real stuck_m, swing_A;
-    td_real tick_s, step_m; /* period and count once more: a conversion at every tick costs more than the sum it is for */
+    td_real tick_s, step_m; /* period and count as td_real, since converting them at every tick is costly */
     int32_t rest_limit, block_ticks;
     td_coil coil;
     td_calibration calibration;
     td_pulse_plan pulse;
-    bool host_starts; /* the one waveform plays at the host's word; contacts are not looked at */
+    bool host_starts; /* the host starts the single waveform; contacts are ignored */
 } td_config;
 
 /* The table of float64 that controller/protocol/configuration.py writes, and what follows from it; whether it is one, of

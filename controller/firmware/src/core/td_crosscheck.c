@@ -57,7 +57,7 @@ static void follow(td_crosscheck *check, const td_config *config, int32_t moved,
     check->still_ticks = 0;
 }
 
-/* Variance of the acceleration within the window, as far as it has come. */
+/* Variance of the acceleration over the readings of the window so far. */
 static td_real heard(const td_crosscheck *check, const td_config *config)
 {
     const int32_t blocks = check->whole > check->at + 1 ? check->whole : check->at + 1;
@@ -68,7 +68,7 @@ static td_real heard(const td_crosscheck *check, const td_config *config)
         sum += check->blocks[j].sum;
         square += check->blocks[j].square;
     }
-    /* The block under way has taken the place of the oldest. */
+    /* The open block replaces the oldest one. */
     if (check->ticks > 0)
         readings += check->ticks - (check->whole == TD_QUIET_BLOCKS ? config->block_ticks : 0);
     mean = sum / (td_real)readings;
@@ -77,7 +77,7 @@ static td_real heard(const td_crosscheck *check, const td_config *config)
 
 static void judge(td_crosscheck *check, const td_config *config)
 {
-    /* The answer to what the current did in the newest block is still to come. */
+    /* The response to the current of the newest block is still to come. */
     const int32_t newest = (check->at > 0 ? check->at : TD_QUIET_BLOCKS) - 1;
     const td_real variance = heard(check, config);
     td_real low_A = check->blocks[check->at].low_A, high_A = check->blocks[check->at].high_A;
@@ -97,7 +97,7 @@ static void listen(td_crosscheck *check, const td_config *config, td_real accele
     td_block *block = &check->blocks[check->at];
     td_real a;
 
-    /* About the first reading, so that squares of a large offset do not hide a small motion. */
+    /* Relative to the first reading, so that the squares of a large offset do not hide a small motion. */
     if (check->ticks == 0 && check->whole == 0 && check->at == 0)
         check->middle_m_s2 = acceleration_m_s2;
     a = acceleration_m_s2 - check->middle_m_s2;
@@ -123,13 +123,13 @@ static void listen(td_crosscheck *check, const td_config *config, td_real accele
 void td_crosscheck_step(td_crosscheck *check, const td_config *config, int32_t moved, td_real acceleration_m_s2,
                         td_real current_A, bool playing)
 {
-    /* Written so that NaN is absurd. */
+    /* A comparison with NaN is false, so NaN counts as absurd. */
     if (!(-(td_real)TD_ABSURD_M_S2 <= acceleration_m_s2 && acceleration_m_s2 <= (td_real)TD_ABSURD_M_S2))
         acceleration_m_s2 = 0;
     follow(check, config, moved, acceleration_m_s2);
     if (playing) {
         listen(check, config, acceleration_m_s2, current_A);
-        /* A dead accelerometer takes the end of a motion for its going on. */
+        /* A dead accelerometer misses the end of a motion, so its path would grow without one: it must show noise. */
         check->stuck = td_size(check->path_m) >= config->stuck_m &&
                        heard(check, config) >= (td_real)TD_DEAD_M_S2 * (td_real)TD_DEAD_M_S2;
     } else if (check->whole > 0 || check->ticks > 0) {

@@ -1,7 +1,7 @@
-/* Encoder, accelerometer and current held against each other, tick by tick (tests/benches/oracle/crosscheck.py).
+/* Consistency of encoder, accelerometer and current, checked tick by tick (tests/benches/oracle/crosscheck.py).
  *
- * A stylus that moves, by its accelerometer, while its encoder stands still has a stuck encoder; one that current shakes
- * while its accelerometer is silent has a dead accelerometer.
+ * If the accelerometer shows motion while the encoder stands still, the encoder is stuck. If a current shakes the stylus
+ * while the accelerometer is silent, the accelerometer is dead.
  */
 #ifndef TD_CROSSCHECK_H
 #define TD_CROSSCHECK_H
@@ -15,17 +15,17 @@ typedef struct {
 
 typedef struct {
     td_real path_m;  /* by the accelerometer, since the encoder's last count */
-    td_real ahead_m; /* of the encoder, by which the accelerometer's motion is */
+    td_real ahead_m; /* position by the accelerometer less that by the encoder */
     td_real speed_m_s, offset_m_s2;
     int32_t still_ticks; /* since the encoder's last count */
-    bool stuck; /* while a transient plays that path is longer than an encoder can sleep through */
+    bool stuck; /* while a transient plays, path_m is too long for a working encoder not to count */
     bool quiet; /* the accelerometer was silent while current shook the stylus */
     td_block blocks[TD_QUIET_BLOCKS];
-    int32_t at, ticks, whole; /* block under way, readings in it, whole blocks before it */
+    int32_t at, ticks, whole; /* open block, readings in it, complete blocks before it */
     td_real middle_m_s2;
 } td_crosscheck;
 
-/* Begin another window of the accelerometer's silence. */
+/* Restart the window in which the accelerometer's silence is judged. */
 void td_crosscheck_forget(td_crosscheck *check);
 
 /* One tick: counts since the last one, acceleration, current, whether a transient plays. */

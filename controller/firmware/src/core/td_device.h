@@ -1,13 +1,12 @@
 /* The device's end of the protocol in front of the servo: bytes and readings in, commands and bytes out.
  *
- *     td_device_receive      whatever came over the link, in pieces of any size
- *     td_device_step         one servo period: the command to hold until the next, put out before anything is booked
- *     td_device_send         what goes out; here frames are made
+ *     td_device_receive      take bytes from the link, in pieces of any size
+ *     td_device_step         one servo period: issue the command first, then do the bookkeeping
+ *     td_device_send         give the bytes to send; frames are encoded here
  *
- * A port calls `step` in the timer's interrupt and the others outside of it. What both touch is changed only between
- * hold(context, true) and hold(context, false), which mask that interrupt: some microseconds at a time, since hashing
- * and checking a library, which take milliseconds, are done without. All state is in the struct; one static td_device
- * is what a port needs.
+ * A port calls `step` in the timer's interrupt and the others outside of it. Shared data is changed only between
+ * hold(context, true) and hold(context, false), which mask that interrupt for some microseconds; hashing and checking a
+ * library, which take milliseconds, run without. All state is in the struct; a port needs one static td_device.
  */
 #ifndef TD_DEVICE_H
 #define TD_DEVICE_H
@@ -23,9 +22,9 @@
 #define TD_REPLY_LIMIT (TD_HEADER_BYTES + TD_HELLO_REPLY_BYTES + 4 + 2 + 1) /* the longest answer as a frame */
 
 typedef struct {
-    uint32_t boot; /* another number at every start */
+    uint32_t boot; /* different at every start */
     td_hardware hardware;
-    bool simulated;             /* compiled in: nothing is wired that could be wired wrong, and evidence is given */
+    bool simulated;             /* compiled in: there is no wiring that could be wrong, so evidence counts as given */
     double winding_C, housing_C; /* of the coil, kept over the restart (td_device_coil); NaN: not known, so hottest */
     void (*hold)(void *context, bool held); /* NULL where nothing interrupts */
     /* The command goes out; NULL where the caller takes it from what td_device_step answers. `enabled`: whether the
@@ -56,16 +55,16 @@ typedef struct {
     int32_t settled_ticks; /* since the approach began to be looked at anew: before a whole window nobody is at rest */
     td_pulse pulse;
     td_ring ring;
-    uint32_t tripped; /* faults of the hardware's own limits, of the last tick */
-    bool broken;      /* a command was no number */
+    uint32_t tripped; /* faults of the hardware's own limits in the last tick */
+    bool broken;      /* a command was not finite */
     td_events events;
     td_records records;
     td_output_bytes output;
     uint8_t payload[TD_PAYLOAD_LIMIT], frame[TD_FRAME_LIMIT]; /* being written */
 } td_device;
 
-/* A constant that holds sizeof(td_device), whose name says what it follows from. A port that was compiled with another
- * precision or other capacities than the core asks for a name that the core does not have, and does not link. */
+/* A constant with sizeof(td_device), whose name contains precision and capacities. A port compiled with others than the
+ * core refers to a name that the core does not define, and does not link. */
 #ifdef TD_REAL_FLOAT
 #define TD_PRECISION float
 #else
@@ -94,11 +93,11 @@ void td_device_receive(td_device *device, const uint8_t *bytes, size_t size);
 /* One servo period; `readings.tick` counts them. */
 void td_device_step(td_device *device, const td_readings *readings, td_output *output);
 
-/* At most `room` bytes that wait to go out; how many. */
+/* Write at most `room` bytes that wait to be sent; returns their number. */
 size_t td_device_send(td_device *device, uint8_t *bytes, size_t room);
 
-/* The coil as the hardware's own guard has it, to be kept over a restart; NaN where the motor's coil is not known. For the
- * loop: both are of one tick, which is kept out meanwhile. */
+/* Coil temperatures of the hardware's guard, to be kept over a restart; NaN if the motor's coil is not known. Call it
+ * outside of the interrupt, which it masks so that both are of one tick. */
 void td_device_coil(const td_device *device, double *winding_C, double *housing_C);
 
 uint8_t td_device_state(const td_device *device); /* TD_STATE_... */
@@ -106,7 +105,7 @@ uint8_t td_device_fault(const td_device *device); /* TD_WHAT_..., 0 without */
 
 /* For the core itself, between hold(true) and hold(false). */
 
-/* Bits of evidence; all of them where nothing is wired. */
+/* Bits of evidence; all of them on a simulated device. */
 uint8_t td_device_evidence(const td_device *device);
 
 /* Where the body of the next frame is written. */
@@ -115,22 +114,22 @@ static inline uint8_t *td_device_body(td_device *device)
     return device->payload + TD_HEADER_BYTES;
 }
 
-/* Send the frame whose body stands there; it stays in `frame`, so long. */
+/* Send the frame whose body is in td_device_body; the frame stays in `frame`. Returns its length. */
 size_t td_device_put(td_device *device, uint8_t kind, uint16_t sequence, uint32_t session, size_t body_size);
 
-/* Whether a host has spoken not too long ago. */
+/* Whether a host was heard recently enough. */
 bool td_device_is_heard(const td_device *device);
 
-/* Whether it is ARMED or PLAYING. */
+/* Whether the state is ARMED or PLAYING. */
 bool td_device_is_active(const td_device *device);
 
-/* Whole servo periods in so many milliseconds. */
+/* Number of servo periods in a duration, rounded. */
 int32_t td_device_ticks(const td_device *device, double duration_ms);
 
-/* Without a host that is there nothing plays: disarm, cut a pulse, and tell it. */
+/* The host is gone, so nothing may play: disarm, cut a pulse, and report it. */
 void td_device_give_up(td_device *device);
 
-/* An end to a pulse before its time. */
+/* End a pulse before its time. */
 void td_device_cut_pulse(td_device *device);
 
 #endif
