@@ -1,1 +1,1 @@
-"""What was measured while the device played, and how it compares with what its library says."""
+"""Recordings made while the device plays, and their comparison with the library's predictions."""

@@ -1,4 +1,4 @@
-"""The command that excites a device for identification; for a device on a port and for the simulator alike."""
+"""Commands that excite a device for identification, on a port or in the simulator."""
 
 import numpy as np
 
@@ -7,10 +7,10 @@ from transopt.base.signals import FloatArray
 
 RISE_PART, RISE_PERIODS, FALL_PERIODS = 0.05, 0.5, 10.0
 LEAST_SAMPLES = 16
-TAP_S, TAP_FADES_S, TAP_HZ = 0.1, 5e-3, 120.0  # of a burst like a tap
-PERIOD_S, PERIODS, FADE_S = 0.4, 4, 50e-3  # of a multisine; the first period is the device's transient
-LOWEST_HZ, HIGHEST_HZ, LINES = 10.0, 1000.0, 90  # of its lines, equally many per octave
-DRAWINGS, PHASES = 100, 3  # of the phases, and the seed of their draw
+TAP_S, TAP_FADES_S, TAP_HZ = 0.1, 5e-3, 120.0  # duration, decay time and frequency of a burst like a tap
+PERIOD_S, PERIODS, FADE_S = 0.4, 4, 50e-3  # multisine; its first period is the device's transient
+LOWEST_HZ, HIGHEST_HZ, LINES = 10.0, 1000.0, 90  # range and number of its lines, equally many per octave
+DRAWINGS, PHASES = 100, 3  # number of random draws of the phases, and their seed
 
 
 def sweep_command(
@@ -76,7 +76,7 @@ def sweep_command(
 
 
 def tap_command(peak_A: float, dt_s: float) -> FloatArray:
-    """A burst like the transient of a tap: a decaying sine of 120 Hz, with which the device is met at full current.
+    """A burst like the transient of a tap: a decaying sine of 120 Hz, which excites the device at full current.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def multisine_period_s(dt_s: float) -> float:
 
 
 def multisine_command(peak_A: float, dt_s: float) -> FloatArray:
-    """Odd harmonics alone, repeated: what a device answers anywhere else is distortion or noise.
+    """A periodic multisine of odd harmonics: any response at other lines is distortion or noise.
 
-    A linear device answers at the lines that are excited. An odd nonlinearity (friction, backlash, saturation) adds
-    to all odd ones, an even one (unequal stiffness to either side) to even ones; so every third odd line is left out
-    to listen at, and all even ones (Pintelon & Schoukens 2012, System Identification, Ch. 4). Of a hundred drawings
-    of the phases the one with the lowest peak is taken.
+    A linear device responds at excited lines only. An odd nonlinearity (friction, backlash, saturation) responds at
+    all odd lines, an even one (unequal stiffness to either side) at even lines. So every third odd line and all even
+    ones are left out as detection lines (Pintelon & Schoukens 2012, System Identification, Ch. 4). Of a hundred
+    random draws of the phases the one with the lowest peak is taken.
 
     Parameters
     ----------

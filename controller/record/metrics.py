@@ -1,4 +1,4 @@
-"""How well a tap was played: latency, error after the shift, spectrum, rate-hardness."""
+"""Metrics of a played tap: latency, error after alignment, spectral error, rate-hardness."""
 
 from dataclasses import dataclass
 
@@ -8,24 +8,24 @@ import scipy
 from transopt.base.signals import FloatArray, nrmse
 
 MOST_SHIFT_S = 1e-3
-SHIFT_STEP_S = 2e-5  # of the first search, well within the pulse's width
+SHIFT_STEP_S = 2e-5  # step of the first search, well within the pulse's width
 SHIFT_TOLERANCE_S = 1e-9
 BANDS_HZ = 10.0 ** (np.arange(10, 31) / 10)  # third octaves, 10 Hz to 1 kHz (IEC 61260, base ten)
 BAND_EDGE = 10.0**0.05
-BAND_FLOOR_DB = -40.0  # below the strongest band of the reference; what is weaker is not compared
+BAND_FLOOR_DB = -40.0  # level below the strongest band of the reference at which weaker bands are clipped
 SPECTRUM_HZ = 0.1  # resolution to which the spectrum is interpolated by zero padding
-RATE_WINDOW_S = 1e-3  # over which a rate of force is averaged: ten servo steps
-RATE_WITHIN_S = 5e-3  # of the contact: "initial"
+RATE_WINDOW_S = 1e-3  # averaging time of the rate of force: ten servo steps
+RATE_WITHIN_S = 5e-3  # time from contact that counts as initial
 
 
 @dataclass(frozen=True)
 class Aligned:
-    """Played against predicted.
+    """A played acceleration aligned with a predicted one.
 
     Attributes
     ----------
-    latency_s : the shift, positive if played later. nrmse : after it.
-    played_m_s2 : (N,) what was played, moved back by the latency, at the times of the prediction.
+    latency_s : the shift, positive if played later. nrmse : relative rms error after the shift.
+    played_m_s2 : (N,) played acceleration, shifted back by the latency, at the times of the prediction.
     """
 
     latency_s: float
@@ -34,12 +34,12 @@ class Aligned:
 
 
 def align(times_s: FloatArray, played_m_s2: FloatArray, at_s: FloatArray, predicted_m_s2: FloatArray) -> Aligned:
-    """The one shift |s| <= 1 ms that makes played(t + s) nearest to predicted(t) in the mean square.
+    """Align by the shift |s| <= 1 ms that minimises the mean square of played(t + s) - predicted(t).
 
     Parameters
     ----------
-    times_s, played_m_s2 : (K,) any increasing times that reach 1 ms beyond `at_s` on both sides; joined by a cubic
-        spline.
+    times_s, played_m_s2 : (K,) any increasing times that reach 1 ms beyond `at_s` on both sides; interpolated by a
+        cubic spline.
     at_s, predicted_m_s2 : (N,).
     """
     spline = scipy.interpolate.CubicSpline(times_s, played_m_s2)
@@ -73,7 +73,7 @@ def band_levels_dB(signal: FloatArray, dt_s: float) -> FloatArray:
 def spectral_error_dB(played: FloatArray, reference: FloatArray, dt_s: float) -> float:
     """Rms over the third octaves from 10 Hz to 1 kHz of the difference of their energies in dB.
 
-    Both are cut from below at 40 dB under the reference's strongest band, so that silence counts as silence.
+    Both are clipped from below at 40 dB under the reference's strongest band, so that quiet bands compare as equal.
     """
     wanted = band_levels_dB(reference, dt_s)
     floor = wanted.max() + BAND_FLOOR_DB

@@ -1,9 +1,9 @@
-"""How well a device played a tap, from its own sensors, which is all that a device of any kind can tell.
+"""Comparison of a played tap with its prediction and its recording, by the device's own sensors only.
 
-The simulator's truth is not to be had here: measurement and prediction are brought to what can be measured. Contact
-is where the approach, a parabola through the encoder's counts, would have met the surface. What the library says is
-passed through the accelerometer's own pole. Both are low-passed as recordings are, and compared until the hand can
-react, since nobody predicts what it does of its own accord afterwards.
+The simulator's truth is not used: measurement and prediction are compared as a device can measure them. Contact is
+where the approach, a parabola through the encoder's counts, would have met the surface. The prediction is filtered by
+the accelerometer's pole. Both are low-passed like recordings, and compared until the hand can react, since its own
+motion afterwards is not predictable.
 """
 
 from dataclasses import dataclass
@@ -24,27 +24,28 @@ from transopt.problem.answer import verdict
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.objective.figures import Figures, felt
 
-FIT_S = 0.03  # of straight approach that the parabola is laid through
-LEAST_FIT = 10  # records of it
-REST_S = 0.02  # before the waveform: what the accelerometer reads there is gravity and offset
-CUTOFF_HZ = 1000.0  # as recordings are prepared
+FIT_S = 0.03  # part of the approach that the parabola is fitted to
+LEAST_FIT = 10  # least records for the fit
+REST_S = 0.02  # time before the waveform in which the accelerometer reads gravity and offset only
+CUTOFF_HZ = 1000.0  # low-pass, as for recordings
 NOTHING = float("nan")
 
 
 @dataclass(frozen=True)
 class Compared:
-    """What a played tap is beside the recorded tap and its prediction, until the hand can react.
+    """Figures of a played tap against the recorded tap and its prediction, until the hand can react.
 
     Attributes
     ----------
-    latency_s : the one shift within 1 ms that aligns played and predicted, positive if played late.
-    tap_error : after it, against the recorded tap. felt_error : the same in the band in which vibration is felt.
-    playback_error : after it, against the prediction.
-    scale : after it, the factor of the prediction that is nearest to what was played in the mean square.
+    latency_s : shift within 1 ms that aligns played and predicted tap, positive if played late; applied before the
+        following errors.
+    tap_error : error against the recorded tap. felt_error : the same in the band in which vibration is felt.
+    playback_error : error against the prediction.
+    scale : least squares factor of the prediction to the played tap.
     speed : change of speed, played over recorded.
-    peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration|, low-passed alike.
+    peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration| after the low-pass.
     spectral_error_dB : against the recorded tap, see `metrics.spectral_error_dB`.
-    levels : energies over those of the recorded tap; None where nothing is compared.
+    levels : energies over those of the recorded tap; None if nothing is compared.
     """
 
     latency_s: float
@@ -65,16 +66,16 @@ NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NO
 
 @dataclass(frozen=True)
 class PlayedTap:
-    """One tap.
+    """One played tap with its prediction.
 
     Attributes
     ----------
-    contact : what was recorded.
-    times_s : (n,) of its records, from the moment at which the stylus would have met the surface undriven.
-    position_m : (n,) from the surface.
-    gain : that was played at.
-    prediction : of the library at the contact's speed and grip, for what the coil's heat left of the transient.
-    compared : NaN throughout where `why` says why nothing can be compared.
+    contact : the recorded contact.
+    times_s : (n,) times of its records, from the instant at which the undriven stylus would have met the surface.
+    position_m : (n,) height above the surface.
+    gain : gain of the device.
+    prediction : the library's, at the contact's speed and grip, with the transient as scaled for the coil's heat.
+    compared : all NaN if `why` gives a reason why nothing can be compared.
     """
 
     contact: Contact
@@ -92,7 +93,7 @@ class PlayedTap:
 
     @cached_property
     def acceleration_m_s2(self) -> FloatArray:
-        """(n,) less what the accelerometer read at rest."""
+        """(n,) acceleration less the accelerometer's reading at rest."""
         return self.contact.acceleration_m_s2 - resting_m_s2(self.contact)
 
     @property
@@ -119,16 +120,16 @@ class PlayedTap:
 
 
 def height_m(contact: Contact, settings: Settings) -> FloatArray:
-    """(n,) above the surface, as it was at this contact."""
+    """(n,) height above the surface, at its position during this contact."""
     surface = settings.surface_counts if contact.surface_counts is None else contact.surface_counts
     return np.asarray((contact.counts - surface) * settings.count_m)
 
 
 def met_surface(contact: Contact, settings: Settings) -> tuple[float, float]:
-    """When the stylus would have met the surface undriven, after the tick at which the waveform began [s], how fast.
+    """Instant of the undriven contact after the tick at which the waveform began [s], and its speed [m/s].
 
-    The tangent at `lead` after that tick of a parabola through the counts up to it; nothing has moved before. NaN
-    both if the stylus was not coming in, or too little of that was recorded.
+    They follow from the tangent, at `lead` after that tick, of a parabola through the counts up to the tick, which no
+    current has moved yet. Both are NaN if the stylus was not approaching or too little was recorded.
     """
     times = (contact.ticks - contact.tick) * contact.dt_s
     seen = (times <= 0) & (times > -FIT_S)
@@ -142,7 +143,7 @@ def met_surface(contact: Contact, settings: Settings) -> tuple[float, float]:
 
 
 def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
-    """(N,) samples of a signal from rest behind one pole, the signal joined by straight lines between them."""
+    """(N,) output of one pole, from rest, to a signal that is linear between its samples."""
     pole = 2 * np.pi * bandwidth_Hz * dt_s
     kept = np.exp(-pole)
     # x' = p (u - x) over one step with u going straight from u_0 to u_1.
@@ -151,7 +152,7 @@ def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatA
 
 
 def before_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
-    """(N,) what `through_pole` was given; noise beyond the bandwidth grows."""
+    """(N,) inverse of `through_pole`; it amplifies noise beyond the bandwidth."""
     pole = 2 * np.pi * bandwidth_Hz * dt_s
     kept = np.exp(-pole)
     mean = (1 - kept) / pole
@@ -160,11 +161,11 @@ def before_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatAr
 
 
 def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: float) -> Signal | str:
-    """What the accelerometer read, less what it read at rest, over the time from contact; or why there is nothing.
+    """Acceleration less the reading at rest, over the time from contact; or the reason why there is none.
 
     Parameters
     ----------
-    first_s, last_s : what has to be in it, with the shift that an alignment needs on both sides.
+    first_s, last_s : time span that must be recorded, with the largest shift of the alignment added on both sides.
     """
     if contact.missed:
         return f"{contact.missed} records were lost"
@@ -179,7 +180,7 @@ def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: 
 
 
 def resting_m_s2(contact: Contact) -> float:
-    """What the accelerometer read before the waveform; NaN if there is nothing from before it."""
+    """Mean reading of the accelerometer before the waveform; NaN if nothing was recorded before it."""
     times = (contact.ticks - contact.tick) * contact.dt_s
     resting = contact.acceleration_m_s2[(times < 0) & (times >= -REST_S)]
     return float(resting.mean()) if resting.size else NOTHING
@@ -192,12 +193,12 @@ def played_tap(
     gain: float,
     bandwidth_Hz: float,
 ) -> PlayedTap:
-    """Compare a recorded contact with what the library says of it.
+    """Compare a recorded contact with the library's prediction.
 
     Parameters
     ----------
-    gain : of the device.
-    bandwidth_Hz : of the accelerometer, one pole.
+    gain : gain of the device.
+    bandwidth_Hz : bandwidth of the accelerometer, one pole.
     """
     prediction = predict(library, contact.speed_m_s, contact.grip_N, gain, contact.scale, contact.cooled)
     compared = _compare(contact, prediction, library, settings, gain, bandwidth_Hz)
@@ -213,9 +214,9 @@ def played_tap(
 
 
 def outside(contact: Contact, library: Library, settings: Settings) -> str:
-    """Why a tap cannot be judged by a library whose grid it lies outside; empty within the grid.
+    """Reason why a tap outside the library's grid cannot be judged; empty within the grid.
 
-    The edge was played, but no tap was recorded there. A library of one grip serves every grip.
+    Outside, the edge was played, but no recorded tap exists to compare with. A library of one grip serves every grip.
     """
     speeds, grips, slack_N = library.speeds_m_s, library.grips_N, settings.grid_slack_N
     slack_m_s = settings.grid_slack * contact.speed_m_s
@@ -236,7 +237,7 @@ def _compare(
     gain: float,
     bandwidth_Hz: float,
 ) -> Compared | str:
-    """Figures, or why there are none."""
+    """The figures of a tap, or the reason why there are none."""
     if gain == 0:
         return "nothing is played at gain 0"
     if prediction.silent or not np.any(prediction.acceleration_m_s2):

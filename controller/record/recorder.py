@@ -1,14 +1,14 @@
-"""A device's telemetry and events to files that are whole at any moment.
+"""Record a device's telemetry and events in files that are complete at any moment.
 
     telemetry.csv    every record with its events; grows by blocks of complete lines; telemetry.npz the same as arrays
     events.csv       every event, with its tick; written as it comes
     tap_001.csv ...  acceleration, position and current around each contact in the canonical format that
                      `transopt.recordings.recording` reads; each written whole, when its time has passed
 
-A contact is reported by an armed device; for taps on a real object, which no device foresees, it is where the
+An armed device reports contacts; for taps on a real object, which it does not predict, a contact is where the
 acceleration leaves its running mean.
 
-Nothing here takes longer than a lease: what was written is not touched again.
+No call takes longer than a lease, since data that was written is not touched again.
 """
 
 from collections import deque
@@ -34,22 +34,22 @@ MEAN_S = 0.05  # time constant of the running mean of the acceleration
 
 @dataclass(frozen=True)
 class Contact:
-    """What the device measured around one contact.
+    """The records around one contact.
 
     Attributes
     ----------
     number : from 1.
-    tick : at which the waveform began, or the acceleration rose.
-    speed_m_s : as the device took it; NaN for a real object.
-    grip_N : as the device took it, or the mean before contact.
-    ticks : (n,) of the records, evenly spaced; so are the columns below.
-    counts : of the encoder.
-    current_A : measured.
-    winding_C : as the device estimates it.
-    missed : records that were lost in between; with any there is no file.
-    path : of its file, None without one.
-    surface_counts : of the encoder at the surface, as it was then; None for that of the settings.
-    scale, cooled : what the coil's heat left of the transient: scale times a blend with a part `cooled` of the cool
+    tick : tick at which the waveform began, or the acceleration rose.
+    speed_m_s : as the device estimated it; NaN for a real object.
+    grip_N : as the device read it, or the mean before contact.
+    ticks : (n,) ticks of the records, evenly spaced; the columns below are (n,) too.
+    counts : encoder counts.
+    current_A : measured current.
+    winding_C : the device's estimate.
+    missed : number of records lost in between; if > 0, no file is written.
+    path : path of its file; None without one.
+    surface_counts : counts of the surface at the time; None for those of the settings.
+    scale, cooled : the transient as scaled for the coil's heat: scale times a blend with a share `cooled` of the cool
         command.
     """
 
@@ -73,25 +73,25 @@ class Contact:
 
 
 class Recorder:
-    """Takes a session's news, as a listener of `driver.Device`.
+    """A listener of `driver.Device` that records a session.
 
     Parameters
     ----------
     folder : None keeps contacts in memory and writes nothing.
-    count_m, surface_counts : of the encoder, as in Settings.
-    trigger_m_s2 : takes for a contact what lies this far from the running mean; None leaves it to the device.
-    over : a recording that is in the folder is written over; without it, that is an error.
-    around_s : of each contact, before and after it.
+    count_m, surface_counts : of the encoder, as in `Settings`.
+    trigger_m_s2 : deviation from the running mean that counts as a contact; None uses the contacts of the device.
+    over : whether to overwrite a recording in the folder; if not, it is an error.
+    around_s : time recorded before and after each contact.
 
     Attributes
     ----------
     count_m, surface_counts : of the encoder; the surface may be moved between two taps.
-    contacts : complete ones.
-    records, missed : so far.
+    contacts : completed contacts.
+    records, missed : numbers of records so far, received and lost.
 
     Raises
     ------
-    InputError : the folder cannot be written, or holds a recording already.
+    InputError : the folder cannot be written, or already holds a recording.
     """
 
     def __init__(
@@ -115,8 +115,8 @@ class Recorder:
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=2 * (self._before + self._after))
         self._open: list[Happened] = []
-        self._heat: dict[int, tuple[float, float]] = {}  # scale and cooled by tick, of contacts that are open
-        self._happened: dict[int, list[str]] = {}  # names by tick, of records that have not come
+        self._heat: dict[int, tuple[float, float]] = {}  # tick -> scale and cooled, for open contacts
+        self._happened: dict[int, list[str]] = {}  # tick -> names of events whose record has not come yet
         self._telemetry: Telemetry | None = None
         self._events: Lines | None = None
         self._begun = False
@@ -124,7 +124,7 @@ class Recorder:
             make_room(folder, over=over)
 
     def in_words(self) -> str:
-        """What is in the folder, to be put behind another sentence; nothing without a folder."""
+        """Phrase on the files in the folder, to be appended to a sentence; empty without a folder."""
         if not self._begun:
             return ""
         files = [contact.path.name for contact in self.contacts if contact.path is not None]
@@ -134,7 +134,7 @@ class Recorder:
 
     def take(self, news: News) -> None:
         if self._folder is not None and not self._begun and isinstance(news, Samples | Happened):
-            # Not before there is something to write: a run that does not come about leaves nothing behind.
+            # Files are created with the first data, so that a run that fails to start leaves none behind.
             self._begun = True
             self._telemetry = Telemetry(self._folder, self._dt_s, over=self._over)
             self._events = Lines(self._folder / EVENTS_NAME, EVENT_COLUMNS, over=self._over)
@@ -149,7 +149,7 @@ class Recorder:
             self._telemetry.flush()
 
     def close(self) -> None:
-        """What is whole is on the disk; a contact whose time has not passed is in the telemetry only."""
+        """Complete the files; a contact whose time has not passed is in the telemetry only."""
         telemetry, events = self._telemetry, self._events
         self._telemetry = self._events = None
         try:
@@ -187,7 +187,7 @@ class Recorder:
                 f"{event.tick},{event.tick * self._dt_s!r},{event.what.name.lower()},"
                 f"{event.speed_m_s!r},{event.grip_N!r},{event.scale!r},{event.cooled!r}\n"
             )
-            # An event is sent at once and its record in a batch, which as a rule comes later.
+            # An event is sent at once, its record in a batch that usually comes later.
             if isinstance(event.what, Notice | Fault):
                 self._happened.setdefault(event.tick, []).append(event.what.name.lower())
         if event.what is Notice.CONTACT and self._trigger_m_s2 is None:
@@ -198,7 +198,7 @@ class Recorder:
     def _feel(self, tick: int, record: Record, every: int, trigger_m_s2: float) -> None:
         a = record.acceleration_m_s2
         if self._deaf_until == 0:
-            # What comes first is gravity.
+            # The first reading is gravity.
             self._mean_m_s2, self._deaf_until = a, tick + self._before
         if tick >= self._deaf_until and abs(a - self._mean_m_s2) > trigger_m_s2:
             self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))

@@ -1,4 +1,4 @@
-"""Which sweeps identify an amplifier or a device: the trials, one file each, on a port and on the simulator alike."""
+"""Plan of the sweeps that identify an amplifier or a device: trials of one file each, on a port or simulated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from transopt.base.signals import FloatArray
 
 FREE_LOW_HZ = 20.0  # nothing holds a free stylus: at 1 Hz and 1 A it would go 0.8 m
 MOST_TRIALS = 100
-REPEATED = 0.5  # of the current of a tap: a multisine lasts, and a tap is at its peak for a moment
+REPEATED = 0.5  # current of a multisine over that of a tap, since it lasts while a tap peaks for a moment only
 
 
 class Purpose(Enum):
@@ -31,7 +31,7 @@ class Purpose(Enum):
 
 
 class Shape(Enum):
-    """What is played; the value is what file names say of it."""
+    """Shape of the excitation; the value is its name in file names."""
 
     SWEEP = ""
     TAP = "tap"
@@ -39,7 +39,7 @@ class Shape(Enum):
 
 
 class Preset(NamedTuple):
-    """What a sweep is like unless it is stated otherwise (seed Sec. 4.1 and 5)."""
+    """Default parameters of a sweep (seed Sec. 4.1 and 5)."""
 
     low_Hz: float
     high_Hz: float
@@ -62,9 +62,9 @@ class PlannedSweep:
 
     Attributes
     ----------
-    grip_N : at which the stylus is held still; 0 is the free device. number : from 1, among those alike.
+    grip_N : grip at which the stylus is held still; 0 for the free device. number : from 1, among equal trials.
     polarity : +1 or -1, of sine and offset together.
-    shape : what is played with this amplitude; only sweeps are fitted to.
+    shape : shape of the excitation; only sweeps are fitted.
     """
 
     purpose: Purpose
@@ -116,11 +116,11 @@ def sweep_plan(
     seconds: float | None = None,
     tap_A: float | None = None,
 ) -> list[PlannedSweep]:
-    """Trials grip by grip, offset by offset, of alternating polarity; what is None is as in `PRESETS`.
+    """Trials grip by grip and offset by offset, of alternating polarity; a parameter of None is taken from `PRESETS`.
 
     Parameters
     ----------
-    trials : of each grip and offset.
+    trials : number of trials at each grip and offset.
     tap_A : largest current of use: at each grip, after its sweeps, two bursts like a tap's, of either sign, and a
         multisine of half that current; None for none.
 

@@ -1,8 +1,8 @@
-"""Telemetry of a run, tick by tick, to CSV and NPZ that are whole at any moment.
+"""Write the telemetry of a run, tick by tick, to CSV and NPZ files that are complete at any moment.
 
-The CSV grows by blocks of complete lines, each block one write; a reader drops what stands after the last line end.
-The NPZ is replaced as a whole (written beside its place, renamed over it) each time the run has become a quarter
-longer, as long as that takes less than a lease, and when the run ends.
+The CSV grows by blocks of complete lines, each in one write; a reader drops anything after the last line end. The NPZ
+is replaced atomically (written beside its place, then renamed) each time the run has grown by a quarter, as long as
+that takes less than a lease, and when the run ends.
 """
 
 import os
@@ -18,7 +18,7 @@ from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 
 CSV_NAME, NPZ_NAME = "telemetry.csv", "telemetry.npz"
-# A broken encoder may give no whole number. Events, which are few, are kept apart.
+# Counts are float64, since a broken encoder gives NaN. Events are few and are kept separately.
 KINDS = {
     "tick": "i8",
     "time_s": "f8",
@@ -97,11 +97,11 @@ class Telemetry:
         self._csv = Lines(folder / CSV_NAME, ",".join(COLUMNS), over=over)
         # An NPZ of an earlier run must not be taken for this one's.
         (folder / NPZ_NAME).unlink(missing_ok=True)
-        self._rows: list[tuple[int | float | str, ...]] = []  # that the CSV does not have
+        self._rows: list[tuple[int | float | str, ...]] = []  # rows not yet in the CSV
         self._texts: list[str] = []  # their events
         self._blocks: list[NDArray[Any]] = []
-        self._events: dict[int, str] = {}  # by number of the record
-        self._records = self._stored = 0  # in the blocks and in the NPZ
+        self._events: dict[int, str] = {}  # number of a record -> its events
+        self._records = self._stored = 0  # numbers of records in the blocks and in the NPZ
 
     def record(self, tick: int, record: Record, events: str = "") -> None:
         """One tick; events by their names, separated by semicolons."""
@@ -128,7 +128,7 @@ class Telemetry:
             self._store()
 
     def close(self) -> None:
-        """Both files complete."""
+        """Complete both files."""
         try:
             self.flush()
             self._store()
@@ -155,11 +155,11 @@ class Telemetry:
 
 
 def read_csv(path: Path) -> dict[str, NDArray[Any]]:
-    """Columns of a telemetry CSV, of a running or a killed run too: a line without its end is left out.
+    """Columns of a telemetry CSV, even of a running or killed run: an incomplete last line is left out.
 
     Raises
     ------
-    InputError : not a telemetry file.
+    InputError : the file is not a telemetry file.
     """
     try:
         text = path.read_bytes().decode("ascii")

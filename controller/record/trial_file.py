@@ -1,4 +1,4 @@
-"""The file that one identification trial is kept in: what `transopt identify` reads."""
+"""The file of one identification trial, which `transopt identify` reads."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -25,11 +25,11 @@ SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s", "held_out", "period_s")
 
 
 def refuse_old(folder: Path, names: Iterable[str]) -> None:
-    """Recordings are never written over.
+    """Refuse to overwrite a recording.
 
     Raises
     ------
-    InputError : one of these files is in the folder.
+    InputError : the folder holds one of these files.
     """
     old = next((name for name in names if (folder / name).exists()), None)
     if old is not None:
@@ -37,20 +37,19 @@ def refuse_old(folder: Path, names: Iterable[str]) -> None:
 
 
 def write_measurement(path: Path, columns: Mapping[str, FloatArray], scalars: Mapping[str, float]) -> None:
-    """One measurement as NPZ, whole or not at all: each column an array under its name, each scalar of shape ().
+    """Write one measurement as NPZ, completely or not at all: columns as arrays by name, scalars of shape ().
 
     Parameters
     ----------
-    columns : some of `COLUMNS`, `time_s` among them; (n,) each, finite. What was measured, at `time_s[k]`; the
-        command of row k is held from there to the next row.
+    columns : some of `COLUMNS`, `time_s` among them; (n,) each, finite. Row k was measured at `time_s[k]`; its
+        command is held from there to the next row.
     scalars : some of `SCALARS`. grip_N : mean over the trial. accelerometer_Hz : bandwidth, one pole.
-        held_out : 1 for a trial to validate with, which is never fitted.
-        period_s : with which what is played repeats.
+        held_out : 1 for a trial held out for validation. period_s : period of the excitation.
 
     Raises
     ------
-    ValueError : a name that no reader knows, columns of unequal length, a value that is no number.
-    InputError : the place cannot be written.
+    ValueError : an unknown name, columns of unequal length, or a value that is not finite.
+    InputError : the file cannot be written.
     """
     strange = (set(columns) - set(COLUMNS)) | (set(scalars) - set(SCALARS))
     if strange or "time_s" not in columns:

@@ -1,8 +1,8 @@
-"""Transients as they were rendered before recordings were inverted; all scale with the incoming speed.
+"""Transients of earlier rendering methods, which did not invert recordings; all are proportional to the speed.
 
-Each starts at the contact itself, since none of them extrapolates the approach, is commanded directly, without an
-inverse of the amplifier, and is cut at the library's current limit. What they leave to the user's hand is fitted to
-the library's reference accelerations, which favours them: no one would tune them better by feel.
+Each starts at the contact itself, since none of them extrapolates the approach. It is commanded directly, without an
+inverse of the amplifier, and clipped at the library's current limit. Parameters that used to be tuned by feel are
+fitted to the library's reference accelerations, which favours these methods.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.plant.state_space import StateSpace
 
-INERTIA_HZ = 100.0  # above the hand's stiffness, below the transmission's: there the device is one mass
+INERTIA_HZ = 100.0  # above the hand's resonance and below the transmission's, where the device acts as one mass
 
 
 def inertia(library: Library) -> float:
@@ -25,7 +25,7 @@ def inertia(library: Library) -> float:
 
 
 def _amplitude(shape: FloatArray, library: Library) -> tuple[float, float]:
-    """Amplitude A that makes r_v = A v shape(t) fit the targets r of all nodes best, and what is left of sum r^2."""
+    """Least squares amplitude A of r_v = A v shape(t) for the targets r of all nodes, and the sum of squares left."""
     v, r = library.speeds_m_s, library.recorded_m_s2 - library.free_m_s2
     size = float((v @ v) * (shape @ shape)) * r.shape[1]
     amplitude = float(v @ (r @ shape).sum(axis=1)) / size if size > 0 else 0.0
@@ -33,7 +33,7 @@ def _amplitude(shape: FloatArray, library: Library) -> tuple[float, float]:
 
 
 def _limited(command_A: FloatArray, library: Library) -> FloatArray:
-    """Cut at the current limit, which then holds for the current too, and over before the hand-over."""
+    """Commands clipped at the current limit, which then bounds the current too, and zero over the hand-over."""
     limit = library.input_limit
     command = np.clip(command_A, -limit, limit)
     command[:, command.shape[1] - library.hand_over_samples :] = 0.0
@@ -61,14 +61,14 @@ def decaying_sinusoid(library: Library, inertia_A_s2_m: float) -> FloatArray:
     """(nv, N) commands: the force A v exp(-B t) sin(2 pi f t) of Okamura et al., fitted to the references."""
     f_Hz, decay, amplitude = fitted_sinusoid(library)
     t = library.time_grid().issue_times_s
-    t = np.where(np.abs(t) < 1e-9, 0.0, t)  # the tick of the contact, whatever rounding left of it
+    t = np.where(np.abs(t) < 1e-9, 0.0, t)  # remove rounding at the tick of the contact
     late = np.maximum(t, 0.0)
     shape = np.exp(-decay * late) * np.sin(2 * np.pi * f_Hz * late)
     return _limited(inertia_A_s2_m * amplitude * library.speeds_m_s[:, None] * shape, library)
 
 
 def _first_tick(library: Library) -> int:
-    """First tick that is not before the contact."""
+    """First tick at or after the contact."""
     grid = library.time_grid()
     return int(np.ceil(grid.lead_s / grid.dt_s - 1e-6))
 
@@ -97,6 +97,6 @@ def momentum_cancellation(library: Library, inertia_A_s2_m: float) -> FloatArray
     first = _first_tick(library)
     command = np.zeros((library.speeds_m_s.size, library.command.shape[2]))
     for row, speed in zip(command, library.speeds_m_s, strict=True):
-        # Full ticks at the limit, the last one carries what remains.
+        # Ticks at the limit, and a last one with the rest of the impulse.
         row[first:] = np.clip(inertia_A_s2_m * speed / dt - limit * np.arange(row.size - first), 0.0, limit)
     return _limited(command, library)

@@ -1,4 +1,4 @@
-"""What a library says that a tap will do, at its nodes and between them."""
+"""The prediction of a tap by a library, at its nodes and between them."""
 
 from dataclasses import dataclass, replace
 
@@ -16,18 +16,18 @@ from transopt.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Prediction:
-    """A tap as the library means it.
+    """A tap as the library predicts it.
 
     Attributes
     ----------
     speed_m_s, grip_N : as played: on the grid's edge for a tap outside it.
-    silent : too little grip or no speed: nothing is played.
-    times_s : (N,) tau_k, from contact. acceleration_m_s2 : (N,) y'' there, what the command adds.
+    silent : whether nothing is played, for lack of grip or speed.
+    times_s : (N,) tau_k, from contact. acceleration_m_s2 : (N,) y'' there, the contribution of the command.
     reference_m_s2, own_m_s2 : (N,) the target r - a_free, and a_free. current_A : (N,).
     after_times_s, after_m_s2, reference_after_m_s2, own_after_m_s2 : (M,) instants after the waveform, y'', the
         target and a_free there.
     floor, repeatability : blended like the waveforms; NaN where the recordings have no repeats.
-    gain : by which the transient is multiplied.
+    gain : factor on the transient.
     """
 
     speed_m_s: float
@@ -48,7 +48,7 @@ class Prediction:
 
     @property
     def whole_m_s2(self) -> FloatArray:
-        """(N,) acceleration of the stylus as predicted: what the current adds and what it does without."""
+        """(N,) predicted acceleration of the stylus: y'' by the current plus a_free without it."""
         return self.acceleration_m_s2 + self.own_m_s2
 
     @property
@@ -58,11 +58,11 @@ class Prediction:
 
 
 def scene_of(library: Library) -> Scene:
-    """The scene that a library was solved from, as the file tells it.
+    """The scene that a library was solved from, as its file states it.
 
     Raises
     ------
-    InputError : a scene of another version, or changed by hand.
+    InputError : the scene is of another version or was changed by hand.
     """
     return library.scene()
 
@@ -78,12 +78,12 @@ def predict(
     Parameters
     ----------
     gain : multiplies the transient and a wall's feedback.
-    scale, cooled : of a hot coil, whose servo played `scale` times a blend with a part `cooled`, 0 to 1, of the
-        cool command.
+    scale, cooled : for a hot coil, at which the servo plays `scale` times a blend with a share `cooled`, 0 to 1, of
+        the cool command.
 
     Raises
     ------
-    InputError : speed or grip is not a finite number; a blend with cool commands that the library does not have.
+    InputError : speed or grip is not finite, or `cooled` > 0 for a library without cool commands.
     """
     if cooled > 0.0 and library.cool is None:
         raise InputError(f"cooled = {cooled:g}: this library has no cool commands: solve it with grid.cool_share")
