@@ -1,1 +1,1 @@
-"""What the compiled servo is told, what it is told by, and the rules by which it gives up."""
+"""Settings of the compiled servo, its interface per tick, and the rules of its faults."""

@@ -1,4 +1,4 @@
-"""What passes between the servo and the device under it, tick by tick; the same for a simulator and for hardware."""
+"""The interface between the servo and the device under it at each tick, the same for a simulator and for hardware."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -34,7 +34,7 @@ class Fault(Enum):
 
 
 class Notice(Enum):
-    """What is counted and reported but stops nothing."""
+    """Occurrences that are reported but stop nothing; the value is the message."""
 
     CONTACT = "contact: a transient starts"
     FINISHED = "the transient has ended"
@@ -48,18 +48,18 @@ class Notice(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the sensors say at one tick.
+    """Readings of the sensors at one tick.
 
     Attributes
     ----------
     tick : servo tick, from 0.
     encoder_counts : motor encoder; counts grow with z, out of the object.
-    grip_N : from the grip sensor, after its calibration; NaN if it gives nothing.
+    grip_N : calibrated reading of the grip sensor; NaN without one.
     current_A : measured by the amplifier.
-    acceleration_m_s2 : of the stylus; held against encoder and current, the servo acts on nothing else of it.
-    emergency_stop : pressed.
-    late : the port says that this tick came late; a command has then been held for too long.
-    host_stop : a stop has come over the link since the last tick.
+    acceleration_m_s2 : of the stylus; the servo only checks it against encoder and current.
+    emergency_stop : whether the emergency stop is pressed.
+    late : whether the port reports this tick as late, so that a command was held for too long.
+    host_stop : whether a stop has come over the link since the last tick.
     """
 
     tick: int
@@ -74,9 +74,9 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at a tick; `speed_m_s` and `grip_N` where a contact is meant.
+    """An event at a tick; `speed_m_s` and `grip_N` are set for events of a contact.
 
-    `scale` and `cooled` with SCALED_FOR_HEAT: how much of the blend is played, and the cool command's part in it.
+    SCALED_FOR_HEAT also sets `scale`, the factor on the blend, and `cooled`, the share of the cool command in it.
     """
 
     tick: int
@@ -89,11 +89,11 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What the servo answers to one tick's readings.
+    """Output of the servo for the readings of one tick.
 
     Attributes
     ----------
-    command_A : total command, inside every limit. transient_A, feedback_A : its parts before the clamp.
+    command_A : total command, within all limits. transient_A, feedback_A : its parts before the clamp.
     winding_C : estimated winding temperature.
     """
 

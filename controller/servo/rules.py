@@ -1,33 +1,33 @@
-"""Rules that hold on every device whatever its settings: numbers of the core, and what each fault is seen by."""
+"""Rules that hold on every device independent of its settings: constants of the core, and the criteria of faults."""
 
 from controller.servo.interface import Fault
 from transopt.base import signals
 
-# While a transient plays a measured current may be off by so much and by this part of what is expected, for so long.
-# Amplifier and monitor that are 10 % off each leave 22 %; their lag passes within a few ticks.
+# Largest error of the measured current while a transient plays: absolute, relative to the expected current, and the
+# longest time beyond both. Amplifier and monitor that are 10 % off each leave 22 %; their lag lasts a few ticks only.
 WRONG_CURRENT_A, WRONG_CURRENT_PART, WRONG_CURRENT_S = 0.3, 0.3, 2e-3
-# Neither this nor a missing current is judged by fewer: the part of a period by which an amplifier is late beyond
-# whole ones is not in what is expected, and at a jump of the command one reading and the next may be off by it.
+# Least ticks over which a wrong or a missing current is judged. The expected current ignores the fraction of a period
+# in the amplifier's delay, so that after a jump of the command one reading and the next may be off.
 FEWEST_TICKS = 3
 
-# How the accelerometer's motion is drawn to the encoder's at each count: an observer of third order, its poles all
-# at this rate, quick enough for a scale that is 20 % off, slow enough for the quantum of a count. Its third state is
-# the offset that gravity and a tilted hand leave in the reading.
+# A third-order observer corrects the accelerometer's motion by the encoder's at each count. All its poles have this
+# rate, which is fast enough for a scale that is 20 % off and slow enough for the quantisation of a count. Its third
+# state is the offset of the reading by gravity and a tilted hand.
 FOLLOW_RATE_1_S = 200.0
-FOLLOW_PART = 0.5  # of the time between two counts, at the least, that the rate spans: rare counts draw more softly
-FOLLOW_FAR_M = 5e-3  # further apart the two tell of nothing common: begin anew
-FOLLOW_STILL_S = 20e-3  # after so long without a count an integral of the acceleration says nothing: at rest
-ABSURD_M_S2 = 1e4  # a reading that is larger, or no number, counts as none
-STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # of motion that no encoder sleeps through; a fine one's counts are too few
-QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g: less is silence where current shakes
-DEAD_M_S2 = 0.1  # less is a wire that nothing hangs on: it has no noise of its own, and tells of no motion
-QUIET_BLOCK_S, QUIET_BLOCKS = 1e-3, 5  # of the window that slides over the readings
-# So far the current must swing within the window, and so hard must that push by the device's own prediction. A
-# current that stands still proves nothing: a sound stylus that is held by 3.9 A feels 0.03 g.
+FOLLOW_PART = 0.5  # largest product of the rate and the time between two counts: rare counts correct more softly
+FOLLOW_FAR_M = 5e-3  # difference of the two positions beyond which the observer restarts
+FOLLOW_STILL_S = 20e-3  # time without a count after which the stylus counts as at rest and the integrals restart
+ABSURD_M_S2 = 1e4  # a reading beyond this, or NaN, counts as 0
+STUCK_COUNTS, STUCK_LEAST_M = 10.0, 2e-4  # motion without a count of a stuck encoder, the larger of both
+QUIET_M_S2 = 0.980665  # rms about the mean, a tenth of g, below which the accelerometer is silent
+DEAD_M_S2 = 0.1  # rms below which an accelerometer is dead: without noise it cannot prove a motion
+QUIET_BLOCK_S, QUIET_BLOCKS = 1e-3, 5  # length and number of blocks of the sliding window
+# Least swing of the current within the window, and least push of it by the device's own prediction, to judge silence.
+# A steady current proves nothing: a sound stylus held by 3.9 A feels 0.03 g.
 QUIET_SWING_A, QUIET_PUSH_M_S2 = 1.0, 9.80665
 
-# What each is seen by, for the manual, in the order in which they are looked for: the first that trips is the one
-# that is latched. In braces the settings that decide.
+# Criterion of each fault, for the manual, in the order of the checks: the first one that trips is latched. Names in
+# braces are settings.
 SEEN_WHEN = {
     Fault.EMERGENCY_STOP: "it is pressed",
     Fault.HOST_STOP: "a host asks for it over the link",

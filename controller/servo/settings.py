@@ -1,4 +1,4 @@
-"""Everything the servo is told before it runs; frozen, checked once, plain numbers."""
+"""Settings of the servo: plain numbers, checked once and frozen."""
 
 import math
 from dataclasses import dataclass, fields
@@ -16,14 +16,14 @@ from transopt.plant.wall import Wall
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.warm_coil import LEAST_SCALE, WITHHOLD_K
 
-SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # size of a calibration's scale: further off something else is wrong
+SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # range of |scale| in a calibration: beyond it something else is wrong
 PULSE_NODES = 4
-DELAY_TICKS = 4  # servo periods that an amplifier may be late by, at most
+DELAY_TICKS = 4  # largest delay of an amplifier in servo periods
 ROUNDED_TICKS = 1e-9
 # Amplifier and motor of the built-in device (a Maxon RE 25), assumed where neither a library nor the device says.
 AMPLIFIER = Amplifier(1050.0, 68e-6, 6.0)
 RE_25 = CoilModel(R_ohm=2.18, R_wh_K_W=3.1, R_ha_K_W=14.0, tau_w_s=12.0, tau_h_s=612.0, limit_C=100.0)
-PUSH_S = 5e-3  # of a pulse, over which the acceleration is compared with its prediction
+PUSH_S = 5e-3  # part of a pulse over which the acceleration is compared with its prediction
 SCALES = ("acceleration_scale", "grip_scale", "monitor_scale", "amplifier_scale")
 SIGNED = ("grip_open_N", "surface_counts", "encoder_direction", "acceleration_rest_m_s2", "grip_zero_N", *SCALES)
 MAY_BE_ZERO = (
@@ -243,14 +243,14 @@ class Settings:
 
     @property
     def pulse_skip_ticks(self) -> int:
-        """From the first command of a pulse to the first reading that it certainly moves, behind the delay."""
+        """Ticks from the first command of a pulse to the first reading after the delay that it certainly affects."""
         return math.ceil(self.delay_s / self.dt_s) + 1
 
     @property
     def pulse_push_ticks(self) -> int:
-        """Readings over which the acceleration of a pulse is compared."""
+        """Number of readings over which the acceleration of a pulse is compared."""
         return min(self.ticks(PUSH_S), self.pulse_ticks)
 
     def ticks(self, duration_s: float) -> int:
-        """Whole servo periods, at least one."""
+        """Duration in whole servo periods, at least one."""
         return max(round(duration_s / self.dt_s), 1)
