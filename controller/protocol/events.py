@@ -1,4 +1,4 @@
-"""What a session tells its user: frozen events, in the order in which they happened."""
+"""Events that a session reports to its user: frozen, in the order in which they happened."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -24,7 +24,7 @@ class Cause(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """restarted : the device has started anew since the last connection, and forgot what it was told."""
+    """The device has answered HELLO. restarted : it has restarted since the last connection and lost its state."""
 
     device: HelloReply
     capacity: Capacity
@@ -33,7 +33,7 @@ class Connected:
 
 @dataclass(frozen=True, slots=True)
 class Completed:
-    """A request has been carried out. skipped : nothing was to do, the device had it already."""
+    """A request has been carried out. skipped : nothing was sent, since the device had it already."""
 
     request: Kind
     skipped: bool = False
@@ -41,7 +41,7 @@ class Completed:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A request has not been carried out, and those queued behind it are given up. value : NaN if none offends."""
+    """A request was refused, and those queued behind it are cancelled. value : offending number, NaN if none."""
 
     request: Kind
     reason: Reason
@@ -62,7 +62,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """The device's own state, as far as reported."""
+    """The state that the device last reported has changed."""
 
     state: State
     fault: Fault | None
@@ -70,9 +70,10 @@ class Changed:
 
 @dataclass(frozen=True, slots=True)
 class Happened:
-    """An event of the device, told exactly once.
+    """An event of the device, reported exactly once.
 
-    lost : events so far that found no room in the device. scale, cooled : of a transient that the heat has changed.
+    lost : number of events so far that the device's queue had no room for.
+    scale, cooled : see `controller.servo.interface.Event`.
     """
 
     number: int
@@ -97,7 +98,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class Witnessed:
-    """The device's evidence as it was asked for."""
+    """The device's evidence, on request."""
 
     evidence: EvidenceReply
 
@@ -109,7 +110,7 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The session is over; nothing more comes before another connect."""
+    """The session is over; no event follows before the next connect."""
 
     cause: Cause
     detail: str = ""
@@ -122,7 +123,7 @@ News = Connected | Completed | Refused | Progress | Changed | Happened | Samples
 
 
 def capacity_of(reply: HelloReply) -> Capacity:
-    """What the device holds."""
+    """The capacity that a device states in its reply to HELLO."""
     return Capacity(
         samples=reply.capacity_samples,
         speeds=reply.capacity_speeds,

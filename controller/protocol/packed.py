@@ -1,4 +1,4 @@
-"""Dataclasses whose annotations say how they lie in a message: little-endian, without padding."""
+"""Dataclasses whose annotations define their layout in a message: little-endian, without padding."""
 
 import struct
 from dataclasses import dataclass, fields
@@ -19,15 +19,15 @@ Tail = Annotated[bytes, OPEN_END]
 
 
 class BadBodyError(ValueError):
-    """A frame that is sound but means nothing here."""
+    """An intact frame that has no meaning here."""
 
 
 class Packed:
-    """Base of such a dataclass; a last field of type `Tail` takes whatever is left.
+    """Base of such a dataclass; a last field of type `Tail` takes the remaining bytes.
 
     Attributes
     ----------
-    FORMAT : of everything but the tail. OPEN : whether there is a tail.
+    FORMAT : format of all fields but the tail. OPEN : whether there is a tail.
     """
 
     __slots__ = ()
@@ -53,7 +53,7 @@ class Packed:
         """
         Raises
         ------
-        BadBodyError : not as long as this message is.
+        BadBodyError : the length is not that of this message.
         """
         size = cls.FORMAT.size
         if len(body) < size or (len(body) > size and not cls.OPEN):
@@ -67,7 +67,7 @@ Message = TypeVar("Message", bound=type[Packed])
 
 @dataclass_transform(frozen_default=True)
 def packed(cls: Message) -> Message:
-    """Class decorator: a frozen dataclass, laid out."""
+    """Class decorator that makes a frozen dataclass and computes its layout."""
     made: Message = dataclass(frozen=True, slots=True)(cls)  # type: ignore[assignment]
     layout = made.layout()
     formats = [form for _, form in layout]

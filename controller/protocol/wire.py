@@ -1,11 +1,12 @@
 """Frames on a byte stream: COBS(payload + CRC-32) + 0x00.
 
-COBS (Cheshire and Baker 1999) removes every zero byte, so that a zero ends a frame and nothing else does: after any
-damage the next zero is a place to start afresh. CRC-32 is zlib's (IEEE 802.3), over the payload, little-endian behind
-it. Nothing here knows what a payload means, and nothing that comes in makes anything here raise.
+COBS (Cheshire and Baker 1999) removes every zero byte, so that only the end of a frame is a zero: after any damage
+the decoder resynchronises at the next zero. CRC-32 is zlib's (IEEE 802.3), over the payload, appended little-endian.
+This module does not interpret payloads, and no received bytes make it raise.
 
-A payload never begins with a zero byte: behind a whole frame and its CRC the register stands where four zeros take it
-from the start, so a frame whose delimiter was lost, followed by a frame without its four leading zeros, would pass.
+A payload never begins with a zero byte. After a complete frame with its CRC the CRC register has the value that four
+zeros give it from the start, so a frame whose delimiter was lost, followed by a frame that lost its four leading
+zeros, would pass the check.
 """
 
 import zlib
@@ -20,7 +21,7 @@ _CODES = [bytes([code]) for code in range(256)]
 
 
 def stuff(raw: bytes) -> bytes:
-    """COBS of `raw`: no zero byte, at most one byte more per 254 begun."""
+    """COBS encoding of `raw`: no zero byte, at most one additional byte per 254 or part of them."""
     out = []
     pieces = raw.split(DELIMITER)
     for piece in pieces:
@@ -81,14 +82,14 @@ def decode(stuffed: bytes) -> bytes | None:
 
 
 class Decoder:
-    """Payloads out of a byte stream that comes in pieces of any size.
+    """Extracts payloads from a byte stream that comes in pieces of any size.
 
-    Holds one unfinished frame, never more than `ENCODED_LIMIT` bytes of it: what is longer is no frame, and is thrown
-    away up to the next delimiter.
+    It buffers one unfinished frame, at most `ENCODED_LIMIT` bytes of it: anything longer is not a frame and is
+    discarded up to the next delimiter.
 
     Attributes
     ----------
-    frames, bad_frames : counted so far. An empty frame, two delimiters in a row, is neither.
+    frames, bad_frames : numbers of frames so far. An empty frame (two delimiters in a row) counts as neither.
     """
 
     def __init__(self) -> None:
