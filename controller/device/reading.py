@@ -1,4 +1,4 @@
-"""Device files: found, read, written; an error is one line with file, key, value and limit."""
+"""Find, read and write device files; an error is one line with file, key, value and limit."""
 
 import re
 import tomllib
@@ -17,10 +17,10 @@ from transopt.base.section import Section
 from transopt.base.shown import cut
 from transopt.base.sizes import MOST_TEXT_BYTES
 
-BESIDE = "device.toml"  # looked for in the folder of a library
+BESIDE = "device.toml"  # name of the device file in the folder of a library
 EXAMPLES = Path(__file__).parent / "examples"
 ADVICE = "a device file is TOML; `transopt-play device new FILE` writes one"
-OF_A_CIRCUIT = "power"  # a table that every circuit file has, and no device file
+OF_A_CIRCUIT = "power"  # a table of every circuit file, which no device file has
 SCALES = ("grip.scale", "accelerometer.scale", "amplifier.scale", "amplifier.monitor_scale")
 Read = TypeVar("Read", bound=Section)
 _TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
@@ -28,14 +28,14 @@ _TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
 
 @dataclass(frozen=True)
 class Described:
-    """A device and where it was described.
+    """A device and the source of its description.
 
     Attributes
     ----------
-    device : all that its file states, and the built-in device's for the rest.
-    path : of the file; None for the built-in device and the examples.
-    source : in words, for one line.
-    stated : keys like `encoder.count_m` that the file has.
+    device : the stated values of its file, with defaults of the built-in device.
+    path : path of the file; None for the built-in device and the examples.
+    source : source in words, for one line.
+    stated : keys like `encoder.count_m` that the file states.
     """
 
     device: DeviceFile
@@ -45,7 +45,7 @@ class Described:
 
     @property
     def in_words(self) -> str:
-        """One line: whose numbers are taken."""
+        """One line that tells which numbers come from the file and which from the built-in device."""
         unstated = [key for key in all_keys() if key not in self.stated]
         if not self.stated:
             return f"device: {self.source}; `transopt-play device new FILE` describes your own"
@@ -61,7 +61,7 @@ def all_keys() -> Iterator[str]:
 
 
 def value_of(device: DeviceFile, key: str) -> Any:
-    """What a device has under a key like `encoder.count_m`."""
+    """Value of a device at a key like `encoder.count_m`."""
     table, _, name = key.partition(".")
     return getattr(getattr(device, table), name)
 
@@ -72,7 +72,7 @@ def examples() -> dict[str, Path]:
 
 
 def find(named: str | None, library: Path | None = None) -> Described:
-    """The device that a command is about.
+    """The device that a command refers to.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def find(named: str | None, library: Path | None = None) -> Described:
 
     Raises
     ------
-    InputError : the file cannot be read, or says what no device can be.
+    InputError : the file cannot be read or is not a valid device file.
     """
     if named is not None:
         example = examples().get(named)
@@ -119,11 +119,11 @@ def _described(path: Path, kept: Path | None, source: str) -> Described:
 
 
 def read_section(path: Path, kind: type[Read], advice: str) -> tuple[Read, dict[str, Any]]:
-    """A TOML file as a table of a settings file, and what the file states of it.
+    """A TOML file validated as a section of kind `kind`, and its raw content.
 
     Raises
     ------
-    InputError : it cannot be read, or says what no such table can say; `advice` is the next step.
+    InputError : the file cannot be read or is not valid; `advice` is the next step in the message.
     """
     content = _toml(_text(path, advice), path, advice)
     try:
@@ -152,7 +152,7 @@ def _toml(text: str, path: Path, advice: str = ADVICE) -> dict[str, Any]:
 
 
 def _complaint(path: Path, error: ValidationError, kind: type[Section]) -> str:
-    """The first complaint in one line: a misspelt key before a wrong value."""
+    """The first error in one line; unknown keys come before wrong values."""
     complaints = error.errors()
     first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
     keys = [str(key) for key in first["loc"]]
@@ -168,7 +168,7 @@ def _complaint(path: Path, error: ValidationError, kind: type[Section]) -> str:
 
 
 def _table_at(kind: type[Section], keys: list[str]) -> type[Section]:
-    """The table under these keys; one that may be left out has None beside it in its type."""
+    """The type of the table under these keys; the annotation of an optional table includes None."""
     for key in keys:
         said = kind.model_fields[key].annotation
         kind = next(one for one in (*get_args(said), said) if isinstance(one, type) and issubclass(one, Section))
@@ -180,7 +180,7 @@ def as_text(device: DeviceFile, head: str = "") -> str:
 
     Parameters
     ----------
-    head : lines of comment at its top, without their marks.
+    head : comment lines at the top, without `#`.
     """
     lines = [f"# {line}" for line in head.splitlines()]
     lines += [f"name = {_toml_value(device.name)}"]
@@ -203,11 +203,11 @@ def _toml_value(value: Any) -> str:
 
 
 def write_device(path: Path, device: DeviceFile, head: str = "") -> None:
-    """A new file.
+    """Write a new device file.
 
     Raises
     ------
-    InputError : it is there already, or cannot be written.
+    InputError : the file exists or cannot be written.
     """
     if path.exists():
         raise InputError(f"{path}: is there already; choose another name, or change it in an editor")
@@ -215,7 +215,7 @@ def write_device(path: Path, device: DeviceFile, head: str = "") -> None:
 
 
 def restate(path: Path, key: str, value: float) -> None:
-    """Put another value at a key of a device file, all other lines and their comments as they are.
+    """Change the value of one key in a device file; all other lines and comments stay unchanged.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def restate(path: Path, key: str, value: float) -> None:
 
     Raises
     ------
-    InputError : the file cannot be read or written, or would not be a device file afterwards.
+    InputError : the file cannot be read or written, or its layout does not allow the change.
     """
     table, _, name = key.partition(".")
     lines, inside, at, end = _text(path).split("\n"), False, None, None

@@ -1,7 +1,7 @@
-"""What a device file means for the servo: numbers of `controller.servo.settings.Settings`.
+"""Fields of `controller.servo.settings.Settings` from a device file.
 
-Lengths and impulses that the servo judges by follow the encoder's count, and windows are times, so that servos of 1
-to 20 kHz and encoders of 1 to 100 um work alike.
+Thresholds of lengths and impulses scale with the encoder's count, and windows are times, so that servos of 1 to
+20 kHz and encoders of 1 to 100 um behave alike.
 """
 
 import math
@@ -14,15 +14,15 @@ from controller.servo.settings import Settings
 from transopt.base.errors import InputError
 from transopt.library.library import Library
 
-TOUCH_COUNTS = 4  # of height that mean to have left the surface: a tremor's size
-REARM_M, REARM_TOUCHES = Settings.rearm_height_m, 2.0  # a height that no trembling hand on the surface reaches
-WINDOW_S = 10e-3  # of approach that the parabola is laid through
-LEAST_WINDOW = 6  # readings of it: a parabola has three numbers
+TOUCH_COUNTS = 4  # height in counts above which the surface is left: the size of a tremor
+REARM_M, REARM_TOUCHES = Settings.rearm_height_m, 2.0  # heights that no trembling hand on the surface reaches
+WINDOW_S = 10e-3  # part of the approach that the parabola is fitted to
+LEAST_WINDOW = 6  # least readings in it, since a parabola has three coefficients
 USUAL_COUNT_M = Settings.count_m
 
 
 def servo_numbers(device: DeviceFile, dt_s: float) -> dict[str, Any]:
-    """Fields of `Settings` that a device decides, whatever it plays.
+    """Fields of `Settings` that depend on the device only.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def servo_numbers(device: DeviceFile, dt_s: float) -> dict[str, Any]:
 
 
 def assumed_grip_N(device: DeviceFile, grips_N: Any) -> float | None:
-    """The grip that stands in for a sensor, moved to the edge of a library's grips; None where a sensor is read.
+    """The grip assumed without a sensor, clipped to the range of a library's grips; None with a sensor.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def assumed_grip_N(device: DeviceFile, grips_N: Any) -> float | None:
     """
     nodes = np.asarray(grips_N, dtype=float)
     if nodes.size and nodes[0] == 0:
-        return 0.0  # of the free device, which nobody holds
+        return 0.0  # a library of the free device, which nobody holds
     if device.grip.sensor:
         return None
     assumed = device.grip.assumed_grip_N
@@ -72,11 +72,11 @@ def assumed_grip_N(device: DeviceFile, grips_N: Any) -> float | None:
 
 
 def library_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
-    """Fields of `Settings` for a library on this device, to be put over what the library says.
+    """Fields of `Settings` for a library on this device, which override those of the library.
 
     Raises
     ------
-    InputError : the library is for another servo period, or asks for more than the hardware gives.
+    InputError : the library is for another servo period, or needs more current than the hardware allows.
     """
     dt_s, limits = library.dt_s, library.posing().asked
     if device.servo.dt_s is not None and abs(device.servo.dt_s / dt_s - 1) > 1e-6:
@@ -99,7 +99,7 @@ def library_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
 
 
 def grip_in_words(device: DeviceFile, library: Library) -> str:
-    """What a library of several grips means on a device without a grip sensor; empty for any other device."""
+    """A sentence on the grip that a library is played for on a device without a grip sensor; empty with a sensor."""
     nodes = library.grips_N
     if device.grip.sensor or nodes[0] == 0:
         return ""

@@ -16,7 +16,7 @@ from transopt.problem.warm_coil import currents, norms
 
 
 class Method(Enum):
-    """How a tap is rendered; the value is its name on a command line."""
+    """Rendering method of a tap; the value is its name on the command line."""
 
     BILINEAR = "bilinear"  # the library as it is meant
     ONLINE = "online"  # solved anew for what was measured, see `controller.waveforms.online_bank`
@@ -35,14 +35,14 @@ COOLED = (Method.BILINEAR, Method.NEAREST, Method.BLIND)  # a hot coil gets the 
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """What is played at one contact.
+    """The transient of one contact.
 
     Attributes
     ----------
     samples_A : transient commands, one per servo period; empty if this method has none.
-    speed_m_s, grip_N : where it was taken from, after clamping to the grid.
-    out_of_grid : whether the wanted point lay outside.
-    silent : nothing may be played, for want of speed or grip.
+    speed_m_s, grip_N : point of the grid it was taken from, after clipping to the grid.
+    out_of_grid : whether the requested point lay outside the grid.
+    silent : whether nothing may be played, for lack of speed or grip.
     transient_A, feedback_A : bounds on the norms of the currents, as `Guard.allowed` takes them.
     cool_samples_A : the cool command, of less heat, as long as the first; empty where the table has none.
     cool_transient_A : bound on the norm of its current; infinite where the table has none.
@@ -84,8 +84,8 @@ def _interval(nodes: list[float], value: float, nearest: bool) -> tuple[int, flo
 class Bank:
     """A table of transients.
 
-    A blend weighs the four corners in a stated order with products and sums only, so that firmware that does the
-    same gets the same bits. Norms are convex, so the corners' bound the blend's.
+    A blend weights the four corners in a fixed order with products and sums only, so that the firmware computes the
+    same bits. Norms are convex, so the blend of the corners' norms bounds the norm of the blend.
 
     Attributes
     ----------
@@ -157,12 +157,12 @@ def bank(
 ) -> Bank:
     """The table of one method for one library.
 
-    The methods that blend the library's own commands carry its cool ones too, if it has them; `online` solves with
+    Tables of methods that blend the library's own commands include its cool ones, if it has any; `online` solves for
     the coil's temperature instead.
 
     Parameters
     ----------
-    blind_grip_N : the one grip of `BLIND`; the middle of the grid without it.
+    blind_grip_N : the single grip of `BLIND`; None for the middle of the grid.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def bank(
         optimal = method is Method.CLIPPED_OPTIMUM
         command = nodes(lambda iv, ig: inversion(library, iv, ig, optimal=optimal))
     else:
-        # They know no grip: one mass, that of the grips' mean.
+        # These methods ignore the grip and use one mass, the mean over the grips.
         waveform = {
             Method.DECAYING_SINUSOID: predecessors.decaying_sinusoid,
             Method.FIXED_WIDTH_PULSE: predecessors.fixed_width_pulse,
@@ -206,12 +206,12 @@ def bank(
         grips, by_grip = grips[:1], False
     amplifier, dt = library.amplifier(), library.dt_s
     transient = norms(currents(command, amplifier, dt), amplifier, dt)
-    # What the wall is predicted to add beside the transient; of the optimum's motion, for every method.
+    # Predicted feedback of the wall in addition to the transient, taken from the optimum's motion for every method.
     pushed = norms(currents(library.command - solved, amplifier, dt), amplifier, dt)
     if method not in COOLED or library.cool is None:
         cool = None
     else:
-        # One number for both transients: the larger.
+        # One norm serves both transients: the larger one.
         beside = library.cool.command - library.cool.transient_command
         pushed = np.maximum(pushed, norms(currents(beside, amplifier, dt), amplifier, dt))
     feedback = pushed if by_grip else np.max(pushed, axis=1, keepdims=True)

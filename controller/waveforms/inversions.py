@@ -1,7 +1,7 @@
 """The two inversions that the optimum is compared with, rebuilt from a library file.
 
-A library keeps their errors, not their commands. The unlimited optimum is found here by a plain Riccati recursion,
-because the designer's own needs CasADi, which the runtime does without.
+A library stores their errors, not their commands. The unlimited optimum is computed by a plain Riccati recursion
+here, since the designer's solver needs CasADi, which the runtime does not depend on.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
     wanted, weights, movement = values["r"], values["w"], float(values["rho"][0])
     rows, constants = hand_over.rows(problem, stage)
     rows[:, -1] -= 1.0
-    # What the device still does when the waveform is over.
+    # Terminal cost: the motion of the device after the waveform.
     end, target = values["end_gain"], values["end_target"]
     P, p = end.T @ end, -end.T @ target
     laws = []
@@ -60,7 +60,8 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
 def inversion(library: Library, iv: int, ig: int, *, optimal: bool) -> FloatArray:
     """(N,) transient command of one node by clipping the unlimited optimum, or by the seed's inversion.
 
-    Total current is cut at the library's limit; with a wall its predicted feedback is taken off, as from the optimum.
+    The total current is clipped at the library's limit; with a wall its predicted feedback is subtracted, as for the
+    optimum.
     """
     problem = library.problem(iv, ig).without_intensity()
     limit = problem.limits.input_limit

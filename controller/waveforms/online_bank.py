@@ -1,7 +1,7 @@
-"""A bank that solves each tap anew (`transopt.library.online`) where a table would blend.
+"""A bank that solves each tap (`transopt.library.online`) where a table would blend.
 
-A simulator's clock stands still meanwhile. On a machine the solve takes milliseconds, and the last of the approach is
-all the time there is: it is for between taps, or for a host that foresees the contact.
+In a simulation no virtual time passes during the solve. In real time it takes milliseconds, which the end of an
+approach does not leave: it serves between taps, or on a host that predicts the contact.
 """
 
 from dataclasses import dataclass, fields
@@ -17,7 +17,7 @@ from transopt.problem.warm_coil import currents, norms
 
 @dataclass(frozen=True, kw_only=True)
 class FreshBank(Bank):
-    """The table of the blend, and what solves in its place; without a certified answer the blend is played."""
+    """A bank with a solver; the blend of the table is played if there is no certified answer."""
 
     library: Library
     solver: Online
@@ -49,7 +49,7 @@ class FreshBank(Bank):
 
 
 def fresh(library: Library, table: Bank) -> FreshBank:
-    """A bank that solves for this library, `table` its own of the method `online`.
+    """A bank that solves for this library; `table` is its table of the method `online`.
 
     Raises
     ------
