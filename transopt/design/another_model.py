@@ -1,7 +1,7 @@
-"""A library solved again for another hand on its device: limits and grid stay what they were.
+"""Solve a library again for another hand on its device; limits and grid stay as they were.
 
-What is tracked is the tap that the object would give this hand (`transopt.recordings.another_hand`), or the tap as it
-was recorded.
+The new commands track the tap that the object would give this hand (`transopt.recordings.another_hand`), or the tap
+as it was recorded.
 """
 
 from dataclasses import replace
@@ -18,12 +18,15 @@ from transopt.recordings.reference import Reference
 from transopt.scene.file import with_model
 from transopt.scene.scene import Scene
 
-OF_RECORDINGS = "grid_speed_m_s"  # a key of every source that is a recording
+OF_RECORDINGS = "grid_speed_m_s"  # a key that only sources which are recordings have
 CARRIED_OVER = "carried over to another hand: what the object would do to the stylus in it"
 
 
 def _scene_with(library: Library, model: Path) -> Scene:
-    """The scene of a library on a model file; what its spread of hands was is what the model file leaves open."""
+    """The scene of a library with a model file in place of its model.
+
+    A spread over a population of hands is replaced by the spread of the model file's own uncertainty.
+    """
     library.check_linear("another hand")
     scene = library.scene()
     if scene.targets:
@@ -35,9 +38,9 @@ def _scene_with(library: Library, model: Path) -> Scene:
 
 
 def built_on(library: Library, model: Path, *, as_recorded: bool = False) -> Build:
-    """A library's entries designed for a model file in place of its own device, from the references that it has.
+    """Design a library's entries for a model file in place of its own device, from the library's references.
 
-    Corrections of a refinement are not taken over: they are of the device that it was refined on.
+    Corrections of a refinement are not taken over: they belong to the device on which it was made.
 
     Parameters
     ----------
@@ -45,12 +48,12 @@ def built_on(library: Library, model: Path, *, as_recorded: bool = False) -> Bui
 
     Raises
     ------
-    InputError : a library that is not of taps in a hand, or a model file that does not go with its scene.
+    InputError : a library of named targets or of a nonlinear plant, or a model file that does not fit its scene.
     """
     scene, references = _scene_with(library, model), references_of_library(library)
     recorder = library.scene().striking()
     if not as_recorded:
-        # The hand that strikes is now the one that plays.
+        # The hand that plays is from now on also the one that strikes.
         scene = scene.model_copy(update={"striker": None})
         cells = tuple(_carried_over(cell, recorder, scene) for cell in references)
         references = replace(references, cells=cells)
@@ -65,7 +68,7 @@ def built_on(library: Library, model: Path, *, as_recorded: bool = False) -> Bui
 
 
 def _carried_over(cell: Reference, recorder: Scene, player: Scene) -> Reference:
-    """A reference of the recording hand as it would be in the hand of another scene; the hands' intention stays."""
+    """Carry a reference over from the recording hand to that of another scene; the intended motion stays the same."""
     free = np.concatenate([cell.free_before_m_s2, cell.free_m_s2, cell.free_after_m_s2])
     parts = (cell.recorded_before_m_s2, cell.recorded_m_s2, cell.recorded_after_m_s2)
     recorded, ends = np.concatenate(parts), np.cumsum([part.size for part in parts])[:-1]

@@ -1,4 +1,4 @@
-"""Replays of the answers of one device, made together, and the two other methods beside them."""
+"""Replays of the answers of one device in one simulation, and of the two baseline methods beside them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from transopt.proof.several import replay_several
 
 @dataclass(frozen=True)
 class Baselines:
-    """Figures of the two other methods after replay, at the transient limit and at the steady limit."""
+    """Replayed figures of the two baseline methods, each at the transient and at the steady limit of the input."""
 
     seed: Figures
     clipped: Figures
@@ -28,16 +28,17 @@ class Baselines:
 
 
 class Batch:
-    """Answers of one device, time axis and tap rate, which one simulation plays when the first of them is read.
+    """Answers of one device, time axis and tap rate; one simulation plays all when the first replay is read.
 
     Parameters
     ----------
-    designed : the answers, at least one.
-    coil : of the motor; None where nothing is known of it.
-    steady_input : what the actuator stands for ever, at which the other methods are looked at besides [A or V].
-    told : targets against which errors are told; by default what each problem tracks.
-    transients : (M, N) what is played beside the wall's feedback; by default what the commands leave of it.
-    with_rivals : whether the other methods are going to be read too, which then share the simulation.
+    designed : the M answers, at least one.
+    coil : the motor's coil; None where it is not known.
+    steady_input : largest plant input that the actuator bears continuously [A or V]. The baselines are evaluated at
+        this limit too.
+    told : targets against which errors are reported; by default the target that each problem tracks.
+    transients : (M, N) inputs played in addition to the wall's feedback; by default the commands less that feedback.
+    with_rivals : whether the baselines will be read too; they then share the simulation.
     """
 
     def __init__(
@@ -56,19 +57,19 @@ class Batch:
 
     @cached_property
     def replays(self) -> list[Replay]:
-        """Each command, through the wall if there is one."""
+        """The replay of each command, with the wall's feedback if there is a wall."""
         if self.designed[0].nonlinear is not None:
             return [both[1] for both in self._on_nonlinear_plant]
         return self._replayed(self._together.of(slice(len(self.designed))) if self._share else None)
 
     @cached_property
     def linear_replays(self) -> list[Replay]:
-        """The commands that were designed for the plant at rest, on the nonlinear plant."""
+        """Replays on the nonlinear plant of the commands that were designed for the plant at rest."""
         return [both[0] for both in self._on_nonlinear_plant]
 
     @cached_property
     def rivals(self) -> list[Baselines]:
-        """Figures of the two other methods, of each answer; they know no wall."""
+        """Figures of the two baseline methods for each answer; the baselines ignore the wall."""
         first = self.designed[0]
         if self._several:
             problems = [each.problem for each in self.designed] * 4
@@ -85,26 +86,26 @@ class Batch:
 
     @property
     def _share(self) -> bool:
-        """Whether one simulation plays answers and rivals: the rivals know no wall."""
+        """Whether one simulation plays answers and baselines: not with a wall, which the baselines ignore."""
         return self._with_rivals and self.designed[0].problem.wall is None and not self._several
 
     @property
     def _several(self) -> bool:
-        """Whether each command is for several motors."""
+        """Whether the device has several motors, so that each command is (m, N)."""
         return self.designed[0].problem.stage.motors > 1
 
     @cached_property
     def _together(self) -> Accurate:
-        """Simulation of the answers, and of the rivals behind them."""
+        """One simulation of the M answers followed by the 4 M baselines."""
         problem = self.designed[0].problem
         return accurate(problem.stage, problem.grid, np.concatenate([self._transients, self._rival_commands]), None)
 
     @property
     def _transients(self) -> FloatArray:
-        """(M, N) what is played of each answer, beside the wall's feedback."""
+        """(M, N) the input that each answer adds to the wall's feedback."""
         if self._stated is not None:
             return self._stated
-        # A solver that broke down returns NaN, which no integrator needs to see.
+        # A solver that broke down returns NaN; the integrator plays zeros instead.
         commands = [np.nan_to_num(d.solution.command, nan=0.0, posinf=0.0, neginf=0.0) for d in self.designed]
         return np.stack([d.problem.transient_command(c) for d, c in zip(self.designed, commands, strict=True)])
 
@@ -130,8 +131,8 @@ class Batch:
 
     @cached_property
     def _on_nonlinear_plant(self) -> list[list[Replay]]:
-        """The linear design and the answer, of each."""
-        # IPOPT's results alone need this import.
+        """For each answer the replays of its linear design and of itself."""
+        # Imported here because only answers on a nonlinear plant need it.
         from transopt.proof.nonlinear_replay import replay_nonlinear
 
         found = []
@@ -144,12 +145,12 @@ class Batch:
 
     @property
     def _rival_commands(self) -> FloatArray:
-        """(4 M, N) commands of the two other methods, in the order of `Baselines`, each of all answers."""
+        """(4 M, N) baseline commands: in the order of `Baselines`, and for each of these all M answers."""
         return _rivals_of(self.designed, self._steady_input)
 
     def _figures_on_nonlinear_plant(self, designed: Designed) -> list[Figures]:
         assert designed.nonlinear is not None
-        # The rivals invert the plant at rest, as the linear design does.
+        # The baselines are designed for the plant at rest, as the linear design is.
         return [
             designed.nonlinear.figures(each) for each in _rivals_of([designed.linear or designed], self._steady_input)
         ]
@@ -161,7 +162,7 @@ def _rivals_of(designed: Sequence[Designed], steady_input: float) -> FloatArray:
         return _rivals_of_motors(designed, steady_input)
     references = np.stack([d.problem.reference_m_s2 for d in designed])
     free = np.stack([d.unlimited_command for d in designed])
-    # Both limits at once: what is clipped at them is the same.
+    # Both limits in one call: the unclipped commands are the same for both.
     transient = np.array([d.problem.limits.input_limit for d in designed])
     limits = np.stack([transient, np.full_like(transient, steady_input)])[:, :, None]
     seed = seed_inversion(first.stage, first.grid, references, limits, first.hand_over_samples)
@@ -170,7 +171,7 @@ def _rivals_of(designed: Sequence[Designed], steady_input: float) -> FloatArray:
 
 
 def _rivals_of_motors(designed: Sequence[Designed], steady_input: float) -> FloatArray:
-    """(4 M, m, N) the same of several motors, each cut at what it has of the limit."""
+    """(4 M, m, N) baseline commands for m motors, each motor clipped at its own share of the limit."""
     found = []
     for limit in (1.0, steady_input / designed[0].problem.limits.input_limit):
         posed = [(d, limit * input_bounds(d.problem)) for d in designed]

@@ -42,17 +42,18 @@ if TYPE_CHECKING:  # nothing is drawn while a library is solved
     from matplotlib.figure import Figure
 
 
-SOLVED_TOGETHER = 64  # entries, at least one grip: more would only keep more memory
-# Courses of a reference that a library has of every cell under the same name.
+SOLVED_TOGETHER = 64  # entries in one batch, at least those of one grip; more would only take more memory
+# Arrays of a reference that a library stores for every cell under the same name.
 CELLS = tuple(name for name in COURSES if name != "nominal_position_at_ticks_m")
 
 
 @dataclass(frozen=True)
 class Build:
-    """A designed library: entries speed by speed, `library` only if every entry is admitted.
+    """The outcome of a design: all entries, speed by speed, and a `library` only if every entry is admitted.
 
-    `scene` has the grid that was solved: with a `refinement`, the refined one. `cool` has the entries of the cool
-    commands (`grid.cool_share`), speed by speed; none where the scene asks for none or a first one is refused.
+    `scene` has the grid that was solved; with a `refinement`, that is the refined one. `cool` has the entries of the
+    cool commands (`grid.cool_share`), speed by speed. It is empty where the scene asks for no cool commands or any
+    other entry is refused.
     """
 
     scene: Scene
@@ -89,7 +90,7 @@ class Build:
         return EntryTable(scene.axes.columns, names, list(self.all_entries()), scene.driven_by.unit, limits).known
 
     def plot(self) -> "Figure":
-        """Every waveform over time; of a refused entry only its reference.
+        """Plot every waveform over time; for a refused entry only its reference.
 
         The figure is matplotlib's; `savefig` writes it to a file.
         """
@@ -104,14 +105,14 @@ class Build:
     @cached_property
     @one_blas_thread()
     def trade_offs(self) -> list[TradeOff]:
-        """Waveform against intensity of every entry that a limit cuts; solved when it is first asked for."""
+        """Trade-off of waveform against intensity for every entry with a binding limit; solved on first access."""
         options = SolverOptions(self.solver)
         found = together([trade_off(entry, options) for entry in self.all_entries()])
         return [each for each in found if each is not None]
 
     @one_blas_thread()
     def between_nodes(self, points: Iterable[Point]) -> list[OffNode]:
-        """What blends of the nodes' commands are worth at any speeds and grips, beside the optima solved there.
+        """Compare blends of the nodes' commands, at any speeds and grips, with the optima solved exactly there.
 
         Parameters
         ----------
@@ -119,8 +120,8 @@ class Build:
 
         Returns
         -------
-        One for each point, sorted by grip: `optimum`, the tap error of the optimum there, and `after`, that of the
-        blend, both replayed. `before` is the same as `after`, since there is one grid.
+        One result for each point, sorted by grip: `optimum` is the tap error of the optimum there and `after` that of
+        the blend, both replayed. `before` equals `after`, since there is only one grid.
 
         Raises
         ------
@@ -146,24 +147,24 @@ class Build:
 
     @property
     def recorded_remarks(self) -> list[str]:
-        """What the scene's own grips rest on that was not recorded, one sentence each."""
+        """Assumptions about the scene's own grips that no recording supports, one sentence each."""
         grid = self.scene.grid if self.refinement is None else self.refinement.recorded
         return self.references.remarks(grid.grips_N)
 
     @property
     def context(self) -> Context:
-        """Devices and references by which its entries were posed."""
+        """Devices and references with which the entries' problems were posed."""
         return Context(self.scene, self.references)
 
     @property
     def refused(self) -> list[Entry]:
-        """Entries that stand in the way of a library; a cool command only where all first ones are admitted."""
+        """Entries that are not admitted and so prevent a library; cool commands only if all others are admitted."""
         first = [entry for entry in self.all_entries() if not entry.admitted]
         return first or [entry for row in self.cool for entry in row if not entry.admitted]
 
     @property
     def proven(self) -> list[Entry]:
-        """Entries that are certified and replayed clean."""
+        """Entries that are admitted: certified, and replayed without leaving a limit."""
         return [entry for entry in self.all_entries() if entry.admitted]
 
     def command(self, target: str) -> FloatArray:
@@ -195,15 +196,15 @@ def build_library(
 
     Parameters
     ----------
-    recordings : of the scene (`reference.read_recordings`, or `transopt.scene.strikes.recordings`), or the references
-        of a library whose recordings are not at hand (`transopt.library.recorded`).
+    recordings : the scene's recordings (`reference.read_recordings`, or `transopt.scene.strikes.recordings`), or the
+        references of a library whose recordings are not at hand (`transopt.library.recorded`).
     progress : called with the number of entries that have just been finished.
-    refinement : of this scene (`refine_grid.refine_grid`); its grid is solved in place of the scene's own, with
-        references at added speeds blended of the recorded ones (`References.at`).
+    refinement : a refinement of this scene (`refine_grid.refine_grid`). Its grid is solved in place of the scene's
+        own; references at added speeds are blended from the recorded ones (`References.at`).
 
     Raises
     ------
-    InputError : recordings that cannot serve, or parameters that are not passive at some grip.
+    InputError : recordings that cannot be used, or parameters that are not passive at some grip.
     """
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
@@ -227,7 +228,7 @@ def build_library(
         for column in (designed[i : i + len(rows)] for i in range(0, len(designed), len(rows))):
             for entry in column:
                 entry.let_go()
-            # An entry is replayed and admitted by now, before its progress is told.
+            # `let_go` has replayed and judged the entries, so that progress counts finished ones.
             progress(len(column))
             columns.append(column)
     entries = [[column[i] for column in columns] for i in range(len(rows))]
@@ -248,7 +249,7 @@ def build_library(
 
 
 def _cool(context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions) -> list[list[Entry]]:
-    """Entries of the cool commands; none where the scene asks for none, or a first one is refused."""
+    """Entries of the cool commands; empty where the scene asks for none, or any of `entries` is refused."""
     share = context.scene.grid.cool_share
     if share is None or not all(entry.admitted for row in entries for entry in row):
         return []
@@ -269,10 +270,10 @@ def assemble(
     refinement: Refinement | None = None,
     cool: Sequence[Sequence[Entry]] = (),
 ) -> Library:
-    """The library of admitted entries, speeds outermost, with those of the cool commands where there are any.
+    """Assemble the library of admitted entries, speeds outermost, and of the cool commands where there are any.
 
-    Everything that it states of a nonlinear plant's problem is of the plant as it is at rest; what the commands do,
-    and the errors of the other methods, are of the nonlinear plant.
+    For a nonlinear plant the stored problem is that of the plant linearised at rest; predicted motions and the errors
+    of the baselines are those on the nonlinear plant.
     """
     scene = context.scene
 
@@ -318,7 +319,7 @@ def assemble(
 
 
 def _of_entries(entries: Sequence[Sequence[Entry]], further: Sequence[str]) -> dict[str, Any]:
-    """Arrays that are made of the entries, multipliers among them."""
+    """Library arrays that are computed from the entries, multipliers included."""
     made = {
         name: np.array(
             [[array.made(entry) for entry in row] for row in entries], dtype=None if array.is_text else float
@@ -335,7 +336,8 @@ def _meta(
     scene = context.scene
     left_out = shared_left_out([[entry.left_out for entry in row] for row in entries])
     watched = context.posing.watched
-    # A mass in a case is told from one that the nominal motion moves whether or not a limit looks at it.
+    # Position and velocity are stored even where no limit reads them: they distinguish a mass inside a case from one
+    # that the nominal motion moves.
     outputs = [entry.problem.stage.plant.stored((POSITION, VELOCITY, *watched)) for entry in entries[0]]
     of_spread = [[device.plant.stored(watched) for device in entry.problem.spread] for entry in entries[0]]
     return {
@@ -362,7 +364,7 @@ def _meta(
 
 
 def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
-    """How good the blend between the nodes is, and which nodes were recorded; null for a grid taken as it stood."""
+    """Evidence of a grid refinement and which nodes were recorded; null for a grid that was not refined."""
     if refinement is None:
         return None
     recorded, grid = refinement.recorded, refinement.grid
@@ -378,7 +380,7 @@ def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
 
 
 def _model_sources(scene: Scene) -> list[dict[str, Any]]:
-    """The model file, and what its parts were fitted to; nothing for a model that the scene states itself."""
+    """The model file and the measurements its parts were fitted to; empty for a model stated in the scene itself."""
     if not isinstance(scene.model, IdentifiedModel):
         return []
     own = {"file": scene.model.file, "origin": "model file", "sha256": scene.model.sha256}
@@ -414,7 +416,7 @@ def _sources(scene: Scene, reference: Reference) -> list[dict[str, Any]]:
 
 
 def _target_sources(scene: Scene, references: References) -> list[dict[str, Any]]:
-    """Named targets, each as it is stated, with the hash of its file if it was read from one."""
+    """Named targets as the scene states them, each with the hash of its file if it was read from one."""
     if not scene.targets:
         return []
     return [

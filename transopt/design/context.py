@@ -1,4 +1,4 @@
-"""What the entries of a scene share: its devices by grip, its references by speed and grip, each made once."""
+"""Data shared by the entries of a scene: devices by grip and references by speed and grip, each computed once."""
 
 import json
 from collections import OrderedDict
@@ -23,21 +23,21 @@ from transopt.scene.recordings import references_of, sampled_again
 from transopt.scene.scene import Scene
 
 KEPT_STAGES, KEPT_BETWEEN = 64, 32
-# What a stage model depends on, beside the outputs that the limits look at.
+# Parts of a scene that a stage model depends on, besides the outputs that the limits read: its cache key.
 OF_A_STAGE = ("model", "motor", "transmission", "tip", "amplifier", "time", "feedback")
 T = TypeVar("T")
 Spot = tuple[float, float] | None  # normal and posture of an arm, by number from 1, or between two
 
 
 class Kept(Generic[T]):
-    """The values made last, by a text that says what they depend on."""
+    """A cache of the most recent values; the key is a text of everything that a value depends on."""
 
     def __init__(self, most: int) -> None:
         self._most = most
         self._values: OrderedDict[str, T] = OrderedDict()
 
     def get(self, key: str, make: Callable[[], T]) -> T:
-        """The value of a key, made if it is not there."""
+        """Return the value of a key; compute and keep it on a cache miss."""
         if key not in self._values:
             self._values[key] = make()
             if len(self._values) > self._most:
@@ -47,26 +47,26 @@ class Kept(Generic[T]):
 
 
 def as_text(scene: Scene, *parts: str) -> str:
-    """Parts of a scene as a text by which something that depends on them alone is kept."""
+    """Parts of a scene as JSON text: the cache key of a value that depends on these parts alone."""
     return json.dumps(scene.model_dump(include=set(parts), mode="json"), sort_keys=True)
 
 
 @dataclass(frozen=True)
 class Posed:
-    """A problem, and what else its answer is told by.
+    """A problem, with everything else that is needed to solve it and to report its answer.
 
     Attributes
     ----------
-    problem : what a command has to meet; of a nonlinear plant that of the plant at rest.
+    problem : objective and limits of the command; for a nonlinear plant those of the plant linearised at rest.
     speed_m_s, grip_N, target : where the entry stands in a library; speed and grip are 0 for a named target.
     place : normal and posture of an arm, by number from 1; None for any other plant.
     objective : "waveform" minimises J, "intensity" asks for the energy of the tap too.
-    coil : of the motor, for the replay; None where nothing is known of it.
-    steady_input : what the actuator stands for ever [A or V], at which the other methods are looked at.
+    coil : the motor's coil, for the replay; None where it is not known.
+    steady_input : largest plant input that the actuator bears continuously [A or V], a limit of the baselines.
     repeatability : trial-to-mean error of its recordings; NaN if unknown.
-    told : the target against which errors are told; None for what the problem tracks.
+    told : the target against which errors are reported; None for the target that the problem tracks.
     plant : the nonlinear plant; None for a linear one.
-    warmer : the answer of which this one may make `cool_share` of the heat; None where the heat is left to J.
+    warmer : an answer; this one may make at most `cool_share` of its heat. None without such a bound.
     """
 
     problem: TransientProblem
@@ -90,8 +90,8 @@ class Context:
     Parameters
     ----------
     scene : whose entries are posed.
-    references : of its recordings or named targets, or what makes them when they are first asked for.
-    stages : in which stage models are kept; contexts of varied scenes may share one.
+    references : those of the scene's recordings or named targets, or a function that computes them on first use.
+    stages : the cache of stage models; contexts of varied scenes may share one.
     """
 
     def __init__(
@@ -107,18 +107,18 @@ class Context:
 
     @classmethod
     def recorded(cls, scene: Scene, recordings: Sequence[Recording]) -> "Context":
-        """The context of a scene with its recordings.
+        """Create the context of a scene with its recordings; references are computed on first use.
 
         Raises
         ------
-        InputError : recordings that cannot serve, when the references are first asked for.
+        InputError : recordings that cannot be used; raised when the references are first used.
         """
         return cls(scene, lambda: references_of(scene, recordings))
 
     def varied(self, scene: Scene) -> "Context":
-        """Give a scene with other numbers these references and the devices that are kept.
+        """Create the context of a scene with other numbers; it shares these references and the cached devices.
 
-        On another time axis the references are sampled again.
+        If its time axis differs, the references are resampled.
         """
         if scene.time_grid() == self.scene.time_grid():
             return Context(scene, lambda: self.references, self.stages)
@@ -131,7 +131,7 @@ class Context:
         return References() if given is None else given
 
     def reference(self, speed_m_s: float, grip_N: float, target: str = "") -> Reference:
-        """The reference of a speed and a grip, blended between those recorded, or of a named target."""
+        """The reference of a named target, or of a speed and a grip, interpolated between the recorded ones."""
         if target:
             return self.references.named(target)
         return self._between.get(repr((speed_m_s, grip_N)), lambda: self.references.at(speed_m_s, grip_N))
@@ -149,18 +149,18 @@ class Context:
 
     @cached_property
     def posing(self) -> Posing:
-        """What the problems of all taps of the scene share, limits of a user's own evaluated."""
+        """The part of the problem that all taps of the scene share, with user-defined limits evaluated."""
         return with_laws(self._linear.posing())
 
     @cached_property
     def yardstick(self) -> Yardstick:
-        """How the entries of the scene are compared with the recorded taps."""
+        """The error measures by which the scene's entries are compared with the recorded taps."""
         grid, named = self.posing.grid, bool(self.scene.targets)
         return Yardstick(grid, grid.end_s if named else self.posing.intention_s, named)
 
     @cached_property
     def _linear(self) -> Scene:
-        """The scene with its plant as it is at rest, by which a nonlinear one is posed."""
+        """The scene with its plant linearised at rest; problems of a nonlinear plant are posed with it."""
         return self.scene.at_rest() if self.scene.nonlinear else self.scene
 
     @cached_property
@@ -170,15 +170,15 @@ class Context:
 
     @cached_property
     def _coil(self) -> CoilModel | None:
-        """Coil of the motor, the same object for all entries."""
+        """The motor's coil, one object shared by all entries."""
         return self.scene.coil()
 
     def stage(self, grip_N: float, place: Spot = None) -> StageModel:
-        """The device of one grip, and of an arm at one place, as the scene's problem needs it."""
+        """The stage model of one grip and, for an arm, of one place."""
         return self._device(grip_N, place)[0]
 
     def spread(self, grip_N: float) -> tuple[StageModel, ...]:
-        """Further devices that the commands of one grip shall serve."""
+        """Stage models of the spread: further devices for which the commands of one grip are designed as well."""
         return self._device(grip_N, None)[1]
 
     def _device(self, grip_N: float, place: Spot) -> tuple[StageModel, tuple[StageModel, ...]]:
@@ -195,16 +195,16 @@ class Context:
         return self.stages.get(key, lambda: posing.stage(of.plant(grip_N, place)))
 
     def posed(self, speed_m_s: float, grip_N: float, target: str = "", place: Spot = None) -> Posed:
-        """One entry of the scene.
+        """Pose the problem of one entry of the scene.
 
         Raises
         ------
-        InputError : numbers that make no problem, recordings that cannot serve.
+        InputError : numbers that define no valid problem, recordings that cannot be used.
         """
         return self.posed_as(self.reference(speed_m_s, grip_N, target), grip_N, place)
 
     def posed_as(self, reference: Reference, grip_N: float, place: Spot = None) -> Posed:
-        """The entry of a device that a reference asks for."""
+        """Pose the problem of tracking a reference with the device of one grip."""
         scene, device = self.scene, self._device(grip_N, place)
         problem = self.posing.problem(wanted_of(reference), *device)
         return Posed(
@@ -222,7 +222,7 @@ class Context:
 
 
 def wanted_of(reference: Reference) -> Wanted:
-    """What a reference asks of the device, and the nominal motion under it."""
+    """The acceleration that a reference asks for, and the nominal motion on which it is superposed."""
     return Wanted(
         reference.speed_m_s,
         reference.target,

@@ -1,8 +1,8 @@
-"""The cool command of an entry: the optimum at a stated share of the first one's heat, found by a price on heat.
+"""The cool command of an entry: the optimum with a stated share of the first command's heat, by a price on heat.
 
-J + price sum i^2 is convex, and its minimiser is the best tap of all those with no more heat than it makes itself:
-for any admissible command with as little heat J is no smaller, up to the certified gap. The heat falls as the price
-rises. All that is searched for is therefore one number, as for intensity.
+J + price sum i^2 is convex. Its minimiser has the smallest J of all admissible commands that make no more heat than
+it does, up to the certified gap. The heat falls as the price rises, so the search is for one scalar, the price, as it
+is for intensity.
 """
 
 from dataclasses import dataclass, replace
@@ -15,16 +15,16 @@ from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.side_by_side import Search
 
-CLOSE = 2e-3  # relative, between the heat that is asked for and the heat attained: less than a coil's estimate knows
+CLOSE = 2e-3  # relative tolerance of the heat attained; a coil's heat is not known more accurately
 MOST_PROBLEMS = 24
-FIRST = 0.1  # of the objective of rest, that all of the first command's heat costs at the first price
-FARTHEST = 30.0  # by which a price is multiplied before one is known that leaves too little heat
-INSET = 0.05  # of a bracket, which the next price stays away from its ends
+FIRST = 0.1  # cost of the first command's heat at the first price, relative to the objective of zero command
+FARTHEST = 30.0  # factor by which the price grows until a price with little enough heat is known
+INSET = 0.05  # share of the bracket by which the next price keeps away from its ends
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """A price that was solved for [1/A^2], with the logarithm of the heat that its optimum makes."""
+    """A price [1/A^2] whose problem was solved, its optimum, and the logarithm of the heat that this makes."""
 
     price: float
     log_heat: float
@@ -32,25 +32,25 @@ class _Tried:
 
 
 def heat_of(designed: Designed) -> float:
-    """Sum of i^2 over the window of an answer [A^2]."""
+    """Sum of i^2 over the window [A^2] for an answer."""
     current = designed.effect.motion.plant_input
     return float(current @ current)
 
 
 def at_share_of_heat(posed: Posed, first: Designed, share: float, options: SolverOptions) -> Search[Designed]:
-    """Search for the optimum with no more than a share of the heat of the first answer.
+    """Search for the optimum with at most a given share of the first answer's heat.
 
     Parameters
     ----------
-    posed : the problem of the first answer; a price on heat that it has already is where the search begins.
+    posed : the problem of the first answer; the search starts at the price on heat that it already has, if any.
     first : its optimum.
-    share : of the heat, between 0 and 1.
+    share : allowed heat relative to that of `first`, between 0 and 1.
 
     Returns
     -------
-    The optimum at the price that was found, whose heat is within 0.2 % of what is asked for. Where a hand-over to a
-    wall asks for more heat than that, it is the optimum with the least heat that was found. Where the first answer
-    makes no heat or is not proven, it is the first answer.
+    The optimum at the price that was found; its heat is within 0.2 % of the allowed heat. If the hand-over to a wall
+    needs more heat than allowed, it is the optimum with the least heat found. If `first` makes no heat or is not
+    proven, it is `first` itself.
     """
     whole = heat_of(first)
     if not (first.is_proven and whole > 0):
@@ -83,7 +83,8 @@ def _next(warm: _Tried, cold: _Tried | None, wanted: float) -> float:
     """The price to try next, between one that leaves too much heat and one that leaves too little."""
     if cold is None:
         return warm.price * FARTHEST
-    # From a warm end without a price on, the logarithm of the heat is taken to fall in proportion to the price.
+    # Interpolate the logarithm of the heat linearly: in the price where the warm end has price 0, otherwise in the
+    # logarithm of the price.
     place = float(np.clip((warm.log_heat - wanted) / (warm.log_heat - cold.log_heat), INSET, 1 - INSET))
     if warm.price == 0:
         return cold.price * place

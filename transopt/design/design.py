@@ -1,4 +1,4 @@
-"""The one way from a problem to an entry: solve, prove, replay, admit."""
+"""The single path from a problem to an entry: solve, certify, replay, admit."""
 
 from collections.abc import Callable, Sequence
 
@@ -21,19 +21,19 @@ def design(
     options: SolverOptions | None = None,
     failed: Callable[[Posed, Exception], None] | None = None,
 ) -> list[Entry]:
-    """Design entries: each solved and proven; replayed, admitted and told when they are first read.
+    """Solve and certify problems; replay and admission of the entries are computed when first read.
 
-    Problems of equal sizes are solved side by side, and those of the same device are replayed by one simulation. What
-    only some readers ask of an entry, as its prices or the errors of the other methods, is made when it is read
+    Problems of equal sizes are solved side by side, and answers of the same device are replayed in one simulation.
+    Results that only some readers need, such as prices or the errors of the baselines, are computed on first access
     (`transopt.design.entry`).
 
     Parameters
     ----------
     problems : in any order.
-    rivals : whether the errors of the other methods are going to be read of all, which then share the simulation.
+    rivals : whether the baselines' errors will be read for all entries; the baselines then share the simulation.
     options : solver and its tolerance.
-    failed : told of a problem whose solution ended in an exception; its entry is then left out. Without it the
-        exception is raised.
+    failed : called with a problem whose solution raised an exception, and with the exception; its entry is then left
+        out. Without `failed` the exception is raised.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def _solved(
             return (yield from at_share_of_heat(posed, posed.warmer, posed.cool_share, options))
         if posed.plant is None:
             return (yield from best(posed.problem, options, objective=posed.objective))
-        # IPOPT is loaded for a nonlinear plant alone.
+        # Imported here, so that IPOPT is loaded only for a nonlinear plant.
         from transopt.design.nonlinear import nonlinear_optimum
 
         return nonlinear_optimum(posed, options)
@@ -78,7 +78,7 @@ def _solved(
 
 
 def _played_with(posed: Posed, designed: Designed) -> tuple[object, ...]:
-    """What answers must have in common to be replayed together."""
+    """The key of a batch: answers with equal keys can be replayed in one simulation."""
     problem = designed.problem
     return (
         *map(id, (problem.stage, *problem.spread)),

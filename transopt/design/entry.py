@@ -1,4 +1,4 @@
-"""An entry: the answer for one tap or named target, with everything that is said about it."""
+"""An entry: the answer for one tap or named target, with every result derived from it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -43,16 +43,17 @@ ADMITTED = (Status.OPTIMAL, Status.STATIONARY)
 
 @dataclass(frozen=True)
 class SpreadErrors:
-    """Errors of a robust entry over its devices: of the design for the node alone, and of its own.
+    """Errors of a robust entry over its devices: those of the nominal design and those of the robust one.
 
-    Each is the root of what a device loses in J (`Tracking.losses`), so that what comes after the window, or after
-    the end of a target, counts as much as the scene has it count.
+    The nominal design is the optimum for the node's own device alone. An error is the square root of a device's loss
+    in J (`Tracking.losses`). It therefore includes the motion after the window, or after the end of a target, with
+    the weight that the scene gives it.
 
     Attributes
     ----------
-    nominal, robust : of the entry's own device, for which the nominal design was made.
-    nominal_rms, robust_rms : root of the mean square over the devices; a robust design minimises this or the worst.
-    nominal_worst, robust_worst : the largest over the devices.
+    nominal, robust : error on the entry's own device.
+    nominal_rms, robust_rms : root mean square over the devices; a robust design minimises this or the worst.
+    nominal_worst, robust_worst : the largest error over the devices.
     """
 
     nominal: float
@@ -65,19 +66,19 @@ class SpreadErrors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Entry(Answered):
-    """One (speed, grip) or named target of a scene, and everything that is said about it.
+    """The answer for one (speed, grip) or named target of a scene, with every result derived from it.
 
-    What is said is made when it is first read and then kept: the replay with those of the other answers of the same
-    device, and what only some readers ask for, as prices, alone.
+    Derived results are computed on first access and cached. The replay is computed together with those of the other
+    answers of the same device; results that only some readers need, such as prices, for this entry alone.
 
     Attributes
     ----------
-    speed_m_s, grip_N : that it is for; 0 where it is for a named target.
-    target : its name; empty for a tap.
+    speed_m_s, grip_N : speed and grip of the tap; 0 for a named target.
+    target : name of the target; empty for a tap.
     designed : the answer with its proof.
-    batch : the answers of the same device, which are replayed together. index : of this one among them.
+    batch : the answers of the same device, which are replayed together. index : of this answer among them.
     repeatability : trial-to-mean error of the recordings; NaN if unknown.
-    options : by which further optima are solved.
+    options : solver options for further optima, such as those behind the prices.
     objective : "waveform" or "intensity", as the scene asks.
     spot : normal and posture of an arm, by number from 1; None for any other plant.
     """
@@ -94,7 +95,7 @@ class Entry(Answered):
     spot: Spot = None
 
     def stating(self, **values: Any) -> "Entry":
-        """Give the entry again with some of what is said of it stated, by name, in place of being made."""
+        """Return a copy in which the named results have the given values, instead of being computed on access."""
         named = {field.name for field in fields(self)}
         found = replace(self, **{name: value for name, value in values.items() if name in named})
         made = {name: value for name, value in vars(self).items() if name not in named} | values
@@ -102,9 +103,9 @@ class Entry(Answered):
         return found
 
     def let_go(self) -> None:
-        """Drop the courses that the search and the certificate worked with; whoever asks for one makes it again.
+        """Free the trajectories cached by the search and the certificate; they are recomputed when read again.
 
-        What is told of the entry is made first: admission and binding limits look at most of them.
+        Admission and binding limits are computed first, since they read most of these trajectories.
         """
         _ = self.admitted and self.binding
         problem, effect = self.problem, self.designed.effect
@@ -119,17 +120,17 @@ class Entry(Answered):
 
     @cached_property
     def played(self) -> Replay:
-        """The command in continuous time."""
+        """Continuous-time replay of the command."""
         return self.batch.replays[self.index]
 
     @cached_property
     def baselines(self) -> Baselines:
-        """Errors of the two other methods."""
+        """Replayed figures of the two baseline methods."""
         return self.batch.rivals[self.index]
 
     @cached_property
     def told(self) -> Target:
-        """Target against which errors are told, where refinement asks the device for another one."""
+        """Target against which errors are reported; a refinement lets the problem track a corrected one."""
         return self.batch.told[self.index]
 
     @cached_property
@@ -139,7 +140,7 @@ class Entry(Answered):
             return self.designed.floor
         free = self.designed.unlimited_command
         if self.problem.intensity > 0:
-            # A price on intensity moves that optimum; the floor is that of the waveform alone.
+            # The floor is defined by the waveform alone; a price on intensity would shift the unlimited optimum.
             free = unlimited.solve([self.problem.without_intensity()])[0].command
         return self.problem.yardstick.tap_error(self.told, self.problem.stage.rollout(free)[0])
 
@@ -154,22 +155,22 @@ class Entry(Answered):
 
     @cached_property
     def status(self) -> Status:
-        """How it ended; an entry of a library is OPTIMAL, or on a nonlinear plant STATIONARY."""
+        """How the design ended; an entry of a library is OPTIMAL, or on a nonlinear plant STATIONARY."""
         return self._admission[0]
 
     @cached_property
     def shortfalls(self) -> list[str]:
-        """What speaks against it, one sentence each; empty where it is admitted."""
+        """Reasons against admission, one sentence each; empty for an admitted entry."""
         return self._admission[1]
 
     @property
     def admitted(self) -> bool:
-        """Whether it may stand in a library."""
+        """Whether the entry may be part of a library."""
         return self.status in ADMITTED
 
     @cached_property
     def prices(self) -> list[Price]:
-        """What each limit that binds costs, the dearest first; each is two to four optima more."""
+        """What each binding limit costs, the most expensive first; each price takes two to four further optima."""
         designed = self.designed
         if self.status is not Status.OPTIMAL:
             return []
@@ -188,14 +189,14 @@ class Entry(Answered):
         """Errors over the spread of devices; None for an entry designed for one device, or refused."""
         if not self.problem.spread or self.status is not Status.OPTIMAL:
             return None
-        # Made for the node alone, and asked for the same.
+        # The nominal problem: the same objective for the node's own device alone.
         with one_blas_thread():
             nominal = alone(best(self.problem.alone(), self.options, objective=self.objective)).solution.command
         return _spread_errors(self.problem, nominal, self.solution.command)
 
     @cached_property
     def remedies(self) -> tuple[Remedy, ...]:
-        """What would do for a refused entry, or what was tried; empty unless a build has looked for it."""
+        """Changes that make a refused entry possible, or those tried in vain; empty unless a build searched them."""
         return ()
 
     @cached_property
@@ -205,36 +206,36 @@ class Entry(Answered):
 
     @property
     def linear_tap_error(self) -> float:
-        """Tap error of that command on the nonlinear plant; NaN for a linear plant, and without a finite motion."""
+        """Tap error of `linear_command` on the nonlinear plant; NaN for a linear plant or if the motion diverges."""
         played = self.linear_played
         error = NAN if played is None else played.figures.tap_error
         return error if np.isfinite(error) else NAN
 
     @cached_property
     def linear_leaves(self) -> list[str]:
-        """Limits that the linear design leaves on the nonlinear plant, one sentence each."""
+        """Limits that the linear design violates on the nonlinear plant, one sentence each."""
         played = self.linear_played
         return [] if played is None else [x.replayed(played.peak(x)) for x in self.problem.limits if played.leaves(x)]
 
     @property
     def off_replay(self) -> float:
-        """Largest difference of the predicted y'' to the replay's, relative to its peak: the stage's own error."""
+        """Largest difference of predicted and replayed y'', relative to its peak: the stage model's own error."""
         off = float(np.abs(self.predicted_m_s2 - self.played.acceleration_m_s2).max())
         return off / max(self.played.scale_m_s2, float(np.finfo(float).tiny))
 
     @property
     def attained(self) -> Attained | None:
-        """What was found of the energy that was asked for; None where the scene asks for none."""
+        """The energy attained beside the energy asked for; None where the scene asks for none."""
         return self.designed.attained
 
     @property
     def solved(self) -> TransientProblem | None:
-        """The problem that a program was made of; None where one linear solve was enough."""
+        """The reduced problem that was solved as a program; None where one linear solve was enough."""
         return self.designed.solved
 
     @cached_property
     def left_out(self) -> dict[str, str]:
-        """Part of the problem -> why it is not in it."""
+        """Part that was left out of the solved problem -> the reason."""
         return {**not_asked_for(self.problem, self.grip_N), **self.designed.left_out}
 
     def __repr__(self) -> str:
@@ -250,17 +251,17 @@ class Entry(Answered):
 
     @property
     def place(self) -> str:
-        """Which entry it is, in a sentence."""
+        """Speed and grip, or target, as text."""
         return self._axes.place(0, 0)
 
     @property
     def device(self) -> str:
-        """Which device it is for, in a sentence."""
+        """The entry's device as text."""
         return self._axes.device(0)
 
     @property
     def cells(self) -> list[str]:
-        """Which entry it is, in the columns of a table (`Axes.columns`)."""
+        """Speed and grip, or target, as the cells of a table row (`Axes.columns`)."""
         return self._axes.cells(0, 0)
 
     @property
@@ -274,7 +275,7 @@ class Entry(Answered):
         return Axes((self.speed_m_s,), (self.grip_N,), targets, () if self.spot is None else (self.spot,))
 
     def value(self, column: str) -> Any:
-        """What the entry has in a column of `transopt.library.columns.COLUMNS`."""
+        """The entry's value in a column of `transopt.library.columns.COLUMNS`."""
         stored = COLUMNS[column].array
         if column in OF_DIRECTIONS and not self.problem.directions:
             return NAN
@@ -287,7 +288,7 @@ class Entry(Answered):
 
     @property
     def refusal(self) -> str:
-        """Why it is refused, in the words of its status; empty for an entry that is admitted."""
+        """The status message of a refused entry; empty for an admitted one."""
         return "" if self.admitted else self.status.value
 
     def _repr_html_(self) -> str:
@@ -314,20 +315,20 @@ class Entry(Answered):
 
     @property
     def made_m_s2(self) -> FloatArray:
-        """(N,) y'' by which figures are told, that of the replay."""
+        """(N,) replayed y'', from which the figures are computed."""
         return self.played.acceleration_m_s2
 
     @property
     def figures(self) -> Figures:
-        """How near the played tap comes to the recorded one."""
+        """Figures of the replay: how near the played tap comes to the recorded one."""
         return self.played.figures
 
     @property
     def slopes(self) -> dict[str, float]:
-        """Limit that binds -> by how much J falls per unit by which it is raised, from the multipliers alone.
+        """Name of each binding limit -> decrease of J per unit by which the limit is raised, from the multipliers.
 
-        It is the slope at the limit as it stands. What a step buys is less, since the slope flattens on the way: see
-        `prices`, which are solved for.
+        This is the derivative at the present limit. A finite step gains less, since the slope flattens along it;
+        `prices` are computed by solving the problem with the raised limit.
         """
         if self.problem.reference_is_zero:
             return {}
@@ -352,21 +353,24 @@ class Entry(Answered):
 
     @property
     def verdict(self) -> str:
-        """How good it is, see `transopt.problem.answer.verdict`; the floor of a plant at rest measures no other."""
+        """How good the entry is (`transopt.problem.answer.verdict`).
+
+        On a nonlinear plant the floor is not used: it is that of the plant linearised at rest.
+        """
         if not self.admitted:
             return "refused"
         if self.problem.reference_is_zero:
             return "zero reference"
         floor = self.floor if self.designed.nonlinear is None else NAN
         named = bool(self.target)
-        # No motor of several pulls by itself.
+        # One motor's negative input means that the surface pulls; with several motors it does not.
         least = None if self.problem.stage.motors > 1 else (float(self.plant_input.min()), self.unit)
         return verdict(
             self.figures, floor, self.repeatability, self.levels, self.binding, named=named, least_input=least
         )
 
 
-# What an entry has in the columns of `transopt.library.columns.COLUMNS` that no file holds.
+# Values of the columns of `transopt.library.columns.COLUMNS` that are not stored in a library file.
 VALUES: dict[str, Callable[[Entry], Any]] = {
     "linear": lambda entry: PAIR if entry.linear_played is None else (entry.linear_promised, entry.linear_tap_error),
     "linear_after": lambda entry: NAN if entry.linear_played is None else entry.linear_played.figures.error_after,
@@ -382,7 +386,7 @@ VALUES: dict[str, Callable[[Entry], Any]] = {
 def not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:
     """Parts that the scene of a problem does not ask for, each with the reason."""
     stage = problem.stage
-    # A black box has no position, and the state of its other grip that a node does not need is none.
+    # A black-box model has no position output (Ce = 0); its idle states are not those of a position.
     idle = stage.idle_states if stage.plant.Ce.any() else 0
     parts = {
         "feedback": (problem.wall is None, "the scene has no wall"),
@@ -408,7 +412,7 @@ def not_asked_for(problem: TransientProblem, grip_N: float) -> dict[str, str]:
 
 
 def _spread_errors(problem: TransientProblem, nominal: FloatArray, command: FloatArray) -> SpreadErrors | None:
-    """Over the devices of a robust entry, of its command and of the command designed for the node alone."""
+    """Errors over a robust entry's devices, for its command and for the nominal command; None without a spread."""
     if not problem.spread:
         return None
     own, robust = (np.sqrt(problem.tracking.losses(problem.accelerations(c))) for c in (nominal, command))

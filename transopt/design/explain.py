@@ -1,8 +1,8 @@
-"""Why an entry is refused: which limit, by how much, when; and what would do, in numbers of its scene.
+"""Why an entry is refused: which limit is missed, by how much and when; and the type of a remedy.
 
-What is said to be missed "at the least" comes from linear programs or from a bisection, and is no proposal: at the
-least width a single command is feasible, which no method finds and no replay keeps. What would do is found by solving
-the entry again (`transopt.design.remedy`), and its type stands here.
+The excess stated "at the least" comes from linear programs or from bisection, and is not a proposal: at that least
+width only a single command is feasible, which solvers miss and whose replay exceeds the limit. Remedies are found by
+solving the entry again with other numbers (`transopt.design.remedy`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,21 +20,21 @@ from transopt.solvers import unlimited
 from transopt.solvers.choose import capable, solve
 from transopt.solvers.options import SolverOptions
 
-WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
+WIDEST = 64.0  # largest factor by which one limit is widened; more would not be a sensible remedy
 MOST_ITERATIONS = 100
-MOST_SOLVERS = 2  # asked whether a limit can be met
-PRECISION = 0.005  # relative, of the least width of a limit
+MOST_SOLVERS = 2  # number of solvers tried on the question whether a limit can be met
+PRECISION = 0.005  # relative accuracy to which a limit's least width is found
 
 
 @dataclass(frozen=True)
 class Change:
-    """Another number in a scene.
+    """A change of one number of a scene.
 
     Attributes
     ----------
-    key : dotted, of the scene; a whole table where that is left out.
-    value : None for leaving it out.
-    unit : of the value.
+    key : dotted key in the scene; the key of a whole table if the table is removed.
+    value : the new number; None removes the key.
+    unit : unit of the value.
     """
 
     key: str
@@ -47,13 +47,13 @@ class Change:
 
 @dataclass(frozen=True)
 class Remedy:
-    """Numbers that together make an entry possible, or were tried for that.
+    """Changes that together make a refused entry possible, or that were tried in vain.
 
     Attributes
     ----------
-    changes : at least one.
-    solved : whether the entry with exactly these was solved, certified and replayed clean; if not, they are the
-        farthest that was tried.
+    changes : at least one change.
+    solved : whether the entry with exactly these changes was solved, certified and replayed without a violation; if
+        not, they are the largest changes that were tried.
     """
 
     changes: tuple[Change, ...]
@@ -69,7 +69,7 @@ class Remedy:
 
 
 def what_would_do(remedies: Sequence[Remedy]) -> str:
-    """The remedies that were solved or, without one, what was tried in vain, in one sentence; empty without any."""
+    """One sentence on the solved remedies or, if there are none, on those tried in vain; empty without any."""
     solved = [str(remedy) for remedy in remedies if remedy.solved]
     if solved:
         return f"{', or '.join(solved)} would do"
@@ -78,12 +78,12 @@ def what_would_do(remedies: Sequence[Remedy]) -> str:
 
 
 def unavoidable(problem: TransientProblem) -> list[str]:
-    """Limits that are missed whatever is commanded: known without a solve."""
+    """Sentences on limits that every command violates, as far as this is known without a solve."""
     return [said for limit in reversed(problem.limits.members) if (said := limit.unavoidable(problem))]
 
 
 def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:
-    """A command inside all limits, optimal or not, from the first solver that finds one or says there is none."""
+    """A feasible command, optimal or not; None if a solver proves infeasibility or no solver finds one."""
     briefly = replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS))
     for name in islice(capable(problem), MOST_SOLVERS):
         answer = solve(problem, replace(briefly, solver=name))
@@ -95,13 +95,14 @@ def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray |
 
 
 def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str]:
-    """One sentence for each limit whose widening alone would help or, if none would, for all of them together.
+    """Explain infeasibility: a sentence for each limit whose widening alone makes the problem feasible.
 
-    Empty if even that is not enough. What the linear limits lack is found by linear programs; only where they can be
-    met it is the temperature, whose least limit is found by bisection. The command that just meets the wider limit
-    tells by how much and when the stated one is missed.
+    If no single limit suffices, all linear limits are widened together; the result is empty if even that is not
+    enough. The least widening of linear limits is found by linear programs. Only if the linear limits can all be met
+    is the nonlinear one (the temperature) to blame; its least widening is found by bisection. The command that just
+    meets the widened limit shows by how much and when the stated limit is missed.
     """
-    # The linear program is stated in CasADi, which only a problem without a feasible point needs.
+    # Imported here, since it loads a library that only an infeasible problem needs.
     from transopt.solvers.feasibility import least_widening
 
     linear = [limit for limit in reversed(problem.limits.members) if limit.linear]
@@ -128,9 +129,9 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
 
 
 def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverOptions) -> list[str]:
-    """Ask a solver to prove that no command keeps all linear limits, where the linear program has found nothing.
+    """Let a solver prove the linear limits infeasible, where the linear program has found no widening.
 
-    What the optimum without any limit takes tells how far it is from them.
+    The sentence compares the limits with the peaks of the unlimited optimum. Empty without a proof.
     """
     if solve(problem.without(*problem.nonlinear), options).status is not Status.INFEASIBLE:
         return []
@@ -149,7 +150,7 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
 
 
 def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> FloatArray | None:
-    """A command that meets all limits at the least factor, to `PRECISION`, at which one does; None if none does."""
+    """A feasible command at the least feasible widening factor, to within `PRECISION`; None beyond `WIDEST`."""
     command = _feasible(widen(WIDEST), options)
     if command is None:
         return None
@@ -165,7 +166,7 @@ def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -
 
 
 def _worst(problem: TransientProblem, limit: Limit, command: FloatArray) -> tuple[Box, float]:
-    """The row of a limit that a command leaves farthest, and how far; negative inside."""
+    """The row of a limit with the largest violation by a command, and that violation; negative inside the limit."""
     motion = problem.stage.motion(command)
     of = [box for box in boxes(problem, command, motion, Multipliers.zero(problem)) if box.limit.name == limit.name]
     worst = max(of, key=lambda box: float(box.excess.max()))

@@ -1,15 +1,16 @@
-"""The root search over the price of intensity: the least lam at which an entry has the energy it is asked for.
+"""The root search over the price of intensity: the least lam at which an entry attains the requested energy.
 
-Where limits bind, the nearest waveform is too weak. L = J - lam (energy - what is asked) is a sum of squares for
-every lam below the smallest weight, and its minimiser c(lam) is the global optimum of "J, with at least the energy
-that c(lam) has": no admissible command with as much energy has a smaller J, up to the certified gap of L. Its energy
-grows with lam. So all that is searched for is one number.
+Where limits bind, the waveform nearest to the target is too weak. L = J - lam (energy - requested energy) is a sum of
+squares for every lam below the smallest weight. Its minimiser c(lam) is the global optimum of J subject to at least
+the energy of c(lam): no admissible command with as much energy has a smaller J, up to the certified gap of L. The
+energy grows with lam, so the search is for one scalar.
 
-Without limits c(lam) makes y'' = r / (1 - lam), so that the energy in dB is linear in t = -log(1 - lam). Under limits
-it is bent, but two solved problems tell more than two points of it: by the envelope theorem dJ = lam d(energy) along
-the path, and the J of both give the integral of lam over the energy between them. The parabola t(dB) that has both
-points and this integral is what is followed, inside a bracket that is halved where the parabola comes no nearer (as
-in the projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
+Without limits c(lam) produces y'' = r / (1 - lam), so that the energy in dB is linear in t = -log(1 - lam). Limits
+bend this curve, but two solved problems give more than two points of it: by the envelope theorem dJ = lam d(energy)
+along the path, so the difference of their J is the integral of lam over the energy between them. The search follows
+the parabola t(dB) through both points with this integral. It stays inside a bracket, which is halved where the
+parabola makes too little progress (as in the projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw.
+47, 2020).
 """
 
 from dataclasses import dataclass, replace
@@ -23,20 +24,20 @@ from transopt.proof.designed import Attained, Designed, TOLERANCE_dB
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.side_by_side import Search
 
-MOST = 0.99  # of the smallest tracking weight, and of 1
+MOST = 0.99  # largest lam, relative to the smallest tracking weight and to 1, so that L stays convex
 MOST_PROBLEMS = 14
-FIRST_dB = 4.0  # per unit of t, of the first step: 8.7 without limits, about this where a limit cuts the tap
-SLOW = 0.5  # of what the older of two problems misses: the most that the next one may miss, or the bracket is halved
-INSET = 1e-3  # of a bracket, which a candidate stays away from its ends
-STEEPEST = 0.9  # of the chord's slope: what the parabola's may differ from it at the ends of its interval
+FIRST_dB = 4.0  # assumed dB per unit of t in the first step: 8.7 without limits, about this where a limit binds
+SLOW = 0.5  # the bracket is halved if a step misses by more than this share of the older problem's miss
+INSET = 1e-3  # share of the bracket by which a candidate keeps away from its ends
+STEEPEST = 0.9  # largest deviation of the parabola's slope at its ends from the chord's slope, relative to the latter
 NEWTON = 8
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
-NARROW = 1e-9  # of lam, below which a bracket holds a jump
+NARROW = 1e-9  # width of a bracket in lam below which the energy is taken to jump inside it
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """One lam that was solved for; energy over that of r [dB], and J."""
+    """A lam whose problem was solved: energy relative to that of r [dB], objective J, and the answer."""
 
     lam: float
     energy_dB: float
@@ -49,15 +50,15 @@ class _Tried:
 
 
 def most_price(problem: TransientProblem) -> float:
-    """The largest lam that is tried; 0 where a weight of the last term is zero."""
+    """The largest lam that is tried; 0 where a weight of the last error term is zero."""
     return MOST * min(1.0, float(problem.terms[-1].weights.min()))
 
 
 def intense(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
-    """Search for the optimum with the energy that `problem.intensity_dB` asks for, of those that a price on it finds.
+    """Search for the minimiser of L whose energy is `problem.intensity_dB`.
 
-    Floor, unlimited optimum and its peak stay those of J. The certificate is that of L at the lam that was found;
-    what the search leaves of the energy is stated in dB (`Designed.attained`), never in the gap.
+    Floor, unlimited optimum and its peak stay those of J. The certificate is that of L at the lam found. The search's
+    remaining energy error is stated in dB (`Designed.attained`) and is not part of the gap.
     """
     first = yield from seek(problem.without_intensity(), options)
     if not first.is_proven or problem.reference_is_zero:
@@ -86,7 +87,7 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Search[Designe
 def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -> Search[Designed]:
     """Search for the optimum of a scene's objective: "waveform" minimises J, "intensity" asks for energy too.
 
-    Where the worst of a spread of devices is asked for, that is what is least.
+    Where the scene asks for the worst of a spread of devices, the largest loss over the devices is minimised.
     """
     if problem.worst:
         return least_worst(problem, options)
@@ -101,11 +102,11 @@ def _tried(lam: float, designed: Designed) -> _Tried:
 
 @dataclass
 class _Bracket:
-    """Between what lams the one that is searched for lies.
+    """The interval that contains the lam searched for.
 
     Attributes
     ----------
-    is_open : nothing was found above, so that the upper end is a candidate itself.
+    is_open : whether no upper bound has been found yet; the upper end is then a candidate itself.
     """
 
     low: float
@@ -118,16 +119,16 @@ class _Bracket:
 
     @property
     def halfway(self) -> float:
-        """What tells most where the points known do not: whether there is anything at all, or the middle."""
+        """The candidate that interpolation does not choose: the untried upper end, or else the midpoint."""
         return self.high if self.is_open else 0.5 * (self.low + self.high)
 
     def inside(self, lam: float) -> float:
-        """The nearest lam that is a little away from what has been tried."""
+        """Clip lam to the bracket, a little away from the ends that were tried."""
         inset = INSET * (self.high - self.low)
         return min(max(lam, self.low + inset), self.high if self.is_open else self.high - inset)
 
     def cut(self, lam: float, *, too_weak: bool) -> None:
-        """Take what was found at a lam for the new end."""
+        """Make a lam that was tried the new lower or upper end."""
         if too_weak:
             self.low = lam
         else:
@@ -135,7 +136,7 @@ class _Bracket:
 
 
 def _search(problem: TransientProblem, first: Designed, options: SolverOptions) -> Search[tuple[_Tried, int, float]]:
-    """The lam that was found with its answer, how many problems were solved, and the time of their solvers."""
+    """The lam found with its answer, the number of problems solved, and their total solver time [s]."""
     asked_dB = problem.intensity_dB
 
     def missed_dB(each: _Tried) -> float:
@@ -149,7 +150,7 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
         nearest = sorted(tried, key=missed_dB)[:2]
         lam = bracket.halfway if slow else _next(nearest, asked_dB)
         if not bracket.low < lam < bracket.high:
-            # The two that come nearest lie on one side and point away: the ends of the bracket are what is left.
+            # Extrapolation from the two nearest points leaves the bracket: interpolate between its ends instead.
             ends = [each for each in tried if each.lam in (bracket.low, bracket.high)]
             lam = bracket.halfway if len(ends) < 2 else _next(ends, asked_dB)
         lam = bracket.inside(lam)
@@ -157,7 +158,7 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
         problems += 1
         spent_s += designed.solution.solve_time_s
         if not designed.is_proven:
-            # Nothing is known of the energy there; half way back to what is proven comes next.
+            # The energy at this lam is unknown: treat it as an upper end, and halve the bracket next.
             bracket.cut(lam, too_weak=False)
             slow = True
             continue
@@ -167,26 +168,27 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
             break
         slow = not slow and missed_dB(here) > SLOW * missed_dB(nearest[-1])
         bracket.cut(lam, too_weak=here.energy_dB < asked_dB)
-    # If even the highest lam is too weak it is kept, whatever rounding makes of energies that are alike.
+    # If even the highest lam is too weak, it is the result; near-equal energies could otherwise rank by rounding.
     last = max(tried, key=lambda each: each.lam)
     unreached = last.lam == most_price(problem) and last.energy_dB < asked_dB - TOLERANCE_dB
     return last if unreached else min(tried, key=missed_dB), problems, spent_s
 
 
 def _next(nearest: list[_Tried], asked_dB: float) -> float:
-    """The lam that one problem solved, or two, point to."""
+    """The next lam, extrapolated from one solved problem or interpolated from two."""
     first = nearest[0]
     t = first.t + (asked_dB - first.energy_dB) / FIRST_dB
     if len(nearest) > 1:
         t = _parabola(first, nearest[1], asked_dB)
-    return float(-np.expm1(-max(t, 0.0)))  # a guess beyond the start is as good as none
+    return float(-np.expm1(-max(t, 0.0)))  # t < 0 has no meaning; the bracket then chooses
 
 
 def _parabola(one: _Tried, other: _Tried, at_dB: float) -> float:
-    """t at an energy, by the parabola t(dB) through two points whose integral of lam d(energy) is what their J state.
+    """t at an energy, by the parabola t(dB) through two points.
 
-    With the chord t_c, t = t_c + c (dB - dB_1) (dB - dB_2); c is found by Newton's method and kept so small that t
-    grows over all of the interval.
+    The parabola's integral of lam d(energy) equals the difference of the two J. With the chord t_c it is
+    t = t_c + c (dB - dB_1) (dB - dB_2); Newton's method finds c, which is bounded so that t increases over the whole
+    interval.
     """
     low, high = sorted((one, other), key=lambda each: each.energy_dB)
     width = high.energy_dB - low.energy_dB
@@ -197,7 +199,7 @@ def _parabola(one: _Tried, other: _Tried, at_dB: float) -> float:
     energy = 10 ** (dB / 10)
     weights = 0.5 * width * WEIGHTS * energy * np.log(10) / 10  # of d(energy)
     chord, bow = low.t + slope * (dB - low.energy_dB), (dB - low.energy_dB) * (dB - high.energy_dB)
-    # E holds what is lost too, the energy that is asked for is that of the window.
+    # J is relative to the whole energy of the reference; the requested energy counts its share within the window.
     tracking = low.designed.problem.tracking
     share = float(np.sum(tracking.unit_wanted[-1, : tracking.target.window_m_s2.size] ** 2))
     wanted = (high.objective - low.objective) / share

@@ -1,4 +1,4 @@
-"""Nodes of a grid of speeds and grips, what lies between them, and the weights of linear interpolation there."""
+"""Nodes of a grid of speeds and grips, the points between them, and their weights of linear interpolation."""
 
 import itertools
 from collections.abc import Iterable, Sequence
@@ -10,11 +10,11 @@ from transopt.design.context import Spot
 from transopt.scene.scene import Scene
 
 Point = tuple[float, float]  # speed [m/s], grip [N]
-Interval = tuple[float, float]  # two neighbouring nodes, or one node twice
+Interval = tuple[float, float]  # two neighbouring nodes, or a single node repeated
 
 
 def bracket(nodes: Sequence[float], value: float) -> Interval:
-    """The interval of the nodes that holds a value; a node stands for itself."""
+    """The interval of neighbouring nodes that contains a value; (node, node) for a value that is a node."""
     if value in nodes:
         return value, value
     j = int(np.searchsorted(nodes, value))
@@ -22,12 +22,12 @@ def bracket(nodes: Sequence[float], value: float) -> Interval:
 
 
 def intervals(nodes: Sequence[float]) -> list[Interval]:
-    """Neighbouring nodes; a single one is its own interval."""
+    """All intervals of neighbouring nodes; (node, node) if there is only one node."""
     return list(itertools.pairwise(nodes)) or [(nodes[0], nodes[0])]
 
 
 def middle(interval: Interval) -> float:
-    # Twelve digits: 0.1 and 0.2 have 0.15 between them, not 0.15000000000000002.
+    # Twelve digits, so that the middle of 0.1 and 0.2 is 0.15 and not 0.15000000000000002.
     return float(f"{sum(interval) / 2:.12g}")
 
 
@@ -59,11 +59,11 @@ class Nodes:
         return bracket(self.speeds, point[0]), bracket(self.grips, point[1])
 
     def midpoints(self) -> list[Point]:
-        """Nodes and midpoints of each axis against those of the other."""
+        """The product of both axes' nodes and midpoints."""
         return list(itertools.product(halved(self.speeds), halved(self.grips)))
 
     def quarters(self, excess: dict[Point, float], above: float) -> list[Point]:
-        """Nodes, midpoints and quarter points of every cell that has an excess above a bound at a midpoint."""
+        """Nodes, midpoints and quarter points of every cell whose excess is above a bound at a node or midpoint."""
         points: dict[Point, None] = {}
         for speeds, grips in itertools.product(intervals(self.speeds), intervals(self.grips)):
             halves = itertools.product(halved(speeds), halved(grips))
@@ -78,7 +78,7 @@ class Nodes:
 
 
 def spots(scene: Scene) -> dict[Spot, list[tuple[Spot, float]]]:
-    """Places of an arm's scene and half-way between them -> the scene's own around, and their weights in a blend."""
+    """Places of an arm's scene, and those half-way between -> surrounding places of the scene with blend weights."""
     if not scene.axes.places:
         return {None: [(None, 1.0)]}
     nodes = [sorted(set(numbers)) for numbers in zip(*scene.axes.places, strict=True)]

@@ -1,4 +1,4 @@
-"""The answer on a nonlinear plant, with the linear design's beside it."""
+"""The answer on a nonlinear plant, beside that of the linear design."""
 
 from dataclasses import replace
 
@@ -16,13 +16,13 @@ from transopt.solvers.options import SolverOptions
 
 
 def nonlinear_optimum(posed: Posed, options: SolverOptions) -> Designed:
-    """A stationary point on the nonlinear plant, beside the optimum of the plant as it is at rest.
+    """Find a stationary point on the nonlinear plant, and the optimum for the plant linearised at rest.
 
-    The linear optimum is found first; its command, rolled out, is where IPOPT begins on the nonlinear program.
+    The linear optimum is found first. Its command, rolled out on the nonlinear plant, is IPOPT's starting point.
 
     Parameters
     ----------
-    posed : the problem of the plant at rest, and the nonlinear plant.
+    posed : the problem of the plant linearised at rest, and the nonlinear plant.
     options : tolerance and largest number of iterations of IPOPT; its `solver` is that of the linear design.
 
     Raises
@@ -40,7 +40,7 @@ def nonlinear_optimum(posed: Posed, options: SolverOptions) -> Designed:
     effect = NonlinearEffect(on_plant, np.nan_to_num(found.command))
     proof = certify_nonlinear(on_plant, found.command, found.multipliers, effect=effect)
     if proof.finite:
-        # J is a sum of squares: 0 is a bound from below, and all that is known of one here.
+        # J is a sum of squares, so 0 is a lower bound; no better one is known for a nonconvex program.
         proof = replace(proof, lower_bound=0.0)
     return Designed(
         problem=problem,

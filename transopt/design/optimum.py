@@ -1,4 +1,4 @@
-"""The optimum of one entry: the smallest problem that has it, solved."""
+"""The optimum of one entry, found by solving the smallest problem that has the same optimum."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,23 +24,24 @@ from transopt.solvers.options import SolverOptions
 from transopt.solvers.prove import certificates, certified
 from transopt.solvers.side_by_side import Ask, Search, alone
 
-NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
-KEPT = 1e-3  # of what is tolerated of limits and hand-over: less is rounding
-ROUNDED = 0.2  # of a gap: what the last bits make of it, and no method that computes so gets far below it
-MOST_MASKS = 12  # solves until the wall pushes exactly where it was assumed to
-STEADIER = 1e-3  # weight of the movement, that of a scene which states none, under which a flat J may have an optimum
+NEARLY_PROVEN = 1e-4  # largest relative gap that rounding can cause
+KEPT = 1e-3  # share of the violation tolerance below which the unlimited optimum's violation is rounding
+ROUNDED = 0.2  # share of a gap from which on the command's last bits count as its cause
+MOST_MASKS = 12  # most solves until the assumed ticks of the wall's push agree with those of the answer
+STEADIER = 1e-3  # movement weight under which a flat J may have a certifiable optimum; the default of a scene
 
 
 def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
-    """What `seek` finds for one entry alone."""
+    """Solve one entry alone, by `seek`."""
     return alone(seek(problem, options))
 
 
 def seek(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
-    """Solve one entry, leaving out what it does not need.
+    """Search for the optimum of one entry, leaving out the parts of the problem that it does not need.
 
-    With a wall the ticks at which it pushes are first taken from the reference's motion, then from the answer's,
-    until both agree; if they do not, once more from the motion under the wall alone.
+    A wall pushes only at ticks at which the stylus is below the surface. These ticks are fixed in each solve: first
+    those of the reference's motion, then those of the answer, until both agree. If they never do, the search starts
+    once more from the motion under the wall alone.
     """
     if problem.reference_is_zero:
         return _silent(problem, options)
@@ -53,24 +54,24 @@ def seek(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
             return designed
         first = designed if first is None else first
         if not designed.is_proven and unstable_wall(problem):
-            # The other course meets the same wall: as long a search, and no proof either.
+            # The second start meets the same unstable wall: it would take as long and prove nothing either.
             break
     assert first is not None
     return _explained(first, options)
 
 
 def _courses(problem: TransientProblem) -> Iterator[FloatArray]:
-    """Courses that the encoder may take: after the reference, or as the wall alone lets it."""
+    """Encoder positions to start from: the reference's motion, then the motion under the wall alone."""
     yield reference_course(problem.grid, problem.target.continued_m_s2)
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall overflows; it then presses nowhere
         yield encoder_course(*silence(problem))
 
 
 def _settled(problem: TransientProblem, options: SolverOptions) -> Search[tuple[Designed, bool]]:
-    """The optimum with the wall pressing where its own answer makes it press, and whether that was found.
+    """Fixed-point iteration over the ticks at which the wall presses; the last answer and whether it converged.
 
-    The ticks are taken from the answer again and again; the search ends where they come back to what was tried, and
-    with an answer that is none, for where an arbitrary command makes the wall press says nothing.
+    Each solve takes the ticks of the previous answer. The iteration stops without convergence when a set of ticks
+    repeats, or when an answer is not proven: the ticks of an arbitrary command carry no information.
     """
     spent, tried = 0.0, {_mask(problem)}
     for _ in range(MOST_MASKS):
@@ -90,7 +91,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> Search[tuple[
 
 
 def _explained(designed: Designed, options: SolverOptions) -> Designed:
-    """Add the reason, if there is no answer because no command meets all limits."""
+    """Add the reason why there is no proven optimum: rounding, a flat J, an unstable wall or infeasibility."""
     problem, answer = designed.problem, designed.solution
     if designed.remarks or designed.is_proven or options.brief:
         return designed
@@ -99,11 +100,11 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
     if rounding:
         return replace(designed, solution=replace(answer, status=Status.PRECISION), remarks=[rounding])
     if small.wall is None and inside(small, small.rest):
-        # Doing nothing is a way out, whatever the solver called it.
+        # The zero command is feasible, whatever status the solver reported.
         return _flat(designed, options)
     unstable = unstable_wall(small)
     if unstable:
-        # Feasible or not, an end that has to follow a wall which grows by itself is no end.
+        # Feasible or not, a hand-over to an unstable wall does not end the transient.
         return replace(designed, solution=replace(answer, status=Status.UNSTABLE_WALL), remarks=[unstable])
     remarks = infeasibility(small, options)
     if not remarks:
@@ -114,9 +115,8 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
 def _flat(designed: Designed, options: SolverOptions) -> Designed:
     """Add the reason, if J is too flat for any method that computes in double precision to find its optimum.
 
-    It hardly depends on some movements of the command where the same problem has a certified optimum under a larger
-    weight of the movement. Nor has it one to be found where even the linear system of the problem without limits
-    leaves a gap.
+    J is flat in some directions of the command if the same problem has a certified optimum under a larger weight of
+    the movement. Double precision is also too coarse if even the linear system of the unlimited problem leaves a gap.
     """
     problem, answer = designed.problem, replace(designed.solution, status=Status.PRECISION)
     gap = f"precision: the gap of {designed.certificate.relative_gap:.1e}, limit {Certificate.GAP_TOLERANCE:.0e},"
@@ -134,17 +134,17 @@ def _flat(designed: Designed, options: SolverOptions) -> Designed:
 
 
 def _rounding(problem: TransientProblem, answer: Solution) -> str:
-    """Whether it is rounding that keeps an answer from its proof.
+    """Explain an unproven answer by rounding, in a sentence; empty if rounding is not the cause.
 
-    It is where the same proof succeeds in extended precision, and where the last bits of the answer make a good part
-    of its gap. How far the two proofs lie apart would tell less: their gaps may agree by chance, and whether they do
-    is another matter on every processor.
+    Rounding is the cause if the same proof succeeds in extended precision, or if the last bits of the command account
+    for a good part of the gap. The difference between the gaps in double and extended precision is no criterion: they
+    may agree by chance, differently on each processor.
     """
     double = certify(problem, answer.command, answer.multipliers)
     if not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
         return ""
     extended = double
-    # A wall's filters, and the temperature's recursion, have no other precision.
+    # The wall's filters and the temperature's recursion exist in double precision only.
     if problem.thermal is None and problem.wall is None:
         wide = replace(
             problem,
@@ -157,7 +157,7 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
     rounding = float(np.vdot(by_command, problem.command_bound + np.abs(answer.command)))
     weight = problem.movement.weight
     if weight > 0:
-        # Errors that do not depend on each other are bounded as in `movement_bound`: error j is in j + 1 of the sums.
+        # Independent rounding errors are bounded as in `movement_bound`: error j enters j + 1 of the sums.
         sums = by_command**2 @ np.arange(1, problem.grid.stages + 1)
         rounding = min(rounding, float(np.sum(sums)) / (4 * weight))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
@@ -173,7 +173,7 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
 
 
 def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
-    """A zero reference: no transient at all, over a wall nothing but its feedback, which has to keep the limits."""
+    """The answer for a zero reference: a zero transient; with a wall, its feedback alone has to keep the limits."""
     problem, command = silence(problem)
     answer, effect = replace(solve(problem, options), command=command), Effect(problem, command)
     proof = prove(problem, command, answer.multipliers, options, effect=effect)
@@ -195,13 +195,13 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
 
 
 def _mask(problem: TransientProblem) -> bytes:
-    """Ticks at which the wall pushes, over the hand-over and the tick before it, which the prefilter remembers."""
+    """Ticks at which the wall pushes, as a key: those of the hand-over and one before, stored in the prefilter."""
     assert problem.wall is not None
     return problem.wall.pressing[max(problem.free_stages - 1, 0) :].tobytes()
 
 
 def _hand_over_excess(problem: TransientProblem) -> str:
-    """Whether the wall alone asks for too much when the transient has to end, on the reference's course; or empty."""
+    """A sentence if the wall's feedback at the hand-over, on the reference's motion, exceeds the limit; or empty."""
     wall, limit = problem.wall, problem.limits.input_limit
     if wall is None:
         return ""
@@ -217,14 +217,14 @@ def _hand_over_excess(problem: TransientProblem) -> str:
 
 
 def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
-    """The optimum with the wall's ticks fixed, limits on outputs stated at as many instants as it takes."""
+    """Solve with the wall's ticks fixed, refining the instants at which limits on outputs are stated as needed."""
     designed = yield from _at_its_instants(problem, options)
     spent = designed.solution.solve_time_s
     while not options.brief and (parts := finer(designed)):
         again = yield from _at_its_instants(designed.problem.within(parts), options)
         spent += again.solution.solve_time_s
         if not again.is_proven:
-            # Whether any command keeps the limits is told with the smaller margin.
+            # Infeasibility is judged at the finer instants, whose margin is smaller.
             designed = designed if designed.solution.status is not Status.INFEASIBLE else again
             break
         designed = again
@@ -235,12 +235,12 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Search[Designe
 
 
 def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Search[Designed]:
-    """The optimum with the wall's ticks and the instants of all limits fixed."""
+    """Solve with the wall's ticks and the instants of all limits fixed."""
     reduced = leave_out(problem)
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = yield Ask(unlimited.solve, small)
     effect = yield Ask(effects, (problem, free.command))
-    # An optimum without limits that no method finds has no error that is known.
+    # Without a solved unlimited optimum the floor is unknown.
     floor = problem.tap_error(effect.motion.acceleration_m_s2) if free.status is Status.OPTIMAL else np.nan
     peak = float(np.abs(effect.motion.plant_input).max())
 
@@ -260,7 +260,7 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Searc
         judged = yield Ask(certificates, (effect, free.multipliers))
         free_proof = judged if judged.excess <= KEPT else None
     if free_proof is not None and not free_proof.is_stationary:
-        # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
+        # The compiled pass may lose digits in ill-conditioned problems; the other method may leave a smaller gap.
         other = unlimited.solve_apart(small)
         its_effect = Effect(problem, other.command)
         its_proof = certified(problem, other.command, other.multipliers, effect=its_effect)
@@ -292,7 +292,7 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Searc
             )
             answer = replace(answer, solve_time_s=spent)
             return (yield from designed(answer, cold, [], whole))
-        # What no command can do in the cold, none can with the temperature on top.
+        # A problem that is infeasible without the temperature limit is infeasible with it.
         if answer.status is not Status.INFEASIBLE:
             answer, proof, its_effect = yield Ask(solve_certified, small, (options,))
             spent += answer.solve_time_s
@@ -301,8 +301,8 @@ def _at_its_instants(problem: TransientProblem, options: SolverOptions) -> Searc
     if free_proof is not None and not proven and free_proof.relative_gap <= least_gap:
         answer, proof, its_effect = free, free_proof, effect
     answer, whole = replace(answer, solve_time_s=spent), its_effect.of(problem)
-    # A wall that grows by itself asks for anything: that is its name then. And what can be handed over in the cold is
-    # forbidden by the heat.
+    # Not a hand-over problem: an unstable wall has a status of its own, and if the problem without the temperature
+    # limit has an optimum, the temperature is to blame.
     too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
         return (yield from designed(replace(answer, status=Status.HAND_OVER), small, [too_deep], whole))

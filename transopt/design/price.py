@@ -1,8 +1,8 @@
-"""What the limits that bind cost: the error with a wider one, and from where on it would not bind, both solved.
+"""Prices of binding limits: the tap error with the limit raised by a step, and the bound at which it stops binding.
 
-Nothing here is extrapolated. Multipliers are slopes at the limit as it stands; a step along them promises up to a
-third more than there is to have, since what a wider limit buys falls off on the way. They tell which limits bind, and
-no more.
+Both are found by solving the changed problem, not by extrapolation. Multipliers are derivatives at the present limit.
+A step extrapolated with them promises up to a third more than can be gained, since the gain flattens along the step.
+They only identify the limits that bind.
 """
 
 from dataclasses import dataclass, replace
@@ -25,30 +25,29 @@ from transopt.solvers.prove import certificates
 from transopt.solvers.side_by_side import Ask, Search, together
 from transopt.solvers.unlimited import solve as solve_unlimited
 
-BINDS = 1e-8  # of J: what all of a limit would buy along its multipliers; below, rounding
-AMPLE = (1.5, 6.0, 30.0)  # times what the optimum without limits takes: out of the way
-NEAR = 1e-5  # of a limit: what comes no nearer is not held back by it
-CLEARANCE = 2 * NEAR  # by which it lies above what it shall not hold back
-ASIDE = 1.02  # times what is about enough: near it, and does not bind
-NUDGE = 1e-4  # relative, upwards, where what was taken for enough binds; four times that where it does again
-MOST_GUESSES, MOST_TRIALS = 8, 30  # from the peaks, and in all: the others halve what is left
-STEP_SHARE = 0.25  # of a limit, where the step of its kind is more than there is of it
+BINDS = 1e-8  # a limit binds if its multipliers times its bound exceed this share of J; less is rounding
+AMPLE = (1.5, 6.0, 30.0)  # bounds tried as not binding, in multiples of what the unlimited optimum takes
+NEAR = 1e-5  # share of a limit; a limit does not bind while the distance to it is larger
+CLEARANCE = 2 * NEAR  # distance of a sufficient bound above the peak, as a share of the limit
+ASIDE = 1.02  # factor on the estimate of a sufficient bound: close to it, but not binding
+NUDGE = 1e-4  # relative increase of a bound that was estimated as sufficient but binds; four times that on repetition
+MOST_GUESSES, MOST_TRIALS = 8, 30  # trials from peaks, and trials in all: the others bisect
+STEP_SHARE = 0.25  # largest step relative to the limit, where the step of its kind is larger than the limit
 
 
 @dataclass(frozen=True)
 class Price:
-    """One limit that binds, with the others as they are.
+    """Price of one binding limit, the other limits unchanged.
 
     Attributes
     ----------
-    limit, unit, step_unit : what it is called, its unit, and that of differences.
-    bound : where it stands; for the coil the temperature.
-    tap_error : against the recorded tap over the intention, with the limit there.
-    step, then : by how much it is raised, and the tap error that is then the optimum's; NaN where that is not
-        certified.
-    enough, there : the least bound, to the digits that are printed, at which it does not bind, and the tap error
-        there; NaN where no such answer is certified, infinity and NaN where it still binds at `tried`.
-    tried : the widest bound that was solved for; infinite where the problem without the limit was.
+    limit, unit, step_unit : name of the limit, its unit, and the unit of differences of it.
+    bound : the present bound; for the coil the temperature.
+    tap_error : tap error of the optimum at the present bound, over the time of the intention.
+    step, then : increase of the bound, and tap error of the optimum with it; NaN if that optimum is not certified.
+    enough, there : the least bound, to the printed digits, at which the limit does not bind, and the tap error there;
+        NaN if no such answer is certified, infinity and NaN if the limit still binds at `tried`.
+    tried : the widest bound that was solved for; infinite if the problem was solved without the limit.
     """
 
     limit: str
@@ -64,17 +63,17 @@ class Price:
 
     @property
     def stated(self) -> str:
-        """The limit and where it stands."""
+        """The limit's name and its present bound as text."""
         return f"{self.limit} {_with_unit(f'{self.bound:.8g}', self.unit)}"
 
     @property
     def more(self) -> str:
-        """The step."""
+        """The step as text, with its unit."""
         return _with_unit(f"{self.step:g}", self.step_unit)
 
     @property
     def free_from(self) -> str:
-        """From where on it does not bind, or why that is not known."""
+        """The bound from which on the limit does not bind as text, or why it is not known."""
         if np.isnan(self.enough):
             return "not certified"
         if np.isinf(self.enough):
@@ -95,14 +94,14 @@ class Price:
 
 
 def _with_unit(number: str, unit: str) -> str:
-    """A number with its unit; a limit of a user's own may have none."""
+    """A number with its unit; a user-defined limit may have no unit."""
     return f"{number} {unit}".rstrip()
 
 
 def price_step(limit: Limit) -> float:
-    """Step by which a limit is raised: that of its kind or, if that is more than there is of it, a share.
+    """Step by which a limit is raised: the step of its kind or, if that is too large for the limit, a share of it.
 
-    The share is the largest of 1, 2, 5 times a power of ten that is at most a quarter.
+    That share is the largest number of the form 1, 2 or 5 times a power of ten, up to a quarter of the limit.
     """
     if limit.price_step <= limit.room:
         return limit.price_step
@@ -114,14 +113,14 @@ def price_step(limit: Limit) -> float:
 def binding(
     problem: TransientProblem, command: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
 ) -> dict[str, float]:
-    """Name of every limit that binds -> slope: by how much J falls per unit by which it is raised, to first order.
+    """Name of every binding limit -> slope: decrease of J per unit by which the limit is raised, to first order.
 
-    Multipliers count where the limit is reached. Near a limit that is just not reached a solver leaves some as well,
-    since it knows only their product with the distance.
+    Only multipliers at instants at which the limit is reached count. An interior-point solver also leaves small
+    multipliers where the limit is nearly reached, since it drives only the product of multiplier and slack to zero.
 
     Parameters
     ----------
-    effect : of this command in this problem, where it is known already.
+    effect : the command's effect in this problem, if it is known already.
     """
     found: dict[str, float] = {}
     if multipliers.largest == 0:
@@ -135,7 +134,7 @@ def binding(
 
 
 def _excess(effect: Effect, limit: Limit) -> float:
-    """How far a limit has to be raised for a command to keep it; negative where it is kept."""
+    """Increase of a limit's bound that a command needs to keep the limit; negative if the limit is kept already."""
     of = boxes_of(effect, Multipliers.zero(effect.problem), only=limit.name)
     return max(float(box.excess.max()) for box in of)
 
@@ -146,9 +145,9 @@ class _Answer:
 
     Attributes
     ----------
-    effect : of its command in the problem that has been solved. multipliers : its own.
-    tap_error : against the recorded tap over the intention.
-    binding : of `binding`.
+    effect : effect of its command in the solved problem. multipliers : those of the solved problem.
+    tap_error : against the recorded tap, over the time of the intention.
+    binding : result of `binding`: limit -> slope.
     """
 
     effect: Effect
@@ -158,11 +157,11 @@ class _Answer:
 
 
 def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect) -> Search[_Answer | None]:
-    """Search for the optimum; None where it is not certified, as an entry of a library has to be.
+    """Search for the optimum; None if it is not certified in the way that an entry of a library has to be.
 
     Parameters
     ----------
-    unlimited : about what the optimum without limits does.
+    unlimited : effect of an approximate unlimited optimum; it decides whether the unlimited problem is tried first.
     """
     small = leave_out(problem).problem
     if small.wall is None and small.thermal is None and not small.nonlinear:
@@ -170,7 +169,7 @@ def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect
         answer, proof, effect = found or (yield Ask(solve_certified, small, (options,)))
         certified = answer.status is Status.OPTIMAL and proof.accepted
     else:
-        # The ticks at which the wall pushes are looked for, and whether the temperature binds at all.
+        # `seek` also finds the ticks at which the wall pushes, and drops the temperature limit if it does not bind.
         designed = yield from seek(problem, options)
         small, answer, effect = designed.problem, designed.solution, designed.effect
         bent = any(name != TemperatureLimit.name for name in problem.nonlinear)
@@ -184,13 +183,13 @@ def _solved(problem: TransientProblem, options: SolverOptions, unlimited: Effect
 
 
 def _nearly_inside(effect: Effect) -> bool:
-    """Whether a command keeps all limits of its problem, or little is missing."""
+    """Whether a command keeps all limits of its problem, up to a small excess."""
     of = boxes_of(effect, Multipliers.zero(effect.problem))
     return all(bool((box.excess <= (ASIDE - 1) * box.limit.stated).all()) for box in of)
 
 
 def _without_limits(problem: TransientProblem) -> Search[Certified | None]:
-    """The optimum without limits, where it keeps them all and is proven: one linear solve."""
+    """The unlimited optimum, by one linear solve; None unless it keeps all limits and is proven."""
     answer = yield Ask(solve_unlimited, problem)
     effect = Effect(problem, answer.command)
     if answer.status is not Status.OPTIMAL or not inside(problem, answer.command, effect=effect):
@@ -205,8 +204,8 @@ class _Pricing:
 
     Attributes
     ----------
-    unlimited : what its optimum without limits does.
-    tap_error : of its own optimum.
+    unlimited : effect of the entry's unlimited optimum.
+    tap_error : tap error of the entry's own optimum.
     """
 
     problem: TransientProblem
@@ -224,7 +223,7 @@ class _Pricing:
         if free is not None and limit.name in free.binding:
             enough = np.inf
         elif free is not None:
-            # A limit that does not bind is stated at the switching instants alone.
+            # A limit that does not bind need not be stated between the switching instants.
             plain = replace(self, problem=self.problem.within(dict.fromkeys(self.problem.parts, 1)))
             enough, there = yield from plain._enough(plain.problem.limits[limit.name], free, widest)
         return Price(
@@ -241,16 +240,16 @@ class _Pricing:
         )
 
     def _beyond(self, limit: Limit, answer: _Answer) -> float:
-        """How far this problem's limit would have to be raised for another problem's answer to keep it."""
+        """Increase of this problem's limit that another problem's answer would need to keep it."""
         return _excess(answer.effect.of(self.problem), limit)
 
     def _raised(self, limit: Limit, by: float) -> Search[_Answer | None]:
         return _solved(self.problem.replaced(limit.raised(by)), self.options, self.unlimited)
 
     def _keeps(self, limit: Limit, by: float, without: _Answer) -> Search[bool]:
-        """Whether the optimum without a limit is proven to be that with the limit raised by so much.
+        """Whether the optimum `without` a limit is certified as the optimum with the limit raised by `by`.
 
-        Where the limit is in J as well the two have another J.
+        Always False for a limit that also scales J, since the two problems then have different objectives.
         """
         if limit.scales_movement:
             return False
@@ -259,7 +258,7 @@ class _Pricing:
         return proof.accepted and inside(raised.problem, raised.command, only=limit.name, effect=raised)
 
     def _out_of_the_way(self, limit: Limit) -> Search[tuple[_Answer | None, float]]:
-        """The optimum without a limit, or with one that is so wide that it does not bind, and how wide it was."""
+        """The optimum without a limit, or with a bound so wide that it does not bind, and that bound."""
         if not limit.indispensable:
             return (yield from _solved(self.problem.without(limit.name), self.options, self.unlimited)), np.inf
         needed = limit.stated + max(_excess(self.unlimited, limit), 0.0)
@@ -270,11 +269,11 @@ class _Pricing:
         return answer, ample * needed
 
     def _enough(self, limit: Limit, without: _Answer, widest: float) -> Search[tuple[float, float]]:
-        """The least bound at which a limit does not bind, and the tap error there: solved for, and found not to bind.
+        """The least bound at which a limit does not bind, and the tap error there, confirmed by a solve or a proof.
 
-        What the optimum without the limit takes of it is enough, since any wider one has that same optimum. Only the
-        limit on the current also stands in J, as the unit I of the movement's weight, so that the optimum takes p(I)
-        of it; a weight that goes with 1 / I^2 makes p a straight line over 1 / I^2, whose crossing with I is sought.
+        The peak of the optimum without the limit is enough, since any wider bound has the same optimum. Only the
+        limit I on the current also scales J, as the unit of the movement's weight, so that the peak is a function
+        p(I). A weight proportional to 1 / I^2 makes p about linear in 1 / I^2; the bound is the solution of p(I) = I.
 
         Parameters
         ----------
@@ -325,18 +324,18 @@ def prices(
     *,
     effect: Effect | None = None,
 ) -> list[Price]:
-    """Price of every limit that binds, the dearest first; empty if none does.
+    """Price of every binding limit, the most expensive first; empty if no limit binds.
 
-    Each is two to four further optima: with the limit raised by a step, with it out of the way, and at what is then
-    said to be enough. The others stay as they are. Where the optimum without limits is one of them it is not searched
-    for by a method that has limits, and one that is known already only has to be proven. Where the worst of several
-    devices counts, so do their shares: to first order it falls with the mean by these.
+    Each price takes two to four further optima: with the limit raised by a step, with the limit out of the way, and
+    at the bound that is then estimated as sufficient. The other limits stay unchanged. An optimum that is the
+    unlimited one takes one linear solve, and an optimum that is already known only a proof. If the objective is the
+    worst of several devices, the mean with their present shares is used: to first order the two fall alike.
 
     Parameters
     ----------
-    command, multipliers : (N,) and its multipliers: the certified optimum.
-    unlimited : (N,) the optimum without limits.
-    effect : of the certified optimum in this problem, where it is known already.
+    command, multipliers : the certified optimum, (N,), with its multipliers.
+    unlimited : (N,) the unlimited optimum.
+    effect : effect of the certified optimum in this problem, if it is known already.
     """
     if problem.reference_is_zero:
         return []
@@ -353,7 +352,7 @@ def prices(
 
 
 def library_prices(library: Library, iv: int, ig: int) -> list[Price]:
-    """Prices of an entry of a library file; empty on a nonlinear plant, whose answer is no proven optimum."""
+    """Prices of an entry of a library file; empty on a nonlinear plant, whose answer is not a proven optimum."""
     if library.nonlinear:
         return []
     problem = library.problem(iv, ig)

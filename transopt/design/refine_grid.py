@@ -1,12 +1,16 @@
-"""Nodes added to a library's grid until the blend between them is as good as wanted.
+"""Add nodes to a library's grid until the blend of commands between the nodes meets a tolerance.
 
-A blend of feasible commands is feasible, but it is not the optimum: it is further from the tap, and it is weaker,
-since blending adds what is not in phase. Its excess at (v, F) is the larger of two: the tap error of the
-bilinear blend of the node commands, played through the device of grip F, minus that of the optimum solved exactly
-there; and the share of amplitude that the blend lacks beside that optimum, 1 - 10^(dB / 20) with the energies of both
-within the window through the filter of the scene's rapid term. A tolerance of 0.02 so allows 2 points of error and
-0.18 dB. An optimum of intensity has not the least tap error; its blend is held by the second.
-References between recorded speeds come from `References.at`.
+A blend of feasible commands is feasible, but it is not the optimum. It is further from the tap, and it is weaker,
+since it adds commands that are not in phase. Its excess at (v, F) is the larger of two differences from the optimum
+solved exactly there, both played through the device of grip F:
+
+- the difference of the tap errors;
+- the missing share of amplitude, 1 - 10^(dB / 20), from the energies of both within the window, through the filter of
+  the scene's rapid term.
+
+A tolerance of 0.02 therefore allows 2 percentage points of tap error and 0.18 dB. An optimum of intensity does not
+have the least tap error; its blend is bounded by the second difference. References between recorded speeds come from
+`References.at`.
 """
 
 import itertools
@@ -37,28 +41,28 @@ if TYPE_CHECKING:  # nothing is drawn while a grid is refined
     from matplotlib.figure import Figure
 
 DEFAULT_CAP = 400  # entries
-# A limit that begins to bind kinks the optimum, and the worst point of an interval lies there. Interpolation
-# across a kink at share k of an interval errs by k (1 - k) of its change of slope: at least half of that shows at the
-# midpoint, and at least 0.75 of it at the quarter points. So a point may use up 0.75 of the tolerance, and a cell
-# whose midpoints use up half of that is looked at in quarters.
+# The optimum as a function of speed or grip has a kink where a limit begins to bind; the worst point of an interval
+# lies there. Interpolation across a kink at share k of the interval errs by k (1 - k) times the change of slope. At
+# least half of that error is visible at the midpoint, and at least 0.75 of it at the quarter points. A tested point
+# may therefore use 0.75 of the tolerance, and a cell whose midpoints use half of that is also tested at quarter points.
 MARGIN = 0.75
 CLOSER_LOOK = MARGIN / 2
-TINY = 1e-30  # of an energy, below which nothing is played
-REPLAYED_TOGETHER = 20  # points; bounds the memory of their fine trajectories
+TINY = 1e-30  # smallest energy ratio; keeps the logarithm of a zero blend finite
+REPLAYED_TOGETHER = 20  # points in one simulation; bounds the memory of their fine trajectories
 
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class OffNode:
-    """What a library is worth at one speed and grip, after replay.
+    """Replayed quality of a library's blend at one speed and grip, beside the optimum there.
 
     Attributes
     ----------
     optimum : tap error of the optimum solved exactly there.
-    before, after : tap error of the blend of the recorded grid's commands and of the refined grid's.
-    before_dB, after_dB : energy of both within the window over that of the optimum there, as predicted.
-    spot : normal and posture at which it is worth least, of an arm; None for any other plant.
+    before, after : tap errors of the blends on the recorded and on the refined grid.
+    before_dB, after_dB : predicted energies of both blends within the window, relative to that of the optimum.
+    spot : for an arm, the normal and posture with the largest excess; None for any other plant.
     """
 
     speed_m_s: float
@@ -80,7 +84,7 @@ class OffNode:
 
 
 def lacking(dB: float) -> float:
-    """Share of amplitude that is missing at an energy in dB; negative where there is more."""
+    """Missing share of amplitude at a relative energy in dB; negative where the energy is larger."""
     return 1 - float(10 ** (dB / 20))
 
 
@@ -90,10 +94,11 @@ class Refinement:
 
     Attributes
     ----------
-    tolerance : largest excess wanted, absolute in tap error and as a share of amplitude (0.02: two points, 0.18 dB).
-    recorded, grid : the grid of the scene, and what became of it.
-    points : all that were tried in the cells of the refined grid, nodes among them.
-    shortfall : what is missing and what to do, if the cap came before the tolerance; empty if it is met.
+    tolerance : largest excess allowed, absolute in tap error and as a share of amplitude (0.02: two percentage
+        points, 0.18 dB).
+    recorded, grid : the scene's own grid, and the refined one.
+    points : all points tested in the cells of the refined grid, nodes included.
+    shortfall : what is missing and what to do if the cap was reached first; empty if the tolerance is met.
     """
 
     tolerance: float
@@ -107,7 +112,7 @@ class Refinement:
     __repr__ = brief
 
     def plot(self) -> "Figure":
-        """Excess of the blend over speed and grip, on the grid of the scene and on the refined one.
+        """Plot the excess of the blend over speed and grip, on the grid of the scene and on the refined one.
 
         The figure is matplotlib's; `savefig` writes it to a file.
         """
@@ -121,7 +126,7 @@ class Refinement:
 
     @property
     def is_one_point(self) -> bool:
-        """Whether nothing lies between its nodes."""
+        """Whether the grid is a single node, so that there is nothing to blend."""
         return self.entries == 1 and all(point.spot is None for point in self.points)
 
     @property
@@ -129,7 +134,7 @@ class Refinement:
         return len(self.recorded.speeds_m_s) * len(self.recorded.grips_N)
 
     def off(self, grid: Grid) -> list[OffNode]:
-        """The points without the nodes of one of the grids, where there is nothing to blend, but between places."""
+        """The points at which a grid blends: all but its nodes; for an arm also nodes between places."""
         return [
             p
             for p in self.points
@@ -138,10 +143,10 @@ class Refinement:
 
 
 class Errors:
-    """The excess at any point of any grid; optima and results are kept for re-use.
+    """The excess at any point of any grid; optima and results are cached.
 
-    Of an arm a point is looked at in every place of the scene, and at the end half-way between its normals and
-    postures too, and has the largest excess of all.
+    For an arm the excess of a point is the largest over all places of the scene; the final replay also tests places
+    half-way between its normals and postures.
     """
 
     def __init__(self, context: Context, options: SolverOptions) -> None:
@@ -152,11 +157,16 @@ class Errors:
 
     @property
     def places(self) -> list[Spot]:
-        """Places of the scene; none but None for one motor."""
+        """Places of an arm's scene; [None] for any other plant."""
         return [spot for spot, corners in self._spots.items() if len(corners) == 1]
 
     def optimum(self, point: Point, spot: Spot = None) -> Entry:
-        """Raises InputError where no solver's answer can be proven: an excess over it would mean nothing."""
+        """The optimum at a point.
+
+        Raises
+        ------
+        InputError : no solver's answer can be proven, so that an excess over it would be meaningless.
+        """
         if (point, spot) not in self._optima:
             speed, grip = point
             (found,) = design([self.context.posed(speed, grip, place=spot)], options=self._options)
@@ -172,11 +182,11 @@ class Errors:
 
     @property
     def proofs(self) -> dict[Point, tuple[Status, Certificate]]:
-        """How every optimum so far was found and proven."""
+        """Status and certificate of every optimum solved so far."""
         return {point: (found.solution.status, found.certificate) for (point, _), found in self._optima.items()}
 
     def solve(self, nodes: Nodes, points: Iterable[Point], progress: Callable[[int, int], None]) -> None:
-        """All optima that the excess at some points takes, those of the nodes around them included."""
+        """Solve all optima that the excess at some points depends on, those of the surrounding nodes included."""
         corners = itertools.chain.from_iterable(itertools.product(*nodes.cell(point)) for point in points)
         wanted = itertools.product(dict.fromkeys([*corners, *points]), self.places)
         missing = [each for each in wanted if each not in self._optima]
@@ -196,12 +206,12 @@ class Errors:
         return float(heard @ heard)
 
     def dB(self, point: Point, acceleration_m_s2: FloatArray, spot: Spot = None) -> float:
-        """Energy of (N,) over that of the optimum at a point; 0 where that has none."""
+        """Energy [dB] of an acceleration (N,) relative to that of the optimum at a point; 0 if that one is zero."""
         best = self._energy(self.optimum(point, spot).predicted_m_s2)
         return 10 * float(np.log10(max(self._energy(acceleration_m_s2) / best, TINY))) if best > 0 else 0.0
 
     def blend(self, nodes: Nodes, point: Point, spot: Spot = None) -> FloatArray:
-        """(N,) linear blend of the node commands, as `Library.at` makes it."""
+        """(N,) linear blend of the node commands, equal to that of `Library.at`."""
         by_speed, by_grip = (shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
         blended = np.zeros_like(self.optimum(point, spot).solution.command)
         for (v, a), (F, b), (at, c) in itertools.product(by_speed, by_grip, self._spots[spot]):
@@ -209,7 +219,7 @@ class Errors:
         return blended
 
     def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
-        """Excess of the blends over the optima, by the stage model, which is exact at the instants; kept by cell."""
+        """Excess of the blends over the optima by the stage model, which is exact at the instants; cached by cell."""
         keys = {point: (point, nodes.cell(point)) for point in points}
         missing = [point for point, key in keys.items() if key not in self._excess]
         for spot, (grip, group) in itertools.product(self.places, _by_grip(missing)):
@@ -223,7 +233,7 @@ class Errors:
         return {point: self._excess[key] for point, key in keys.items()}
 
     def replayed(self, points: Sequence[Point], before: Nodes, after: Nodes) -> list[OffNode]:
-        """The final word, by the independent replay: optimum and both blends at every point."""
+        """Optimum and both blends at every point, by the independent replay: the final evidence."""
         found = dict[Point, OffNode]()
         for spot, (grip, group) in itertools.product(self._spots, _by_grip(points)):
             for part in (group[j : j + REPLAYED_TOGETHER] for j in range(0, len(group), REPLAYED_TOGETHER)):
@@ -233,7 +243,7 @@ class Errors:
         return [*found.values()]
 
     def _replayed(self, part: list[Point], grip: float, spot: Spot, before: Nodes, after: Nodes) -> list[OffNode]:
-        """Points of one device: optimum and both blends."""
+        """Replay optimum and both blends at points of one device."""
         entries = [self.optimum(point, spot) for point in part]
         commands = np.stack(
             [
@@ -246,7 +256,7 @@ class Errors:
         if device.motors > 1:
             told = [played.figures for played in replay_several(problems, commands)]
         else:
-            # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
+            # The coil is not simulated: heating is convex, so a blend heats at most as much as the blended heatings.
             wanted = [self.context.reference(*point).target for point in part for _ in range(3)]
             told = replayed_figures(device, self.context.yardstick, commands, wanted)
         moved, _ = device.rollout(commands)
@@ -259,7 +269,7 @@ class Errors:
 
 
 def _by_grip(points: Iterable[Point]) -> list[tuple[float, list[Point]]]:
-    """Points that share a device can be played together."""
+    """Points grouped by grip: those of one grip share a device and can be simulated together."""
     groups: dict[float, list[Point]] = {}
     for point in points:
         groups.setdefault(point[1], []).append(point)
@@ -269,8 +279,9 @@ def _by_grip(points: Iterable[Point]) -> list[tuple[float, list[Point]]]:
 def _blame(errors: Errors, nodes: Nodes, failing: dict[Point, float]) -> list[tuple[int, Interval]]:
     """Intervals to split as (axis, interval), the worst first; axis 0 is the speed.
 
-    A point on an edge of a cell blames the axis along that edge. A point inside is heard if neither of its intervals
-    is blamed yet, and blames the axis along which its projection on the edges is worse.
+    A failing point on an edge of a cell asks for a split along that edge. A failing point inside a cell counts only
+    if neither of its intervals is to be split yet; it asks for the axis along which its projection on the edges is
+    worse.
     """
     wanted: dict[tuple[int, Interval], float] = {}
     worst_first = sorted(failing, key=lambda point: -failing[point])
@@ -296,11 +307,11 @@ def _blame(errors: Errors, nodes: Nodes, failing: dict[Point, float]) -> list[tu
 
 
 def check_tolerance(scene: Scene, tolerance: float, cap: int) -> None:
-    """Refuse before any work is done.
+    """Check the arguments of a refinement before any work is done.
 
     Raises
     ------
-    InputError : tolerance or cap that cannot be, a scene of named targets.
+    InputError : a tolerance or cap out of range, a scene of named targets.
     """
     if not 0 < tolerance < 1:
         raise InputError(f"--grid-tolerance {tolerance:g}: must be between 0 and 1 (0.02: two percentage points)")
@@ -322,20 +333,20 @@ def refine_grid(
 ) -> Refinement:
     """Split intervals of the grid, round by round, until no point between the nodes exceeds the tolerance.
 
-    Test points are the midpoints of every interval of one axis against nodes and midpoints of the other; once they
-    use up at most `MARGIN` of the tolerance, the quarter points of the cells that use up `CLOSER_LOOK` have to as
-    well. At the end every test point is replayed and held against the whole tolerance. An axis with one node stays
-    as it is.
+    Test points are the midpoints of every interval of one axis, combined with nodes and midpoints of the other. Once
+    they use at most `MARGIN` of the tolerance, the quarter points of cells that use more than `CLOSER_LOOK` are
+    tested in the same way. At the end every test point is replayed and compared with the whole tolerance. An axis
+    with one node is not refined.
 
     Parameters
     ----------
     tolerance : largest excess, absolute in tap error and as a share of amplitude.
-    cap : most entries (speeds times grips) of the refined grid; reaching it is no error but a `shortfall`.
-    progress : called with what is being done, how many of its optima are done, and of how many.
+    cap : most entries (speeds times grips) of the refined grid; reaching it is not an error but a `shortfall`.
+    progress : called with the present step, the number of its optima already solved, and their total.
 
     Raises
     ------
-    InputError : tolerance or cap that cannot be, recordings that cannot serve, no proven optimum somewhere.
+    InputError : a tolerance or cap out of range, recordings that cannot be used, a point without a proven optimum.
     """
     check_tolerance(scene, tolerance, cap)
     first = Nodes(tuple(scene.grid.speeds_m_s), tuple(scene.grid.grips_N))

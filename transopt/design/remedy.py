@@ -1,9 +1,9 @@
-"""What would do for a refused entry: other numbers in its scene, with which it is solved before they are named.
+"""Remedies for a refused entry: other numbers in its scene, each solved before it is proposed.
 
-A bound is not enough for that. At the least width of a limit that a linear program finds, what is feasible is a
-single command, which no method finds and no replay keeps; and a softer wall that asks for less at one depth lets the
-stylus go to another. So every proposal is solved, certified and replayed, rounded as it is printed. Where none does,
-it is said what was tried and how far it went.
+Bounds do not suffice as proposals. At the least width of a limit, from a linear program, only a single command is
+feasible, which solvers miss and whose replay exceeds the limit; and a softer wall, which needs less current at one
+depth, lets the stylus go deeper. Every proposal is therefore rounded as printed, then solved, certified and replayed.
+If none succeeds, the report says what was tried and how far.
 """
 
 import math
@@ -25,19 +25,19 @@ from transopt.proof.continuous import AGREEMENT
 from transopt.proof.replay import Replay
 from transopt.solvers.options import SolverOptions, TrialOptions
 
-MOST_WORK = 200.0  # of all trials for one entry; the searches of the stress suite end by themselves within 40 trials
-STAGES_OF_WORK = 1000.0  # as many stages take as long as all that a trial of any length does besides
-SLOW = 5.0  # times the work of another trial, where a nonlinear plant or the worst of several devices is solved for
-MOST_ITERATIONS = 100  # of a trial: what is feasible takes a tenth of it
-DIGITS = 3  # of what is proposed
-TENTHS = 10  # of a kelvin, in which temperatures are
-OVER = 1.03  # times what a refused answer reached of a limit: what is tried first
-NEAR = 1.1  # a strength that does, over one that does not: close enough
-# Factors by which numbers are changed; which is the least that does is found by bisection.
+MOST_WORK = 200.0  # work of all trials for one entry; the searches of the stress suite end within 40 trials
+STAGES_OF_WORK = 1000.0  # number of stages whose solution takes as long as the fixed part of a trial
+SLOW = 5.0  # work of a trial on a nonlinear plant or for the worst of several devices, relative to any other
+MOST_ITERATIONS = 100  # of the solver in a trial; a feasible problem takes a tenth of it
+DIGITS = 3  # significant digits of a proposal
+TENTHS = 10  # temperatures are rounded to 1 / TENTHS of a kelvin
+OVER = 1.03  # first factor tried, relative to the factor by which the refused answer exceeded its limit
+NEAR = 1.1  # bisection ends when a successful strength is within this factor of a failed one
+# Factors ("strengths") by which numbers are changed; bisection finds the least one that succeeds.
 STRENGTHS = (1.02, 1.1, 1.4, 2.5, 10.0, 100.0, 1e4, 1e6, 1e9)
-SHORTER = (2.0, 4.0, 8.0)  # times as many servo periods in the same window
+SHORTER = (2.0, 4.0, 8.0)  # divisors of the servo period in the same window, or of the window's length
 STEADIER = (1e-9, 1e-6, 1e-3)  # weights of the command's movement
-COLD_C = 0.0  # nothing around a coil is asked to be colder
+COLD_C = 0.0  # lowest temperature that is proposed for the coil's surroundings [C]
 
 RHO = "weights.rho"
 STIFFNESS, DAMPING, LATENCY = "feedback.stiffness_N_m", "feedback.damping_N_s_m", "feedback.latency_ticks"
@@ -45,32 +45,32 @@ FEEDBACK, TAP_RATE = "feedback", "thermal.tap_rate_Hz"
 PERIOD, STAGES = "time.dt_s", "time.stages"
 AMBIENT = "thermal.ambient_C"
 COOLED = ("thermal.start_winding_C", "thermal.start_housing_C", AMBIENT)
-MOTOR = ("motor.R_wh_K_W", "motor.R_ha_K_W")  # of another one, where nothing else does
+MOTOR = ("motor.R_wh_K_W", "motor.R_ha_K_W")  # thermal resistances of a different motor, proposed last
 COUNTED = (LATENCY, STAGES)
 
 Values = Mapping[str, float | None]
-Move = tuple[str, bool]  # a key, and whether its number goes up
+Move = tuple[str, bool]  # a key of the scene, and whether its number is increased
 
 
 class Adjustable(Protocol):
     """An entry that can be posed with other numbers."""
 
     def value(self, key: str) -> float | None:
-        """What stands at a dotted key of the scene; None where nothing does."""
+        """The number at a dotted key of the scene; None if the key is absent."""
 
     def posed(self, changes: Values) -> Posed:
-        """The entry with other numbers, None for a key that is left out.
+        """Pose the entry with other numbers; the value None removes a key.
 
         Raises
         ------
-        InputError : numbers that the scene cannot have.
+        InputError : numbers that are invalid in the scene.
         """
 
 
 def does(entry: Adjustable, changes: Values, options: SolverOptions) -> bool:
-    """Whether the entry with these numbers is solved, certified and replayed clean, by the wanted solver alone."""
+    """Whether the entry with these numbers is solved by the given solver alone, certified and replayed cleanly."""
     trial = TrialOptions(options.solver, options.tolerance, min(options.max_iterations, MOST_ITERATIONS))
-    with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails
+    with np.errstate(over="ignore", invalid="ignore"):  # extreme numbers overflow; the trial fails then
         try:
             posed = entry.posed(changes)
         except InputError:
@@ -81,14 +81,14 @@ def does(entry: Adjustable, changes: Values, options: SolverOptions) -> bool:
 
 @dataclass(frozen=True)
 class _Way:
-    """How some numbers change together, by one strength.
+    """A one-parameter family of changes: some numbers changed together, by one strength.
 
     Attributes
     ----------
-    at : strength -> the numbers, rounded as they are printed, away from where they come from.
+    at : strength -> the numbers, rounded as printed, away from their present values.
     strengths : increasing, the first above 1.
-    guided : whether the excess of the refused answer tells where to begin.
-    vanishes : whether next to nothing is left of the numbers at the largest strength.
+    guided : whether the search starts at the factor by which the refused answer exceeded its limit.
+    vanishes : whether the numbers are close to zero at the largest strength.
     """
 
     at: Callable[[float], Values]
@@ -99,11 +99,11 @@ class _Way:
 
 @dataclass
 class Work:
-    """Work that trials may take, counted and not timed: what is found is the same on every machine.
+    """Budget of work for trials, counted and not timed, so that results are the same on every machine.
 
     Attributes
     ----------
-    most : for all trials. spent : on those that were made.
+    most : budget for all trials. spent : work of the trials made so far.
     """
 
     most: float = MOST_WORK
@@ -111,11 +111,11 @@ class Work:
 
     @property
     def left(self) -> float:
-        """What may still be spent, at least 0."""
+        """Remaining work, at least 0."""
         return max(self.most - self.spent, 0.0)
 
     def spend(self, refused: Entry, values: Values) -> None:
-        """Count a trial of a refused entry with other numbers."""
+        """Add the work of one trial of a refused entry with other numbers."""
         problem = refused.problem
         stages = (values.get(STAGES) or problem.grid.stages) + problem.grid.after_stages
         slow = problem.worst or refused.designed.nonlinear is not None
@@ -129,9 +129,9 @@ class _Search:
     Attributes
     ----------
     hint : the strength to begin with, if it is above 1.
-    work : of all trials.
-    until : what of it may be spent when the present list of ways has had its share.
-    known : numbers -> whether they did.
+    work : the budget of all trials.
+    until : spent work at which the present list of ways has used up its share.
+    known : numbers already tried -> whether they succeeded.
     """
 
     entry: Adjustable
@@ -143,7 +143,7 @@ class _Search:
     known: dict[tuple[tuple[str, float | None], ...], bool] = field(default_factory=dict)
 
     def begin(self) -> None:
-        """Another list of ways: it may take half of what is left, so that something is left for the next."""
+        """Start a list of ways; it may use half of the remaining work, so that the next list has some left."""
         self.until = self.work.spent + self.work.left / 2
 
     @property
@@ -151,19 +151,19 @@ class _Search:
         return self.work.spent >= self.until
 
     def tried(self, ways: Sequence[_Way]) -> list[Remedy]:
-        """The best of each way, the ways first that do at once; one at least is tried."""
+        """The best remedy of each way; ways that succeed at their first strength go first. At least one is tried."""
         at_once = [way for way in ways if not self.late and self.does(way.at(self.first(way)))]
         others = [way for way in ways if way not in at_once]
         return [self.best(way) for way in (*at_once, *others) if way in at_once or not self.late]
 
     def strengths(self, way: _Way) -> tuple[float, ...]:
-        """Strengths of a way, with that of the excess among them."""
+        """Strengths of a way; a guided one includes the hint."""
         if way.guided and self.hint > 1:
             return tuple(sorted({*way.strengths, self.hint}))
         return way.strengths
 
     def first(self, way: _Way) -> float:
-        """The strength that a search begins with."""
+        """The strength with which the search begins: the hint, or the middle one."""
         strengths = self.strengths(way)
         return self.hint if self.hint in strengths else strengths[len(strengths) // 2]
 
@@ -178,7 +178,7 @@ class _Search:
         return self.known[key]
 
     def best(self, way: _Way) -> Remedy:
-        """The least change that does, nearly; or the farthest that was tried."""
+        """The least change that succeeds, to within a factor `NEAR`; or the largest change that was tried in vain."""
         strengths = self.strengths(way)
         middle = strengths.index(self.first(way))
         low, high, farthest = -1, len(strengths), middle
@@ -188,7 +188,7 @@ class _Search:
                 high = middle
             else:
                 low = middle
-            # What is of no use when it is next to nothing is of none in between.
+            # A number that does not help close to zero does not help in between: try the largest strength next.
             middle = high - 1 if way.vanishes and high == len(strengths) else (low + high) // 2
         if high == len(strengths):
             return _remedy(way.at(strengths[farthest]), solved=False)
@@ -205,16 +205,16 @@ class _Search:
 
 
 def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, work: Work | None = None) -> list[Remedy]:
-    """What would do for an entry that is refused: one number changed or, if none helps, several together.
+    """Find remedies for a refused entry: one number changed or, if none helps, several together.
 
     Parameters
     ----------
-    refused : what had to be met, its replay, and how it ended.
-    work : that the trials may take; `MOST_WORK` where none is given. The trial that exceeds it is the last.
+    refused : the refused entry, with its problem, its replay and its status.
+    work : budget of the trials; `MOST_WORK` by default. The trial that exceeds it is the last.
 
     Returns
     -------
-    Those that do, if there are any; else those that were tried, each as far as it went.
+    The remedies that succeed, if there are any; otherwise those tried in vain, each at its largest strength.
     """
     problem, played, status = refused.problem, refused.played, refused.status
     search = _Search(entry, refused, options, _excess(problem, played, status), work or Work())
@@ -230,7 +230,7 @@ def remedies(entry: Adjustable, refused: Entry, options: SolverOptions, work: Wo
 
 
 def _excess(problem: TransientProblem, played: Replay, status: Status) -> float:
-    """How many times a limit, and a little more, a refused answer's replay reached; 0 where that means nothing."""
+    """Largest ratio of peak to limit in a refused answer's replay, times `OVER`; 0 if infeasible."""
     if status is Status.INFEASIBLE:
         return 0.0
     linear = [limit for limit in problem.limits if limit.linear]
@@ -241,9 +241,9 @@ def _excess(problem: TransientProblem, played: Replay, status: Status) -> float:
 
 
 def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: Replay) -> Iterator[list[_Way]]:
-    """What may help, the simplest first; each list is tried as a whole.
+    """Lists of ways that may help, the simplest first; each list is tried as a whole.
 
-    Nothing that is tried here helps a replay that does not converge: its device is too fast, whatever is commanded.
+    Empty for a replay whose integration does not converge: its device is too fast, whatever the command.
     """
 
     def movable(moves: Sequence[Move]) -> list[Move]:
@@ -265,8 +265,8 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
     if status is Status.UNSTABLE_WALL:
         blamed = []
     if status is Status.UNRESOLVED:
-        # Only a limit that is left between two instants. A coil that is as fast as a servo period stays below its
-        # limit at less current, whatever its start, and with that the problem is quickly solved.
+        # Only the limits violated between two instants. If it is the temperature of a coil as fast as a servo period,
+        # less current keeps the limit from any start, and that problem is quickly solved.
         blamed = [limit for limit in blamed if played.leaves(limit)]
     wider = movable([move for limit in blamed for move in limit.relieved_by().items()])
     softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
@@ -297,28 +297,28 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status, played: 
         last.append(motor)
         yield [motor]
     if (entry.value(RHO) or 0.0) < STEADIER[-1]:
-        # What is feasible then may still have no optimum that double precision finds.
+        # A problem made feasible in this way may still have a J too flat for double precision.
         yield [_steadied(way) for way in last]
 
 
 def _coldest_C(entry: Adjustable, key: str) -> float:
-    """A coil cools to what is around it, and that to nothing unusual."""
+    """Lowest temperature at a key [C]: `COLD_C` for the surroundings, their temperature for the coil."""
     ambient = entry.value(AMBIENT)
     return COLD_C if key == AMBIENT or ambient is None else ambient
 
 
 def _is_movable(entry: Adjustable, key: str) -> bool:
-    """Whether a number stands there, and not at its end."""
+    """Whether the scene has a number at the key that can still be reduced."""
     stated = entry.value(key)
     return stated is not None and stated > (_coldest_C(entry, key) if key in COOLED else 0.0)
 
 
 def _way(entry: Adjustable, moves: Sequence[Move], gone: Sequence[str] = ()) -> _Way:
-    """All of these numbers by the same factor, a temperature by its distance from the coldest it may be.
+    """Change all of these numbers by the same factor; a temperature by its distance from the coldest allowed one.
 
     Parameters
     ----------
-    gone : keys that are left out besides.
+    gone : further keys, which are removed.
     """
     stated = {key: entry.value(key) or 0.0 for key, _ in moves}
 
@@ -342,7 +342,7 @@ def _without(*keys: str) -> _Way:
 
 
 def _finer(entry: Adjustable) -> _Way:
-    """More and shorter servo periods in the same window."""
+    """Divide the same window into more and shorter servo periods."""
     period_s, stages = entry.value(PERIOD) or 0.0, entry.value(STAGES) or 0.0
 
     def at(strength: float) -> Values:
@@ -352,13 +352,13 @@ def _finer(entry: Adjustable) -> _Way:
 
 
 def _shortened(entry: Adjustable) -> _Way:
-    """A shorter window."""
+    """Shorten the window."""
     stages = entry.value(STAGES) or 0.0
     return _Way(lambda strength: {STAGES: float(max(math.floor(stages / strength), 2))}, SHORTER, guided=False)
 
 
 def _steadier(entry: Adjustable, gone: Sequence[str] = ()) -> _Way:
-    """A larger weight of the command's movement, with these keys left out."""
+    """Increase the weight of the command's movement, with these keys removed."""
     stated, without = entry.value(RHO) or 0.0, dict.fromkeys(gone)
     return _Way(lambda rho: without | {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
 
@@ -369,12 +369,12 @@ def _steadied(way: _Way) -> _Way:
 
 
 def _rounded(value: float, up: bool) -> float:
-    """To the digits that are printed, away from where it comes from."""
+    """Round to the printed digits, up or down: always away from the present value."""
     if value == 0:
         return 0.0
     digits = DIGITS - 1 - math.floor(math.log10(abs(value)))
     scaled = value * 10.0**digits
-    # A product that rounding has left beside a whole number is that number.
+    # The offset of 1e-9 absorbs rounding errors of a product that should be a whole number.
     whole = math.ceil(scaled - 1e-9) if up else math.floor(scaled + 1e-9)
     return float(f"{whole / 10.0**digits:.{DIGITS}g}")
 

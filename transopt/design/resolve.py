@@ -17,7 +17,7 @@ from transopt.library.meta import entry_left_out, heat_is_in, most_parts, shared
 from transopt.library.multipliers import ARRAYS, MULTIPLIERS, multiplier_arrays
 from transopt.solvers.options import SolverOptions
 
-# What an entry that is solved again brings along.
+# Arrays of a library that are computed from an entry, by name.
 OF_ENTRIES = {name: array.made for name, array in ARRAYS.items() if array.made is not None}
 
 
@@ -27,23 +27,24 @@ def resolve(
     refinement: dict[str, Any],
     options: SolverOptions | None = None,
 ) -> tuple[Library, dict[tuple[int, int], str]]:
-    """Solve some entries for r + correction; all others stay as they are.
+    """Solve some entries again for the target r + correction; all others stay unchanged.
 
-    The problems are those of the file (`Library.problem`): plants, amplifier, limits, weights, hand-over. An answer
-    takes its place only if it is optimal, certified and replayed clean, as when a library is built.
+    The problems are those of the file (`Library.problem`): plants, amplifier, limits, weights, hand-over. A new
+    answer replaces the old one only if it is optimal, certified and replayed without a violation, as when a library
+    is built.
 
     Parameters
     ----------
-    corrections_m_s2 : (iv, ig) -> (N,), in place of the entry's present correction.
-    refinement : what `meta` says about it.
+    corrections_m_s2 : (iv, ig) -> (N,) correction that replaces the entry's present one.
+    refinement : record of the refinement, stored in the library's `meta`.
 
     Returns
     -------
-    The library, and (iv, ig) -> why an entry has kept what it had.
+    The library, and (iv, ig) -> the reason why an entry was kept unchanged.
 
     Raises
     ------
-    InputError : a library with a wall, whose feedback is no part of what is corrected, or of a nonlinear plant.
+    InputError : a library with a wall, whose feedback the correction does not include, or of a nonlinear plant.
     """
     library.check_linear("refine")
     if library.wall() is not None:
@@ -71,14 +72,14 @@ def resolve(
 
 
 def _of_entries(library: Library) -> list[str]:
-    """Names of all arrays that are made of answers."""
+    """Names of all arrays that are computed from entries."""
     return [*OF_ENTRIES, *MULTIPLIERS, *library.further]
 
 
 def _again(
     library: Library, corrections_m_s2: Mapping[tuple[int, int], FloatArray], options: SolverOptions
 ) -> dict[tuple[int, int], Entry]:
-    """The entries of corrected targets, solved under the limits and prices that they had."""
+    """Solve the entries for their corrected targets, with unchanged limits and prices."""
     found = {}
     for ig in sorted({ig for _, ig in corrections_m_s2}):
         stage, speeds = library.stage(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
@@ -96,7 +97,7 @@ def _again(
 def _with(
     library: Library, entries: Mapping[tuple[int, int], Entry], taken: Mapping[tuple[int, int], FloatArray]
 ) -> Library:
-    """The library with the entries of some places, by the corrections that they were solved for."""
+    """Put entries into the library, together with the corrections (`taken`) for which they were solved."""
     further = library.further
     arrays = {name: np.array(library.array(name)) for name in (*_of_entries(library), "correction_m_s2")}
     nv, ng = library.command.shape[:2]
@@ -123,6 +124,6 @@ def _put(arrays: dict[str, Any], place: tuple[int, int], values: dict[str, Any])
     for name, array in arrays.items():
         value = values[name]
         if isinstance(value, str) and len(value) > array.dtype.itemsize // 4:
-            # An array of text has the width of its longest.
+            # A NumPy text array has a fixed width, which has to grow for a longer text.
             arrays[name] = array.astype(f"U{len(value)}")
         arrays[name][place] = value

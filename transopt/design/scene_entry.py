@@ -1,4 +1,4 @@
-"""Entries of a scene under other numbers, and what would do for those of a library that are refused."""
+"""Entries of a scene posed with other numbers, and remedies for all refused entries of a build."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,10 +15,10 @@ from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
-MOST_OF_A_LIBRARY = 6 * MOST_WORK  # of the trials of all entries
+MOST_OF_A_LIBRARY = 6 * MOST_WORK  # work of the trials for all entries of a build
 BETA = "limits.beta"
 OWN = f"limits.{OwnLimit.key}"
-COIL = ("thermal.", *MOTOR)  # what only a scene with a motor of its own coil looks at
+COIL = ("thermal.", *MOTOR)  # keys that matter only if the scene models the motor's coil
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class SceneEntry:
         return self.context.scene
 
     def value(self, key: str) -> float | None:
-        """What stands at a dotted key; None where nothing does, or nothing that this entry depends on."""
+        """The number at a dotted key; None if the key is absent or this entry does not depend on it."""
         if key == f"limits.{CurrentLimit.key}" and self.scene.driven_by is CURRENT_INPUT:
             return self.scene.limits.transient_input
         if key == STAGES:
@@ -49,11 +49,11 @@ class SceneEntry:
         return float(found) if isinstance(found, int | float) else None
 
     def posed(self, changes: Values) -> Posed:
-        """The entry with other numbers in the scene; a limit of a user's own is left out by its name.
+        """Pose the entry with other numbers in the scene; a user-defined limit is removed by its name.
 
         Raises
         ------
-        InputError : numbers that the scene cannot have, recordings that do not fit another time axis.
+        InputError : numbers that are invalid in the scene, recordings that do not fit a changed time axis.
         """
         left_out = {key.removeprefix(f"{OWN}.") for key in changes if key.startswith(f"{OWN}.")}
         values = {key: value for key, value in changes.items() if not key.startswith(f"{OWN}.")}
@@ -67,9 +67,9 @@ class SceneEntry:
 
 
 def with_remedies(context: Context, entries: Sequence[Sequence[Entry]], options: SolverOptions) -> list[list[Entry]]:
-    """The entries, speed by speed, those refused with what would do for each.
+    """The entries, speed by speed; refused ones have their remedies.
 
-    What does for one entry is tried for the next before anything else is, so that one change may do for all.
+    A remedy of one entry is tried first for the next one, so that a single change may help all entries.
     """
     library, found = Work(MOST_OF_A_LIBRARY), dict[str, Remedy]()
 

@@ -1,7 +1,7 @@
-"""What intensity costs in waveform: the path over its price, from the nearest waveform to nearly all energy.
+"""The trade-off of waveform against intensity: optima along the price lam of intensity.
 
-Every point is the optimum of L at its lam, which is the nearest waveform among all commands with as much energy: no
-command within the limits has a smaller J and as many dB. So the path is the whole trade-off.
+The path runs from the nearest waveform to nearly the largest energy. Each point is the optimum of L at its lam: no
+admissible command with as much energy has a smaller J. The path is therefore the Pareto front of the two objectives.
 """
 
 from dataclasses import dataclass, replace
@@ -18,18 +18,18 @@ from transopt.proof.designed import Designed
 from transopt.solvers.options import SolverOptions, TrialOptions
 from transopt.solvers.side_by_side import Search, together
 
-POINTS = 8  # of the path, both ends among them
-BEND = 1.5  # of their steps, the shorter ones first
+POINTS = 8  # points of the path, both ends included
+BEND = 1.5  # exponent of their spacing; above 1 the points are denser at the start
 
 
 @dataclass(frozen=True)
 class TradeOffPoint:
-    """One optimum of L; tap error and levels as predicted, of the entry's own device.
+    """One optimum of L; tap error and levels are predictions for the entry's own device.
 
     Attributes
     ----------
     price : lam.
-    energy_dB : what the scene's objective counts: through its error filter, the mean over the devices.
+    energy_dB : energy as the objective counts it: through the error filter, the mean over the devices.
     """
 
     price: float
@@ -40,15 +40,15 @@ class TradeOffPoint:
 
 @dataclass(frozen=True)
 class TradeOff:
-    """Both objectives of one entry, and what lies between them.
+    """The optima for waveform and for intensity of one entry, and the path between them.
 
     Attributes
     ----------
-    place, cells : which entry it is, in a sentence and in the columns of a table.
+    place, cells : the entry's speed and grip, as text and as cells of a table row.
     waveform : the optimum of J.
-    intensity : the one with the energy that the scene asks for, or that of r where it asks for none.
-    missing_dB : of that energy, where no lam reaches it.
-    path : by growing lam; points that the wanted solver does not prove are left out.
+    intensity : the optimum with the energy that the scene asks for, or with that of r where it asks for none.
+    missing_dB : shortfall of that energy, where no lam reaches it.
+    path : optima by increasing lam; those that the given solver cannot prove are left out.
     """
 
     speed_m_s: float
@@ -62,9 +62,9 @@ class TradeOff:
 
 
 def trade_off(entry: Entry, options: SolverOptions) -> Search[TradeOff | None]:
-    """Search for the path of an entry where a limit binds or intensity has a price; None elsewhere, or if refused.
+    """Compute the trade-off of an admitted entry for which a limit binds or intensity has a price; otherwise None.
 
-    None as well where the worst of a spread of devices is least: intensity is traded for the mean alone.
+    None also if the worst of a spread of devices is minimised: intensity is defined for the mean only.
     """
     binds = entry.solution.multipliers.largest > BINDING_MULTIPLIER or entry.problem.intensity > 0
     if entry.status is not Status.OPTIMAL or entry.problem.reference_is_zero or entry.problem.worst or not binds:
@@ -74,9 +74,9 @@ def trade_off(entry: Entry, options: SolverOptions) -> Search[TradeOff | None]:
     if found.attained is None:
         return None
     wave = found if found.attained.price == 0 else (yield from seek(problem, options))
-    # The energy in dB goes about evenly with -log(1 - lam); the path bends most near its start.
+    # The energy in dB is about linear in -log(1 - lam); the path bends most near its start.
     prices = -np.expm1(np.linspace(0.0, 1.0, POINTS) ** BEND * np.log1p(-most_price(problem)))[1:]
-    # A point of the path that the first method does not prove is left out: another one may take a second.
+    # No second solver is tried for a point that the first one does not prove: it may take a second per point.
     trial = TrialOptions(options.solver, options.tolerance, options.max_iterations)
     others = together([seek(replace(problem, intensity=float(price)), trial) for price in prices if price > 0])
     ends = (_point(wave), _point(found))

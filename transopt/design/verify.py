@@ -1,4 +1,4 @@
-"""Every entry of a library made again from its file alone: certified, replayed, every stated figure recomputed."""
+"""Verify a library from its file alone: every entry certified and replayed again, every stored figure recomputed."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,12 +24,12 @@ from transopt.solvers.options import SolverOptions
 
 
 @one_blas_thread()
-@np.errstate(all="ignore")  # what overflows is found as not finite, and said
+@np.errstate(all="ignore")  # overflow in a damaged file is reported as a non-finite value instead
 def verify_library(library: Library, progress: Callable[[int], None] = lambda done: None) -> list[Entry]:
     """Certify and replay every entry from the file alone.
 
-    Only the floor takes a (linear) solve and, where the temperature binds, the lower bound a convex one; on a
-    nonlinear plant the linear design is solved besides.
+    Nothing is solved, with three exceptions: the floor takes a linear solve; where the temperature binds, the lower
+    bound takes a convex one; and on a nonlinear plant the linear design is solved too.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ def verify_library(library: Library, progress: Callable[[int], None] = lambda do
 
     Returns
     -------
-    Entries made again, speeds outermost, and behind them those of the cool commands; one is clean where
-    `shortfalls` is empty.
+    Recomputed entries, speeds outermost, followed by those of the cool commands; an entry passes if its `shortfalls`
+    are empty.
 
     Raises
     ------
-    InputError : a file whose numbers make no problem.
+    InputError : a file whose numbers define no valid problem.
     """
     first = _verified(library, progress)
     return first if library.cool is None else first + _verified(library.cool, progress)
@@ -61,7 +61,7 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     for ig in range(ng):
         designed = answers_of(library, ig, proofs, free)
         told = [library.told(iv, ig) for iv in range(nv)]
-        # A device with a wall plays the file's transient on top of its own feedback.
+        # With a wall the device adds the file's transient to its own feedback.
         played = library.command if library.wall() is None else library.transient_command
         batch = Batch(designed, library.coil(), library.steady_input, told, played[:, ig])
         for iv in range(nv):
@@ -87,11 +87,11 @@ def _entry(library: Library, iv: int, ig: int, batch: Batch, options: SolverOpti
 
 
 def _shortfalls(library: Library, iv: int, ig: int, entry: Entry) -> list[str]:
-    """What speaks against an entry, or against the linear design beside it."""
+    """Reasons against an entry, or against the linear design stored beside it; empty if it passes."""
     designed, played = entry.designed, entry.played
     found = [f"status in the file: {library.status[iv, ig]}"]
     if entry.solution.status is Status.OPTIMAL:
-        # The prediction that the replay is held against is the file's.
+        # The replay is compared with the prediction stored in the file.
         motion = replace(designed.effect.motion, acceleration_m_s2=library.acceleration_m_s2[iv, ig])
         stated = replace(designed, effect=Effect(entry.problem, designed.effect.command, motion))
         found = list(admit(stated, played)[1])
@@ -103,11 +103,11 @@ def _shortfalls(library: Library, iv: int, ig: int, entry: Entry) -> list[str]:
 
 
 def _of_linear_design(entry: Entry) -> list[str]:
-    """Whether the design for the plant at rest that a file states is the optimum there."""
+    """Reasons against a stored linear design: it has to be the optimum for the plant at rest."""
     assert entry.designed.nonlinear is not None
     assert entry.linear_command is not None
     designed = optimum(entry.designed.nonlinear.linear, entry.options)
-    # Limits that no command meets at rest may be met on the nonlinear plant: then there is no linear design.
+    # Limits that are infeasible for the plant at rest may be feasible on the nonlinear one: no linear design then.
     if not designed.is_proven:
         return []
     proof = prove(designed.problem, entry.linear_command, designed.solution.multipliers, entry.options)

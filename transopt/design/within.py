@@ -1,9 +1,9 @@
-"""At how many instants of a servo period limits on outputs are stated: enough for a margin that costs little.
+"""Number of instants per servo period at which limits on outputs are stated: enough for a margin that costs little.
 
-A limit keeps a margin d of its bounds back for the time between its instants (`limits.output`). The least J is convex
-in d, and its slope there is the sum of the limit's multipliers: J(0) >= J(d) - d sum mu. So the multipliers of an
-answer bound what the margin costs it. Where that is more than `MOST_COST`, and where the margin does not cover all
-that may happen between the instants, the limit is stated at 2, 4, 8 ... instants.
+A limit is tightened by a margin d for the time between its instants (`limits.output`). The optimal J is convex in d
+with derivative sum mu, the sum of the limit's multipliers, so J(0) >= J(d) - d sum mu: the multipliers of an answer
+bound the cost of its margin. If that cost is above `MOST_COST`, or if the margin does not cover the possible
+excursion between the instants, the limit is stated at 2, 4, 8 ... instants.
 """
 
 from collections.abc import Mapping
@@ -16,14 +16,14 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect
 from transopt.proof.designed import Designed
 
-MOST_COST = 5e-3  # of the J that would be without the margin
-AIM = 3e-3  # of it, once there are instants within the period, which need not be those of another program
-FINE, FINE_PARTS = 1e-3, 8  # of a limit: the margin with which infeasibility is told, and the most parts for it
-MOST_ROWS = 96  # of all limits together, which leaves the project's own method some for what is not a limit
+MOST_COST = 5e-3  # largest cost of the margins, relative to J without them
+AIM = 3e-3  # cost aimed at when instants are added; below `MOST_COST`, since it also bounds the next program
+FINE, FINE_PARTS = 1e-3, 8  # margin, relative to the limit, with which infeasibility is judged; most parts for it
+MOST_ROWS = 96  # rows of all limits together; leaves the project's own solver some rows for other terms
 
 
 def finer(designed: Designed) -> dict[str, int]:
-    """Limits to be stated at more instants, each with the parts of a period that it takes; empty for none."""
+    """Limits to be stated at more instants -> number of parts of a servo period; empty if none is needed."""
     problem, solution = designed.problem, designed.solution
     if not designed.is_proven:
         return _finer(problem, {limit.name: FINE * limit.limit for limit in _of_outputs(problem)}, FINE_PARTS)
@@ -31,11 +31,11 @@ def finer(designed: Designed) -> dict[str, int]:
         limit.name: MOST_KEPT * limit.limit for limit in _of_outputs(problem) if not _covered(limit, designed.effect)
     }
     costs = {limit.name: margin_cost(limit, problem, solution.multipliers) for limit in _of_outputs(problem)}
-    least = Certificate.GAP_TOLERANCE * OBJECTIVE_SCALE  # below which a certificate tells no difference
+    least = Certificate.GAP_TOLERANCE * OBJECTIVE_SCALE  # a certificate does not resolve smaller differences
     without = max(designed.certificate.objective - sum(costs.values()), 0.0)
     most = MOST_COST if max(problem.parts.values(), default=1) == 1 else AIM
     if sum(costs.values()) > max(most * without, least):
-        # An even share of what they may cost for each, at the multipliers that are known.
+        # Divide the allowed cost evenly among the limits, at the present multipliers.
         dear = {name: cost for name, cost in costs.items() if cost > least / len(costs)}
         for name, cost in dear.items():
             enough = AIM * without / len(dear) / cost * problem.limits[name].kept_back
@@ -44,7 +44,7 @@ def finer(designed: Designed) -> dict[str, int]:
 
 
 def margin_cost(limit: OutputLimit, problem: TransientProblem, multipliers: Multipliers) -> float:
-    """Bound on what the margin of a limit costs of J."""
+    """Upper bound on the increase of J due to the margin of a limit."""
     return sum(
         limit.margin(row.device) * float((multipliers.lower(row.name) + multipliers.upper(row.name)).sum())
         for row in limit.rows(problem)
@@ -52,7 +52,7 @@ def margin_cost(limit: OutputLimit, problem: TransientProblem, multipliers: Mult
 
 
 def said_of_instants(designed: Designed) -> dict[str, str]:
-    """Limit on an output at more instants than those of the answer -> why they are left out."""
+    """Left-out part, a limit on an output at still more instants -> why it is left out."""
     problem, multipliers, J = designed.problem, designed.solution.multipliers, designed.certificate.objective
     found = {}
     for limit in _of_outputs(problem):
@@ -70,7 +70,7 @@ def _of_outputs(problem: TransientProblem) -> list[OutputLimit]:
 
 
 def _covered(limit: OutputLimit, effect: Effect) -> bool:
-    """Whether what may happen between the instants leaves no limit, by the answer's values at them."""
+    """Whether the answer's values at the instants plus the possible excursion between them keep a limit."""
     return all(
         float(np.abs(effect.value(row)).max()) + limit.excursion(row.device) <= limit.limit + limit.tolerance
         for row in limit.rows(effect.problem)
@@ -78,7 +78,7 @@ def _covered(limit: OutputLimit, effect: Effect) -> bool:
 
 
 def _finer(problem: TransientProblem, wanted: Mapping[str, float], most: int) -> dict[str, int]:
-    """The parts with which each limit's excursion between the instants comes down to what is wanted, or near it."""
+    """Number of parts for each limit at which its excursion between the instants falls to about the wanted value."""
     limits, found = _of_outputs(problem), dict[str, int]()
     others = sum(not isinstance(limit, OutputLimit) for limit, _ in problem.rows())
     each = (MOST_ROWS - others) / max(len(limits) * len(problem.devices), 1)

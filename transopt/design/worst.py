@@ -1,14 +1,15 @@
-"""The command whose worst device loses least, for a scene that asks for the worst of a spread and not for its mean.
+"""The minimax design over a spread of devices: the command that minimises the largest loss.
 
-The worst of the devices s loses max_s T_s(c), which is the largest of sum_s p_s T_s(c) over all shares p >= 0 of sum
-one. Each T_s is convex in the command c, so least and largest may change places (Sion, Pacific J. Math. 8, 1958):
+The largest loss over the devices s, max_s T_s(c), equals the maximum of sum_s p_s T_s(c) over all shares p >= 0 with
+sum one. Each T_s is convex in the command c, so minimum and maximum may be exchanged (Sion, Pacific J. Math. 8,
+1958):
 
     min_c max_s T_s(c) = max_p g(p),   g(p) = min_c sum_s p_s T_s(c).
 
-g(p) is an entry's ordinary problem, with these shares in the place of the mean, and concave; T(c(p)) is its gradient,
-since c(p) is the only minimiser. A handful of devices bear all of p. Whatever shares the search ends with, g(p) less
-its own gap is a lower bound of the least worst loss, so that the certificate of the answer needs nothing of the
-search (`proof.certify`).
+Evaluating g(p) is an entry's ordinary problem with the shares p in place of equal weights. g is concave with gradient
+T(c(p)), since the minimiser c(p) is unique. Only a handful of devices have a positive share at the maximum. For
+whatever shares the search ends with, g(p) less its own gap is a dual bound of the minimax loss, so that the answer's
+certificate does not depend on the search (`proof.certify`).
 """
 
 from dataclasses import replace
@@ -24,12 +25,12 @@ from transopt.proof.designed import Designed
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
-MOST_STEPS = 200  # of the search; most need 5, a nearly flat one 70
-ENOUGH = 1e-8  # of J, between worst and mean: a hundredth of what a certificate lets pass
+MOST_STEPS = 200  # iterations of the search; most take 5, a nearly flat g takes 70
+ENOUGH = 1e-8  # difference of worst and weighted mean, relative to J: a hundredth of a certificate's tolerance
 
 
 class _Search:
-    """The shares that were tried, and the answer whose worst device is nearest to the mean by them."""
+    """Evaluation of g, and the best answer so far: that whose largest loss is nearest to its weighted mean."""
 
     def __init__(self, problem: TransientProblem, options: SolverOptions) -> None:
         self._problem, self._options = problem, options
@@ -37,12 +38,12 @@ class _Search:
         self.best: Designed | None = None
 
     def at(self, shares: FloatArray) -> tuple[float, FloatArray]:
-        """g and its gradient.
+        """g and its gradient at some shares.
 
         Raises
         ------
-        _UnprovenError : there is no proven optimum.
-        _FoundError : these are the shares that were looked for.
+        _UnprovenError : the optimum for these shares is not proven.
+        _FoundError : these shares are optimal to within `ENOUGH`; the exception ends the search.
         """
         shares = np.maximum(shares, 0.0)
         shares = shares / shares.sum()
@@ -62,13 +63,13 @@ class _Search:
 
     @property
     def is_near(self) -> bool:
-        """Whether worst and mean of the best answer are as near as a certificate needs them, with room to spare."""
+        """Whether the best answer's largest loss and weighted mean agree well within a certificate's tolerance."""
         J = 0.0 if self.best is None else self.best.certificate.objective
         return self._least <= 10 * ENOUGH * max(J, OBJECTIVE_SCALE)
 
 
 def _raise(search: _Search, start: FloatArray, scale: float) -> None:
-    """Raise g over the shares, from `start` on; `scale` of g is one for the method."""
+    """Maximise g over the shares, starting from `start`; g is divided by `scale` for the method."""
 
     def below(shares: FloatArray) -> tuple[float, FloatArray]:
         value, gradient = search.at(shares)
@@ -86,7 +87,7 @@ def _raise(search: _Search, start: FloatArray, scale: float) -> None:
 
 
 class _UnprovenError(Exception):
-    """Carries an entry without a proven optimum."""
+    """Ends the search with an answer that is not proven optimal, which it carries."""
 
     def __init__(self, designed: Designed) -> None:
         super().__init__()
@@ -94,7 +95,7 @@ class _UnprovenError(Exception):
 
 
 class _FoundError(Exception):
-    """The worst device loses no more than the mean by the shares."""
+    """Ends the search: the largest loss is no larger than the mean weighted by the shares."""
 
 
 def least_worst(problem: TransientProblem, options: SolverOptions) -> Designed:
@@ -102,18 +103,20 @@ def least_worst(problem: TransientProblem, options: SolverOptions) -> Designed:
 
     Parameters
     ----------
-    problem : with `worst`; its shares, if it has any, are where the search begins.
+    problem : a problem with `worst` set; the search starts from its shares, if it has any.
 
     Returns
     -------
-    With the shares that were found in its problem. Where no optimum is proven, the entry that has none.
+    The minimax answer; its problem has the shares that were found. If an optimum on the way is not proven, that
+    unproven answer.
     """
     if problem.reference_is_zero:
         return optimum(problem, options)
     search, start = _Search(problem, options), problem.shared
     try:
-        # Scaled by the differences of the losses the first step is a long one, and a third of the solves do. Scaled
-        # by J it is so short, where the devices lose nearly alike, that its gain is lost in the rounding of J.
+        # Scaling g by the differences of the losses makes the first step long and takes a third of the solves.
+        # Scaling by J would make it so short, where all losses are nearly equal, that its gain is lost in the
+        # rounding of J.
         J, losses = search.at(start)
         for scale in (max(float(np.ptp(losses)), np.finfo(float).tiny), max(J, OBJECTIVE_SCALE)):
             _raise(search, start, scale)
