@@ -44,7 +44,7 @@ DEFAULT_CAP = 400  # entries
 # The optimum as a function of speed or grip has a kink where a limit begins to bind; the worst point of an interval
 # lies there. Interpolation across a kink at share k of the interval errs by k (1 - k) times the change of slope. At
 # least half of that error is visible at the midpoint, and at least 0.75 of it at the quarter points. A tested point
-# may therefore use 0.75 of the tolerance, and a cell whose midpoints use half of that is also tested at quarter points.
+# may therefore use 0.75 of the tolerance; a cell whose midpoints use half of that is also tested at quarter points.
 MARGIN = 0.75
 CLOSER_LOOK = MARGIN / 2
 TINY = 1e-30  # smallest energy ratio; keeps the logarithm of a zero blend finite

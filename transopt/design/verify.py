@@ -61,7 +61,7 @@ def _verified(library: Library, progress: Callable[[int], None]) -> list[Entry]:
     for ig in range(ng):
         designed = answers_of(library, ig, proofs, free)
         told = [library.told(iv, ig) for iv in range(nv)]
-        # With a wall the device adds the file's transient to its own feedback.
+        # A device with a wall adds the file's transient to its own feedback.
         played = library.command if library.wall() is None else library.transient_command
         batch = Batch(designed, library.coil(), library.steady_input, told, played[:, ig])
         for iv in range(nv):

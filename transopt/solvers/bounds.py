@@ -1,4 +1,4 @@
-"""What the bounds of a limit must be before any method is asked to keep them."""
+"""Validity of a limit's bounds, checked before any solver gets them."""
 
 import numpy as np
 
@@ -7,13 +7,13 @@ from transopt.base.signals import FloatArray
 
 
 def check_bounds(name: str, lower: FloatArray, upper: FloatArray) -> None:
-    """Refuse bounds between which no value can lie.
+    """Refuse invalid bounds: NaN, crossing bounds, or an infinite bound on the wrong side.
 
-    A method would take NaN, or an infinite bound on the wrong side, for no limit at all.
+    A solver would silently treat NaN, or an infinite bound on the wrong side, as no limit.
 
     Parameters
     ----------
-    name : of the row. lower, upper : (stages,) -inf and inf where there is no limit.
+    name : name of the row. lower, upper : (stages,) -inf and inf where there is no limit.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from transopt.solvers.statement import state
 
 STATUS = {
     "Solve_Succeeded": Status.OPTIMAL,
-    # Rounding in the way of the last digits: whether they matter is for the certificate to say.
+    # Rounding prevents the last digits; the certificate judges whether they matter.
     "Solved_To_Acceptable_Level": Status.OPTIMAL,
     "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
     "Maximum_WallTime_Exceeded": Status.ITERATION_LIMIT,
@@ -25,9 +25,9 @@ STATUS = {
 
 @lru_cache(maxsize=16)
 def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
-    """One solver object for every problem of one shape."""
+    """The solver object shared by all problems of one shape."""
     program = state_program(shape)
-    # What is quadratic is told so, and takes Mehrotra's steps.
+    # IPOPT evaluates a QP's Hessian and Jacobian once, and solves it with Mehrotra's predictor-corrector.
     quadratic = {
         "hessian_constant": "yes",
         "jac_c_constant": "yes",
@@ -45,11 +45,11 @@ def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
                 "sb": "yes",
                 "tol": options.tolerance,
                 "max_iter": options.max_iterations,
-                # Far from any feasible point a single iteration may search for minutes.
+                # Far from any feasible point a single iteration may take minutes.
                 "max_cpu_time": most_time_s(shape.stages),
-                # Otherwise the answer leaves the box by 6e-8 A.
+                # IPOPT relaxes bounds by default; the answer would violate the box by 6e-8 A.
                 "bound_relax_factor": 0.0,
-                # The statement is in physical scale.
+                # The program is scaled already.
                 "nlp_scaling_method": "none",
                 **(quadratic if shape.nodes == 0 and not shape.laws else {}),
             },

@@ -1,4 +1,4 @@
-"""PIQP through CasADi's conic interface: the stage-structured QP as a sparse one."""
+"""PIQP through CasADi's conic interface: the stage-structured problem as a sparse QP."""
 
 import time
 from functools import lru_cache
@@ -13,7 +13,7 @@ from transopt.solvers.program import state_program
 from transopt.solvers.shape import Shape, program_shape
 from transopt.solvers.statement import state
 
-# Raw strings of the plugin; anything else is a breakdown.
+# Status strings of the plugin; any other string is a numerical failure.
 STATUS = {
     "solved": Status.OPTIMAL,
     "max iterations reached": Status.ITERATION_LIMIT,
@@ -23,7 +23,7 @@ STATUS = {
 
 @lru_cache(maxsize=16)
 def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
-    """One solver object for every problem of one shape."""
+    """The solver object shared by all problems of one shape."""
     data = state_program(shape).qp_data
     settings = {
         "eps_abs": options.tolerance,
@@ -41,7 +41,7 @@ def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
 
 
 def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
-    """Solve the QP; equality rows hold dynamics and hand-over, everything else is a box or a row of a limit."""
+    """Solve the QP; dynamics and hand-over are equality rows, limits are boxes or inequality rows."""
     shape = program_shape(problem)
     qp, program = solver_object(shape, options), state_program(shape)
     start = time.perf_counter()

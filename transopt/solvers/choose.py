@@ -34,21 +34,21 @@ __all__ = [
     "solve_certified",
 ]
 
-NEARLY_INSIDE = 100.0  # times what is tolerated of the temperature: rounding of a steady state that builds up slowly
-NEARLY_PROVEN = 100.0  # times the gap that is tolerated
-ROOM = 1.5  # times what was missed, by which the limit is taken narrower then
-MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another method
-LATE_S = 20.0  # after the time that a method gives itself: it does not come back
+NEARLY_INSIDE = 100.0  # excess of the temperature, in tolerances, that rounding of a slow steady state may cause
+NEARLY_PROVEN = 100.0  # gap, in tolerances, of an answer that is worth pulling inside the temperature limit
+ROOM = 1.5  # the temperature limit is then tightened by this factor times the excess
+MOST_ASKED_STAGES = 2000  # with more stages the linear program takes longer than trying another solver
+LATE_S = 20.0  # time beyond a method's own time limit after which its process is ended
 Method = Callable[[Sequence[TransientProblem], SolverOptions], list[Solution]]
 
 
 def one_by_one(method: Callable[[TransientProblem, SolverOptions], Solution]) -> Method:
-    """A method for any number of problems of one that solves a single one."""
+    """Turn a method for a single problem into one for any number of problems."""
     return lambda problems, options: [method(problem, options) for problem in problems]
 
 
 def _apart(name: str, method: Callable[[TransientProblem, SolverOptions], Solution]) -> Method:
-    """Run a method in a process of its own: a library's native code answers no signal and may not return."""
+    """Run a method in a process of its own: a library's native code ignores signals and may never return."""
 
     def alone(problem: TransientProblem, options: SolverOptions) -> Solution:
         within_s = most_time_s(problem.grid.stages) + LATE_S
@@ -63,7 +63,7 @@ def _apart(name: str, method: Callable[[TransientProblem, SolverOptions], Soluti
 
 
 def _casadi_piqp(problem: TransientProblem, options: SolverOptions) -> Solution:
-    # CasADi is loaded where it solves: in the process of its own.
+    # Imported here, so that CasADi is loaded only in the separate process.
     from transopt.solvers import casadi_piqp
 
     return casadi_piqp.solve(problem, options)
@@ -83,14 +83,14 @@ def _own(problems: Sequence[TransientProblem], options: SolverOptions) -> list[S
 
 @dataclass(frozen=True)
 class Solver:
-    """A method for any number of problems, and which of them it takes."""
+    """A method for any number of problems, and the test whether it can take a problem."""
 
     method: Method
     takes: Callable[[TransientProblem], bool]
 
 
-# The first that takes a problem is the first choice for it: the project's own method where it is built, then PIQP
-# where the problem is a QP, then IPOPT, which takes all.
+# In order of preference; the first solver that takes a problem is its first choice. The project's own method needs
+# its compiled extension, PIQP takes QPs only, IPOPT takes every problem.
 SOLVERS: dict[str, Solver] = {
     "riccati": Solver(_own, lambda problem: riccati.can_solve(problem) or several.can_solve(problem)),
     "casadi-piqp": Solver(_apart("casadi-piqp", _casadi_piqp), lambda problem: not problem.nonlinear),
@@ -99,7 +99,7 @@ SOLVERS: dict[str, Solver] = {
 
 
 def check_name(solver: str) -> None:
-    """Refuse an unknown solver before any work is done.
+    """Refuse an unknown solver name before any work is done.
 
     Raises
     ------
@@ -116,23 +116,23 @@ def check_name(solver: str) -> None:
 
 
 def capable(problem: TransientProblem, wanted: str = "riccati") -> Iterator[str]:
-    """Names of the solvers that can take this problem, one by one: the wanted one, then the first choices."""
+    """Names of the solvers that can take this problem: the wanted one first, then the others by preference."""
     return (name for name in dict.fromkeys((wanted, *SOLVERS)) if SOLVERS[name].takes(problem))
 
 
 @one_blas_thread()
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
-    """`solve_all` of one problem."""
+    """Solve one problem, by `solve_all`."""
     return solve_all([problem], SolverOptions() if options is None else options)[0]
 
 
 @one_blas_thread()
 def solve_all(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:
-    """Solve problems; what the answers are worth is judged by `certify` and `replay`, not here.
+    """Solve problems; the answers are judged by `certify` and `replay`, not here.
 
-    A zero reference has the zero waveform as its answer and is not handed to a solver. A solver that cannot take
-    a problem (PIQP with the temperature in it) gives way to the first choice among those that can. The own method
-    solves problems of equal sizes side by side.
+    The answer to a zero reference is the zero waveform; it is returned without a solver. If the wanted solver cannot
+    take a problem (such as PIQP one with the temperature), the first choice among the others is used. The project's
+    own method solves problems of equal sizes side by side.
 
     Raises
     ------
@@ -161,17 +161,17 @@ def prove(
     *,
     effect: Effect | None = None,
 ) -> Certificate:
-    """Certificate of an answer; where the temperature binds, with the convex problem's lower bound.
+    """Certificate of an answer; if the temperature binds, with the lower bound of a convex relaxation.
 
     Parameters
     ----------
-    effect : of this command in this problem, where it is known already.
+    effect : the command's effect in this problem, if it is known already.
     """
     return prove_all([(effect or Effect(problem, command), multipliers)], options)[0]
 
 
 def prove_all(answers: Sequence[tuple[Effect, Multipliers]], options: SolverOptions) -> list[Certificate]:
-    """`prove` of answers, each by what its command does in its problem."""
+    """Certificates of several answers, as `prove` gives them; each answer is an effect with its multipliers."""
     found = []
     for (effect, _), certificate in zip(answers, certificates(answers), strict=True):
         bounded = np.isfinite(certificate.lower_bound) or not certificate.finite or not effect.problem.nonlinear
@@ -181,10 +181,11 @@ def prove_all(answers: Sequence[tuple[Effect, Multipliers]], options: SolverOpti
 
 
 def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
-    """Rigorous lower bound on J where the warming copper, or a limit of a user's own, makes the problem nonconvex.
+    """Rigorous lower bound on J where the copper's warming or a user-defined limit makes the problem nonconvex.
 
-    The convex relaxation is solved and its own certificate subtracted; minus infinity if that fails. The copper is
-    replaced by a convex limit that every admissible command meets, a limit that is not linear by none.
+    The bound is the optimum of a convex relaxation less the relaxation's certified gap; minus infinity if that fails.
+    The relaxation replaces the temperature limit by a convex limit that every admissible command meets, and drops
+    every other nonlinear limit.
     """
     thermal = problem.thermal
     relaxed = problem if thermal is None else problem.replaced(thermal.relaxed())
@@ -194,7 +195,7 @@ def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
 
 
 class Certified(NamedTuple):
-    """A solver's answer, its certificate, and what its command does in the problem."""
+    """A solver's answer, its certificate, and the effect of its command in the problem."""
 
     solution: Solution
     proof: Certificate
@@ -202,7 +203,7 @@ class Certified(NamedTuple):
 
 
 def _tried(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Certified]:
-    """Each problem's answer by the wanted solver, or the first choice that takes it, and the certificate."""
+    """Answers and certificates by the wanted solver or, where it cannot take a problem, by the first choice."""
     answers = solve_all(problems, options)
     done = effects([(problem, answer.command) for problem, answer in zip(problems, answers, strict=True)])
     proofs = certificates([(effect, answer.multipliers) for effect, answer in zip(done, answers, strict=True)])
@@ -210,9 +211,9 @@ def _tried(problems: Sequence[TransientProblem], options: SolverOptions) -> list
 
 
 def _answers(problem: TransientProblem, options: SolverOptions, first: Certified) -> Iterator[Certified]:
-    """Answers and certificates until one is proven, which is the last: `first`, then those of the other solvers.
+    """Yield `first`, then the answers of the other solvers, until one is proven.
 
-    On stiff and extreme problems the methods fail on different cases; the certificate tells.
+    On stiff and extreme problems the solvers fail in different cases; the certificate decides.
     """
     asked = False
     for number, name in enumerate(capable(problem, options.solver)):
@@ -221,28 +222,28 @@ def _answers(problem: TransientProblem, options: SolverOptions, first: Certified
             found = _pulled_inside(problem, found.proof, replace(options, solver=name))
         answer = found.solution
         if found.proof.is_stationary:
-            # What is proven is proven, though the method ran on for digits that it does not have.
+            # A certified answer is optimal even if the solver stopped short of its own, tighter tolerance.
             yield found._replace(solution=replace(answer, status=Status.OPTIMAL))
             return
         yield found
         if options.brief:
             return
         if answer.solver == "riccati" and answer.status is Status.INFEASIBLE:
-            return  # its claim comes with a proof
+            return  # the own method proves infeasibility before it claims it
         if not asked and problem.grid.stages <= MOST_ASKED_STAGES:
             asked = True
             if not feasible(problem):
-                return  # the linear program tells: no other method needs to search
+                return  # infeasible by the linear program: no other solver needs to search
 
 
 def _nearly_proven(problem: TransientProblem, proof: Certificate) -> bool:
-    """Whether all that an answer lacks may be the last digits of its temperature."""
+    """Whether rounding in the temperature may be all that keeps an answer from its proof."""
     gap = proof.relative_gap / Certificate.GAP_TOLERANCE
     return problem.thermal is not None and 1 < proof.excess < NEARLY_INSIDE and gap < NEARLY_PROVEN
 
 
 def _pulled_inside(problem: TransientProblem, proof: Certificate, options: SolverOptions) -> Certified:
-    """The answer under a temperature limit that is narrower by little more than what was missed, and its proof."""
+    """Solve again, with the temperature limit tightened by slightly more than the excess, and certify the answer."""
     thermal = problem.thermal
     assert thermal is not None
     headroom = thermal.model.headroom_K - ROOM * proof.excess * thermal.tolerance
@@ -253,8 +254,8 @@ def _pulled_inside(problem: TransientProblem, proof: Certificate, options: Solve
 
 
 def feasible(problem: TransientProblem) -> bool:
-    """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
-    # The linear program is stated in CasADi, which nothing else here needs.
+    """Whether a command meets all linear limits; True also if the linear program was not decided in time."""
+    # Imported here, since it loads a library that nothing else in this module needs.
     from transopt.solvers.feasibility import least_widening
 
     found = least_widening(problem, [limit.name for limit in problem.limits if limit.linear])
@@ -262,9 +263,9 @@ def feasible(problem: TransientProblem) -> bool:
 
 
 def solve_certified(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Certified]:
-    """For each problem the first answer that is certified or, if none is, the wanted solver's.
+    """For each problem the first certified answer or, if there is none, the wanted solver's answer.
 
-    The first answers are found and judged side by side; what is not certified by then goes on alone.
+    The wanted solver's answers are computed and certified side by side; other solvers then take the rest one by one.
     """
     found = []
     for problem, first in zip(problems, _tried(problems, options), strict=True):

@@ -1,13 +1,13 @@
-"""Whether any command meets all limits, and by what factor they would have to be wider: a linear program.
+"""Feasibility of the linear limits, and the least factor by which they would have to be wider: a linear program.
 
-Feasibility is asked of HiGHS and not of the methods that solve the problem: where there is no feasible point these
-search for one until their iterations run out, and say little. A vertex of a linear program decides.
+HiGHS decides feasibility, not the solvers of the problem itself: without a feasible point these search until their
+iteration limit and their last iterate says little. A vertex of a linear program decides.
 
-HiGHS is given what its tolerances are made for. The program stands in the units of the stage, in which every row and
-every column has a coefficient of order one. All variables are divided by the largest bound, which is large where a
-wall asks for far more than the limit. Coefficients below `NOTHING`, which HiGHS would leave out by itself, are left
-out: beside variables of order one they are less than its tolerance. Its presolve is off: on some of these programs it
-writes outside its memory (with scipy 1.17 and 1.18), whatever their scale. And it runs in a process of its own.
+The program is scaled to suit HiGHS's absolute tolerances. It is stated in the units of the stage, in which every row
+and every column has a coefficient of order one. All variables are divided by the largest bound, which is large where
+a wall asks for far more than the limit. Coefficients below `NOTHING` are dropped, as HiGHS would do itself: beside
+variables of order one they are below its tolerance. Presolve is off: on some of these programs it writes outside its
+memory (with scipy 1.17 and 1.18), whatever their scale. For the same reason HiGHS runs in a process of its own.
 """
 
 from collections.abc import Collection
@@ -24,29 +24,29 @@ from transopt.solvers.program import state_program
 from transopt.solvers.sparse_kkt import pattern
 from transopt.solvers.statement import Statement, state, variable
 
-SLACK = 1e-9  # relative, of limits that are as good as met
-TOLERANCE = 1e-9  # of the method
-NOTHING = 1e-9  # coefficient
+SLACK = 1e-9  # relative excess up to which limits count as met
+TOLERANCE = 1e-9  # primal and dual feasibility tolerance of HiGHS
+NOTHING = 1e-9  # coefficients below this are dropped
 MOST_TIME_S = 30.0
-LATE_S = 20.0  # after the time that both methods have: they do not come back
-# The interior point is the faster one without presolve, and crosses over to a vertex; where it stops undecided, the
-# simplex method is asked.
+LATE_S = 20.0  # time beyond the time limits of both methods after which their process is ended
+# Without presolve the interior point is the faster method; its crossover yields a vertex. If it stops undecided, the
+# simplex method is tried.
 METHODS: tuple[Literal["highs-ipm", "highs"], ...] = ("highs-ipm", "highs")
-DECIDED = (0, 2)  # an optimum, or proof that there is none
+DECIDED = (0, 2)  # scipy's status codes for an optimum and for a proof of infeasibility
 
 
 def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
-    """Least factor >= 1 by which the named limits have to be wider together, and a command (N,) that then meets all.
+    """Least factor >= 1 by which the named limits have to be widened together, and a command (N,) feasible with it.
 
-    What is not linear is left out. None if no factor is enough, or none was found in time.
+    Nonlinear limits are ignored. None if no factor is enough, or if none was found in time.
 
     Parameters
     ----------
-    limits : names of limits; the others stay as they are.
+    limits : names of the limits to widen; all others stay as they are.
 
     Raises
     ------
-    InputError : a limit's bounds are none.
+    InputError : invalid bounds of a limit (`check_bounds`).
     """
     try:
         return apart.call(_found, problem, tuple(limits), within_s=MOST_TIME_S * len(METHODS) + LATE_S)
@@ -55,7 +55,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
 
 
 def _found(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
-    # Before the first command is felt nothing that a limit bounds can be helped: no row of the program has it.
+    # Values before the first command acts are fixed and have no row in the program; their excess bounds the factor.
     least = 0.0
     for limit, row in problem.rows():
         if row.linear and row.waits:
@@ -79,7 +79,7 @@ def _found(problem: TransientProblem, limits: Collection[str]) -> tuple[float, F
         (np.ones(columns.size), (np.arange(columns.size), columns)), shape=(columns.size, A.shape[1])
     )
     A_rows = A.tocsr()
-    blocks: list[Any] = []  # the stubs know dense matrices only
+    blocks: list[Any] = []  # typed as Any: the stubs only know dense matrices
     bounds = []
     for matrix, width, upper, lower in (
         (picked, wide_x[columns], upper_x[columns], lower_x[columns]),
@@ -135,13 +135,13 @@ def _without_nothing(matrix: Any) -> Any:
 
 
 def _first_excess(row: Row) -> float:
-    """How far a row that nobody can move is outside its bounds at the first instant; negative inside."""
+    """Excess of a row over its bounds at the first instant, where no command acts yet; negative inside."""
     offset, lower, upper = (float(np.ravel(each)[0]) for each in (row.offset, row.lower, row.upper))
     return max(offset - upper, lower - offset)
 
 
 def _widths(statement: Statement, limits: Collection[str]) -> tuple[FloatArray, FloatArray]:
-    """What one unit of widening adds to each bound of the variables and of the rows; zero where it stays."""
+    """Increase of each bound of the variables and of the rows per unit of widening; zero for unchanged bounds."""
     shape, stage = statement.shape, statement.stage
     wide_x, wide_g = np.zeros((shape.stages, shape.variables)), np.zeros(statement.upper_g.size)
     upper = statement.upper_x[shape.first :].reshape(shape.stages, shape.variables)

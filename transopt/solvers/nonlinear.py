@@ -31,10 +31,10 @@ from transopt.proof.nonlinear import NonlinearEffect, with_hand_over
 from transopt.solvers.casadi_ipopt import STATUS
 from transopt.solvers.options import SolverOptions, most_time_s
 
-# IPOPT's time is mostly that of the second derivatives, by so much per stage and substep on top of what a QP takes.
+# Additional time [s] per stage and substep beside that of a QP; most of it goes into the second derivatives.
 TIME_PER_SUBSTEP_S: Final = 1e-2
-COARSE: Final = 1e-3  # of the largest acceleration: error of the stage that is good enough to begin with
-# The answer of a coarser stage is taken as it is, bounds that it touches included.
+COARSE: Final = 1e-3  # integration error of the first, coarse program, relative to the largest acceleration
+# IPOPT's options for a start from the answer of a coarser program: do not push it away from the bounds it touches.
 NEARBY: Final[Mapping[str, str | float]] = MappingProxyType(
     {
         "warm_start_init_point": "yes",
@@ -53,12 +53,12 @@ CASADI: Final[Functions] = MappingProxyType(
 
 @dataclass(frozen=True)
 class _Value:
-    """A limit's row by the variables: now z_k + after z_(k+1) + command c_k + held c_(k-1), z and c in their units.
+    """A limit's row in the scaled variables: now z_k + after z_(k+1) + command c_k + held c_(k-1).
 
     Attributes
     ----------
-    unit : by which value and bounds are divided.
-    lower, upper : (N,) less the offset, infinite where nobody has a say.
+    unit : divisor of value and bounds.
+    lower, upper : (N,) bounds less the offset; infinite where no variable affects the value.
     """
 
     name: str
@@ -71,7 +71,12 @@ class _Value:
     upper: FloatArray
 
     def alone(self, free: int) -> tuple[int, NDArray[np.int64], NDArray[np.int64], float] | None:
-        """The state that it bounds alone, -1 for the command: its places in time, the stages, the factor; or None."""
+        """The only variable in the row, so that the limit is a box on it; None for a sum of several.
+
+        Returns
+        -------
+        Index of the state, -1 for the command; its instants; the stages of the row; its factor in the row.
+        """
         N, n = self.lower.size, self.now.size
         parts = np.concatenate([self.now, self.after, [self.command, self.held]])
         if np.count_nonzero(parts) != 1 or parts.max() <= 0 or self.held:
@@ -79,13 +84,13 @@ class _Value:
         of, k = int(np.argmax(parts)), np.arange(N)
         if of == 2 * n:
             return -1, k[:free], k[:free], float(parts[of])
-        # Column k of the states is z_(k+1); z_0 is at rest and no variable.
+        # Column k of the states is z_(k+1); z_0 is the state of rest and not a variable.
         return (of, k[:-1], k[1:], float(parts[of])) if of < n else (of - n, k, k, float(parts[of]))
 
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the program as IPOPT left it: variables and multipliers, from which a nearby program is solved."""
+    """IPOPT's answer, variables and multipliers, used as the starting point of a nearby program."""
 
     x: FloatArray
     lam_x: FloatArray
@@ -93,12 +98,12 @@ class Point:
 
 
 class NonlinearProgram:
-    """The program of one problem.
+    """The nonlinear program of one problem.
 
     Parameters
     ----------
-    problem : one with limits that are linear in the outputs.
-    near : the answer of a program that differs in its stage's substeps alone; IPOPT then begins there.
+    problem : a problem whose limits are linear in the outputs.
+    near : the answer of a program that differs only in the number of substeps; IPOPT then starts there.
     """
 
     def __init__(self, problem: NonlinearProblem, options: SolverOptions, near: Point | None = None) -> None:
@@ -149,9 +154,9 @@ class NonlinearProgram:
                     "tol": options.tolerance,
                     "max_iter": options.max_iterations,
                     "max_cpu_time": most_time_s(self.stages) + TIME_PER_SUBSTEP_S * self.stages * stage.substeps,
-                    # Otherwise the answer leaves the box.
+                    # IPOPT relaxes bounds by default; the answer would violate the box.
                     "bound_relax_factor": 0.0,
-                    # The program is in physical scale.
+                    # The program is scaled already.
                     "nlp_scaling_method": "none",
                     **({} if near is None else NEARBY),
                 },
@@ -159,7 +164,7 @@ class NonlinearProgram:
         )
 
     def _led_to(self) -> tuple[FloatArray, FloatArray]:
-        """(outputs, N + M) what the outputs of the stage function are led to, and with what weights."""
+        """(outputs, N + M) targets of the stage function's outputs, and their weights."""
         linear, tracking = self.problem.linear, self.problem.linear.tracking
         lost = linear.target.before_m_s2.size
         wanted, weights = tracking.unit_wanted, tracking.weights[:, lost:]
@@ -170,9 +175,9 @@ class NonlinearProgram:
         return np.append(wanted, np.zeros_like(price), axis=0), np.append(weights, price, axis=0)
 
     def _stage_function(self) -> ca.Function:
-        """(z_k, c_k) -> (z_(k+1), outputs), z and c in their units, z the device's states and those of the filters.
+        """(z_k, c_k) -> (z_(k+1), outputs), scaled; z holds the device's states and those of the error filters.
 
-        The outputs are y''_k / sqrt(E) through the filter of every term, and the input where heat has a price.
+        The outputs are y''_k / sqrt(E) through the filter of each error term and, if heat has a price, the input.
         """
         stage, linear, m = self.problem.stage, self.problem.linear, self.problem.stage.order
         z, c = ca.SX.sym("z", self.order), ca.SX.sym("c")
@@ -195,11 +200,11 @@ class NonlinearProgram:
         return ca.Function("stage", [z, c], [ca.vertcat(*after), ca.vertcat(*outputs)])
 
     def _hessian(self, states: ca.MX, free: ca.MX, wanted: FloatArray, weights: FloatArray) -> ca.Function:
-        """Second derivatives of the Lagrangian, upper triangle, as IPOPT asks for them.
+        """Hessian of the Lagrangian, upper triangle, in the form that IPOPT expects.
 
-        A stage adds mu' (outputs - r)^2 - lambda' (its step) to the Lagrangian, whose second derivatives by z_k and
-        c_k are one expression that is mapped: half the time of what CasADi makes of the mapped stage by itself. The
-        movement adds a constant band.
+        A stage adds mu' (outputs - r)^2 - lambda' (its step) to the Lagrangian. The second derivatives by z_k and c_k
+        are one expression, mapped over all stages; this takes half the time of CasADi's own Hessian of the mapped
+        stage. The movement adds a constant band.
         """
         linear, n, K, F = self.problem.linear, self.order, self.stages, self.free
         step, o = self._stage_function(), wanted.shape[0]
@@ -216,7 +221,7 @@ class NonlinearProgram:
         scaled = ca.DM(weights) * (lam_f / OBJECTIVE_SCALE)
         by_dynamics = ca.reshape(lam_g[: n * K], n, K)
         blocks = of_stage.map(K)(before, command, by_dynamics, scaled, ca.DM(wanted))
-        # Entry (a, b) of the block of stage k: z_k stands n (k - 1) from the front, c_k behind all states.
+        # Entry (a, b) of the block of stage k: z_k starts at variable n (k - 1), c_k comes after all states.
         rows, columns, values, k = [], [], [], np.arange(K)
         for entry, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
             first, last = (0 if a == n else 1), (F if b == n else K)
@@ -225,7 +230,7 @@ class NonlinearProgram:
             columns.append(n * K + at if b == n else n * (at - 1) + b)
             values.append(blocks[entry, first:last].T)
         weight = 2 * linear.movement.weight * self.by_command**2 / OBJECTIVE_SCALE * lam_f
-        # dc_k and dc_(k+1) move with c_k; of the last command there is no next.
+        # c_k enters dc_k and dc_(k+1); the last command enters only one movement.
         both = np.full(F, 2.0)
         both[linear.grid.stages - 1 :] = 1.0
         values[-1] = values[-1] + weight * ca.DM(both)
@@ -256,7 +261,7 @@ class NonlinearProgram:
                 now[:m] += by * stage.rows[output]
         lower, upper = (np.array((bound - row.offset) / limit.stated) for bound in row.bounds(N))
         if not (after.any() or command):
-            # At tau_0 the device rests and nothing is held.
+            # At tau_0 the device is at rest and the held command is zero: the value is fixed.
             lower[0], upper[0] = -np.inf, np.inf
         by_state, by_command = self.by_state / limit.stated, self.by_command / limit.stated
         return _Value(
@@ -284,7 +289,7 @@ class NonlinearProgram:
         return -states[0], states[1], -commands[0], commands[1]
 
     def _guess(self, start: FloatArray) -> dict[str, FloatArray]:
-        """Starting point of IPOPT: the nearby answer, or a command (N,) rolled out."""
+        """Starting point of IPOPT: the nearby answer or, without one, a rolled-out command (N,)."""
         if self.near is not None:
             return {"x0": self.near.x, "lam_x0": self.near.lam_x, "lam_g0": self.near.lam_g}
         effect = NonlinearEffect(self.problem, start)
@@ -298,7 +303,7 @@ class NonlinearProgram:
         return {"x0": np.concatenate([np.nan_to_num(rolled).ravel(), start[: self.free] / self.by_command])}
 
     def solve(self, start: FloatArray) -> tuple[Solution, Point]:
-        """The stationary point that IPOPT finds from a command (N,), or from the nearby answer where there is one."""
+        """Stationary point that IPOPT finds from the nearby answer or, without one, from a command (N,)."""
         began, linear, n = time.perf_counter(), self.problem.linear, self.order
         lower_z, upper_z, lower_c, upper_c = self._boxes()
         nothing = np.zeros(n * self.stages)
@@ -331,7 +336,7 @@ class NonlinearProgram:
         N, pairs, row = linear.grid.stages, dict[str, Pair](), n * self.stages
         by_state, by_command = lam_x[: n * self.stages].reshape(self.stages, n).T, lam_x[n * self.stages :]
         lower_z, upper_z, lower_c, upper_c = self._boxes()
-        # One variable has one multiplier on either side: it goes to the first of the rows whose bound is its box.
+        # A variable has one multiplier per side; it is assigned to the first row whose bound is active as the box.
         taken: dict[tuple[int, str], NDArray[np.bool_]] = {}
         for value in self.values:
             lower, upper = np.zeros(N), np.zeros(N)
@@ -355,14 +360,14 @@ class NonlinearProgram:
 
 
 def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) -> tuple[NonlinearProblem, Solution]:
-    """Solve from a command (N,), the linear design's, with as many substeps as the answer needs.
+    """Solve from a command (N,), that of the linear design, with as many substeps as the answer needs.
 
-    A few substeps are enough to find out where the answer lies, and most of IPOPT's iterations go there; the program
-    with all that its command needs is then solved from that answer, in few.
+    A coarse program with few substeps is solved first and takes most of IPOPT's iterations. The program with all
+    substeps that its command needs is then solved from the coarse answer, in few iterations.
 
     Returns
     -------
-    The problem with the stage's substeps, and its answer.
+    The problem with the final number of substeps, and its answer.
     """
     linear = problem.linear
     posed = replace(problem, stage=resolved(problem.stage, linear.continued(start), COARSE)[0])
@@ -379,12 +384,12 @@ def solve(problem: NonlinearProblem, start: FloatArray, options: SolverOptions) 
 
 
 def _sizes(stage: NonlinearStage, input_size: float, stages: int) -> FloatArray:
-    """(n,) size of each state of the stage as it is at rest."""
+    """(n,) typical size of each state, from the stage linearised at rest; used as its unit."""
     rest = stage.linearised(np.zeros(1), np.zeros((2, stage.order)))
     return state_scale(rest.A[0], rest.B[0], input_size, stages)
 
 
 def _filter_sizes(by: ErrorFilter, stages: int) -> FloatArray:
-    """(2,) size of each state of a filter whose input is of order one."""
+    """(2,) typical size of each state of a filter whose input is of order one; used as its unit."""
     A, B, _, _ = by.state_space()
     return state_scale(A, B[:, 0], 1.0, stages)

@@ -1,4 +1,4 @@
-"""What a user may set about a solver."""
+"""Options of a solver that a user may set."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -7,16 +7,16 @@ from transopt.base.errors import InputError
 from transopt.solvers.native import extension
 
 FALLBACK = "casadi-piqp"
-LEAST_TIME_S, TIME_PER_STAGE_S = 4.0, 2e-3  # of a processor, for a solve that takes tenths of a second
+LEAST_TIME_S, TIME_PER_STAGE_S = 4.0, 2e-3  # processor time; a solve normally takes tenths of a second
 
 
 def most_time_s(stages: int) -> float:
-    """How long a method of a library may search."""
+    """Time limit [s] of a solver from a library (IPOPT or PIQP)."""
     return LEAST_TIME_S + TIME_PER_STAGE_S * stages
 
 
 def default_solver() -> str:
-    """The project's own method, or the best of the others where its extension is missing or of another version."""
+    """The project's own method, or the fallback where its extension is missing or of another version."""
     return "riccati" if extension.available else FALLBACK
 
 
@@ -46,6 +46,6 @@ class SolverOptions:
 
 @dataclass(frozen=True)
 class TrialOptions(SolverOptions):
-    """For a trial, whose failure needs no second opinion and no explanation."""
+    """Options of a trial: if the solver fails, no other solver is tried and no reason is searched for."""
 
     brief: ClassVar[bool] = True

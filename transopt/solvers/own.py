@@ -1,12 +1,12 @@
-"""Limits of a user's own: a CasADi expression of outputs, states, command and stage, read and taken apart.
+"""User-defined limits: a CasADi expression of outputs, states, command and stage, analysed when it is read.
 
     # my_limits.py
     import transopt as to
 
     LIMITS = [to.own_limit("joint_force", "N", lambda s: 6e4 * s.state(1), lower=-12.0, upper=12.0)]
 
-A scene names the file, `limits.own = ["my_limits.py"]`, and holds from then on what was read from it: who has the
-scene or a library solved from it needs neither the file nor, where all is linear, CasADi.
+A scene names the file, `limits.own = ["my_limits.py"]`, and stores the limits read from it. A user of the scene, or
+of a library solved from it, needs neither the file nor, if all limits are linear, CasADi.
 """
 
 import keyword
@@ -26,9 +26,9 @@ from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import COMMAND, HELD, VELOCITY
 
-CURVED = 1e-12  # of the largest curvature: what rounding leaves of none
+CURVED = 1e-12  # curvatures below this share of the largest one are rounding
 TAKEN = {row for kind in KINDS for row in kind.row_names} | {"end"}
-OF_A_DEVICE = re.compile(r".*_device_\d+")  # what rows of further devices are called (`limit.device_row`)
+OF_A_DEVICE = re.compile(r".*_device_\d+")  # names of the rows of further devices (`limit.device_row`)
 
 
 class StageSymbols:
@@ -91,16 +91,16 @@ class StageSymbols:
 
 @dataclass(frozen=True)
 class StatedLimit:
-    """A limit as its file states it, taken apart.
+    """A user-defined limit, analysed: its outputs, linearity and convexity.
 
     Attributes
     ----------
-    name, unit : what it is called, and the unit of its bounds.
-    outputs : that the expression depends on, in the order of its arguments.
-    lower, upper : bounds; None for none.
-    coefficients : by the outputs, of a linear expression; None of another.
+    name, unit : name of the limit, and unit of its bounds.
+    outputs : outputs on which the expression depends, in the order of its arguments.
+    lower, upper : bounds; None for no bound.
+    coefficients : derivatives by the outputs if the expression is linear; otherwise None.
     expression : Function (outputs (m,), k) -> value.
-    convex : whether a lower and an upper bound leave a convex set, proven from a constant second derivative.
+    convex : whether a lower and whether an upper bound leaves a convex set, proven from a constant second derivative.
     """
 
     name: str
@@ -113,7 +113,7 @@ class StatedLimit:
     convex: tuple[bool, bool]
 
     def table(self, stages: int) -> dict[str, Any]:
-        """What a scene and a library hold of it, in numbers and text."""
+        """The limit as numbers and text, as a scene and a library store it."""
         offsets = None
         if self.coefficients is not None:
             nothing = np.zeros((len(self.outputs), stages))
@@ -192,7 +192,7 @@ def _convex(curvature: ca.SX, arguments: ca.SX) -> tuple[bool, bool]:
 
 
 class CasadiLaw:
-    """The law of an expression, from its text."""
+    """A nonlinear expression, evaluated from its stored text."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -205,17 +205,17 @@ class CasadiLaw:
         return law, (self.text,)
 
     def value(self, outputs: FloatArray) -> FloatArray:
-        """(N,) of outputs (m, N)."""
+        """(N,) values of the expression at outputs (m, N)."""
         N = outputs.shape[1]
         return np.asarray(self._value.map(N)(outputs, np.arange(N)[None])).ravel()
 
     def slopes(self, outputs: FloatArray) -> FloatArray:
-        """(m, N) derivatives by the outputs."""
+        """(m, N) derivatives of the expression by the outputs, at outputs (m, N)."""
         N = outputs.shape[1]
         return np.asarray(self._slopes.map(N)(outputs, np.arange(N)[None]))
 
 
 @lru_cache(maxsize=64)
 def law(text: str) -> CasadiLaw:
-    """The law that a table's `function` holds."""
+    """Restore the expression stored under `function` in a limit's table."""
     return CasadiLaw(text)

@@ -1,12 +1,12 @@
 """The optimal-control problem as one sparse program in CasADi.
 
 PIQP, IPOPT, the linear programs and the sparse KKT system read their data from this statement. The project's own
-method takes `stage_data`, made from the same linear stage and the same rows of limits.
+method uses `stage_data` instead, computed from the same linear stage and the same rows of limits.
 
-Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the movement of each command, the linear states
-of `linear_stage` in physical scale, and where the temperature is in the problem the size e_k of the mean current and
-the nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps repeat. Current, command and movement
-are single variables, so that their limits are boxes. Nothing is condensed.
+Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1: the movement of each command and the scaled
+states of `linear_stage`; with a temperature limit also the magnitude e_k of the mean current and the temperature
+rises of the thermal nodes. x_0 = 0 is not a variable; th_0 is one, placed first, where taps repeat. Current, command
+and movement are single variables, so that their limits are boxes. No states are eliminated.
 """
 
 from dataclasses import dataclass, fields
@@ -32,12 +32,12 @@ class Program:
     Attributes
     ----------
     x : MX (variables, 1), stage by stage. p : MX, all parameters.
-    parameters : their names, in the order in which they stand in p.
-    f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, rows kind by kind.
-    rows : kind -> where it stands in g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over", and the
-        name of every row of `shape.rows`.
-    qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, lb <= A x <= ub. With the temperature
-        (`nlp_only`) there is none.
+    parameters : names of the parameters in the order of p.
+    f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, constraint rows, grouped by kind.
+    rows : kind -> slice of g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over", and the name of
+        every row of `shape.rows`.
+    qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, lb <= A x <= ub; undefined for a problem with
+        the temperature (`nlp_only`).
     """
 
     shape: Shape
@@ -57,7 +57,7 @@ class Program:
 
 
 def _sparse_symbol(name: str, mask: NDArray[np.bool_]) -> tuple[ca.MX, ca.MX]:
-    """A symbol for the nonzeros, column by column, and the matrix they fill."""
+    """A symbol for the nonzeros, column by column, and the sparse matrix made of them."""
     rows, columns = np.nonzero(mask.T)[::-1]
     sparsity = ca.Sparsity.triplet(mask.shape[0], mask.shape[1], rows.tolist(), columns.tolist())
     nonzeros = ca.MX.sym(name, int(mask.sum()))
@@ -65,12 +65,12 @@ def _sparse_symbol(name: str, mask: NDArray[np.bool_]) -> tuple[ca.MX, ca.MX]:
 
 
 def nonzeros(matrix: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
-    """Entries under a mask, column by column, as the program's symbols take them."""
+    """Entries of a matrix under a mask, column by column: the values of `_sparse_symbol`'s nonzeros."""
     return np.asarray(matrix.T[mask.T])
 
 
 def feedback_mask(where: Layout) -> NDArray[np.bool_]:
-    """(1, n) states that the hand-over's command depends on."""
+    """(1, n) mask of the states that determine the hand-over's command."""
     mask = np.zeros((1, where.states), dtype=bool)
     mask[0, where.wall] = True
     return mask
@@ -103,21 +103,21 @@ class HeatSymbols:
         return found
 
     def mean_square(self, current: ca.MX, command: ca.MX, size: ca.MX) -> ca.MX:
-        """Mean of i_eff^2 over a period; `heat.Heating.mean_square` with |mean i| a variable of its own."""
+        """Mean of i_eff^2 over a period; `heat.Heating.mean_square` with |mean i| as a separate variable `size`."""
         found: ca.MX = mean_square(self.square, self.decay, self.ripple, current, command, size)
         return found
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What happens at a stage, as expressions; for states (n, K) and movements (m, K) at K stages side by side.
+    """One stage of the program as expressions, for states (n, K) and movements (m, K) at K stages side by side.
 
     Attributes
     ----------
-    A, B, C, E : MX of `problem.stage.LinearStage`.
-    rows : name of a limit's row -> MX of its value by x and by dc, and which of the movements that is.
-    heat : None without temperature.
-    symbols : in the order in which `statement` gives their values.
+    A, B, C, E : MX, the matrices of `problem.stage.LinearStage`.
+    rows : name of a limit's row -> MX derivatives of its value by x and by one movement, and that movement's index.
+    heat : parameters of the temperature recursion; None without temperature.
+    symbols : name -> symbol, in the order of the values in `statement`.
     """
 
     layout: Layout
@@ -134,7 +134,7 @@ class Stage:
         where = shape.layout
         A_values, A = _sparse_symbol("A", where.dynamics_mask())
         C_values, C = _sparse_symbol("C", where.output_mask())
-        # One motor's column is dense in the program; of several each has the sparsity of its own.
+        # The column B of a single motor is dense; with several motors each column has its own sparsity.
         B_values = B = ca.MX.sym("B", where.states)
         if where.motors > 1:
             B_values, B = _sparse_symbol("B", where.dynamics_mask()[:, -where.motors :])
@@ -161,12 +161,12 @@ class Stage:
         return found if self.layout.amplifier else found + self.E @ movement
 
     def value(self, row: str, before: ca.MX, movement: ca.MX) -> ca.MX:
-        """(1, K) of a limit's row, in units of what its limit states and without its offset."""
+        """(1, K) value of a limit's row, divided by the stated limit and without its offset."""
         G, d, motor = self.rows[row]
         return G @ before + d * movement[motor, :]
 
     def current(self, before: ca.MX) -> ca.MX:
-        """(1, K) zero for an ideal amplifier, whose current is the command."""
+        """(1, K) current; zero for an ideal amplifier, whose current is the command."""
         return before[self.layout.current, :] if self.layout.amplifier else ca.MX(1, before.size2())
 
     def mean_current(self, before: ca.MX, movement: ca.MX) -> ca.MX:
@@ -174,7 +174,7 @@ class Stage:
         return self.heat.mean_current(self.current(before), before[-1, :] + movement)
 
     def warmer(self, before: ca.MX, movement: ca.MX, size: ca.MX, rise: ca.MX, gain: ca.MX) -> ca.MX:
-        """(m, K) rises one period later; `gain` (1, K) resistance at the unpowered temperature."""
+        """(m, K) temperature rises one period later; `gain` is the (1, K) resistance at the unpowered temperature."""
         assert self.heat is not None
         square = self.heat.mean_square(self.current(before), before[-1, :] + movement, size)
         heat = self.heat
@@ -184,7 +184,7 @@ class Stage:
 
 @lru_cache(maxsize=16)
 def state_program(shape: Shape) -> Program:
-    """State the problem for one shape; all numbers are parameters."""
+    """State the program of one shape; all numbers are parameters."""
     N, n, m, h, where = shape.stages, shape.layout.states, shape.nodes, shape.hand_over_samples, shape.layout
     variables = ca.MX.sym("stages", shape.variables, N)
     first = ca.MX.sym("start", shape.first)
@@ -215,11 +215,12 @@ def state_program(shape: Shape) -> Program:
     if stage.heat is not None:
         warm = ca.horzcat(first if shape.repeated else ca.MX(m, 1), rise[:, :-1])
         size = variables[1, :]
-        # A step's own rise is tiny beside the headroom of taps that repeat: the row is weighed to be met as exactly.
+        # The rise of one step is tiny beside the headroom of taps that repeat: without a weight the row's residual
+        # would be too coarse.
         weight = REPEATED_WEIGHT if shape.repeated else 1.0
         warmer = stage.warmer(before, movement, size, warm, stage.heat.gain)
         rows["heat"] = ca.vec(weight * (rise - warmer))
-        # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
+        # size >= |mean i|: the kink of Eq. 7 as two smooth rows, which Newton's method can handle.
         mean = stage.mean_current(before, movement)
         rows["size_above"] = ca.vec(size - mean)
         rows["size_below"] = ca.vec(size + mean)

@@ -1,7 +1,7 @@
 """Certificates in one compiled call, for all problems but those with a binding temperature or a nonlinear limit.
 
-It states what `proof.certify` states, from the stage data on which the own method works. `proof.certify`, which knows
-of no stage data, is the judge of both in the tests and of every library in `verify`.
+The results equal those of `proof.certify`, but are computed from the stage data of the project's own method.
+`proof.certify` does not use stage data. It checks both in the tests, and every library in `verify`.
 """
 
 from collections.abc import Sequence
@@ -21,21 +21,21 @@ from transopt.solvers.stage_data import Stages, stages
 def certified(
     problem: TransientProblem, command: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
 ) -> Certificate:
-    """Certificate of a command (N,), as `proof.certify.certify` states it.
+    """Certificate of a command (N,), equal to that of `proof.certify.certify`.
 
     Parameters
     ----------
-    effect : of this command in this problem, where it is known already.
+    effect : the command's effect in this problem, if it is known already.
     """
     return certificates([(effect or Effect(problem, command), multipliers)])[0]
 
 
 def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certificate]:
-    """Certificates of commands, each by what it does in its problem, those of equal sizes side by side."""
+    """Certificates of commands, each given by its effect; problems of equal sizes are computed side by side."""
     means = [(_in_the_mean(effect), each) for effect, each in answers]
     asked = [_asked(mean, each) if _is_known(mean, each) else None for mean, each in means]
     known = [each for each in asked if each is not None]
-    proofs = iter(prove(known) if known else ())  # none is known where there is no extension
+    proofs = iter(prove(known) if known else ())  # `known` is empty without the extension
     found = []
     for (effect, each), (mean, _), judged in zip(answers, means, asked, strict=True):
         proof = None if judged is None else _certificate(mean, each, judged.stages, next(proofs))
@@ -48,7 +48,7 @@ def certificates(answers: Sequence[tuple[Effect, Multipliers]]) -> list[Certific
 
 
 def _in_the_mean(effect: Effect) -> Effect:
-    """The command's effect where the devices' mean, weighted by their shares, counts and not the worst device."""
+    """The command's effect in the problem of the devices' weighted mean, in place of the worst device."""
     return effect.of(replace(effect.problem, worst=False)) if effect.problem.worst else effect
 
 
@@ -64,7 +64,7 @@ def _of_the_worst(mean: Certificate, effect: Effect) -> Certificate:
 
 
 def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
-    """Whether the compiled call knows all of a problem, its command and its multipliers."""
+    """Whether the compiled call can judge a problem, its command and its multipliers."""
     problem, command = effect.problem, effect.command
     if (
         not available
@@ -73,14 +73,14 @@ def _is_known(effect: Effect, multipliers: Multipliers) -> bool:
         or set(problem.nonlinear) - {TemperatureLimit.name}
     ):
         return False
-    # Extended precision, and what is no number at all, are left to the other certificate.
+    # Extended precision and values that are not finite are left to `proof.certify`.
     if not command.dtype == problem.stage.A.dtype == np.float64 or multipliers.upper(TEMPERATURE).any():
         return False
     return is_stated(problem, command, multipliers)
 
 
 def _asked(effect: Effect, multipliers: Multipliers) -> Judged | None:
-    """What the compiled call judges; None where the problem is too large."""
+    """Arguments of the compiled call; None where the problem is too large."""
     problem, m = effect.problem, multipliers.clipped()
     given = stages(problem.without(TemperatureLimit.name))
     if given.sizes["rows"] > MOST_ROWS or given.sizes["states"] > MOST_STATES:
@@ -98,12 +98,12 @@ def _asked(effect: Effect, multipliers: Multipliers) -> Judged | None:
 
 
 def _units(problem: TransientProblem, given: Stages) -> FloatArray:
-    """(rows,) unit of each row, in that of its limit."""
+    """(rows,) unit of each row of the stage data, in the physical unit of its limit."""
     return np.asarray(given.limits.unit * [limit.stated for limit, _ in problem.rows()])
 
 
 def _certificate(effect: Effect, multipliers: Multipliers, given: Stages, found: Proof) -> Certificate | None:
-    """The certificate by the compiled call; None where a number is not finite."""
+    """The certificate from the compiled call's result; None where a number is not finite."""
     problem, unit, units = effect.problem, given.input_scale, _units(effect.problem, given)
     hot = list(boxes_of(effect, multipliers, only=TemperatureLimit.name))
     if not np.isfinite([*found[1:6], *found.excess, *(box.value.max() for box in hot)]).all():

@@ -1,4 +1,4 @@
-"""The project's own method: an interior point over the stages, in C (`native/riccati.c`).
+"""The project's own solver: an interior-point method over the stages, in C (`native/riccati.c`).
 
 The extension is optional. Where it could not be built, `available` is False and the CasADi methods take over.
 """
@@ -17,12 +17,12 @@ from transopt.solvers.stage_data import Stages, stages
 
 __all__ = ["available", "can_solve", "solve", "stages"]
 
-# Gap and residuals are both asked for this much more loosely than `SolverOptions.tolerance`: at the default that
-# leaves three digits to the certificate's tolerance, and more digits only cost iterations.
+# Factor by which the tolerances on gap and residuals are looser than `SolverOptions.tolerance`. At the default that
+# leaves three digits to the certificate's tolerance; more digits only cost iterations.
 LOOSER = 10.0
-ROWS_OF_HEAT = 4  # beside those of the limits: the winding, and the size of the mean current
+ROWS_OF_HEAT = 4  # rows beside those of the limits: the winding's temperature, and the magnitude of the mean current
 
-# What `tr_solve` returns.
+# Status of each code that `tr_solve` returns.
 STATUS = (
     (Status.OPTIMAL, "solved"),
     (Status.OPTIMAL, "solved to what rounding leaves"),
@@ -34,9 +34,9 @@ STATUS = (
 
 
 def can_solve(problem: TransientProblem) -> bool:
-    """Whether the extension is there and the problem small enough: many devices are too many states, or rows."""
+    """Whether the extension exists and the problem fits it; many devices may have too many states or rows."""
     nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
-    # The compiled recursion knows no limit that is not linear but the temperature.
+    # The temperature is the only nonlinear limit that the compiled recursion can handle.
     if set(problem.nonlinear) - {TemperatureLimit.name} or problem.stage.motors > 1:
         return False
     if len(problem.rows()) + ROWS_OF_HEAT > MOST_ROWS:
@@ -45,9 +45,9 @@ def can_solve(problem: TransientProblem) -> bool:
 
 
 def solve(problems: Sequence[TransientProblem], options: SolverOptions) -> list[Solution]:
-    """Solve QPs and NLPs stage by stage; infeasibility is claimed only with its proof (`farkas`).
+    """Solve QPs and NLPs stage by stage; INFEASIBLE is returned only with a proof (`farkas`).
 
-    Problems of equal sizes are solved side by side, and share the time that it takes.
+    Problems of equal sizes are solved side by side; each is reported with an equal share of the time.
     """
     start = time.perf_counter()
     given = [stages(problem) for problem in problems]

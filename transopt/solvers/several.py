@@ -1,6 +1,6 @@
-"""Problems of several motors by the interior point in C (`native/motors.c`): their numbers stage by stage, and modes.
+"""Problems of several motors, solved by the interior-point method in C (`native/motors.c`).
 
-The numbers come from the linear stage and from the rows of the limits, as those of `stage_data` do.
+The stage data are computed from the linear stage and from the rows of the limits, as those of `stage_data` are.
 """
 
 import time
@@ -32,12 +32,12 @@ from transopt.solvers.options import SolverOptions
 from transopt.solvers.riccati import LOOSER, STATUS
 from transopt.solvers.stage_data import StatedRow, held, stated_rows, tracking_values
 
-UNLIMITED_GAP = 1e-8  # of max(J, 1e-3), as `unlimited.GAP`
-UNLIMITED_STEPS = 5  # Newton steps: one solves the problem without limits, more refine it
+UNLIMITED_GAP = 1e-8  # tolerance of the gap relative to max(J, 1e-3), as `unlimited.GAP`
+UNLIMITED_STEPS = 5  # Newton steps: the first solves the problem without limits, the others refine the answer
 
 
 def can_solve(problem: TransientProblem) -> bool:
-    """Whether the extension is there, and the problem has several motors and is small enough for it."""
+    """Whether the extension exists, and the problem has several motors and fits it."""
     where = layout(problem)
     return (
         available
@@ -50,15 +50,15 @@ def can_solve(problem: TransientProblem) -> bool:
 
 
 def solve(problem: TransientProblem, options: SolverOptions, *, modal: bool = True) -> Solution:
-    """Solve the QP stage by stage; infeasibility is claimed only with its proof (`farkas`).
+    """Solve the QP stage by stage; INFEASIBLE is returned only with a proof (`farkas`).
 
     Parameters
     ----------
-    modal : whether the states may be those of the device's modes, where these are well conditioned.
+    modal : whether modal coordinates are used where they are well conditioned.
 
     Raises
     ------
-    InputError : a limit's bounds are none.
+    InputError : invalid bounds of a limit (`check_bounds`).
     """
     start, stage = time.perf_counter(), linear_stage(problem)
     rows = stated_rows(problem, stage)
@@ -75,7 +75,7 @@ def solve(problem: TransientProblem, options: SolverOptions, *, modal: bool = Tr
 
 
 def unlimited(problem: TransientProblem) -> Solution | None:
-    """Minimise J subject to dynamics and hand-over only, as `unlimited.solve`; None where the method cannot."""
+    """Minimise J subject to dynamics and hand-over only, as `unlimited.solve`; None where the method fails."""
     start = time.perf_counter()
     if can_solve(problem):
         by = Numbers.of(problem, linear_stage(problem), [], modal=True)
@@ -91,7 +91,7 @@ def unlimited(problem: TransientProblem) -> Solution | None:
 
 @dataclass(frozen=True)
 class Numbers:
-    """One problem as the method takes it, in the units of its linear stage: the fields of `tm_problem` by name."""
+    """One problem as input of the method, in the units of its linear stage: the fields of `tm_problem` by name."""
 
     problem: TransientProblem
     rows: list[StatedRow]
@@ -147,7 +147,7 @@ class Numbers:
             )
 
     def command(self, answer: Answer, *, inside: bool = True) -> FloatArray:
-        """(m, N) commands [A], with `inside` as `held`."""
+        """(m, N) commands [A]; with `inside` clipped to the command bound (`held`)."""
         found = answer.command.T * self.input_scale
         if inside:
             return held(self.problem, found)
@@ -165,10 +165,11 @@ class Numbers:
 
 
 def modes(stage: LinearStage, where: Layout) -> tuple[FloatArray, FloatArray]:
-    """A of the states z with x = T z, and T: complex modes in pairs, then real ones, the currents and the commands.
+    """Modal coordinates z, x = T z: returns A in z, and T.
 
-    The plant's modes take along what the filters make of them; of the filters, which are one and the same for all
-    directions, each keeps its two states as a pair. T is the identity where it is ill conditioned (`modes`).
+    The order is complex modes in pairs, real modes, currents, commands. The eigenvectors of the plant's modes include
+    the response of the error filters. The filters themselves are equal for all directions and keep their two states
+    as pairs. T is the identity where it is ill conditioned (`modes`).
     """
     n, m, A = stage.units.size, stage.motors, stage.A
     dense = A, np.eye(n)
@@ -194,7 +195,7 @@ def modes(stage: LinearStage, where: Layout) -> tuple[FloatArray, FloatArray]:
         return dense
     pairs = []
     for vector in whole.T[values.imag > 0]:
-        # Real and imaginary part stand at right angles in one of the phases that a complex vector may have.
+        # Choose the phase of the eigenvector for which its real and imaginary parts are orthogonal.
         turned = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
         pairs += [turned.real, turned.imag]
     real = list(whole.T[values.imag == 0].real)
@@ -208,13 +209,13 @@ def modes(stage: LinearStage, where: Layout) -> tuple[FloatArray, FloatArray]:
 
 
 def _driven(A: FloatArray, states: slice, pole: complex, by: FloatArray) -> FloatArray:
-    """Part of an eigenvector among these states: (A - pole) y = -by."""
+    """Part of an eigenvector in driven states, y with (A - pole) y = -by."""
     own = A[states, states]
     return np.asarray(np.linalg.solve(own - pole * np.eye(own.shape[0]), -by))
 
 
 def _pattern(n: int, m: int, paired: int) -> FloatArray:
-    """(n, n) what of A in modes differs from zero: the first `paired` states in pairs, and the commands' columns."""
+    """(n, n) sparsity of A in modal coordinates: the first `paired` states in pairs, and the commands' columns."""
     found = np.eye(n, dtype=bool)
     found[:, n - m :] = True
     for first in range(0, paired, 2):

@@ -1,4 +1,4 @@
-"""What fixes the size and the sparsity of a problem's program, read off the problem without stating the program."""
+"""The shape of a problem's program, its size and sparsity, found without stating the program."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from transopt.solvers.stage_data import stated_rows
 
 @dataclass(frozen=True)
 class RowShape:
-    """What of a limit's row fixes the sparsity of the program."""
+    """The part of a limit's row that determines the sparsity of the program."""
 
     name: str
     states: tuple[bool, ...]
@@ -23,13 +23,13 @@ class RowShape:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """(1, n) states that the value depends on."""
+        """(1, n) mask of the states on which the value depends."""
         return np.array([self.states])
 
 
 @dataclass(frozen=True)
 class LawShape:
-    """What of a limit that is not linear fixes the program: its function, of so many outputs, as text."""
+    """The part of a nonlinear limit that determines the program: its function as text, and its number of outputs."""
 
     name: str
     text: str
@@ -38,16 +38,16 @@ class LawShape:
 
 @dataclass(frozen=True)
 class Shape:
-    """What fixes the sparsity of the program; problems of one shape share one solver object.
+    """Size and sparsity of the program; problems of one shape share one solver object.
 
     Attributes
     ----------
-    rows : sums of several outputs that are bounded, each by its name, the states that it depends on, and its first
-        stage; what bounds one variable alone is a box on it and no row.
-    laws : functions of outputs that are bounded.
-    ends : rows of what is led to a target after the window.
-    nodes : thermal states, 0 without.
-    repeated : taps repeat for ever.
+    rows : bounded sums of several variables: name, states that the sum depends on, first stage. A limit on a single
+        variable is a box and not a row.
+    laws : bounded nonlinear functions of outputs.
+    ends : number of terms that weigh the state at the end of the window.
+    nodes : number of thermal states; 0 without a temperature limit.
+    repeated : whether taps repeat without end, so that the temperatures are periodic.
     """
 
     stages: int
@@ -61,17 +61,17 @@ class Shape:
 
     @property
     def controls(self) -> int:
-        """Movements, and with the temperature the size of the mean current."""
+        """Number of controls: the movements and, with the temperature, the magnitude of the mean current."""
         return self.layout.motors + int(self.nodes > 0)
 
     @property
     def variables(self) -> int:
-        """Variables of one stage."""
+        """Number of variables of one stage."""
         return self.controls + self.layout.states + self.nodes
 
     @property
     def first(self) -> int:
-        """Variables in front of the first stage."""
+        """Number of variables before those of the first stage: th_0 where taps repeat."""
         return self.nodes if self.repeated else 0
 
     @property
@@ -104,7 +104,7 @@ def program_shape(problem: TransientProblem) -> Shape:
 
 @dataclass(frozen=True)
 class Size:
-    """How large a solved program is: states per stage, all its variables, rows of its constraints."""
+    """Size of a solved program: states per stage, variables, and constraint rows in all."""
 
     states: int
     variables: int
@@ -112,7 +112,7 @@ class Size:
 
 
 def size(problem: TransientProblem) -> Size:
-    """Size of the program that states this problem, counted from its shape: nothing is stated for it."""
+    """Size of this problem's program, counted from its shape without stating the program."""
     shape = program_shape(problem)
     N, n, m = shape.stages, shape.layout.states, shape.nodes
     dynamics, hand_over = n * N, shape.layout.motors * shape.hand_over_samples

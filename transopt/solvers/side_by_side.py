@@ -1,12 +1,13 @@
-"""Searches that ask for solutions on their way, carried on together: what they ask for is answered side by side.
+"""Run several searches concurrently, so that the problems that they need solved are solved in one call.
 
-A search is a generator. It yields an `Ask`, is sent the answer, and returns what it has found:
+A search is a generator (coroutine). It yields an `Ask`, is sent the answer, and returns its result:
 
     def optimum_of(problem: TransientProblem) -> Search[Solution]:
         free = yield Ask(unlimited.solve, problem)
         ...
 
-Alone it reads as it runs. Of many that `together` carries on, all that ask the same method wait for one call of it.
+The code of a search reads as if it ran alone. `together` runs many: it collects the questions to the same method and
+answers them in one call.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -16,7 +17,7 @@ Found = TypeVar("Found")
 
 
 class Ask(NamedTuple):
-    """One question to a method that answers any number of them at once, method(list of `of`, *settings) -> list."""
+    """One question to a batch method: method(list of all `of`, *settings) -> list of answers."""
 
     method: Callable[..., list[Any]]
     of: Any
@@ -27,27 +28,27 @@ Search = Generator[Ask, Any, Found]
 
 
 def alone(search: Search[Found]) -> Found:
-    """Carry on one search.
+    """Run one search to its end.
 
     Raises
     ------
-    Exception : whatever the search, or a method that it asks, raises.
+    Exception : any exception of the search, or of a method that it asks.
     """
     return together([search])[0]
 
 
 def together(searches: Sequence[Search[Found]]) -> list[Found]:
-    """Carry on searches until all have ended.
+    """Run searches until all have ended.
 
-    An exception of a method is raised in the search whose question it could not answer, and in no other.
+    An exception of a method is raised only inside the search whose question caused it.
 
     Returns
     -------
-    What the searches have found, in their order.
+    The results of the searches, in their order.
 
     Raises
     ------
-    Exception : whatever a search raises.
+    Exception : any exception that a search does not catch.
     """
     found = dict[int, Found]()
     asked = dict[int, Ask]()
@@ -62,7 +63,7 @@ def together(searches: Sequence[Search[Found]]) -> list[Found]:
     for number in range(len(searches)):
         carry_on(number, None)
     while asked:
-        # The question that most ask is answered first: others may come to ask it too.
+        # The most frequent question is answered first.
         groups: dict[tuple[Any, ...], list[int]] = {}
         for number, ask in asked.items():
             groups.setdefault((ask.method, *ask.settings), []).append(number)
@@ -74,11 +75,11 @@ def together(searches: Sequence[Search[Found]]) -> list[Found]:
 
 
 def _answers(method: Callable[..., list[Any]], of: list[Any], settings: Sequence[Any]) -> list[Any]:
-    """Answers to questions; an exception in the place of those that have none."""
+    """Answers to questions; a question that raises an exception has that exception as its answer."""
     try:
         return method(of, *settings)
     except Exception as error:
         if len(of) == 1:
             return [error]
-    # Which of them it is is found by asking one by one.
+    # Ask one by one, to find the question that causes the exception.
     return [answer for each in of for answer in _answers(method, [each], settings)]

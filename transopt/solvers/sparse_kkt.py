@@ -1,4 +1,4 @@
-"""The problem without its limits as one sparse KKT system: slower than the Riccati pass, but pivoting."""
+"""The problem without its limits as one sparse KKT system: slower than the Riccati pass, but solved with pivoting."""
 
 import time
 from dataclasses import replace
@@ -20,27 +20,28 @@ from transopt.solvers.stage_data import stated_rows
 from transopt.solvers.statement import state
 
 REFINEMENTS = 2
-GAP = 1e-8  # of max(J, 1e-3), below which an answer needs no damping
-# On each movement, of the largest weight. Where the system is singular some movements of the command change nothing,
-# and which of them is taken does not matter.
+GAP = 1e-8  # gap relative to max(J, 1e-3) below which an answer needs no (further) damping
+# Damping on each movement, relative to the largest weight. If the system is singular, some movements of the command
+# do not change J, and damping selects one of the equivalent optima.
 DAMPINGS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
 DAMPED_STEPS = 30
 
 
 @lru_cache(maxsize=16)
 def pattern(shape: Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Row indices and column starts of a matrix of the program; reading them off takes longer than the solve."""
+    """Row indices and column starts of a matrix of the program; cached, since CasADi takes longer than the solve."""
     sparsity = state_program(shape).qp_data.sparsity_out(name)
     return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
 
 
 def _solved(kkt: Any, right: FloatArray, damped: FloatArray, steps: int) -> FloatArray:
-    """Solution by the factors of the system with something on its diagonal, refined by steps of the proximal point
-    method; NaN where there are no factors.
+    """Solve the system: factorise it with damping added to its diagonal, then refine by proximal-point steps.
+
+    NaN if the factorisation fails.
     """
     point = np.zeros(right.size)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the answer
+        with np.errstate(over="ignore", invalid="ignore"):  # a breakdown yields non-finite values
             factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(kkt + scipy.sparse.diags_array(damped)))
             for _ in range(1 + steps):
                 point += factors.solve(right - kkt @ point)
@@ -50,9 +51,9 @@ def _solved(kkt: Any, right: FloatArray, damped: FloatArray, steps: int) -> Floa
 
 
 def solve(problem: TransientProblem) -> Solution:
-    """Solve without the limits; a numerical failure if the best answer's gap is larger than a certificate accepts."""
+    """Solve without the limits; NUMERICAL_FAILURE if no answer's gap is small enough for a certificate."""
     start = time.perf_counter()
-    # What is no box would be an inequality among the rows.
+    # Rows that are not boxes are inequalities; they are removed from the equality system.
     sums = {row.name for row in stated_rows(problem, linear_stage(problem)) if not row.single}
     no_boxes = {limit.name for limit, row in problem.rows() if row.name in sums}
     statement = state(problem.without(*problem.nonlinear, *no_boxes))

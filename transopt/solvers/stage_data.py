@@ -1,7 +1,7 @@
-"""One problem's numbers stage by stage, as the project's own method takes them (`solvers/native/riccati.c`).
+"""Stage data of a problem: the input of the project's own method (`solvers/native/riccati.c`).
 
-They come from the linear stage and from the rows of the limits, as those of the CasADi program do
-(`solvers.program`), and need no CasADi: the runtime solves a tap with them.
+They are computed from the linear stage and from the rows of the limits, as the data of the CasADi program are
+(`solvers.program`), but without CasADi, so that the runtime can solve a tap without it.
 """
 
 import operator
@@ -22,13 +22,13 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, layout, linear_stage
 from transopt.solvers.modes import Modes, modes_of
 
-SIZE_BOUND = 2.0  # of the limit current
-MOST_KEPT = 64  # problems of one thread: those that are solved side by side, some with and without the temperature
-WINDING = "winding"  # row of the recursion's first state
+SIZE_BOUND = 2.0  # bound of the mean current's magnitude, relative to the limit current
+MOST_KEPT = 64  # cached problems per thread: as many as are solved side by side, also without the temperature
+WINDING = "winding"  # name of the row that limits the thermal recursion's first state
 
 
 def kelvin(problem: TransientProblem) -> float:
-    """Unit of the rises: the largest headroom; 0 without temperature."""
+    """Unit of the temperature rises [K]: the largest headroom; 0 without a temperature limit."""
     if problem.thermal is None:
         return 0.0
     headroom = problem.thermal.model.headroom_K
@@ -36,10 +36,10 @@ def kelvin(problem: TransientProblem) -> float:
 
 
 def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, FloatArray]:
-    """What the statement says of the objective: the tracked outputs in units of sqrt(E), the input in its own.
+    """Numbers of the objective by name; tracked outputs are in units of sqrt(E), the input is in its own unit.
 
-    What each output is led to and its weight (N, outputs) within the window, the movement's weight (1,), what is led
-    from x_N where to after it (`objective.tail`), and the constant (1,) beside all this.
+    They are targets and weights (N, outputs) of the outputs within the window, the weight of the movement (1,), gains
+    and targets of the terms in x_N for the time after the window (`objective.tail`), and the constant term (1,).
     """
     after = tail(problem, stage)
     return {
@@ -53,14 +53,14 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
 
 
 def _wanted(problem: TransientProblem) -> FloatArray:
-    """(N, outputs) what each output is led to: one a course and term, those of one course side by side, and heat."""
+    """(N, outputs) targets of the outputs: for each device all error terms, then zeros for the price on heat."""
     wanted = problem.tracking.solved_wanted.T
     zeros = [np.zeros((wanted.shape[0], problem.stage.motors))] if problem.heat_price > 0 else []
     return np.concatenate([wanted] * len(problem.devices) + zeros, axis=1)
 
 
 def _weights(problem: TransientProblem, stage: LinearStage) -> FloatArray:
-    """(N, outputs) weights of the squares of what remains."""
+    """(N, outputs) weights of the squared errors."""
     by_term = problem.tracking.solved_weights.T
     price = []
     if problem.heat_price > 0:
@@ -69,7 +69,7 @@ def _weights(problem: TransientProblem, stage: LinearStage) -> FloatArray:
 
 
 def heat_values(problem: TransientProblem, input_scale: float) -> dict[str, FloatArray]:
-    """Numbers of the temperature recursion, in units of `input_scale` and `kelvin`, matrices as they are written."""
+    """Numbers of the temperature recursion by name, in units of `input_scale` and `kelvin`; matrices in row order."""
     assert problem.thermal is not None
     model, unit = problem.thermal.model, kelvin(problem)
     F, f = (np.zeros_like(model.M), np.zeros_like(model.b)) if model.closure is None else model.closure
@@ -88,28 +88,28 @@ def heat_values(problem: TransientProblem, input_scale: float) -> dict[str, Floa
 
 
 def ended(problem: TransientProblem, command: FloatArray) -> FloatArray:
-    """(..., N) commands moved by rounding only: zero at a plain hand-over."""
+    """(..., N) commands, set to exactly zero at a hand-over without a wall; this changes them by rounding only."""
     if problem.wall is None:
         command[..., problem.free_stages :] = 0.0
     return command
 
 
 def held(problem: TransientProblem, command: FloatArray) -> FloatArray:
-    """(..., N) commands moved by rounding only: into the box, and `ended`."""
+    """(..., N) commands, clipped to the command bound and `ended`; this changes them by rounding only."""
     return ended(problem, np.clip(command, -problem.command_bound, problem.command_bound))
 
 
 @dataclass(frozen=True)
 class StatedRow:
-    """A limit's row as the methods take it: divided by `unit`, what its limit states.
+    """A limit's row as input of the solvers: value and bounds divided by `unit`, the stated limit.
 
     Attributes
     ----------
-    G, d : (n,), scalar of the value by x_k and by dc_k, of several motors by the movement of its own.
-    motor : which of several, from 0.
+    G, d : (n,), scalar; derivatives of the value by x_k and by dc_k, with several motors by that of `motor`.
+    motor : index of the motor, from 0.
     asked : (2, N) lower and upper bounds less the offset.
-    lower, upper : (N,) of them, infinite where the row asks for nothing that is not decided already.
-    single : the variable that the row alone bounds, "current", "command" or "movement"; empty for a sum of several.
+    lower, upper : (N,) these bounds, but infinite where the value is fixed before any decision.
+    single : the single variable that the row bounds, "current", "command" or "movement"; empty for a sum of several.
     """
 
     name: str
@@ -127,7 +127,7 @@ SINGLE = {(INPUT,): INPUT, (COMMAND,): COMMAND, (COMMAND, HELD): "movement"}
 
 
 def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow]:
-    """Every row of every limit, in units of what its limit states."""
+    """All rows of all limits, each divided by its stated limit."""
     N, found = problem.grid.stages, list[StatedRow]()
     for limit, row in problem.rows():
         if not row.linear:
@@ -135,7 +135,7 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
         G, d = stage.row(row)
         asked = (np.stack(row.bounds(N)) - row.offset) / limit.stated
         lower, upper = asked.copy()
-        # At tau_0 the device rests and nothing is held. A plain hand-over's commands are zero.
+        # Fixed values: at tau_0 the device is at rest; commands of a hand-over without a wall are zero.
         decided = [slice(1 if row.waits else 0)]
         if problem.wall is None and tuple(row.outputs) == (COMMAND,):
             decided.append(slice(problem.free_stages, N))
@@ -144,7 +144,7 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
         single = SINGLE.get(tuple(row.outputs), "")
         if single == "movement" and row.outputs[HELD] != -row.outputs[COMMAND]:
             single = ""
-        # One variable has one box, and so one multiplier on either side.
+        # A variable has one box, and so one multiplier on each side.
         by, motor = limit.stated, row.motor or 0
         single = "" if any((other.single, other.motor) == (single, motor) for other in found) else single
         found.append(StatedRow(row.name, by, G / by, d / by, motor, asked, lower, upper, single))
@@ -157,11 +157,11 @@ class Rows:
 
     Attributes
     ----------
-    kinds : their names, the winding's first where there is one.
+    kinds : names of the rows; the winding's row is the first if there is one.
     G : (rows, n). d, d_size : (rows,). lower, upper : (N + 1, rows), infinite where there is no limit.
-    asked : (2, N, rows) what a command is held to, at the instants too at which no command has a say; of problems
-        without temperature.
-    unit : (rows,) of a row, in units of the program: the largest of its bounds, so that limits are of order one.
+    asked : (2, N, rows) bounds for certification, stated also at instants at which the value is fixed; only for
+        problems without temperature.
+    unit : (rows,) divisor of a row: its largest bound in units of the program, so that limits are of order one.
     """
 
     kinds: tuple[str, ...]
@@ -189,7 +189,7 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
         upper: FloatArray | float,
         stages: slice,
     ) -> None:
-        """One row with limits at some stages."""
+        """Append a row that is bounded at some stages."""
         bounds = np.array([np.full(N + 1, -np.inf), np.full(N + 1, np.inf)])
         bounds[0, stages], bounds[1, stages] = lower, upper
         kinds.append(kind)
@@ -204,8 +204,8 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
     for stated in every_row:
         row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every)
     if thermal is not None:
-        # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
-        # In units of the input scale, as the named outputs are.
+        # size >= |mean i|: the kink of Eq. 7 as two smooth rows, which Newton's method can handle.
+        # The unit is the input scale, as for the named outputs.
         heating, flows, asked = thermal.model.heating, stage.outputs[0][INPUT], stage.outputs[0][COMMAND]
         G, d = (mean_current(heating.share, heating.decay, i, c) for i, c in zip(flows, asked, strict=True))
         for kind, sign in {"size_above": -1.0, "size_below": 1.0}.items():
@@ -216,7 +216,7 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
     G, d, d_size, lower, upper = (np.array(each) for each in zip(*found, strict=True))
     bounds = np.concatenate([lower, upper], axis=1)
     unit = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=1)
-    # The winding's row is a state of the recursion, whose unit is the largest headroom already.
+    # The winding's row is a thermal state, already in units of the largest headroom.
     unit = np.where((unit > 0) & (np.array(kinds) != WINDING), unit, 1.0)
     by = unit[:, None]
     whole = np.zeros((2, N, 0))
@@ -227,11 +227,11 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
 
 @dataclass(frozen=True)
 class Stages:
-    """One problem as the method takes it, in the statement's units.
+    """Stage data of one problem, in scaled units.
 
     Attributes
     ----------
-    input_scale, kelvin : units of commands and of rises.
+    input_scale, kelvin : units of commands and of temperature rises.
     sizes, numbers, arrays : integers, scalars and arrays of `tr_problem`, by name; the arrays contiguous.
     """
 
@@ -244,11 +244,11 @@ class Stages:
     arrays: dict[str, FloatArray]
 
     def command(self, scaled: FloatArray) -> FloatArray:
-        """(N,) commands [A] of those in scaled units (N,), as `held`."""
+        """(N,) commands [A] from scaled ones (N,), clipped to the command bound (`held`)."""
         return held(self.problem, scaled * self.input_scale)
 
     def free_command(self, scaled: FloatArray) -> FloatArray:
-        """(N,) commands [A] of those of the problem without limits (N,), which has no box."""
+        """(N,) commands [A] from scaled ones (N,) of the problem without limits, not clipped."""
         return ended(self.problem, scaled * self.input_scale)
 
     def hand_over(self, gradient: FloatArray) -> FloatArray:
@@ -256,7 +256,7 @@ class Stages:
         return np.asarray(-gradient[self.problem.free_stages :] * (OBJECTIVE_SCALE / self.input_scale))
 
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
-        """Multipliers of J in SI from upper less lower ones (N + 1, rows) and the gradient (N,) by the movements."""
+        """Multipliers of J in SI, from the scaled ones (N + 1, rows), upper less lower, and the gradient (N,)."""
         problem, N = self.problem, self.sizes["stages"]
         scaled = dict(zip(self.limits.kinds, (by_row / self.limits.unit).T, strict=True))
         pairs, slope = {}, np.zeros(N)
@@ -275,7 +275,7 @@ class Stages:
 def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
     """(N,) slope of |mean i| by the multipliers (N,) of size >= mean i and of size >= -mean i.
 
-    The two share what the size is worth; where it is worth nothing any sign will do.
+    The two multipliers add up to the value of the magnitude; where that is zero any slope in [-1, 1] is valid.
     """
     above, below = np.maximum(above, 0.0), np.maximum(below, 0.0)
     return np.asarray((above - below) / np.maximum(above + below, np.finfo(float).tiny))
@@ -285,12 +285,12 @@ _memory = threading.local()
 
 
 def stages(problem: TransientProblem) -> Stages:
-    """Stage data of a problem; those made last are kept, for a problem is solved, proven and solved again.
+    """Stage data of a problem; the most recent ones are cached, since a problem is solved, proven and solved again.
 
-    Problems are the same that are the same part by part, whoever has put them together.
+    Two problems share an entry of the cache if all their parts are the same objects.
     """
     kept: dict[tuple[int, ...], Stages] = vars(_memory).setdefault("kept", {})
-    parts = tuple(map(id, (*problem.limits, *PARTS(problem))))  # of objects that the kept problem keeps alive
+    parts = tuple(map(id, (*problem.limits, *PARTS(problem))))  # valid, as the cached problem keeps these objects
     found = kept.pop(parts, None) or _stages(problem)
     if len(kept) >= MOST_KEPT:
         del kept[next(iter(kept))]
@@ -303,14 +303,14 @@ PARTS = operator.attrgetter(*(field.name for field in fields(TransientProblem) i
 
 @dataclass(frozen=True)
 class _Template:
-    """What all problems of one grip share that differ in nothing but the target.
+    """The part of the stage data that problems of one grip share if they differ only in the target.
 
     Attributes
     ----------
-    A, terms : of the linear stage and of the problem. others : the rest of what it depends on; None where a wall or a
-        limit goes by the tap itself, so that it serves no other problem.
-    modes, limits, kelvin, sizes : as of `Stages`.
-    numbers, arrays : those of `Stages` in which the target has no say.
+    A, terms : A of the linear stage and error terms of the problem, part of the cache key. others : rest of the key;
+        None where a wall or a limit depends on the tap itself, so that the template serves no other problem.
+    modes, limits, kelvin, sizes : as in `Stages`.
+    numbers, arrays : those of `Stages` that do not depend on the target.
     """
 
     A: FloatArray
@@ -328,7 +328,7 @@ class _Template:
 
 
 def _template(problem: TransientProblem, stage: LinearStage) -> _Template:
-    """The template of a problem, kept with the device for the next one."""
+    """The template of a problem, cached with the device."""
     derived, others = problem.stage.derived, _others(problem)
     found = derived.get(_Template)
     if isinstance(found, _Template) and found.serves(stage.A, problem.terms, others):
@@ -340,7 +340,7 @@ def _template(problem: TransientProblem, stage: LinearStage) -> _Template:
 def _others(problem: TransientProblem) -> tuple[object, ...] | None:
     limits, shares = problem.limits, problem.shares
     try:
-        hash(limits)  # which a limit that holds courses has not
+        hash(limits)  # limits that contain arrays are not hashable
     except TypeError:
         return None
     if problem.wall is not None or shares is not None:
@@ -352,7 +352,7 @@ def _template_of(problem: TransientProblem, stage: LinearStage, others: tuple[ob
     where, modes, limits = layout(problem), modes_of(problem, stage), _rows(problem, stage)
     m = 0 if problem.thermal is None else problem.thermal.model.nodes
     gains, offsets = hand_over.rows(problem, stage)
-    gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
+    gains[:, -1] -= 1.0  # c_k = rows x_k + constant, and dc_k = c_k - c_(k-1)
     heat = (
         dict.fromkeys(("M", "b", "gain", "square", "F", "f"), np.zeros(4))
         if m == 0
@@ -416,7 +416,7 @@ def _stages(problem: TransientProblem) -> Stages:
 
 
 def without_limits(problem: TransientProblem) -> Stages:
-    """Stage data of the same problem without rows and temperature: what a linear pass takes."""
+    """Stage data of the same problem without limits: the input of a linear pass."""
     found = stages(problem.without(TemperatureLimit.name))
     none = dict.fromkeys(("G", "d", "d_size", "lower", "upper"), np.zeros(0))
     return replace(found, sizes=found.sizes | {"rows": 0}, arrays=found.arrays | none)

@@ -1,4 +1,4 @@
-"""One problem's numbers for the CasADi statement, and a point of the program in the words of the problem."""
+"""Numbers of one problem for the CasADi program, and the conversion of its solution to command and multipliers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ from transopt.solvers.stage_data import (
 
 @dataclass(frozen=True)
 class Statement:
-    """One problem's numbers for the program of its shape.
+    """Numbers of one problem for the program of its shape.
 
     Attributes
     ----------
-    rows : of the limits, as they stand in the program.
-    values : of the program's parameters, by name.
-    lower_x, upper_x, lower_g, upper_g : bounds.
-    kelvin : unit of the rises; 0 without temperature.
+    rows : the limits' rows in the order of the program.
+    values : name -> value of the program's parameters.
+    lower_x, upper_x, lower_g, upper_g : bounds of the variables and of the constraint rows.
+    kelvin : unit of the temperature rises [K]; 0 without temperature.
     """
 
     problem: TransientProblem
@@ -58,19 +58,19 @@ class Statement:
 
     @property
     def laws(self) -> list[tuple[Limit, LawRow]]:
-        """Rows that are not linear, with the limits they belong to."""
+        """Nonlinear rows, with the limits to which they belong."""
         return [(limit, row) for limit, row in self.problem.rows() if isinstance(row, LawRow)]
 
     def _by_stage(self, x: FloatArray) -> FloatArray:
-        """(N, variables) of a program point."""
+        """(N, variables) a program point, stage by stage."""
         return x[self.shape.first :].reshape(self.shape.stages, self.shape.variables)
 
     def command(self, x: FloatArray) -> FloatArray:
-        """(N,) commands of a program point [A], or (m, N) of several motors, as `held`."""
+        """(N,) commands [A] of a program point, or (m, N) of several motors, clipped to the bound (`held`)."""
         return self.held(self._stated(x))
 
     def unclipped(self, x: FloatArray) -> FloatArray:
-        """(N,) or (m, N) commands of a program point [A], moved by rounding at a plain hand-over alone, to zero."""
+        """(N,) or (m, N) commands [A] of a program point, not clipped but `ended`."""
         return ended(self.problem, self._stated(x))
 
     def _stated(self, x: FloatArray) -> FloatArray:
@@ -78,7 +78,7 @@ class Statement:
         return np.asarray(commands[0] if self.stage.motors == 1 else commands)
 
     def held(self, command: FloatArray) -> FloatArray:
-        """`stage_data.held`."""
+        """Clip commands to the bound (`stage_data.held`)."""
         return held(self.problem, command)
 
     def multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
@@ -109,7 +109,7 @@ class Statement:
 
 
 def variable(shape: Shape, single: str) -> int:
-    """Index among a stage's variables of the one that a row bounds alone, of the first motor."""
+    """Index among a stage's variables, for the first motor, of the single variable that a row bounds."""
     return {"movement": 0, COMMAND: shape.command, INPUT: shape.controls + shape.layout.current}[single]
 
 
@@ -167,7 +167,7 @@ def _variable_bounds(
             low[problem.free_stages :], high[problem.free_stages :] = low[0], high[0]
         lower[:, column], upper[:, column] = np.maximum(lower[:, column], low), np.minimum(upper[:, column], high)
     if problem.thermal is not None:
-        # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
+        # No mean current exceeds the limit. Without this bound a magnitude that does not affect the heat would drift.
         size = SIZE_BOUND * problem.limits.input_limit / stage.input_scale
         lower[:, 1], upper[:, 1] = -size, size
         upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin_K
@@ -204,7 +204,7 @@ def state(problem: TransientProblem) -> Statement:
 
     Raises
     ------
-    InputError : a limit's bounds are none.
+    InputError : invalid bounds of a limit (`check_bounds`).
     """
     stage, unit = linear_stage(problem), kelvin(problem)
     shape, rows = program_shape(problem), stated_rows(problem, stage)

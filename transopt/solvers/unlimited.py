@@ -1,7 +1,7 @@
 """The problem without its limits: one Riccati pass.
 
-The hand-over stays, because a waveform that does not end is no transient. Where the answer lies inside all
-limits it is the answer to the limited problem too, with every multiplier zero.
+The hand-over is kept, because a transient has to end. If the answer is inside all limits, it is also the optimum of
+the limited problem, with all multipliers zero.
 """
 
 import time
@@ -19,15 +19,16 @@ from transopt.solvers import several, stage_data
 from transopt.solvers.native import extension
 from transopt.solvers.options import most_time_s
 
-GAP = 1e-8  # of max(J, 1e-3): a hundredth of what a certificate may have, a hundred times what rounding leaves
+GAP = 1e-8  # gap relative to max(J, 1e-3): a hundredth of a certificate's tolerance, a hundred times the rounding
 
 
 def solve(problems: Sequence[TransientProblem]) -> list[Solution]:
-    """Minimise J subject to dynamics and hand-over only, of each problem; see `Solution`.
+    """Minimise J of each problem subject to dynamics and hand-over only.
 
-    `command` is not clipped: it is what the limits would have to allow. The compiled pass takes all problems side by
-    side. Where there is none, or it leaves a gap above `GAP` by both bounds of the certificate, the sparse KKT system
-    is solved; the pass's answer serves where that system gives none, if a certificate would accept its gap.
+    `Solution.command` is not clipped: it shows what the limits would have to allow. The compiled pass solves all
+    problems side by side. Where it is not available, or leaves a gap above `GAP` by both bounds of the certificate,
+    the sparse KKT system is solved. If that fails too, the pass's answer is used, provided that a certificate would
+    accept its gap.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _by_compiled_pass(problems)
@@ -35,7 +36,7 @@ def solve(problems: Sequence[TransientProblem]) -> list[Solution]:
 
 
 def _accepted(problem: TransientProblem, own: Solution | None) -> Solution:
-    """The compiled pass's answer, or that of the other method where the pass has no optimum."""
+    """The compiled pass's answer if it is optimal; otherwise that of the other method, if that one is optimal."""
     if own is not None and own.status is Status.OPTIMAL:
         return own
     other = _beside(problem)
@@ -43,24 +44,24 @@ def _accepted(problem: TransientProblem, own: Solution | None) -> Solution:
 
 
 def _beside(problem: TransientProblem) -> Solution:
-    """Answer to a problem that the compiled pass of one motor does not take, or not far enough."""
+    """Solve a problem that the compiled pass for one motor cannot take, or solves too coarsely."""
     if problem.stage.motors == 1:
         return solve_apart(problem)
     return several.unlimited(problem) or _by_sparse_system(problem)
 
 
 def _by_sparse_system(problem: TransientProblem) -> Solution:
-    # Only a problem that the compiled pass does not solve needs CasADi.
+    # Imported here: only problems that the compiled pass does not solve need CasADi.
     from transopt.solvers import sparse_kkt
 
     return sparse_kkt.solve(problem)
 
 
 def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | None]:
-    """Answers of the extension's pass: OPTIMAL with a gap up to `GAP` by either bound of the certificate.
+    """Answers of the compiled pass: OPTIMAL if the gap is at most `GAP` by either bound of the certificate.
 
-    A larger gap, up to what a certificate accepts, is marked `ITERATION_LIMIT`. There is no answer without the
-    extension, with a still larger gap, and where the pass breaks down.
+    A larger gap that a certificate still accepts is marked `ITERATION_LIMIT`. The answer is None without the
+    extension, with a still larger gap, or where the pass breaks down.
     """
     start = time.perf_counter()
     if not extension.available:
@@ -88,7 +89,7 @@ def _by_compiled_pass(problems: Sequence[TransientProblem]) -> list[Solution | N
 
 
 def solve_apart(problem: TransientProblem) -> Solution:
-    """`solve_sparse` in a process of its own: the factorisation of a broken system prints, or takes long."""
+    """Run `solve_sparse` in a process of its own: factorising an ill-posed system may print text or take long."""
     within_s = most_time_s(problem.grid.stages)
     try:
         return apart.call(solve_sparse, problem, within_s=within_s)
@@ -98,8 +99,8 @@ def solve_apart(problem: TransientProblem) -> Solution:
 
 
 def solve_sparse(problem: TransientProblem) -> Solution:
-    """Solve without the extension; what overflows is no answer, as the certificate says."""
-    # If nothing is asked of the command, none is as good as any, and no matrix of it can be factorised.
+    """Solve without the extension; an answer that overflows is rejected by the certificate."""
+    # If J does not depend on the command at all, rest is optimal, and the KKT matrix would be singular.
     rest = problem.rest
     with np.errstate(over="ignore", invalid="ignore"):
         if problem.wall is None and certify(problem, rest, Multipliers.zero(problem)).is_stationary:

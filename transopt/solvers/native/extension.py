@@ -1,9 +1,8 @@
-"""The compiled interior point (`riccati.c`) through ctypes; no CasADi.
+"""Interface (ctypes) to the compiled interior-point method (`riccati.c`); it does not need CasADi.
 
-The method lets go of the GIL while it works, and asks now and then whether a signal has come: a Ctrl-C ends it within
-one iteration.
+The method releases the GIL while it works and polls for signals, so that Ctrl-C ends it within one iteration.
 
-The extension is optional. Where it could not be built, `available` is False.
+The extension is optional. Where it was not built, `available` is False.
 """
 
 import ctypes as ct
@@ -22,8 +21,8 @@ from transopt.solvers.stage_data import Stages
 
 EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES, MOST_ROWS = 96, 128  # of riccati.c
-INTERFACE = 8  # as `tr_interface` of riccati.c: both change with what arguments and results mean
-DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
+INTERFACE = 8  # version as in `tr_interface` of riccati.c; both change with the meaning of arguments or results
+DOUBLES = ct.c_void_p  # address of an array; the caller keeps the array alive
 
 
 # `tr_problem` of riccati.c.
@@ -70,10 +69,10 @@ def _library() -> ct.CDLL | None:
     file = Path(__file__).with_name(EXTENSION)
     if not file.exists():
         return None
-    # The GIL stays held, so that an exception which a signal has raised inside is raised by the call.
+    # PyDLL keeps the GIL held at entry and exit, so that an exception raised by a signal handler leaves the call.
     library = ct.PyDLL(str(file))
     if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
-        return None  # left behind by another version: as good as none
+        return None  # built from another version: not usable
     problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)
     library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (ct.c_int, problem)
     library.tr_solve.argtypes = (ct.c_int, problem, ct.POINTER(_Options), DOUBLES, result)
@@ -83,7 +82,7 @@ def _library() -> ct.CDLL | None:
 
 
 def _host() -> _Host:
-    """The interpreter as `tr_host`: its lock, and whether a signal has come that raises an exception."""
+    """The interpreter as `tr_host`: functions that release and take the GIL and that check for signals."""
     names = ("PyEval_SaveThread", "PyEval_RestoreThread", "PyErr_CheckSignals")
     return _Host(*(ct.cast(getattr(ct.pythonapi, name), ct.c_void_p) for name in names))
 
@@ -95,12 +94,12 @@ SOLVED, ACCURACY, NO_BOUNDS = 0, 1, 6  # codes of an answer; the others are fail
 
 
 class Answer(NamedTuple):
-    """What the method says of its last iterate, in the statement's units.
+    """The returned iterate of the method, in scaled units.
 
     Attributes
     ----------
-    code : 0 solved, 1 solved to what rounding leaves, otherwise a failure. gap, objective : in units of 1e-3.
-    command, gradient : (N,) and the Lagrangian's slope by each movement.
+    code : 0 solved, 1 solved up to rounding, otherwise a failure. gap, objective : in units of 1e-3.
+    command, gradient : (N,) commands, and the Lagrangian's gradient by the movements.
     lower, upper : (N + 1, rows) multipliers >= 0.
     """
 
@@ -116,17 +115,17 @@ class Answer(NamedTuple):
 
     @property
     def relative_gap(self) -> float:
-        """The gap counts relative to max(J, 1e-3), and is inf where that is no number."""
+        """The gap relative to max(J, 1e-3); infinite where it is NaN."""
         relative = self.gap / max(self.objective, 1.0)
         return relative if np.isfinite(relative) else np.inf
 
 
-MOST_KEPT_BYTES = 2**25  # of a thread's workspace: eight problems of a thousand stages side by side
+MOST_KEPT_BYTES = 2**25  # largest workspace kept per thread; enough for eight problems of a thousand stages
 _memory = threading.local()
 
 
 def _workspace(count: int, problems: ct.Array[_Problem]) -> FloatArray:
-    """Memory of this thread to work in: fresh memory takes as long as solving a short problem."""
+    """The workspace of this thread, reused: allocating fresh memory takes as long as solving a short problem."""
     assert _LIBRARY is not None
     kept: FloatArray = vars(_memory).setdefault("kept", np.empty(0))
     needed = _LIBRARY.tr_workspace(count, problems)
@@ -139,7 +138,7 @@ def _workspace(count: int, problems: ct.Array[_Problem]) -> FloatArray:
 
 
 def _stated(stages: Stages) -> _Problem:
-    """A problem as C takes it, kept with its stage data, which keeps the arrays."""
+    """A problem as the C structure, cached with its stage data, which keep the arrays alive."""
     if "stated" not in vars(stages):
         arrays = {name: address(array) for name, array in stages.arrays.items()}
         vars(stages)["stated"] = _Problem(**stages.sizes, **stages.numbers, **arrays)
@@ -148,7 +147,7 @@ def _stated(stages: Stages) -> _Problem:
 
 
 def _of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
-    """Which problems stand side by side: those that have as many stages, states and rows."""
+    """Groups of indices of problems with equal sizes, which can be solved side by side."""
     groups: dict[tuple[int, ...], list[int]] = {}
     for i, stages in enumerate(given):
         groups.setdefault(tuple(stages.sizes.values()), []).append(i)
@@ -156,7 +155,7 @@ def _of_equal_sizes(given: Sequence[Stages]) -> Iterator[list[int]]:
 
 
 def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answer]:
-    """Answers of `tr_solve` or `tr_linear` to any problems, in their order."""
+    """Answers of `tr_solve` or `tr_linear` to problems of any sizes, in their order."""
     found: dict[int, Answer] = {}
     for group in _of_equal_sizes(given):
         sizes, count = given[group[0]].sizes, len(group)
@@ -164,7 +163,7 @@ def _answers(method: Any, given: Sequence[Stages], asked: _Options) -> list[Answ
         command, size, gradient = np.zeros((3, count, N))
         bounds = np.zeros((2, count, N + 1, rows))
         start = np.zeros((count, max(sizes["nodes"], 1)))
-        # C copies no bytes to an address without any, and takes none.
+        # An empty NumPy array has no usable address for C: pass an array of one number instead.
         arrays = (command, size, *(bounds if rows else np.zeros((2, count, 1))), gradient, start)
         first, step = [address(array) for array in arrays], [array[0].nbytes for array in arrays]
         problems = (_Problem * count)(*(_stated(given[i]) for i in group))
@@ -188,7 +187,7 @@ def interior_points(given: Sequence[Stages], *, tolerance: float, max_iterations
 
     Raises
     ------
-    InputError : a limit's bounds are none.
+    InputError : invalid bounds of a limit.
     """
     assert _LIBRARY is not None
     found = _answers(_LIBRARY.tr_solve, given, _Options(max_iterations, tolerance, _HOST))
@@ -212,13 +211,13 @@ def linear_passes(given: Sequence[Stages], tolerance: float) -> list[Answer]:
 
 
 class Proof(NamedTuple):
-    """What a command and multipliers prove (`tr_proof` of riccati.c), in the statement's units.
+    """Numbers of a certificate, from a command and multipliers (`tr_proof` of riccati.c), in scaled units.
 
     Attributes
     ----------
-    excess : (rows,) how far each row is outside at most, negative inside.
-    slack : multipliers times the sizes of their slacks, those of the hand-over too. residual : of the hand-over.
-    dual_residual : largest size of the Lagrangian's gradient g by the commands.
+    excess : (rows,) largest violation of each row, negative inside.
+    slack : sum of multipliers times absolute slacks, the hand-over's included. residual : of the hand-over.
+    dual_residual : largest absolute value of the Lagrangian's gradient g by the commands.
     by_command : sum |g_k| (c_max + |c_k|). by_movement : `certify.movement_bound` of g.
     """
 
@@ -232,13 +231,13 @@ class Proof(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """A command of a problem without temperature, which `prove` judges, in the statement's units.
+    """Input of `prove`: a command of a problem without temperature, with multipliers, in scaled units.
 
     Attributes
     ----------
     command : (N,).
-    by_row : (N, rows) multipliers >= 0 of lower and of upper bounds, contiguous; None for none.
-    by_rule : (h,) of the hand-over.
+    by_row : (N, rows) multipliers >= 0 of lower and of upper bounds, contiguous; None if all are zero.
+    by_rule : (h,) multipliers of the hand-over.
     """
 
     stages: Stages
@@ -254,7 +253,7 @@ def _asked(judged: Judged, excess: FloatArray) -> _Proof:
 
 
 def prove(asked: Sequence[Judged]) -> list[Proof]:
-    """Judge commands, those of problems of equal sizes side by side."""
+    """Compute the certificates' numbers of commands; problems of equal sizes side by side."""
     assert _LIBRARY is not None
     found: dict[int, Proof] = {}
     for group in _of_equal_sizes([each.stages for each in asked]):

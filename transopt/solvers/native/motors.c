@@ -29,7 +29,7 @@ typedef struct {
     const double *weight, *reference;      /* (N, outputs), both */
     const double *end_gain, *end_target;   /* Z (ends, n), z (ends) */
     const double *G, *d;                   /* (rows, n), (rows) */
-    const int *motor;                      /* (rows) whose movement d is for */
+    const int *motor;                      /* (rows) index of the motor whose movement d multiplies */
     const double *lower, *upper;           /* (N, rows), infinite where there is no limit */
     double movement_weight, command_bound, constant;
 } tm_problem;
@@ -37,24 +37,24 @@ typedef struct {
 typedef struct {
     double *command;          /* (N, m) */
     double *lower, *upper;    /* (N, rows) multipliers >= 0 */
-    double *gradient;         /* (N, m) of the Lagrangian by u, the hand-over fed back */
+    double *gradient;         /* (N, m) of the Lagrangian by u, with the hand-over as feedback */
     int iterations;
     double objective, gap, residual;
 } tm_result;
 
 enum { TM_SOLVED, TM_ACCURACY, TM_ITERATION_LIMIT, TM_STALLED, TM_BREAKDOWN, TM_TOO_LARGE, TM_NO_BOUNDS };
 
-/* Where an iterate stands: the last is the gradient's part of the gap. */
+/* Measures of an iterate; `stationarity` is the gradient's part of the gap. */
 typedef struct {
     double objective, complementarity, residual, stationarity;
 } tm_state;
 
-static const double FIRST_GAP = 3.0;   /* of the first iterate, in units of its objective */
-static const double NEAR = 1e3;        /* times the tolerance: from here on the best iterate counts */
-static const double FARTHEST = 5e-3;   /* part of slacks and multipliers that a step leaves at the most */
-static const double SHORTEST = 1e-10;  /* part of a Newton step that is still one */
-static const double LAST_GAP = 0.03;   /* that is aimed at, of what is allowed */
-static const double LEAST = 1e-290;    /* nothing beside a multiplier, and never zero */
+static const double FIRST_GAP = 3.0;   /* gap of the first iterate, in units of its objective */
+static const double NEAR = 1e3;        /* times the tolerance: once below it, the best iterate is kept as answer */
+static const double FARTHEST = 5e-3;   /* largest share of a slack or multiplier that a step has to leave */
+static const double SHORTEST = 1e-10;  /* shortest useful step length, as a share of the Newton step */
+static const double LAST_GAP = 0.03;   /* smallest gap that is aimed at, relative to the tolerance */
+static const double LEAST = 1e-290;    /* negligible positive number that avoids a division by zero */
 enum { PATIENCE = 6, SYMMETRISED = 16 };
 
 #if defined(__GNUC__)
@@ -102,7 +102,7 @@ enum { PATIENCE = 6, SYMMETRISED = 16 };
 #if defined(ONLY_WIDTH)
 #define WIDTH ONLY_WIDTH
 #include "motors.c"
-#define BY_WIDTH(name) name /* which stands for that of `WIDTH` */
+#define BY_WIDTH(name) name /* `name` is itself a macro for the function of this WIDTH */
 #else
 #pragma GCC push_options
 #pragma GCC target("avx512f,avx512dq,avx512vl,prefer-vector-width=512")
@@ -123,10 +123,10 @@ enum { PATIENCE = 6, SYMMETRISED = 16 };
      : __builtin_cpu_supports("avx2") ? name##_4 : name##_2)
 #endif
 
-/* What arguments and results mean, as a number that changes with it. */
+/* Version of the interface, incremented when arguments or results change. */
 int tm_interface(void) { return 1; }
 
-/* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
+/* Doubles of workspace that a problem needs; 0 if its sizes are not within this method's limits. */
 size_t tm_workspace(const tm_problem *q)
 {
     if (q->motors < 1 || q->motors > MOST_MOTORS || q->states < q->motors || q->states > MOST_STATES) return 0;
@@ -135,9 +135,9 @@ size_t tm_workspace(const tm_problem *q)
     return BY_WIDTH(workspace)(q);
 }
 
-/* Solve; the answer is judged by the caller. Near the answer rounding wins over progress at last: the best iterate is
- * returned, as TM_ACCURACY where it is not quite what was asked for. Far from it the last iterate is, whose multipliers
- * tell of infeasibility. */
+/* Solve; the caller certifies the answer. Near the optimum rounding eventually prevents progress: the best iterate is
+ * then returned, as TM_ACCURACY if it is not within the tolerance. Far from the optimum the last iterate is returned;
+ * its multipliers may prove infeasibility. */
 int tm_solve(const tm_problem *q, int max_iterations, double tolerance, double *space, tm_result *r)
 {
     r->iterations = 0;
@@ -153,7 +153,7 @@ int tm_solve(const tm_problem *q, int max_iterations, double tolerance, double *
 #if WIDTH > 1
 typedef double lanes __attribute__((vector_size(8 * WIDTH), may_alias));
 typedef long long choice __attribute__((vector_size(8 * WIDTH), may_alias));
-/* Block j of v with neighbours 2 i and 2 i + 1 in each other's place. */
+/* Block j of v with the neighbours 2 i and 2 i + 1 swapped. */
 #undef SWAPPED
 #undef PAIRS
 #if WIDTH == 8
@@ -182,7 +182,7 @@ typedef double lanes;
 #define AT(rows, i) (((double *)(rows))[i])
 #endif
 
-/* One side of every row: slack s = sign (value - bound), s l -> 0. Where there is no limit `there` is 0 and l is 0. */
+/* One side of every row: slack s = sign (value - bound), multiplier l, s l -> 0. Without a bound `there` = l = 0. */
 typedef struct {
     double sign;
     unsigned char *there;
@@ -201,10 +201,10 @@ typedef struct {
     double *end_error;
     double *V, *dV, *sigma, *y;            /* (N, rows) */
     tm_side side[2];
-    int from[MOST_ROWS], to[MOST_ROWS];    /* states between which a row of G has all that is not zero */
-    size_t limits;                         /* finite bounds */
+    int from[MOST_ROWS], to[MOST_ROWS];    /* range of states with the nonzeros of a row of G */
+    size_t limits;                         /* number of finite bounds */
     double *best;                          /* (N m + 2 N rows) commands and multipliers of the best iterate */
-    int weighed;                           /* stage whose weights stand in CWC */
+    int weighed;                           /* stage whose weights CWC was computed with */
     lanes *CWC, *EWC;                      /* (n, n), (m, n) */
     double EWE[MOST_MOTORS * MOST_MOTORS];
 } tm_work;
@@ -246,7 +246,7 @@ static size_t workspace(const tm_problem *q)
     return lay_out(&w, q, NULL) + WIDTH;
 }
 
-/* Whether the states stand in pairs, and what couples them; `push` are the columns of the commands. */
+/* Find out whether A couples states in pairs only, and store the coefficients; `push` are the commands' columns. */
 static void pair_up(tm_work *w)
 {
     const int n = w->q->states, first = n - w->q->motors;
@@ -385,7 +385,7 @@ ALWAYS_INLINE void congruence(const int blocks, const int m, const tm_work *w, c
         for (int c = 0; c < m; c++) AT(H + i * blocks, first + c) = AT(H + (first + c) * blocks, i);
 }
 
-/* C' W C, E' W C and E' W E of a stage; those of the stage before, where its weights are the same. */
+/* C' W C, E' W C and E' W E of a stage; reused from the previous stage if the weights are equal. */
 static void weigh(tm_work *w, const int k)
 {
     const tm_problem *q = w->q;
@@ -544,8 +544,8 @@ ALWAYS_INLINE void backward_sized(const int blocks, const int m, tm_work *w, con
     }
 }
 
-/* The step du = K dx + offset and what it does to the rows; or, without `newton`, the states of u with the hand-over fed
- * back, their errors and rows. */
+/* With `newton` the step du = K dx + offset and the change of the rows; otherwise roll out u, with the hand-over as
+ * feedback, and compute states, errors and rows. */
 ALWAYS_INLINE void forward_sized(const int blocks, const int m, tm_work *w, const int newton)
 {
     const tm_problem *q = w->q;
@@ -679,7 +679,7 @@ static double longest(const tm_work *w)
     return most;
 }
 
-/* Mehrotra's corrector: the targets, from how far the predictor came. */
+/* Mehrotra's corrector: the targets, from the step length of the predictor. */
 static void centre(tm_work *w, const double step, const double complementarity, const double allowed)
 {
     const size_t all = (size_t)w->q->stages * (size_t)w->q->rows;
@@ -695,7 +695,7 @@ static void centre(tm_work *w, const double step, const double complementarity, 
             if (z->there[i]) z->target[i] = aimed / (double)w->limits - z->ds[i] * z->dl[i];
 }
 
-/* Store the iterate, or with `back` the stored one in the iterate's place. */
+/* Store the iterate; with `back` restore the stored one. */
 static void keep(tm_work *w, const int back)
 {
     const size_t moves = (size_t)w->q->stages * (size_t)w->q->motors, all = (size_t)w->q->stages * (size_t)w->q->rows;
@@ -720,7 +720,7 @@ static int solve(const tm_problem *q, const int max_iterations, const double tol
         r->objective = now.objective, r->gap = gap, r->residual = now.residual;
         if (off < least) least = off, since = 0, keep(w, 0);
         else {
-            /* Where all but the gradient is as small as asked for, what is left of the gradient is rounding. */
+            /* If everything but the gradient is within the tolerance, the remaining gradient is rounding. */
             const int patience = now.complementarity <= tolerance * scale && now.residual <= tolerance ? 2 : PATIENCE;
             if (!(off >= 0.0) || (++since >= patience && least <= NEAR) || since > 3 * PATIENCE) { code = TM_STALLED; break; }
         }

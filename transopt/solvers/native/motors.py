@@ -1,6 +1,6 @@
-"""The compiled interior point of several motors (`motors.c`) through ctypes; the GIL is free while it works.
+"""Interface (ctypes) to the compiled interior-point method for several motors (`motors.c`); it releases the GIL.
 
-The extension is that of one motor, and optional. Where it could not be built, `available` is False.
+It is part of the same optional extension as the method for one motor. Where that was not built, `available` is False.
 """
 
 import ctypes as ct
@@ -45,7 +45,7 @@ def _library() -> ct.CDLL | None:
         return None
     library = ct.CDLL(str(file))
     if not hasattr(library, "tm_interface") or library.tm_interface() != INTERFACE:
-        return None  # left behind by another version: as good as none
+        return None  # built from another version: not usable
     library.tm_workspace.restype, library.tm_workspace.argtypes = ct.c_size_t, (ct.POINTER(_Problem),)
     library.tm_solve.argtypes = (ct.POINTER(_Problem), ct.c_int, ct.c_double, ct.c_void_p, ct.POINTER(_Result))
     return library
@@ -57,13 +57,13 @@ _memory = threading.local()
 
 
 class Answer(NamedTuple):
-    """The last iterate, and what the method says of it; gap and objective in units of 1e-3.
+    """The returned iterate with its objective and gap, both in units of 1e-3.
 
     Attributes
     ----------
     command, gradient : (N, m) commands, and the Lagrangian's gradient by their movements, the hand-over fed back.
     lower, upper : (N, rows) multipliers >= 0.
-    code : 0 solved, 1 solved to what rounding leaves, otherwise a failure.
+    code : 0 solved, 1 solved up to rounding, otherwise a failure.
     """
 
     command: FloatArray
@@ -101,7 +101,7 @@ def interior_point(
 
 
 def _workspace(doubles: int) -> FloatArray:
-    """The workspace of this thread, if it is large enough: fresh memory takes as long as solving a short problem."""
+    """The workspace of this thread, reused: allocating fresh memory takes as long as solving a short problem."""
     kept: FloatArray | None = getattr(_memory, "space", None)
     if kept is None or kept.size < doubles:
         kept = _memory.space = np.empty(max(doubles, 1))

@@ -1,10 +1,10 @@
-/* The calls of the interior point: what they refuse, and which kernel solves how many problems. */
+/* Entry points of the interior-point method: checks of the arguments, and the choice of the kernel. */
 #include <math.h>
 #include <string.h>
 
 #include "riccati.h"
 
-static const double LOOK_S = 0.01; /* of processor time between two questions to the host: its lock may be taken */
+static const double LOOK_S = 0.01; /* processor time between two checks for signals; each may wait for the interpreter's lock */
 
 static tr_watch released(const tr_host *host)
 {
@@ -36,7 +36,7 @@ int tr_paired(const tr_problem *q)
     return q->A[last * n + last] == 1.0;
 }
 
-/* How many of the first problems go side by side with the first one, at most `most`. Long ones would fit no cache. */
+/* Number of leading problems that can be solved side by side, at most `most`. Long problems would exceed the cache. */
 static int alike(const tr_problem *q, int count, int most)
 {
     int found = 1;
@@ -45,7 +45,7 @@ static int alike(const tr_problem *q, int count, int most)
     return found;
 }
 
-/* The fastest way to begin with `count` problems, and how many of them it takes. */
+/* The fastest kernel for the first of `count` problems, and the number of them that it takes. */
 static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
 {
 #if defined(ONLY_WIDTH)
@@ -59,14 +59,14 @@ static const tr_kernel *kernel_for(const tr_problem *q, int count, int *taken)
     if (*taken > 4) return &KERNEL(8, 8);
     if (*taken > 2) return &KERNEL(4, 4);
     if (*taken == 2 && !four) return &KERNEL(2, 2);
-    /* Rows of eight states only where they take no more of them than rows of four do. */
+    /* Registers of eight states only where padding does not make rows longer than with registers of four. */
     const tr_kernel *one = eight && (left == 0 || left > 4) ? &KERNEL(8, 1) : four ? &KERNEL(4, 1) : &KERNEL(2, 1);
 #endif
     *taken = 1;
     return one;
 }
 
-/* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
+/* Version of the interface, incremented when arguments or results change; callers must check it. */
 int tr_interface(void) { return 8; }
 
 static int fits(const tr_problem *q)
@@ -77,7 +77,7 @@ static int fits(const tr_problem *q)
     return q->stages >= 1 && q->free_stages >= 0 && q->free_stages <= q->stages;
 }
 
-/* Whether all problems have the sizes of the first one, which `repeated` ends, and fit this method. */
+/* Whether all problems have the same sizes (the fields up to `repeated`), within this method's limits. */
 static int have_one_size(int count, const tr_problem *q)
 {
     for (int i = 1; i < count; i++)
@@ -85,7 +85,7 @@ static int have_one_size(int count, const tr_problem *q)
     return count > 0 && fits(q);
 }
 
-/* Doubles of workspace for `count` problems of equal sizes; 0 if these are too large for this method, or none. */
+/* Doubles of workspace for `count` problems of equal sizes; 0 if the sizes are not within this method's limits. */
 size_t tr_workspace(int count, const tr_problem *q)
 {
     size_t most = 0;
@@ -106,16 +106,15 @@ static int has_bounds(const tr_problem *q)
     return 1;
 }
 
-/* Problems, or what is asked of them, from entry `first` on: `taken` of them, the last one again where a kernel takes
- * more. */
+/* Pointers to `taken` array elements from `first` on; the last one is repeated where a kernel takes more. */
 #define SIDE_BY_SIDE(of, first, taken, found) \
     for (int e = 0; e < MOST_ENTRIES; e++) (found)[e] = (of) + (first) + (e < (taken) ? e : (taken) - 1)
 
-/* Solve `count` problems of equal sizes; the answers are judged by the caller. Each result has its code. Returns that of
- * what has kept or stopped all of them, or 0.
+/* Solve `count` problems of equal sizes; the caller certifies the answers. Each result has its code. Returns 0, or the
+ * code of an error that affects all problems.
  *
- * Near the answer rounding wins over progress at last: the best iterate is returned, as TR_ACCURACY where it is not
- * quite what was asked for. Far from it the last iterate is, whose multipliers tell of infeasibility.
+ * Near the optimum rounding eventually prevents progress: the best iterate is then returned, as TR_ACCURACY if it is not
+ * within the tolerance. Far from the optimum the last iterate is returned; its multipliers may prove infeasibility.
  */
 int tr_solve(int count, const tr_problem *q, const tr_options *options, double *space, tr_result *r)
 {
@@ -138,8 +137,7 @@ int tr_solve(int count, const tr_problem *q, const tr_options *options, double *
     return failed;
 }
 
-/* The problems without rows and nodes: one Newton step from rest, and as many more as refine it.
- */
+/* Solve problems without rows and nodes: one Newton step from rest, and further ones as iterative refinement. */
 int tr_linear(int count, const tr_problem *q, const tr_options *options, double *space, tr_result *r)
 {
     const tr_problem *some[MOST_ENTRIES];
@@ -159,7 +157,7 @@ int tr_linear(int count, const tr_problem *q, const tr_options *options, double 
     return failed;
 }
 
-/* Certify: what each `proof` states of its problem without nodes. The solver has no say in it. */
+/* Fill in each `proof` for its problem without nodes, independently of the solver. */
 int tr_prove(int count, const tr_problem *q, double *space, tr_proof *proof)
 {
     const tr_problem *some[MOST_ENTRIES];

@@ -1,4 +1,4 @@
-/* What the parts of the method in C share: a problem, what is asked and told of it, and the kernels that solve it. */
+/* Types shared by the C sources of the method: problem, options, results, and the kernels that solve a problem. */
 #if !defined(RICCATI_H)
 #define RICCATI_H
 #include <stddef.h>
@@ -9,23 +9,23 @@ enum { MOST_STATES_BESIDE = 32, MOST_STAGES_BESIDE = 4096 };
 
 typedef struct {
     int stages, free_stages, states, outputs, ends, rows, nodes;
-    int current;  /* state that is the current; -1: it is the command */
+    int current;  /* index of the state that is the current; -1: the current is the command */
     int repeated; /* th_0 = F th_N + f */
     const double *A, *C, *E;                 /* (n, n), (outputs, n), (outputs) */
     const double *weight, *reference;        /* (N, outputs), both */
     const double *rule_gain, *rule_offset;   /* (N - free, n), (N - free) */
-    const double *end_gain, *end_target;     /* Z (ends, n), z (ends): what the state at N still does */
+    const double *end_gain, *end_target;     /* Z (ends, n), z (ends): terms in the state at N, for the time after */
     const double *G, *d, *d_size;            /* (rows, n), (rows), (rows) */
     const double *lower, *upper;             /* (N + 1, rows), infinite where there is no limit */
     const double *M, *b, *gain, *square;     /* (nodes, nodes), (nodes), (N), (3): i_k^2, i_k i_(k+1), i_(k+1)^2 */
     const double *F, *f;                     /* (nodes, nodes), (nodes) */
     double movement_weight, decay, ripple, copper;
-    double command_bound;                    /* on |x_(n-1) + u|, for the gap */
-    double constant;                         /* of the objective, which tolerances are relative to */
+    double command_bound;                    /* on |x_(n-1) + u|, used in the gap */
+    double constant;                         /* constant term of the objective; tolerances are relative to the latter */
 } tr_problem;
 
-/* An interpreter whose lock the caller holds: the lock is let go while the method works, and taken back to ask whether
- * a signal ends the work. In CPython: PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals.
+/* The interpreter, whose lock the caller holds. The method releases the lock while it works, and takes it now and then
+ * to check for a signal. In CPython: PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals.
  */
 typedef struct {
     void *(*release)(void);
@@ -36,41 +36,41 @@ typedef struct {
 typedef struct {
     int max_iterations;
     double tolerance;     /* on the gap, relative to max(objective, 1), and on residuals */
-    const tr_host *host;  /* NULL: nobody interrupts, and no lock is held */
+    const tr_host *host;  /* NULL: no lock to release, no interruption */
 } tr_options;
 
 typedef struct {
-    double *command, *size;    /* (N) x_(n-1) + u; (N), left alone without nodes */
+    double *command, *size;    /* (N) x_(n-1) + u; (N), not written if there are no nodes */
     double *lower, *upper;     /* (N + 1, rows) multipliers */
-    double *gradient;          /* (N) of the Lagrangian by u, the rule fed back */
+    double *gradient;          /* (N) of the Lagrangian by u, with the hand-over's rule as feedback */
     double *start;             /* (nodes) th_0 */
     int code, iterations;
     double objective, gap, residual;
 } tr_result;
 
-/* What a command and multipliers prove in a problem, its nodes aside: the Lagrangian's tangent bounds the optimum by
- * objective - slack - by_command, and by objective - slack - by_movement, from below. */
+/* Certificate of a command with multipliers in a problem without nodes. The tangent of the Lagrangian gives two lower
+ * bounds of the optimum: objective - slack - by_command, and objective - slack - by_movement. */
 typedef struct {
     const double *command;             /* (N) */
-    const double *by_lower, *by_upper; /* (N, rows) multipliers >= 0; NULL for none */
+    const double *by_lower, *by_upper; /* (N, rows) multipliers >= 0; NULL if all are zero */
     const double *by_rule;             /* (N - free) multipliers of the hand-over */
-    const double *lower, *upper;       /* (N, rows) what the rows are held to, in place of the problem's own bounds */
-    double *excess;                    /* (rows) how far a row is outside at most, negative inside */
-    double objective, slack;           /* multipliers times sizes of slacks, those of the hand-over too */
-    double residual;                   /* largest of the hand-over */
-    double dual_residual;              /* largest size of the Lagrangian's gradient by the commands */
-    double by_command;                 /* that gradient times how far a command may be away */
-    double by_movement;                /* the same gradient against the movement's own curvature */
+    const double *lower, *upper;       /* (N, rows) bounds of the rows, used in place of the problem's own */
+    double *excess;                    /* (rows) largest violation of each row, negative inside */
+    double objective, slack;           /* slack: sum of multipliers times absolute slacks, the hand-over's included */
+    double residual;                   /* largest residual of the hand-over */
+    double dual_residual;              /* largest absolute value of the Lagrangian's gradient by the commands */
+    double by_command;                 /* sum of that gradient times the largest possible change of a command */
+    double by_movement;                /* bound from that gradient and the curvature of the movement's weight */
 } tr_proof;
 
 enum {
     TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN,
-    TR_TOO_LARGE,   /* or no problem at all */
-    TR_NO_BOUNDS,   /* a bound is no number, above the other one, or infinite on the wrong side */
+    TR_TOO_LARGE,   /* sizes outside of what the method takes */
+    TR_NO_BOUNDS,   /* invalid bounds: NaN, crossing, or infinite on the wrong side */
     TR_INTERRUPTED
 };
 
-/* The host during one call. */
+/* State of the signal checks during one call. */
 typedef struct {
     const tr_host *host;
     void *thread;
@@ -80,11 +80,11 @@ typedef struct {
 /* Whether the host wants the work to stop. */
 int tr_interrupted(tr_watch *watch);
 
-/* Whether states 2 i and 2 i + 1 alone are coupled, and the held command, the last one, to all. */
+/* Whether A couples only states 2 i and 2 i + 1, and the last state, the held command, to all. */
 int tr_paired(const tr_problem *q);
 
-/* The method, compiled for one width: `entries` problems of equal sizes at once. Codes stand in the results; a call
- * that was interrupted is not 0. */
+/* The method, compiled for one register width; it solves `entries` problems of equal sizes at once. Each result has its
+ * code; a call returns nonzero only if it was interrupted. */
 typedef struct {
     int entries;
     size_t (*sizes)(const tr_problem *q);
@@ -99,7 +99,7 @@ int tr_solve(int count, const tr_problem *q, const tr_options *options, double *
 int tr_linear(int count, const tr_problem *q, const tr_options *options, double *space, tr_result *r);
 int tr_prove(int count, const tr_problem *q, double *space, tr_proof *proof);
 
-/* Which widths are compiled: all, of which the processor has the last word, or only one. */
+/* Compiled register widths: all of them, chosen by processor at run time, or only one. */
 #if !defined(ONLY_WIDTH) && !defined(__GNUC__)
 #define ONLY_WIDTH 1
 #elif !defined(ONLY_WIDTH) && (defined(__clang__) || !defined(__x86_64__))

@@ -11,19 +11,17 @@
  *
  * The movement u and the size e of the mean current are the controls; x_(n-1) is the command held before. Predictor and
  * corrector follow Mehrotra (SIAM J. Optim. 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings,
- * J. Optim. Theory Appl. 99, 1998), in which the size is eliminated before the movement. Where the states stand in pairs
- * that only the held command couples to others, as the modes of a device do, products with A have no more terms than
- * that: they are taken pair by pair. Every iterate obeys the dynamics exactly: states are rolled out, the reduced
- * gradient comes from the adjoint recursion, so rounding in a factorisation costs a step's quality and never the
- * answer's.
+ * J. Optim. Theory Appl. 99, 1998), in which the size is eliminated before the movement. Where the states form pairs
+ * that only the held command couples to others, as the modes of a device do, products with A are computed pair by pair.
+ * Every iterate obeys the dynamics exactly: states are rolled out, and the reduced gradient comes from the adjoint
+ * recursion. Rounding in a factorisation therefore affects the quality of a step, but not the accuracy of the answer.
  *
  * Problems of equal sizes are solved side by side: each register then holds the same number of several problems, and an
  * answer does not depend, to the last bit, on the problems beside it. A problem alone has its rows of states in
  * registers instead, as have problems whose states do not stand in pairs.
  *
  * C99 without dependencies, no global state, no allocation: the caller gives the workspace. Compile with contraction of
- * floating-point expressions off. All arrays are row by row. A caller that may be interrupted is asked for it now and
- * then (`tr_host`).
+ * floating-point expressions off. All arrays are row by row. The method polls the caller for signals (`tr_host`).
  */
 #include <math.h>
 #include <stdint.h>
@@ -39,13 +37,13 @@
 #endif
 
 /* Constants of the method. */
-static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
-static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
-static const double FARTHEST = 5e-3;  /* part of slacks and multipliers that a step leaves */
+static const double NEAR = 1e3;       /* times the tolerance: once below it, the best iterate is kept */
+static const double SHORTEST = 1e-12; /* shortest useful step length, as a share of the Newton step */
+static const double FARTHEST = 5e-3;  /* share of slacks and multipliers that a step leaves */
 static const double NEAREST = 1e-9, NEARNESS = 0.1;
-static const double FIRST_GAP = 3.0;  /* of the first iterate, in units of its objective */
+static const double FIRST_GAP = 3.0;  /* gap of the first iterate, in units of its objective */
 static const double LAST_GAP = 0.03;  /* that is aimed at, of what is allowed: less only costs digits elsewhere */
-static const double LEAST = 1e-290;   /* nothing beside a multiplier, and never zero */
+static const double LEAST = 1e-290;   /* negligible positive number that avoids a division by zero */
 enum {
     PATIENCE = 6,    /* iterations without a better iterate */
     STRIDE = 256,    /* stages of a factorisation after which the host may be asked */
@@ -94,8 +92,8 @@ static void eliminate(int count, const double *matrix, double *right)
 #define MOST_BLOCKS (ENTRIES > 1 ? MOST_STATES_BESIDE : MOST_STATES / WIDTH)
 #define WHOLE (ENTRIES > 1 ? 2 : WIDTH > 4 ? WIDTH : 4) /* a row of states has whole pairs or fours, and registers */
 
-/* A register of doubles: of rows and of states of one problem or, of several problems, the same number of each. Every
- * array of the workspace begins with a whole one. */
+/* A register of doubles: neighbouring rows or states of one problem, or the same number of several problems. Every
+ * array of the workspace is aligned to a whole register. */
 #if WIDTH > 1
 typedef double lanes __attribute__((vector_size(8 * WIDTH), may_alias));
 typedef long long choice __attribute__((vector_size(8 * WIDTH), may_alias));
@@ -123,7 +121,7 @@ typedef double number;
 #define CHOSEN(test, one, other) ((test) ? (one) : (other))
 #endif
 
-/* The larger, lane by lane; what is no number is passed over. */
+/* The larger, lane by lane; NaN in `than` is ignored. */
 ALWAYS_INLINE void raise_to(lanes *most, const lanes than)
 {
     *most = CHOSEN_LANES(than > *most, than, *most);
@@ -170,26 +168,26 @@ ALWAYS_INLINE number largest(const lanes *of)
     return most;
 }
 
-/* One side of every row: slack s = sign (value - bound), s * l -> 0. Where `there` is 0 there is no limit: l = 0. */
+/* One side of every row: slack s = sign (value - bound), multiplier l, s l -> 0. Without a bound `there` = l = 0. */
 typedef struct {
     double sign;
-    lanes *there, *bound, *s, *l, *inverse, *residual, *cross; /* 1 / s, what s is off, product of the predictor's steps */
+    lanes *there, *bound, *s, *l, *inverse, *residual, *cross; /* 1 / s, residual of s, product of the predictor's steps */
 } tr_side;
 
-/* Everything that lives during one solve. Differences carry a d: dE is the change of `error` by a Newton step. */
+/* Working data of one solve. Changes by a Newton step have the prefix d. */
 typedef struct {
     const tr_problem *q; /* the first of all */
     const tr_problem *const *all;
     tr_watch *watch;
     int ld;                              /* length of a row of states, padded with zeros */
-    int blocks;                          /* of all values of the rows */
-    /* What the problems say, each number of all of them. */
+    int blocks;                          /* registers for the values of all rows */
+    /* Data of the problems; each number holds the values of all of them. */
     const number *E, *weight, *reference, *rule_gain, *rule_offset, *end_target, *d, *d_size;
     const number *M, *b, *gain, *square, *F, *f;
     number movement_weight, decay, ripple, copper, command_bound, constant;
     lanes *A, *At, *C, *G, *Z;          /* padded A, its transpose, C, G and Z */
     int paired;                          /* A couples states 2 i and 2 i + 1, and the held command to all */
-    int pairs_end;                       /* where the states begin that nothing couples */
+    int pairs_end;                       /* index of the first state that is not coupled in a pair */
     lanes own[MOST_BLOCKS], from_pair[MOST_BLOCKS], to_pair[MOST_BLOCKS]; /* its diagonal, A[j][j ^ 1] and A[j ^ 1][j] */
     lanes push[MOST_BLOCKS], held[MOST_BLOCKS];                           /* its last column; one at the held command */
     unsigned char *tracked; /* (N, outputs) whether a weight is other than zero */
@@ -207,7 +205,7 @@ typedef struct {
     tr_side side[2];                     /* their lower and their upper limits */
     number *unit_offset, *unit_offset_e; /* (nodes, N) response to the closure's multiplier */
     number *still;                       /* (N) zeros */
-    number *kept_movement, *kept_gradient, *kept_size; /* of the iterate that is the answer so far */
+    number *kept_movement, *kept_gradient, *kept_size; /* of the best iterate so far */
     lanes *kept_lower, *kept_upper;
     number kept_start[MOST_NODES], kept_objective, kept_gap, kept_residual;
     number sound;                        /* 0 where a factorisation has broken down */
@@ -217,19 +215,19 @@ typedef struct {
     number eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
     number closing[4 * MOST_NODES * MOST_NODES]; /* matrix of the closure's equations */
     int direct[MOST_ROWS], moves[MOST_ROWS], sizes[MOST_ROWS]; /* whether E, d and d_size are other than zero */
-    int from[MOST_ROWS], to[MOST_ROWS];          /* states between which a row of G has all that is not zero */
+    int from[MOST_ROWS], to[MOST_ROWS];          /* range of states with the nonzeros of a row of G */
 } tr_work;
 
-/* Where an iterate stands. */
+/* Measures of an iterate: the parts of its gap, and its objective. */
 typedef struct {
     number complementarity, residual, stationarity, objective;
 } tr_state;
 
-/* Registers that a row of n states takes, padded with zeros; of row i of a symmetric matrix, those that are computed. */
+/* Number of registers of a row of n states, padded with zeros; number of those computed in row i of a symmetric matrix. */
 #define BLOCKS(n) (((n) + WHOLE - 1) / WHOLE * WHOLE / PER)
 #define LOWER(i, blocks) (ENTRIES > 1 ? (i) + 1 : (blocks))
 
-/* The next `count` numbers of the workspace, if there is one yet. */
+/* The next `count` numbers of the workspace; NULL while only its size is counted. */
 static void *take(double *space, size_t *taken, size_t count)
 {
     void *found = space ? space + *taken : NULL;
@@ -237,7 +235,7 @@ static void *take(double *space, size_t *taken, size_t count)
     return found;
 }
 
-/* An array of all problems, number by number: their own array where there is one problem. NULL for none. */
+/* An array of the problems, interleaved number by number; with one problem its own array. NULL without workspace. */
 static const number *of_each(const void *const *all, size_t field, size_t count, double *space, size_t *taken)
 {
 #if ENTRIES > 1
@@ -254,7 +252,7 @@ static const number *of_each(const void *const *all, size_t field, size_t count,
 #endif
 }
 
-/* A number of all problems. */
+/* One scalar field of all problems. */
 static number each(const tr_problem *const *all, size_t field)
 {
     number found;
@@ -295,7 +293,7 @@ static size_t lay_out(tr_work *w, const tr_problem *const *all, double *space)
     w->kept_movement = take(space, &taken, N), w->kept_gradient = take(space, &taken, N);
     w->kept_size = take(space, &taken, warm);
     w->kept_lower = take(space, &taken, m), w->kept_upper = take(space, &taken, m);
-    /* What stands behind here is written before it is read. */
+    /* The arrays from here on are written before they are read and need no zeros. */
     w->du = take(space, &taken, N), w->d_end_error = take(space, &taken, (size_t)q->ends);
     w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
@@ -321,7 +319,7 @@ static size_t workspace(const tr_problem *q)
     return lay_out(&w, all, NULL) + WIDTH - 1;
 }
 
-/* Whether the states stand in pairs, and what couples them. */
+/* Find out whether A couples states in pairs only, and store the coefficients. */
 static void pair_up(tr_work *w)
 {
     const int n = w->q->states, last = n - 1;
@@ -392,7 +390,7 @@ static void state(tr_work *w)
     pad(w);
 }
 
-/* The workspace, all zero but what the problems say. */
+/* Lay out the workspace: zeros, and the data of the problems. */
 static void prepare(tr_work *w, const tr_problem *const *all, double *space, tr_watch *watch)
 {
     const size_t n = (size_t)all[0]->states, ld = BLOCKS(n) * PER, stages = (size_t)all[0]->stages;
@@ -499,7 +497,7 @@ ALWAYS_INLINE void congruence(const int n, const int blocks, const tr_work *w, c
         if (ENTRIES > 1) AT(pushed, i) += rest;
     }
     flow_back(blocks, w, pushed, H + last * blocks);
-    for (int i = 0; i < last; i++) { /* of the last column the last row is enough */
+    for (int i = 0; i < last; i++) { /* of the last column only the last row is needed */
         const int end = ENTRIES > 1 ? (i | 1) + 1 : blocks, pairs = coupled < end ? coupled : end;
         for (int j = 0; j < pairs; j++)
             PA[i * blocks + j] = w->own[j] * P[i * blocks + j] + w->to_pair[j] * SWAPPED(P + i * blocks, j);
@@ -547,7 +545,7 @@ ALWAYS_INLINE int keeps(tr_work *w, const number *pivot)
 #endif
 }
 
-/* What the nodes add to H = A' P A of the states: their flow is B x + M th with B = b g', where g = `by_x`.
+/* Add the nodes' part to H = A' P A of the states. The nodes' flow is B x + M th with B = b g', where g = `by_x`.
  *
  * Cost to go P (states), Q (nodes, states), R (nodes, nodes). Out: H; HQ and HR; f = sum_i b_i U_i and fR = b' R M,
  * where [U R M] are the nodes' rows of P times the flow. Returns b' R b.
@@ -629,7 +627,7 @@ ALWAYS_INLINE void backward_stage(const int n, const int blocks, tr_work *w, con
     const lanes nothing = {0};
     lanes a[MOST_BLOCKS], drive[MOST_BLOCKS];
     number by_size = {0}, th_before[MOST_NODES] = {0}, direct = {0};
-    /* What does not depend on later stages stands apart, to be ready before they are. */
+    /* Terms that do not depend on later stages are computed first, off the critical path. */
     for (int j = 0; j < blocks; j++) drive[j] = nothing;
     if (own) {
         direct = w->movement_weight * w->u[k];
@@ -1236,7 +1234,7 @@ static number correct(const tr_work *w, const number level, const number rest)
     return longest(&fastest, rest);
 }
 
-/* Put an array in the place of another one, for the problems that are `chosen`. */
+/* Copy an array onto another one, for the `chosen` problems. */
 static void blend(size_t count, const int *chosen, const number *from, number *to)
 {
 #if ENTRIES > 1
@@ -1248,7 +1246,7 @@ static void blend(size_t count, const int *chosen, const number *from, number *t
 #endif
 }
 
-/* Keep the iterate that `judge` has just seen, of the problems that are `chosen`. */
+/* Keep the iterate that `judge` has just measured, for the `chosen` problems. */
 static void keep(tr_work *w, const tr_state *now, const int *chosen)
 {
     const tr_problem *q = w->q;
@@ -1286,14 +1284,14 @@ static void deliver(const tr_work *w, tr_result *const *results)
     }
 }
 
-/* How far the search has come for one problem. */
+/* State of the search for one problem. */
 typedef struct {
-    double best; /* measure of the best iterate: 1 is what was asked for */
+    double best; /* measure of the best iterate, in units of the tolerance */
     int since;   /* iterations since then */
     int ended;
 } tr_course;
 
-/* End the search for one problem; later iterates are none of its answer. */
+/* End the search for one problem; its answer is not changed by later iterates. */
 static void end_with(tr_course *course, tr_result *r, int code, int iterations)
 {
     course->ended = 1;
@@ -1335,7 +1333,7 @@ static int factored(tr_work *w)
     return 0;
 }
 
-/* Whether the search has ended for all problems; the step of those for which it has is made zero. */
+/* Whether the search has ended for all problems; the step of those that have ended is set to zero. */
 static int all_ended(const tr_course *course, number *step)
 {
     int ended = 0;
@@ -1375,8 +1373,8 @@ static int solve(const tr_problem *const *all, const tr_options *options, double
             aim(w, level);
             newton(w, 0);
         }
-        /* Closer to the limits as they matter less: the last iterations then gain more than two digits each. Not with
-         * sizes, whose two rows share a multiplier: how, only a centred iterate tells. */
+        /* Steps go closer to the limits as the gap falls: the last iterations then gain more than two digits each. Not
+         * with temperatures: the two rows of a size share a multiplier, and only a centred iterate determines how. */
         number rest = nothing + FARTHEST;
         for (int e = 0; e < ENTRIES && !NODES(w->q); e++) {
             const double left = NEARNESS * EACH(now.complementarity, e) / fmax(EACH(now.objective, e), 1.0);
@@ -1427,14 +1425,14 @@ static int linear(const tr_problem *const *all, double tolerance, double *space,
     return 0;
 }
 
-/* A multiplier times the size of its slack; nothing where there is no bound. */
+/* A multiplier times the absolute slack; zero without a bound. */
 ALWAYS_INLINE number paired_with(const number multiplier, const number slack)
 {
     const number size = absolute(slack), nothing = {0};
     return CHOSEN((size < INFINITY) & (multiplier != 0.0), multiplier * size, nothing);
 }
 
-/* The larger of both; what is no number stays none. */
+/* The larger of both; NaN is kept. */
 ALWAYS_INLINE number largest_of(const number so_far, const number next)
 {
     return CHOSEN((next > so_far) | (next != next), next, so_far);
@@ -1455,7 +1453,7 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
     memset(w, 0, sizeof *w);
     lay_out(w, all, space);
     state(w);
-    /* What is judged takes the place of what only a search needs. */
+    /* The certificate's arrays reuse the workspace that only a search needs. */
     taken = (size_t)((double *)w->V - space);
 #define OF_PROOF(field, count) of_each((const void *const *)proofs, offsetof(tr_proof, field), count, space, &taken)
     const number *commands = OF_PROOF(command, stages), *by_rule = OF_PROOF(by_rule, stages - free);
@@ -1512,7 +1510,7 @@ static void prove(const tr_problem *const *all, double *space, tr_proof *const *
             add(blocks, -by_rule[(size_t)k - free], rule, next);
         }
         memcpy(p, next, sizeof p);
-        /* A command moves by its own movement and against the next. */
+        /* A command enters its own movement with + and the next one with -. */
         const number size = absolute(gradient - later);
         dual_residual = largest_of(dual_residual, size);
         by_command += size * (w->command_bound + absolute(commands[k]));
