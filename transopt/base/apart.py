@@ -1,16 +1,17 @@
-"""Calls that run in processes of their own, which can be ended at any instant.
+"""Calls that run in worker processes, which can be killed at any instant.
 
-A method in native code may search for minutes, may not return at all, and may even end its process. Python answers a
-signal between two of its own instructions only, so a Ctrl-C has to wait until such a method returns. In a second
-process the method keeps nobody: whoever waits for the answer can be interrupted, and the process is killed then.
+A method in native code may search for minutes, may never return, and may even crash its process. Python handles a
+signal only between two of its own instructions, so a Ctrl-C has to wait until such a method returns. In a worker
+process the method blocks nobody: the waiting caller can be interrupted, and then kills the worker.
 
-`call` bounds the processor time of one call, so that a busy machine changes no answer. `Processes` is an executor of
-`concurrent.futures`, for tasks side by side. The executors of the standard library and of loky do not serve: there
-the death of one process ends the tasks of all others too, and no other task can be submitted afterwards.
+`call` bounds the processor time of one call, so that a busy machine does not change an answer. `Processes` is an
+executor of `concurrent.futures` for parallel tasks. The executors of the standard library and of loky do not suffice:
+there the death of one process also ends the tasks of all others, and no further task can be submitted.
 
-Each process is a plain Python that speaks through its standard input and output. It needs no fork, which would copy
-the threads of this process half-alive. It loads the caller's main program only to find a function of that program.
-It has a process group of its own, so that a Ctrl-C in the terminal goes to this process alone, which ends the others.
+Each worker is a plain Python process that communicates through its standard input and output. It is not forked, since
+a fork would copy locks held by other threads but not these threads. It loads the caller's main program only to find a
+function of that program. It has its own process group: a Ctrl-C in the terminal reaches only the caller, which ends
+the workers.
 """
 
 import atexit
@@ -36,23 +37,23 @@ from transopt.base.threads import one_thread
 
 try:
     import resource
-except ImportError:  # Windows, where only the clock on the wall ends a call
+except ImportError:  # Windows, where only elapsed time bounds a call
     resource = None  # type: ignore[assignment]
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-START_S = 120.0  # for the process to load what a call needs; a second on an idle machine
-SHARED = 10.0  # times that a call may take on the clock: others use the processor as well
-LOOK_S = 0.1  # between two looks at the clock: on Windows nothing else lets a Ctrl-C through
-ORPHANED_S = 5.0  # after the caller's own deadline: whoever had to end the process is gone
-LAST_WORDS_S = 1.0  # between a closed line and the exit code of the process at its other end
-OUT_OF_TIME = -getattr(signal, "SIGXCPU", 0)  # how a process ends whose processor time is used up
+START_S = 120.0  # time for a worker to start and import; about a second on an idle machine
+SHARED = 10.0  # largest ratio of elapsed to processor time of a call, since others use the processor too
+LOOK_S = 0.1  # polling period while waiting; on Windows a Ctrl-C is only handled between two polls
+ORPHANED_S = 5.0  # time after the caller's deadline at which a worker without a caller ends itself
+LAST_WORDS_S = 1.0  # time to wait for a worker's exit code after its pipe was closed
+OUT_OF_TIME = -getattr(signal, "SIGXCPU", 0)  # exit code of a worker that used up its processor time
 Outcome = tuple[Any, Exception | None, list[tuple[type[Warning], str]]]  # value, what was raised, warnings
 
 
 class UnansweredError(BrokenExecutor):
-    """A call whose process gave no answer in time, or ended without one; the message says which."""
+    """A call whose worker gave no answer in time, or ended without one; the message says which."""
 
 
 class LateError(UnansweredError):
@@ -60,7 +61,7 @@ class LateError(UnansweredError):
 
 
 class _Process:
-    """Another process for calls, one at a time."""
+    """A worker process, which executes one call at a time."""
 
     def __init__(self, quiet: bool) -> None:
         if _main_loads.is_set():
@@ -83,11 +84,11 @@ class _Process:
         self.number, self._asked, self._answers = self._popen.pid, self._popen.stdin, self._popen.stdout
 
     def answer(self, message: bytes) -> Outcome:
-        """How a call ends.
+        """Send a call and wait for its outcome.
 
         Raises
         ------
-        UnansweredError : the process ended without an answer.
+        UnansweredError : the worker ended without an answer.
         """
         said = None
         with suppress(OSError, ValueError, EOFError, pickle.UnpicklingError):
@@ -106,17 +107,17 @@ class _Process:
 
     @property
     def ended(self) -> bool:
-        """Whether its end has been noticed."""
+        """Whether the worker is known to have ended."""
         return self._popen.returncode is not None
 
     def end(self) -> None:
-        """Kill the process and wait for its end, which is immediate; a fork of this one has none to kill."""
+        """Kill the worker and wait for its end, which is immediate; in a forked copy of the caller do nothing."""
         if self._of == os.getpid():
             self._popen.kill()
             self._popen.wait()
 
     def close(self) -> None:
-        """End the process and close the line to it; only for the thread that listens to it."""
+        """End the worker and close its pipes; only for the thread that reads from it."""
         self.end()
         for line in (self._asked, self._answers):
             with suppress(OSError):
@@ -124,16 +125,16 @@ class _Process:
 
 
 class Processes(Executor):
-    """Processes for calls side by side, each served by a thread of this one that waits for its answers.
+    """An executor with worker processes, each served by a thread of this process that waits for its answers.
 
-    A process is started by the first call that needs it and kept for the next ones, so that what a call prepares once
-    (imports, solver objects) is prepared once. Where one dies, its call ends in an `UnansweredError` that says how,
-    the others go on, and the next call starts another. Warnings that a call gives are given here again.
+    A worker is started by the first call that needs it and reused, so that imports and solver objects are prepared
+    only once. If a worker dies, its call raises an `UnansweredError` that says how, the others continue, and the next
+    call starts a new worker. Warnings of a call are issued again in this process.
 
     Parameters
     ----------
-    workers : most calls at a time.
-    quiet : whether what the processes print is dropped; otherwise it goes to the standard error of this process.
+    workers : largest number of calls at a time.
+    quiet : whether the workers' output is dropped; otherwise it goes to the standard error of this process.
     """
 
     def __init__(self, workers: int, *, quiet: bool = False) -> None:
@@ -146,7 +147,7 @@ class Processes(Executor):
 
     @property
     def numbers(self) -> list[int]:
-        """Numbers of the processes that run, as the system counts them."""
+        """Process ids of the running workers."""
         return [process.number for process in self._live.copy()]
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
@@ -155,14 +156,14 @@ class Processes(Executor):
         future: Future[T] = Future()
         self._calls.put((future, (fn, args, kwargs)))
         if len(self._threads) < self._workers:
-            # A daemon: a thread that waits for its process does not keep this one up.
+            # A daemon thread: waiting for a worker does not keep this process from ending.
             thread = threading.Thread(target=self._serve, daemon=True)
             self._threads.append(thread)
             thread.start()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for all calls; with `wait=False` cancel those that have not started, and kill the processes."""
+        """Wait for all calls; with `wait=False` cancel those that have not started, and kill the workers."""
         self._closed, self._killed = True, self._killed or not wait
         if cancel_futures or not wait:
             with suppress(queue.Empty):
@@ -177,7 +178,7 @@ class Processes(Executor):
             process.end()
 
     def _serve(self) -> None:
-        """What a thread does: one call after the other, each in the process of this thread."""
+        """Body of a thread: execute one call after the other, each in this thread's worker."""
         process: _Process | None = None
         while (waiting := self._calls.get()) is not None:
             future, call = waiting
@@ -188,7 +189,7 @@ class Processes(Executor):
                 message = _packed(call)
                 process = process or self._started()
                 outcome = process.answer(message)
-            except Exception as error:  # it died, or the call or its answer cannot be sent
+            except Exception as error:  # the worker died, or the call or its answer cannot be pickled
                 outcome = (None, error, [])
                 if process is not None and process.ended:
                     self._live.discard(process)
@@ -213,7 +214,7 @@ class Processes(Executor):
 
 
 def _told(value: Any, error: Exception | None, warned: list[tuple[type[Warning], str]]) -> Any:
-    """The value of a call, its warnings given here again; or what it raised."""
+    """Issue a call's warnings again, then return its value or raise its exception."""
     for category, text in warned:
         warnings.warn(text, category, stacklevel=3)
     if error is not None:
@@ -222,12 +223,12 @@ def _told(value: Any, error: Exception | None, warned: list[tuple[type[Warning],
 
 
 _one_at_a_time = threading.Lock()
-_kept: list[Processes] = []  # the executor that `call` speaks to, if it has been started
+_kept: list[Processes] = []  # the executor of `call`, once it has been started
 _executors: "weakref.WeakSet[Processes]" = weakref.WeakSet()
 
 
 def _running() -> Processes:
-    """The executor of `call`; another is made where there is none, also after a fork of this process."""
+    """The executor of `call`; a new one is created on first use, and after a fork of this process."""
     if not _kept or _kept[0].of != os.getpid():
         _kept[:] = [Processes(1, quiet=True)]
     return _kept[0]
@@ -235,28 +236,28 @@ def _running() -> Processes:
 
 @atexit.register
 def end() -> None:
-    """End all processes of this one; the next `call` starts another."""
+    """End all workers of this process; the next `call` starts a new one."""
     for executor in list(_executors):
         executor.shutdown(wait=False)
     _kept.clear()
 
 
 def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:
-    """What a function returns that runs in a process of its own.
+    """Call a function in a worker process and return its value.
 
-    Warnings that the function gives are given here again. What it prints is lost: it is native code that prints.
+    Warnings of the function are issued again in this process. Its output is dropped: native code prints to it.
 
     Parameters
     ----------
-    function : of a module, found there by its name; with its arguments, its answer and its exceptions it can be
-        pickled.
-    within_s : most processor time for the answer, without the start of the process; counted in whole seconds, rounded
-        up. On the clock it may take `SHARED` times as long, and on Windows only the clock counts.
+    function : a function that its module contains under its name. It, its arguments, its value and its exceptions
+        have to be picklable.
+    within_s : limit of the processor time [s] without the worker's start, rounded up to whole seconds. The elapsed
+        time may be `SHARED` times as long; on Windows only the elapsed time is bounded.
 
     Raises
     ------
-    UnansweredError : there is no answer in time, or the process ended without one. It is gone then.
-    Exception : what the function raises.
+    UnansweredError : there is no answer in time, or the worker ended without one. The worker is gone then.
+    Exception : any exception of the function.
     """
     with _one_at_a_time:
         try:
@@ -264,7 +265,7 @@ def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:
             answer = _running().submit(bounded, within_s, function, *arguments)
             _wait(answer, within_s if resource is None else SHARED * within_s)
         except BaseException:
-            # Interrupted or late: whatever it is doing, nobody will hear of it.
+            # Interrupted or late: the answer is no longer wanted, so the worker is ended.
             while _kept:
                 _kept.pop().shutdown(wait=False)
             raise
@@ -284,10 +285,10 @@ def _wait(answer: "Future[Any]", within_s: float) -> None:
 
 
 def bounded(within_s: float, function: Callable[..., T], *arguments: Any) -> T:
-    """What a function returns, in a process that ends by itself when its time is over.
+    """Call a function inside a worker that ends by itself when its time is over.
 
-    The system ends it when its processor time is used up. A process whose caller is gone notices that by the line
-    between them, unless native code keeps its other threads: then it ends some time after the caller's deadline.
+    The operating system ends it when its processor time is used up. A worker whose caller is gone notices the closed
+    pipe, unless native code blocks its other threads; it then ends some time after the caller's deadline.
     """
     faulthandler.dump_traceback_later(SHARED * within_s + ORPHANED_S, exit=True)
     try:
@@ -299,7 +300,7 @@ def bounded(within_s: float, function: Callable[..., T], *arguments: Any) -> T:
 
 @contextmanager
 def _limited(more_s: float) -> Iterator[None]:
-    """Have the system end this process when it has used so much more processor time, where the system can."""
+    """Limit this process's further processor time by the operating system, where that is supported."""
     if resource is None:
         yield
         return
@@ -314,19 +315,19 @@ def _limited(more_s: float) -> Iterator[None]:
 
 
 def _loaded(function: Callable[..., Any]) -> None:
-    """Nothing; when it returns, the process has loaded the module of the function."""
+    """Do nothing; as a call, it makes the worker load the function's module."""
 
 
 def serve() -> None:
-    """What the second process does: take a call from its input, write the answer to its output, and so on."""
+    """Main loop of a worker: read a call from the input, write its outcome to the output, repeat."""
     asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)  # what native code prints must not get among the answers
+    os.dup2(2, 1)  # output of native code must not mix with the answers
     sys.stdout = sys.stderr
     calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def listen() -> None:
-        """While the one who calls lives, another call follows; when it is gone, amid one, this process ends too."""
+        """Read calls while the caller lives; when it is gone, end this process even during a call."""
         with suppress(EOFError, pickle.UnpicklingError):
             while True:
                 calls.put(pickle.load(asked))
@@ -339,7 +340,7 @@ def serve() -> None:
 
 
 def _answered(message: bytes) -> bytes:
-    """How a call ends, as it is sent."""
+    """Execute a pickled call; its pickled outcome."""
     value, error = None, None
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
@@ -352,12 +353,12 @@ def _answered(message: bytes) -> bytes:
             error = raised
     try:
         return pickle.dumps((value, error, [(one.category, str(one.message)) for one in warned]))
-    except Exception as unsent:  # that it cannot be sent is an answer too
+    except Exception as unsent:  # an outcome that cannot be pickled is reported as an error
         return pickle.dumps((None, RuntimeError(f"{type(unsent).__name__}: {unsent}"), []))
 
 
 def _packed(call: Any) -> bytes:
-    """A call as it is sent, with the place of the main program where the call has something of it."""
+    """The pickled call, with the path of the main program if the call refers to an object of it."""
     packed, main = pickle.dumps(call), {}
     if b"__main__" in packed:
         program = sys.modules["__main__"]

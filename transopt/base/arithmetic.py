@@ -1,9 +1,9 @@
-"""Formulas that a user writes as text, read without running any of it.
+"""Formulas that a user writes as text, evaluated without executing the text as Python code.
 
-A formula is arithmetic: numbers, names, + - * / **, parentheses and the functions of `FUNCTIONS`. It is parsed to a
-tree by Python's own parser, every node of which is checked, and evaluated node by node over the functions that are
-handed in: those of numpy, of `math` for single numbers, or CasADi's, so that one text is both a number and an
-expression.
+A formula is arithmetic: numbers, names, + - * / **, parentheses and the functions of `FUNCTIONS`. Python's own parser
+turns it into a syntax tree, and every node of the tree is checked. The tree is evaluated with the functions that the
+caller passes: those of numpy, of `math` for single numbers, or of CasADi, so that one text gives both numbers and
+symbolic expressions.
 """
 
 import ast
@@ -20,13 +20,13 @@ from transopt.base.errors import InputError
 
 FUNCTIONS: Final = ("abs", "atan", "cos", "exp", "log", "sin", "sqrt", "tanh")
 LONGEST = 1000  # characters of a formula
-DEEPEST = 50  # of its tree: what is deeper would be a recursion without end
+DEEPEST = 50  # depth of its tree; deeper trees could exceed Python's recursion limit
 
 Functions = Mapping[str, Callable[[Any], Any]]  # each of `FUNCTIONS`, by name
 
 
 def _size(x: Any) -> Any:
-    """|x| that a complex step passes through: its derivative is the sign of the real part."""
+    """|x| that is compatible with complex-step differentiation: its derivative is the sign of the real part."""
     return np.where(np.real(x) < 0, -x, x)
 
 
@@ -58,12 +58,12 @@ class Formula:
 
     Attributes
     ----------
-    text : as it was written.
-    variables : names that change; `constants` : names with their values.
+    text : the text as the user wrote it.
+    variables : names of the variables. constants : names and values of the constants.
 
     Raises
     ------
-    InputError : a text that is no such formula, with what stands in the way.
+    InputError : a text that is not a valid formula; the message says why.
     """
 
     text: str
@@ -71,16 +71,16 @@ class Formula:
     constants: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        assert self._compiled is not None  # read once, so that a wrong text is refused where it is stated
+        assert self._compiled is not None  # parse now, so that an invalid text is refused at once
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """Variables that it depends on."""
+        """Variables that occur in the formula."""
         found = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         return frozenset(found & set(self.variables))
 
     def __call__(self, values: Mapping[str, Any], functions: Functions) -> Any:
-        """Evaluate the formula where `values` has every variable, over `functions` that fit to the values."""
+        """Evaluate the formula; `values` has every variable, and `functions` can take values of their type."""
         return self._compiled({**dict(self.constants), **values}, functions)
 
     @cached_property

@@ -10,12 +10,12 @@ from transopt.base.errors import InputError
 
 
 def on_a_terminal() -> bool:
-    """Whether a person can be asked, and reads the question."""
+    """Whether input and output are a terminal, so that a person can be asked."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def offered(default: object) -> str:
-    """How a value is offered for an empty answer."""
+    """The default value as the question shows it."""
     if default is None:
         return "not stated"
     return ("yes" if default else "no") if isinstance(default, bool) else str(default)
@@ -31,19 +31,19 @@ def answer(
     without: str,
     needed: bool = False,
 ) -> Any:
-    """One question, repeated until the answer is one; an empty answer takes what is offered.
+    """Ask one question, repeated until the answer is valid; an empty answer takes the default.
 
     Parameters
     ----------
-    name, why, unit : of what is asked for.
-    default : what is offered.
-    parsed : makes a value of a text that is not empty, or raises ValueError.
-    without : the message where no answers come, as at the end of a file.
-    needed : nothing is offered, and an empty answer is none.
+    name, why, unit : name, purpose and unit of the value asked for.
+    default : value of an empty answer.
+    parsed : converts a text that is not empty to a value, or raises ValueError.
+    without : the error's message if the input ends without an answer.
+    needed : whether there is no default, so that an empty answer is invalid.
 
     Raises
     ------
-    InputError : no answers come.
+    InputError : the input ends without an answer.
     """
     while True:
         suggestion = "needed" if needed else offered(default)

@@ -1,4 +1,4 @@
-"""What the entries of a library are for: incoming speeds and devices, which grip and place tell, or named targets."""
+"""Axes of a library: rows are incoming speeds or named targets, columns are devices, by grip and place."""
 
 from dataclasses import dataclass
 
@@ -7,15 +7,15 @@ from transopt.base.shown import cut, span
 
 @dataclass(frozen=True)
 class Axes:
-    """The rows and columns of a library, in words.
+    """The rows and columns of a library, and their descriptions as text.
 
     Attributes
     ----------
-    speeds_m_s : (nv,) rising; zeros where the rows are named targets.
-    grips_N : (ng,) of each device, rising; 0 alone where nobody holds it. Of an arm each grip stands there once for
-        each place.
-    targets : (nv,) names; none where the rows are speeds.
-    places : (ng,) normal and posture of each device, by number from 1; none where every device stands alike.
+    speeds_m_s : (nv,) increasing; zeros if the rows are named targets.
+    grips_N : (ng,) grip of each device, increasing; a single 0 for a free device. For an arm each grip is repeated
+        for each place.
+    targets : (nv,) names; empty if the rows are speeds.
+    places : (ng,) normal and posture of each device, by number from 1; empty for any plant but an arm.
     """
 
     speeds_m_s: tuple[float, ...]
@@ -25,12 +25,12 @@ class Axes:
 
     @property
     def devices(self) -> tuple[tuple[float, tuple[float, float] | None], ...]:
-        """Grip and place of each column: the place is None where every device stands alike."""
+        """Grip and place of each column; the place is None for any plant but an arm."""
         return tuple(zip(self.grips_N, self.places or (None,) * len(self.grips_N), strict=True))
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """How many different grips, normals and postures the columns are made of, the grips outermost."""
+        """Numbers of different grips, normals and postures; columns are ordered with the grips outermost."""
         normals, postures = zip(*self.places, strict=True) if self.places else ((1,), (1,))
         return len(set(self.grips_N)), int(max(normals)), int(max(postures))
 
@@ -44,17 +44,17 @@ class Axes:
 
     @property
     def rows(self) -> tuple[tuple[float, str], ...]:
-        """Speed and target of each row: the target is empty where there are speeds, the speed 0 of a target."""
+        """Speed and target of each row: the target is empty if the rows are speeds, the speed is 0 if targets."""
         return tuple(zip(self.speeds_m_s, self.targets or ("",) * len(self.speeds_m_s), strict=True))
 
     @property
     def entries(self) -> int:
-        """How many there are."""
+        """Number of entries."""
         return len(self.speeds_m_s) * len(self.grips_N)
 
     @property
     def said(self) -> str:
-        """In one line."""
+        """The axes in one line."""
         if self.targets:
             shown = ", ".join(self.targets[:3]) + (", ..." if len(self.targets) > 3 else "")
             return f"{len(self.targets)} target{'s' if len(self.targets) > 1 else ''} {cut(shown)}"
@@ -68,23 +68,23 @@ class Axes:
 
     @property
     def columns(self) -> list[str]:
-        """Heads of the columns that say which entry a row of a table is."""
+        """Headings of the table columns that identify an entry."""
         return (
             ["target"] if self.targets else ["speed m/s", "grip N", *(("normal", "posture") if self.places else ())]
         )
 
     def cells(self, iv: int, ig: int) -> list[str]:
-        """Cells of one entry, one for each of these columns."""
+        """Cells of one entry under the headings of `columns`."""
         if self.targets:
             return [self.targets[iv]]
         at = self.places[ig] if self.places else ()
         return [f"{each:g}" for each in (self.speeds_m_s[iv], self.grips_N[ig], *at)]
 
     def place(self, iv: int, ig: int) -> str:
-        """One entry in a sentence: "0.3 m/s, 3 N", with its place on an arm, or the name of its target."""
+        """One entry as text: "0.3 m/s, 3 N", with its place for an arm, or the name of its target."""
         return self.targets[iv] if self.targets else f"{self.speeds_m_s[iv]:g} m/s, {self.device(ig)}"
 
     def device(self, ig: int) -> str:
-        """One device in a sentence: "3 N", or "3 N, normal 1, posture 2"."""
+        """One device as text: "3 N", or "3 N, normal 1, posture 2"."""
         at = ", normal {:g}, posture {:g}".format(*self.places[ig]) if self.places else ""
         return f"{self.grips_N[ig]:g} N{at}"

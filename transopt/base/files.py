@@ -1,4 +1,4 @@
-"""Reading files that may be anything, writing files whole or not at all, steps that Ctrl-C must not cut in two."""
+"""Safe reading of untrusted files, atomic writing of files, and steps that Ctrl-C must not interrupt."""
 
 import math
 import os
@@ -16,11 +16,11 @@ from typing import Any, BinaryIO
 from transopt.base.errors import InputError
 from transopt.base.sizes import DEEPEST, megabytes
 
-STAGING = ".part-"  # how the folder begins in which results are written before they are moved into place
+STAGING = ".part-"  # prefix of the temporary folders in which results are written before they are moved
 
 
 def read_file(path: Path, most_bytes: int, advice: str) -> bytes:
-    """The content of a regular file that is not too large; nothing else is opened, since a pipe would block for ever.
+    """The content of a regular file up to a size; nothing else is opened, since reading a pipe could block forever.
 
     Parameters
     ----------
@@ -54,13 +54,13 @@ def read_file(path: Path, most_bytes: int, advice: str) -> bytes:
 
 
 def _inside(folder: Path) -> str:
-    """A library that lies in a folder that was named in its stead."""
+    """Hint to the library file inside a folder that was given in its place; empty without one."""
     library = folder / "library.npz"
     return f" (did you mean {library}?)" if is_file(library) else ""
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a regular file; False also for a name that no file can have."""
+    """Whether the path is a regular file; False also for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -68,7 +68,7 @@ def is_file(path: Path) -> bool:
 
 
 def check_depth(value: Any) -> None:
-    """Refuse tables and lists that are nested deeper than anything here: whoever walks them would run out of stack.
+    """Refuse tables and lists nested so deeply that recursive functions would exceed the stack.
 
     Raises
     ------
@@ -85,17 +85,17 @@ def check_depth(value: Any) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """A binary file that appears under `path` when the block ends well, and not at all otherwise.
+    """A binary file that appears under `path` only if the block ends without an exception.
 
-    It is written beside its place under a temporary name, then renamed over it.
+    It is written in the same folder under a temporary name, then renamed to `path`.
 
     Raises
     ------
-    InputError : the place cannot be written.
+    InputError : the path cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        if path.exists() and not path.is_file():  # a device would be replaced by a file
+        if path.exists() and not path.is_file():  # renaming would replace a device by a file
             raise OSError(0, "a folder, a pipe or a device is there")
         try:
             with temporary.open("wb") as file:
@@ -114,9 +114,9 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def staging_folder(folder: Path) -> Iterator[Path]:
-    """A folder inside another, for results that are moved into it together; it is gone when the block ends.
+    """A temporary folder inside `folder` for results that are moved there together; removed at the block's end.
 
-    Folders that killed processes of this computer left behind are swept first.
+    Temporary folders left behind by killed processes of this computer are removed first.
 
     Raises
     ------
@@ -135,12 +135,12 @@ def staging_folder(folder: Path) -> Iterator[Path]:
 
 
 def _computer() -> str:
-    """This computer's name: a folder may be shared with others, whose processes cannot be seen here."""
+    """This computer's name; a folder may be shared with other computers, whose processes cannot be checked here."""
     return "".join(c for c in socket.gethostname() if c.isalnum()) or "here"
 
 
 def _staged(folder: Path) -> Iterator[tuple[str, int]]:
-    """Name and process of the staging folders of this computer."""
+    """Names and process ids of the temporary folders of this computer."""
     ours = f"{STAGING}{_computer()}-"
     for found in folder.glob(f"{STAGING}*"):
         process = found.name.removeprefix(ours).split("-")[0]
@@ -149,7 +149,7 @@ def _staged(folder: Path) -> Iterator[tuple[str, int]]:
 
 
 def _runs(process: int) -> bool:
-    """Whether a process is there; True where that cannot be asked without ending it (Windows)."""
+    """Whether a process is running; True on Windows, where the check would end it."""
     if os.name != "posix":
         return True
     try:
@@ -157,16 +157,17 @@ def _runs(process: int) -> bool:
     except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
-        return True  # another user's
+        return True  # it runs as another user
     return True
 
 
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
-    """A Ctrl-C or SIGTERM that comes inside is answered at the end; processes started inside never see a Ctrl-C.
+    """Defer Ctrl-C and SIGTERM to the end of the block; processes started inside it never receive a Ctrl-C.
 
-    A Ctrl-C is held back in this thread, which a process started here inherits. The system may hand a signal to
-    another thread, and Python then answers it in the main thread all the same: so the answers are put off too.
+    SIGINT is blocked in this thread, and processes started here inherit that. The system may deliver a signal to
+    another thread, for which Python runs the handler in the main thread all the same; so the handlers are deferred
+    too.
     """
     waiting = [number for number in (signal.SIGINT, signal.SIGTERM) if _answered_here(number)]
     came: list[int] = []
@@ -185,12 +186,12 @@ def ctrl_c_waits() -> Iterator[None]:
 
 
 def _answered_here(number: int) -> bool:
-    """Whether a signal has an answer in Python, and this is the thread that gives it."""
+    """Whether a signal has a Python handler, and this is the main thread, in which handlers run."""
     return threading.current_thread() is threading.main_thread() and callable(signal.getsignal(number))
 
 
 def without_nan(value: Any) -> Any:
-    """A copy of nested dictionaries and lists with None for every number that JSON cannot hold (NaN, infinity)."""
+    """A copy of nested dictionaries and lists with None for each number that JSON cannot hold (NaN, infinity)."""
     if isinstance(value, dict):
         return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list):

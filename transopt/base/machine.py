@@ -1,4 +1,4 @@
-"""Which machine and which versions a figure was measured with."""
+"""The machine and the versions with which a figure was measured."""
 
 import os
 import platform
@@ -27,6 +27,6 @@ def versions(*names: str) -> dict[str, str]:
     return {**{name: _version(name) for name in names}, "python": platform.python_version()}
 
 
-@lru_cache(maxsize=64)  # no package changes under a running process, and its metadata take a millisecond to read
+@lru_cache(maxsize=64)  # versions do not change while the process runs, and reading one takes a millisecond
 def _version(name: str) -> str:
     return metadata.version(name)

@@ -1,7 +1,7 @@
 """Numeric arrays of level 5 MAT files (The MathWorks, "MAT-File Format", Sec. 1).
 
-scipy.io.loadmat reads them too, but one damaged type tag in a file makes it crash the process, and a recording that
-was copied badly must end in an error message.
+scipy.io.loadmat reads them too, but a single damaged type tag makes it crash the process, while a damaged recording
+must end in an error message.
 """
 
 import struct
@@ -12,7 +12,7 @@ import numpy as np
 
 from transopt.base.sizes import MOST_UNPACKED_BYTES, megabytes
 
-MOST_BYTES = MOST_UNPACKED_BYTES // 2  # unpacked: elements are copied on the way
+MOST_BYTES = MOST_UNPACKED_BYTES // 2  # unpacked; half, since elements are copied once
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _COMPRESSED = 15
@@ -21,11 +21,11 @@ _COMPLEX = 0x800
 _STRUCTURE = 2
 _CHARACTERS = 4
 LONGEST_TEXT = 200  # characters: of a unit or a remark
-_DEEPEST = 4  # structures in structures
+_DEEPEST = 4  # nesting depth of structures
 
 
 def variables(data: bytes) -> dict[str, object]:
-    """Every variable of a file by name, text too, a field of a structure as `log.acc`; None for cells and the like.
+    """All variables of a file by name, a field of a structure as `log.acc`; the value is None for cells and the like.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def variables(data: bytes) -> dict[str, object]:
 
 
 def _put(found: dict[str, object], name: str, matrix: bytes, order: str, deepest: int) -> None:
-    """Add a matrix to what was found under its name, or the fields of a structure of one element."""
+    """Add a matrix to `found` under its name, or the fields of a structure of one element."""
     (_, flags), (_, dims), _, *elements = _elements(matrix, order)
     flag_bits, shape = int(np.frombuffer(flags, order + "u4")[0]), np.frombuffer(dims, order + "i4")
     found[name] = None
@@ -77,7 +77,7 @@ def _put(found: dict[str, object], name: str, matrix: bytes, order: str, deepest
 
 
 def _unpacked(packed: bytes, room: int) -> bytes:
-    """The content of a compressed element, as far as there is room for it."""
+    """The content of a compressed element, cut at `room` bytes."""
     unpacker = zlib.decompressobj()
     content = unpacker.decompress(packed, room + 1)
     if len(content) > room:

@@ -11,14 +11,15 @@ PADE = (
     *(10559470521600.0, 670442572800.0, 33522128640.0, 1323241920.0, 40840800.0, 960960.0, 16380.0, 182.0, 1.0),
 )
 LARGEST_NORM = 5.371920351148152
-BALANCED = 0.95  # of what row and column came to: a rescaling that gains less ends the balancing
-MOST_SWEEPS = 100  # over all states: extreme sizes are balanced within a few
+BALANCED = 0.95  # a rescaling has to reduce the sum of row and column norm below this share, as in LAPACK
+MOST_SWEEPS = 100  # sweeps over all states; even extreme matrices take only a few
 
 
 def balanced(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """S^-1 A S and the diagonal (n,) of S, powers of two by which rows and columns of A (n, n) come to alike sizes.
+    """S^-1 A S and the diagonal (n,) of S: powers of two that make row and column norms of A (n, n) nearly equal.
 
-    Parlett and Reinsch's method, as in LAPACK's dgebal without permutations; a matrix that is not finite is left.
+    Parlett and Reinsch's method, as in LAPACK's dgebal without permutations; a matrix that is not finite is returned
+    unchanged.
     """
     found, scale = np.array(matrix, dtype=float), np.ones(matrix.shape[0])
     for _ in range(MOST_SWEEPS if np.isfinite(found).all() else 0):

@@ -1,17 +1,17 @@
-"""The known word that was probably meant by one that is not known."""
+"""Suggestions for an unknown word: the known words that were probably meant."""
 
 import difflib
 from collections.abc import Iterable
 
-MOST = 3  # words that are offered
+MOST = 3  # suggestions
 
 
 def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> list[str]:
-    """The known words most like this one, the likeliest first: those that begin with it, then those spelt like it.
+    """The known words most similar to this one, best first: those that begin with it, then those of similar spelling.
 
     Parameters
     ----------
-    cutoff : least likeness, 0 to 1, as of `difflib.get_close_matches`.
+    cutoff : least similarity, 0 to 1, as in `difflib.get_close_matches`.
     """
     spelt = {known_word.lower(): known_word for known_word in known}
     typed = word.lower()
@@ -21,6 +21,6 @@ def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> list[str]:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """` (did you mean this or that?)`, to be put behind what is unknown; empty where no known word is near."""
+    """` (did you mean this or that?)`, to be appended to an unknown word; empty if no known word is similar."""
     found = nearest(word, known)
     return f" (did you mean {' or '.join(found)}?)" if found else ""

@@ -1,7 +1,7 @@
-"""Reading NPZ archives that may be anything: no array is unpacked before its size is known and allowed.
+"""Safe reading of untrusted NPZ archives: no array is unpacked before its size is known and allowed.
 
-numpy.load believes the sizes that a file states: 6 MB can unpack to 9 GB. An NPZ file is a zip archive of NPY files;
-an NPY file is a head with type and shape, then the numbers (NEP 1 of NumPy).
+numpy.load trusts the sizes that a file states: 6 MB can unpack to 9 GB. An NPZ file is a zip archive of NPY files; an
+NPY file is a header with type and shape, followed by the numbers (NEP 1 of NumPy).
 """
 
 import io
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from transopt.base.sizes import MOST_UNPACKED_BYTES, megabytes
 
 SUFFIX = ".npy"
-# The packing methods of NumPy. Others unpack without bound before their output can be counted.
+# The compression methods that NumPy uses. Others would unpack without bound before their output can be counted.
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 HEADS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 class Archive(Mapping[str, NDArray[Any]]):
-    """The arrays of an NPZ file by name, each read when it is asked for; objects (pickles) are never loaded.
+    """The arrays of an NPZ file by name, each read on access; objects (pickles) are never loaded.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ class Archive(Mapping[str, NDArray[Any]]):
 
     Raises
     ------
-    ValueError : not an archive of arrays, or one whose arrays come to more than `MOST_UNPACKED_BYTES`. An array that
-        is damaged, or of objects, raises when it is asked for: ValueError, zipfile.BadZipFile, zlib.error, EOFError.
+    ValueError : not an archive of arrays, or one whose arrays exceed `MOST_UNPACKED_BYTES` together. A damaged array,
+        or one of objects, raises on access: ValueError, zipfile.BadZipFile, zlib.error, EOFError.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -63,7 +63,7 @@ class Archive(Mapping[str, NDArray[Any]]):
             shape, fortran, dtype = HEADS[version](file)
             if dtype.hasobject or dtype.itemsize == 0:
                 raise ValueError(f"{name} holds pickled objects, which are never loaded, or nothing")
-            # The directory's size bounds what is unpacked here; the head's is checked against it.
+            # The size in the zip directory bounds the unpacked data; the header's size is checked against it.
             content = file.read()
         count = 1
         for length in shape:

@@ -1,4 +1,4 @@
-"""What all figures share: sizes, colours, and writing them whole."""
+"""Shared by all figures: sizes, colours, and atomic writing."""
 
 import io
 from pathlib import Path
@@ -23,9 +23,9 @@ VIRIDIS_RANGE = (0.12, 0.8)  # darker hides a reference drawn over it, lighter f
 
 
 class Drawing(Figure):
-    """A figure that a notebook shows by itself.
+    """A figure that a notebook displays.
 
-    A notebook knows how to show figures of pyplot, and only once pyplot has been loaded, which nothing here does.
+    A notebook displays Matplotlib's own figures only once pyplot is loaded, which this package does not do.
     """
 
     def _repr_png_(self) -> bytes:
@@ -39,7 +39,7 @@ def save_figure(figure: Figure, path: Path, name: str = "") -> None:
 
     Parameters
     ----------
-    name : of the scene or device that it shows, written into its lower left corner.
+    name : name of the scene or device shown, written into the lower left corner.
 
     Raises
     ------
@@ -47,8 +47,8 @@ def save_figure(figure: Figure, path: Path, name: str = "") -> None:
     """
     figure.set_dpi(DPI)
     if (layout := figure.get_layout_engine()) is not None:
-        # savefig would draw the figure a second time only to lay it out, so that is done here, once.
-        # (By "none" a placeholder would stay, for which savefig goes through the whole figure all the same.)
+        # savefig would draw the figure a second time only to lay it out, so the layout is executed here, once.
+        # (The engine "none" would leave a placeholder, for which savefig goes through the whole figure again.)
         layout.execute(figure)
         figure.set_layout_engine(None)
     if name:
@@ -58,12 +58,12 @@ def save_figure(figure: Figure, path: Path, name: str = "") -> None:
 
 
 def leave_room(figure: Figure, left_in: float, right_in: float, below_in: float, above_in: float) -> None:
-    """State the margins around the panels of a figure without a layout engine.
+    """Set the margins around the panels of a figure, without a layout engine.
 
-    To find room for labels whose size is known takes Matplotlib as long as to draw them.
+    A layout engine takes as long to find room for labels of known size as Matplotlib takes to draw them.
     """
     width, height = figure.get_size_inches()
-    if figure.get_layout_engine() is not None:  # what a user's own matplotlibrc states would not take the margins
+    if figure.get_layout_engine() is not None:  # set by a user's matplotlibrc; it would ignore the margins
         with rc_context({"figure.constrained_layout.use": False, "figure.autolayout": False}):
             figure.set_layout_engine(None)
     figure.subplots_adjust(
@@ -91,8 +91,8 @@ def style(axes: Axes) -> None:
 def draw_minor_ticks_at_once(figure: Figure) -> None:
     """Draw the minor ticks of every logarithmic axis as one line of markers, once all limits are final.
 
-    To Matplotlib each tick is three lines and two labels: those of seven panels take longer than all that is in them.
-    An axis whose minor ticks have labels keeps them as they are.
+    Matplotlib draws each tick as three lines and two labels: the ticks of seven panels take longer than their data.
+    An axis whose minor ticks have labels is unchanged.
     """
     found = []
     for axes in figure.axes:
@@ -102,7 +102,7 @@ def draw_minor_ticks_at_once(figure: Figure) -> None:
             places = places[(places >= low) & (places <= high)]
             if places.size and not any(axis.get_minor_formatter().format_ticks(places.tolist())):
                 found.append((axes, axis, places))
-    for _, axis, _ in found:  # panels may share a locator: only now that all have been asked
+    for _, axis, _ in found:  # only after all positions are known, since panels may share a locator
         axis.set_minor_locator(NullLocator())
     for axes, axis, places in found:
         on_edge = np.zeros(places.size)

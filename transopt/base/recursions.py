@@ -1,9 +1,9 @@
-"""Recursions over the stages, compiled where there is a compiler, else as banded triangular systems; and a spline.
+"""Linear recursions over the stages, and a spline: compiled or, without the extension, by banded triangular systems.
 
 The recursion x_(k+1) = P_k x_k + f_k with m states, written for all k at once, is a unit lower triangular system with
 2 m - 1 diagonals below the main one. BLAS solves it with the recursion's own products and sums, in a fiftieth of the
-time that a loop in Python takes; `native/recursions.c`, which does little else, in a fifth of that. The extension is
-optional, and both round differently in the last bits.
+time of a loop in Python; the optional extension `native/recursions.c` takes a fifth of that. The two differ in the
+last bits by rounding.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from transopt.base.signals import FloatArray  # which takes its spline from here
+    from transopt.base.signals import FloatArray  # it imports this module for its spline
 
-CHUNK = 128  # stages that one constant band spans
+CHUNK = 128  # stages in one band matrix, reused for a constant A
 EXTENSION = "_recursions.pyd" if os.name == "nt" else "_recursions.so"
 MOST_STATES, MOST_WIDTH, MOST_OUTPUTS = 64, 96, 4  # of recursions.c
 
@@ -31,7 +31,7 @@ def _library() -> ct.CDLL | None:
         return None
     library = ct.CDLL(str(file))
     if not hasattr(library, "tr_spline_even"):
-        return None  # left behind by another version: as good as none
+        return None  # built from another version: not usable
     if (library.tr_most_states(), library.tr_most_width()) != (MOST_STATES, MOST_WIDTH):
         return None
     size, count, array = ct.c_size_t, ct.c_int, ct.c_void_p
@@ -52,8 +52,8 @@ def _library() -> ct.CDLL | None:
 
 
 def address(array: FloatArray) -> int:
-    """Address at which a contiguous array begins, for a call in C."""
-    found: int = array.__array_interface__["data"][0]  # in half the time that `array.ctypes.data` takes
+    """Address of the first element of a contiguous array, for a call in C."""
+    found: int = array.__array_interface__["data"][0]  # takes half the time of `array.ctypes.data`
     return found
 
 
@@ -61,13 +61,13 @@ COMPILED = _library()
 
 
 class Recursion:
-    """x_k = A x_(k-1) + forcing_k, the matrix A (m, m) being the same at every stage."""
+    """The recursion x_k = A x_(k-1) + forcing_k with a constant matrix A (m, m)."""
 
     def __init__(self, A: FloatArray) -> None:
         self._A = np.ascontiguousarray(A, dtype=float)
 
     def run(self, forcing: FloatArray) -> FloatArray:
-        """(N, m) states for a forcing (N, m), from x_0 = forcing_0 on."""
+        """(N, m) states for a forcing (N, m), starting with x_0 = forcing_0."""
         N, m = forcing.shape
         if COMPILED is not None and m <= MOST_STATES:
             found = np.array(forcing, dtype=float, order="C")
@@ -83,7 +83,7 @@ class Recursion:
 
     @cached_property
     def _band(self) -> FloatArray:
-        """(2 m, CHUNK m) the band of `CHUNK` stages."""
+        """(2 m, CHUNK m) band matrix of `CHUNK` stages."""
         block = _band(self._A[None]).T
         columns = np.empty((CHUNK, *block.shape))
         columns[:] = block
@@ -106,16 +106,16 @@ class LinearSystem:
         self._dtype = np.result_type(A, B, C, D)
 
     def outputs(self, inputs: FloatArray) -> FloatArray:
-        """(..., q, N) for the inputs (..., p, N), course by course."""
+        """(..., q, N) outputs for inputs (..., p, N), each time series on its own."""
         return self._along(inputs, back=False)
 
     def transposed(self, by_outputs: FloatArray) -> FloatArray:
-        """(..., p, N) gradient by the inputs of a function whose gradients by the outputs are given, (..., q, N)."""
+        """(..., p, N) gradient of a function by the inputs, from its gradient by the outputs (..., q, N)."""
         return self._mirror._along(by_outputs, back=True)
 
     @cached_property
     def _mirror(self) -> LinearSystem:
-        """The system whose outputs against time are the gradients: lambda_k = A' lambda_(k+1) + C' g_k."""
+        """The adjoint system, which runs backward in time: lambda_k = A' lambda_(k+1) + C' g_k."""
         return LinearSystem(self._A.T, self._C.T, self._B.T, self._D.T)
 
     def _along(self, inputs: FloatArray, *, back: bool) -> FloatArray:
@@ -138,7 +138,7 @@ class LinearSystem:
         if dtype == np.float64:
             states = self._recursion.run(states)
         else:
-            for k in range(1, N):  # no library has extended precision
+            for k in range(1, N):  # neither BLAS nor the extension has extended precision
                 states[k] += self._A @ states[k - 1]
         found = self._C @ states.T + self._D @ along
         return found[:, ::-1] if back else found
@@ -149,7 +149,7 @@ class LinearSystem:
 
     @cached_property
     def _matrix(self) -> FloatArray:
-        """(m + p, width) as `tr_courses` takes it, the width a multiple of four."""
+        """(m + p, width) matrix in the layout of `tr_courses`, its width padded to a multiple of four."""
         whole = np.block([[self._A.T, self._C.T], [self._B.T, self._D.T]])
         return np.ascontiguousarray(np.pad(whole, ((0, 0), (0, -whole.shape[1] % 4))))
 
@@ -157,7 +157,7 @@ class LinearSystem:
 def bilinear(
     M: FloatArray, b: FloatArray, gain: FloatArray, by_first: float, h: FloatArray, start: FloatArray
 ) -> FloatArray:
-    """(N + 1, m) states x_(k+1) = M x_k + b (gain_k + by_first x_k[0]) h_k from x_0 = start on.
+    """(N + 1, m) states of x_(k+1) = M x_k + b (gain_k + by_first x_k[0]) h_k, starting with x_0 = start.
 
     Parameters
     ----------
@@ -183,14 +183,14 @@ def bilinear(
 
 
 def spline(y: FloatArray, places: FloatArray) -> FloatArray:
-    """(n, c) of the cubic not-a-knot spline through c courses, its outermost pieces going on beyond the knots.
+    """(n, c) values of the cubic not-a-knot splines through c series; the outermost pieces are extrapolated.
 
-    Its slopes d at the knots, per spacing, obey d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)).
+    The slopes d at the knots, per spacing, satisfy d_(k-1) + 4 d_k + d_(k+1) = 3 (y_(k+1) - y_(k-1)).
 
     Parameters
     ----------
     y : (K, c) values at evenly spaced knots, K >= 4.
-    places : (n,) in spacings from the first knot.
+    places : (n,) positions, in spacings from the first knot.
     """
     K, courses = y.shape
     if COMPILED is not None:
@@ -214,7 +214,7 @@ def spline(y: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def spline_even(y: FloatArray, first: float, step: float, count: int) -> FloatArray:
-    """(count,) of the same spline through one course (K,) at the places first, first + step, ..., step > 0."""
+    """(count,) values of `spline` through one series (K,) at positions first, first + step, ..., step > 0."""
     if COMPILED is None:
         return spline(y[:, None], np.asarray(first + step * np.arange(count), dtype=float))[:, 0]
     y, found, work = np.ascontiguousarray(y, dtype=float), np.empty(count), np.empty(2 * y.size)
@@ -223,18 +223,18 @@ def spline_even(y: FloatArray, first: float, step: float, count: int) -> FloatAr
 
 
 def forwards(P: FloatArray, forcing: FloatArray) -> FloatArray:
-    """(K, m) states x_k = P_(k-1) x_(k-1) + forcing_k from x_0 = forcing_0, with P (K - 1, m, m)."""
+    """(K, m) states of x_k = P_(k-1) x_(k-1) + forcing_k, starting with x_0 = forcing_0; P is (K - 1, m, m)."""
     return _changing(P, forcing, transposed=False)
 
 
 def backwards(P: FloatArray, forcing: FloatArray) -> FloatArray:
-    """(K, m) states x_k = P_k' x_(k+1) + forcing_k from x_(K-1) = forcing_(K-1); the transpose of `forwards`."""
+    """(K, m) states of x_k = P_k' x_(k+1) + forcing_k, from x_(K-1) = forcing_(K-1); the transpose of `forwards`."""
     return _changing(P, forcing, transposed=True)
 
 
 def _changing(P: FloatArray, forcing: FloatArray, *, transposed: bool) -> FloatArray:
     if COMPILED is None:
-        last = np.zeros((1, *P.shape[1:]))  # which starts no step, but has its place in the band
+        last = np.zeros((1, *P.shape[1:]))  # pads the band; the last stage has no step
         return _substituted(_band(np.concatenate([P, last])), forcing, transposed=transposed)
     P, found = np.ascontiguousarray(P), np.array(forcing, order="C")
     call = COMPILED.tr_backwards if transposed else COMPILED.tr_forwards
@@ -243,7 +243,7 @@ def _changing(P: FloatArray, forcing: FloatArray, *, transposed: bool) -> FloatA
 
 
 def _band(P: FloatArray) -> FloatArray:
-    """The matrix of x_(k+1) - P_k x_k for k = 0..K-1, as BLAS stores lower bands.
+    """The matrix of x_(k+1) - P_k x_k for k = 0..K-1, in BLAS's storage of a lower band matrix.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def _band(P: FloatArray) -> FloatArray:
 
 
 def _substituted(lower: FloatArray, forcing: FloatArray, *, transposed: bool) -> FloatArray:
-    """(K, m) solution of the system whose band (2 m, at least K m) is given."""
+    """(K, m) solution of the triangular system with the given band (2 m, at least K m)."""
     from scipy.linalg import blas
 
     K, m = forcing.shape
@@ -270,10 +270,10 @@ def _substituted(lower: FloatArray, forcing: FloatArray, *, transposed: bool) ->
 
 
 def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
-    """(..., K) output of the digital filter b / a from rest: what `scipy.signal.lfilter` gives.
+    """(..., K) output of the digital filter b / a from rest, equal to that of `scipy.signal.lfilter`.
 
     `lfilter` itself is not used because a tap may have to be solved between approach and contact, and loading
-    scipy.signal takes longer than solving a hundred taps. The states are those of its transposed direct form II.
+    scipy.signal takes longer than solving a hundred taps. The states are those of the transposed direct form II.
 
     Parameters
     ----------
@@ -290,18 +290,22 @@ def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
 def strike(
     rows: FloatArray, contact: tuple[float, float, float], start: FloatArray, found: FloatArray
 ) -> FloatArray | None:
-    """States (n, V) at last of V courses that strike something, their outputs left in `found`; None if not compiled.
+    """Simulate V strikes of a linear system against a contact; None without the extension.
 
-    Each of the rows of a step of Runge-Kutta's method is a sum over the states and the forces of its four stages:
-    depth and closing speed at every stage, of which its force k delta^e (1 + c d delta/dt) >= 0 follows; the outputs;
-    the states after the step.
+    A step of the fourth-order Runge-Kutta method is written as `rows`, each a linear combination of the states and of
+    the forces at the four Runge-Kutta stages. They give depth delta and closing speed at each stage, from which the
+    force k delta^e (1 + c d delta/dt) >= 0 follows; then the outputs, and the states after the step.
 
     Parameters
     ----------
-    rows : (8 + q + n, n + 4). A stage's rows ask for earlier forces only.
+    rows : (8 + q + n, n + 4); the rows of a Runge-Kutta stage only use the forces of earlier stages.
     contact : k, e and c.
-    start : (n, V) states at first.
-    found : (steps + 1, q, V) contiguous, of which every element is written.
+    start : (n, V) initial states.
+    found : (steps + 1, q, V) contiguous; receives the outputs.
+
+    Returns
+    -------
+    (n, V) final states.
     """
     n, (instants, outputs, courses) = start.shape[0], found.shape
     if COMPILED is None or n > MOST_STATES or outputs > MOST_OUTPUTS:

@@ -1,4 +1,4 @@
-"""The building blocks of settings files: numbers with bounds, and a table that refuses unknown keys."""
+"""Building blocks of settings files: numbers with bounds, and a table that refuses unknown keys."""
 
 import inspect
 import re
@@ -16,11 +16,11 @@ Temperature = Annotated[float, Field(ge=-100, le=500)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 LONGEST_NAME = 100
-OF_THE_KEY = ("constant", "per_newton")  # of a parameter that is linear in grip
+OF_THE_KEY = ("constant", "per_newton")  # keys of a parameter that is linear in grip; both have the parameter's unit
 
 
 def _named(text: str) -> str:
-    """A name that can be a folder's: results lie in out/NAME."""
+    """Check that a name is valid as the name of a folder: results are written to out/NAME."""
     if not text.strip() or text != text.strip() or len(text) > LONGEST_NAME or not text.isprintable():
         raise ValueError(f"must be 1 to {LONGEST_NAME} printable characters, without spaces at its ends")
     if any(mark in text for mark in '/\\:*?"<>|') or text.strip(".") == "":
@@ -29,7 +29,7 @@ def _named(text: str) -> str:
 
 
 def _worded(text: str) -> str:
-    """Words for tables and reports: of control characters only line breaks and tabs."""
+    """Check that a text has no control characters but line breaks and tabs."""
     odd = next((c for c in text if not c.isprintable() and c not in "\n\t"), None)
     if odd is not None:
         raise ValueError(f"holds the control character {odd!a}, which a terminal may obey: take it out")
@@ -54,7 +54,7 @@ class Section(BaseModel):
     @field_validator("*")
     @classmethod
     def _possible(cls, value: Any, info: ValidationInfo) -> Any:
-        # The numbers of {constant, per_newton} have the unit of the key; other tables check their own.
+        # The numbers of {constant, per_newton} have the unit of this key; other tables check their own numbers.
         numbers = [getattr(value, name, None) for name in OF_THE_KEY] if isinstance(value, Section) else value
         if said := beyond(info.field_name or "", numbers):
             raise ValueError(said)
@@ -62,7 +62,7 @@ class Section(BaseModel):
 
 
 def meanings(table: type) -> dict[str, str]:
-    """Field -> what the docstring of its class, or of one that it is made of, says below Attributes."""
+    """Field -> its description below Attributes in the docstring of the table's class or of a base class."""
     said: dict[str, str] = {}
     for owner in reversed(table.__mro__):
         _, _, listed = inspect.cleandoc(owner.__doc__ or "").partition("Attributes\n----------\n")

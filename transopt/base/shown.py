@@ -1,4 +1,4 @@
-"""How a value shows itself: a few lines in a terminal, a table and a small figure in a notebook."""
+"""Representation of values: a few lines in a terminal, a table and a small figure in a notebook."""
 
 import base64
 import io
@@ -14,19 +14,19 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LONGEST = 360  # characters of a `repr`: four lines of a terminal
+LONGEST = 360  # characters of a `repr`, four lines of a terminal
 LINE = 100
 LONGEST_TEXT = 60
-MOST_ITEMS = 6  # of a list of plain numbers or words
-MOST_ROWS = 40  # of a table in a notebook
+MOST_ITEMS = 6  # items shown of a list of plain numbers or words
+MOST_ROWS = 40  # rows shown of a table in a notebook
 NOTEBOOK_DPI = 70
 
 
 def brief(value: object) -> str:
-    """`Name(field=..., ...)` in a few lines, however large the arrays are; a class takes it as `__repr__ = brief`.
+    """`Name(field=..., ...)` in a few lines, however large the arrays are; classes use it as `__repr__ = brief`.
 
-    An array is shown by its shape and range, a part with fields of its own by its name. Fields that are None are not
-    shown, nor are those that no longer fit; how many these are is said.
+    An array is shown by its shape and range, a value with fields of its own by its class name. Fields that are None
+    are not shown. Fields beyond the length limit are only counted.
     """
     shown = [f"{name}={summary(part)}" for name, part in _parts(value) if part is not None]
     fitting, length = 0, len(type(value).__name__)
@@ -38,12 +38,12 @@ def brief(value: object) -> str:
 
 
 def cut(text: str, longest: int = 2 * LONGEST_TEXT) -> str:
-    """Text that is no longer than this, which shows where it was cut."""
+    """Text cut to at most `longest` characters, with an ellipsis if it was cut."""
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
 def wrapped(text: str) -> str:
-    """Text in lines of a terminal, the later ones indented."""
+    """Text wrapped to the width of a terminal, all lines but the first indented."""
     return textwrap.fill(text, LINE, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
 
 
@@ -92,13 +92,13 @@ def _array(values: np.ndarray[Any, Any]) -> str:
 
 
 def span(values: Sequence[float] | np.ndarray[Any, Any], unit: str, what: str) -> str:
-    """`4 speeds 0.1 to 0.4 m/s`."""
+    """Count and range as text: `4 speeds 0.1 to 0.4 m/s`."""
     count, first, last = len(values), float(values[0]), float(values[-1])
     return f"1 {what} {first:g} {unit}" if count == 1 else f"{count} {what}s {first:g} to {last:g} {unit}"
 
 
 def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table for a notebook; of many rows the first ones, and how many more there are."""
+    """An HTML table for a notebook; at most `MOST_ROWS` rows, and the number of further ones."""
 
     def row(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
@@ -110,7 +110,7 @@ def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str
 
 
 def html_figure(figure: "Figure") -> str:
-    """A figure for a notebook, as a PNG that stands in the text itself."""
+    """A figure for a notebook, as a PNG embedded in the HTML text."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=NOTEBOOK_DPI)
     return f'<img alt="figure" src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'

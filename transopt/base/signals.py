@@ -15,12 +15,12 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
-WHOLE_COUNTS = 0.01  # counts, within which a change is a whole multiple of one
+WHOLE_COUNTS = 0.01  # tolerance, in counts, of a change that has to be a multiple of one count
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A uniformly sampled scalar signal; the unit of `values` is the owner's business.
+    """A uniformly sampled scalar signal; its user knows the unit of `values`.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Signal:
 
     @cached_property
     def count(self) -> float:
-        """What the values change by whole multiples of, as an encoder's do; 0 where there is no such count."""
+        """Quantisation step of the values, as of an encoder; 0 if their changes are not multiples of a step."""
         steps = np.abs(self.values[1:] - self.values[:-1])
         steps = steps[steps > 0]
         if steps.size == 0:
@@ -75,7 +75,7 @@ class Signal:
         return samples_before(time_s, self.start_s, self.dt_s, self.values.size)
 
     def until(self, time_s: float) -> int:
-        """Number of samples before a time and at it."""
+        """Number of samples up to and including a time."""
         return _until(time_s, self.start_s, self.dt_s, self.values.size)
 
     def at(self, times_s: FloatArray) -> FloatArray:
@@ -83,7 +83,7 @@ class Signal:
         return splined(self.times_s, self.values, times_s)
 
     def evenly(self, first_s: float, step_s: float, count: int) -> FloatArray:
-        """(count,) of `at` at the times first, first + step, ..., step > 0, in a third of its time."""
+        """(count,) samples as by `at`, at the times first, first + step, ..., step > 0, in a third of its time."""
         if self.values.size < 4:
             return self.at(np.asarray(first_s + step_s * np.arange(count), dtype=float))
         found = np.zeros(count)
@@ -98,9 +98,9 @@ class Signal:
 
 
 def samples_before(time_s: float, first_s: float, step_s: float, count: int) -> int:
-    """Number of the times first, first + step, ... before a time, of `count` at most."""
+    """How many of the `count` times first, first + step, ... lie before a time."""
     k = math.ceil(min(max((time_s - first_s) / step_s, 0.0), count))
-    # What rounding has put on the wrong side of the time.
+    # Correct a division that rounding has put on the wrong side of the time.
     while k > 0 and first_s + step_s * (k - 1) >= time_s:
         k -= 1
     while k < count and first_s + step_s * k < time_s:
@@ -109,20 +109,20 @@ def samples_before(time_s: float, first_s: float, step_s: float, count: int) -> 
 
 
 def _until(time_s: float, first_s: float, step_s: float, count: int) -> int:
-    """Number of those times before a time and at it."""
+    """How many of the `count` times first, first + step, ... lie before a time or at it."""
     k = samples_before(time_s, first_s, step_s, count)
     return k + int(k < count and first_s + step_s * k == time_s)
 
 
 def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyond: bool = False) -> FloatArray:
-    """(..., m) of the cubic not-a-knot spline through courses (..., K) at evenly spaced times (K,), at instants (m,).
+    """(..., m) values at instants (m,) of the cubic not-a-knot splines through series (..., K) at even times (K,).
 
-    Before the first and after the last of the times it is zero, or the outermost pieces go on `beyond` them. It is
-    `scipy.interpolate.CubicSpline` without the coefficients of all the intervals that nobody asks for, and without
-    loading scipy.interpolate, which loads scipy.optimize.
+    Before the first and after the last time the value is zero; with `beyond` the outermost pieces are extrapolated.
+    The result equals that of `scipy.interpolate.CubicSpline`. It is faster, since it does not compute the
+    coefficients of unused intervals and does not load scipy.interpolate, which loads scipy.optimize.
     """
     K = times_s.size
-    if K < 4:  # through two points a line, through three a parabola
+    if K < 4:  # scipy handles this case: a line through two points, a parabola through three
         import scipy.interpolate
 
         found = np.asarray(scipy.interpolate.CubicSpline(times_s, courses, axis=-1)(at_s))
@@ -133,7 +133,7 @@ def splined(times_s: FloatArray, courses: FloatArray, at_s: FloatArray, *, beyon
 
 
 def fast_length(least: int) -> int:
-    """Smallest length from `least` on whose Fourier transform is fast: it has no other factors than 2, 3 and 5."""
+    """Smallest length >= `least` with a fast Fourier transform: its only prime factors are 2, 3 and 5."""
     length = least
     while True:
         left = length
@@ -146,7 +146,7 @@ def fast_length(least: int) -> int:
 
 
 def integral(rate: FloatArray, dt_s: float) -> FloatArray:
-    """(n,) integral by the trapezoidal rule, from the first sample on."""
+    """(n,) cumulative integral by the trapezoidal rule, starting with zero at the first sample."""
     course = np.zeros(rate.size)
     sums = course[1:]
     np.add(rate[1:], rate[:-1], out=sums)
@@ -156,7 +156,7 @@ def integral(rate: FloatArray, dt_s: float) -> FloatArray:
 
 
 def median(values: FloatArray) -> float:
-    """What `np.median` gives of finite values (n,), n >= 1, in a third of its time."""
+    """Median of finite values (n,), n >= 1, in a third of the time of `np.median`."""
     middle = values.size // 2
     low = middle - 1 + values.size % 2
     return float(np.partition(values, (low, middle))[low : middle + 1].mean())

@@ -21,16 +21,16 @@ ARTIST = "matplotlib.artist"
 
 
 class _Undocumented:
-    """Loads matplotlib's artists without the lists of their properties in the docstrings of their classes.
+    """An import hook that loads matplotlib's artists without the lists of properties in their docstrings.
 
-    Matplotlib collects them from the docstrings of all setters whenever a figure's parts are imported: a third of
-    that import's time. A command shows none of them; who calls from Python finds them as ever.
+    Matplotlib collects these lists from the docstrings of all setters when it is imported, which takes a third of the
+    import's time. A command never shows them; for callers from Python the hook is not installed.
     """
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Spec of matplotlib's `artist`, which is executed and then states an empty list for every class."""
+        """Spec of `matplotlib.artist`, with a loader that replaces its list of properties by an empty text."""
         spec = PathFinder.find_spec(fullname, path, target) if fullname == ARTIST else None
         if spec is None or spec.loader is None:
             return None
@@ -47,13 +47,13 @@ class _Undocumented:
 def start(module: str) -> None:
     """Load the module of a command line and call its `main`.
 
-    Until the command line answers signals itself (`transopt.base.terminal.run`), a Ctrl-C ends the process as it ends
-    any other program; Python's own answer would be a traceback from the middle of an import. A Ctrl-C that is
-    ignored, as in the background of a shell, stays ignored. A file of the package's name that Python would load in
-    its stead ends the process with code 2 and one line.
+    Until the command line handles signals itself (`transopt.base.terminal.run`), a Ctrl-C ends the process by the
+    system's default; Python's own handler would print a traceback from the middle of an import. A Ctrl-C that is
+    ignored, as in the background of a shell, stays ignored. If a file with the package's name would be imported in
+    place of the package, the process ends with code 2 and one line.
 
-    At the end Python searches all objects for garbage, and again while it takes the modules apart. That takes some
-    tenths of a second, and frees memory that goes with the process anyway: all that is there by then is left out.
+    At exit Python collects garbage among all objects, and again while it unloads the modules. That takes some tenths
+    of a second and only frees memory that the process's end frees anyway, so existing objects are exempted from it.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -75,9 +75,9 @@ def start(module: str) -> None:
 
 
 def in_the_way(package: str) -> Path | None:
-    """The file or folder that Python would load for a package's name in place of the one installed beside this.
+    """The file or folder that Python would import in place of the installed package, found without importing it.
 
-    Nothing is loaded to find it out. None if the package itself would be loaded.
+    None if the package itself would be imported.
     """
     found = find_spec(package)
     if found is None:

@@ -10,21 +10,21 @@ from rich import table
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderResult
 
-WORDS = 24  # columns that a cell of words has at least, if it has as many
-SHARE = 3  # a word takes at most the terminal's width over this; a longer one, as a file's name, is folded
-LEAST = 0.25  # of that, where not even this has room
-BETWEEN, EDGE = 3, 1  # columns of the terminal that each column's frame takes, and the frame of all
+WORDS = 24  # least width of a cell of words, unless its text is shorter
+SHARE = 3  # a word takes at most the terminal's width over this; longer ones, such as file names, are folded
+LEAST = 0.25  # share of that width to which words are folded if there is still not enough room
+BETWEEN, EDGE = 3, 1  # width of the frame of each column, and of the frame around all
 
 
 class Table(table.Table):
-    """A table that is printed in blocks, one below the other, where its columns have no room side by side.
+    """A table that is printed in blocks, one below the other, if its columns do not fit side by side.
 
-    The cells of a column set to the right are numbers and stay whole, as do those of a column that is not to wrap.
-    Elsewhere lines break between words, and only a word without room is folded.
+    Right-aligned columns contain numbers and are never broken, nor are columns set not to wrap. In other columns
+    lines break between words; only a word that is too long is folded.
 
     Parameters
     ----------
-    keys : so many columns, the first ones, say what a row is, and stand in every block.
+    keys : number of leading columns that identify a row; they are repeated in every block.
     """
 
     def __init__(self, *heads: Any, keys: int = 1, **how: Any) -> None:
@@ -41,11 +41,11 @@ class Table(table.Table):
             yield from super(Table, block).__rich_console__(console, options)
 
     def _blocks(self, width: int) -> Iterator["Table"]:
-        """This table, or parts of it that fit."""
+        """This table, or the blocks into which it is split so that they fit."""
         least, most = zip(*(_widths(column, width) for column in self.columns), strict=True)
         keys = [*range(min(self._keys, len(self.columns) - 1))]
         others = [*range(len(keys), len(self.columns))]
-        if _framed([*least]) > width:  # what says nothing takes no block of its own
+        if _framed([*least]) > width:  # empty columns do not get a block of their own
             others = [index for index in others if any(map(str, self.columns[index].cells))]
         block, has = list(keys), False
         for index in others:
@@ -57,13 +57,13 @@ class Table(table.Table):
         yield self._part(block, least, most, width)
 
     def _part(self, indices: list[int], least: tuple[int, ...], most: tuple[int, ...], width: int) -> "Table":
-        """Some of the columns, each as wide as its cells or, without that much room, by what it lacks."""
+        """A table of some columns, each as wide as its cells; without enough room, reduced in proportion."""
         part = copy(self)
         room = width - _framed([least[index] for index in indices])
         lacking = {index: most[index] - least[index] for index in indices}
-        if sum(lacking.values()) > room:  # then numbers keep to what they need, and words take the rest
+        if sum(lacking.values()) > room:  # numbers then get their least width, and words the rest
             lacking = {index: by for index, by in lacking.items() if self.columns[index].justify != "right"}
-        # Without room for what a row is and one column beside it, words are folded more than they would be.
+        # If even the key columns and one other do not fit, words are folded further.
         share = min(1.0, room / max(sum(lacking.values()), 1))
         if room < 0:
             lacking = {index: least[index] for index in lacking}
@@ -86,7 +86,7 @@ def _framed(widths: list[int]) -> int:
 
 
 def _widths(column: table.Column, width: int) -> tuple[int, int]:
-    """The least and the largest width that a column has use for, in a terminal of `width` columns."""
+    """The least and the largest useful width of a column, in a terminal of `width` columns."""
     head, cells = str(column.header), [str(cell) for cell in column.cells]
     heads = _longest(head.split())
     most = _longest([line for text in (head, *cells) for line in text.split("\n")])

@@ -1,4 +1,4 @@
-"""What the command lines share: the console, folders that can be written, errors in one line."""
+"""Shared by the command lines: the console, checks of output folders, signals, and errors in one line."""
 
 import _thread
 import faulthandler
@@ -31,21 +31,21 @@ from transopt.base.threads import one_thread
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-AGAIN_S = 0.01  # between a signal that Python ignored and the next try
-SIGNALLED = 128  # an exit code beyond it is this and the signal's number
-LAST_S = 0.6  # between a signal and the end of the process, whatever it is doing
-WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
+AGAIN_S = 0.01  # time from a signal whose exception Python ignored to its repetition
+SIGNALLED = 128  # the exit code after a signal is this plus the signal's number
+LAST_S = 0.6  # time from a signal to the forced end of the process
+WIDTH = 160  # width of tables without a terminal, so that logs and pipes keep whole lines
 _IF_STOPPED: ContextVar[str] = ContextVar("what is said of a command's results when a signal ends it", default="")
 
 
 def harmless(text: str, keep: str = "") -> str:
-    """The text with an escape in place of every character that a terminal might obey, line breaks among them.
+    """Escape every control character in a text, line breaks included, so that a terminal does not execute it.
 
-    Names and descriptions come from files, which may hold anything.
+    Names and descriptions come from files, which may contain anything.
 
     Parameters
     ----------
-    keep : control characters that may stay.
+    keep : control characters that are not escaped.
     """
     if text.isprintable():
         return text
@@ -53,15 +53,15 @@ def harmless(text: str, keep: str = "") -> str:
 
 
 class _HarmlessConsole(Console):
-    """A console that prints no control characters of others: all text without a style of its own comes by here."""
+    """A console that escapes control characters in all text that has no style of its own."""
 
     def render_str(self, text: str, **how: Any) -> Text:
         return super().render_str(harmless(text, keep="\n\t"), **how)
 
     def print(self, *objects: Any, **how: Any) -> None:
-        """Print; sentences stand in whole lines, and break on a terminal alone, between words.
+        """Print; on a terminal sentences are wrapped between words, otherwise they stay on one line.
 
-        A command stays one line, so that it can be copied.
+        A command to be typed is never wrapped, so that it can be copied.
         """
         sentences = all(isinstance(each, str) for each in objects)
         if sentences and self.is_terminal:
@@ -74,9 +74,9 @@ class _HarmlessConsole(Console):
 
 
 def console() -> Console:
-    """The standard output, to print tables on.
+    """A console on the standard output.
 
-    It is as wide as COLUMNS says or, without it, as the terminal, or `WIDTH` columns where there is none.
+    Its width is COLUMNS or, if that is not set, the terminal's width, or `WIDTH` without a terminal.
     """
     # No markup: names and descriptions are the user's and may hold brackets.
     known = sys.stdout.isatty() or os.environ.get("COLUMNS")
@@ -84,11 +84,11 @@ def console() -> Console:
 
 
 def progress() -> "Progress":
-    """A bar on the standard error: what is being done, how much of it is, the time passed and the time left.
+    """A progress bar on the standard error: the present step, its share done, elapsed and remaining time.
 
-    It shows on a terminal alone, and goes when it is done.
+    It is shown only on a terminal, and removed when it is done.
     """
-    # Only a command that takes its time needs this import.
+    # Imported here, since only long commands need it.
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -104,11 +104,11 @@ def progress() -> "Progress":
 
 
 def make_folder(folder: Path) -> None:
-    """Make sure that a folder can be written before any work is done for it.
+    """Create a folder and check that it can be written, before any work is done for it.
 
     Raises
     ------
-    InputError : it cannot.
+    InputError : the folder cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -118,7 +118,7 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
 
 
-# Typer carries a Click of its own or uses the installed one; its public exception knows which.
+# Typer bundles its own Click or uses the installed one; the base class of its exception belongs to the right one.
 _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 
@@ -127,17 +127,17 @@ def run(
 ) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback.
 
-    The process ends with the code that `app` returns (0 if it returns none), with 2 after an error of the user's,
-    with 130 after Ctrl-C, with 128 and its number after another signal that asks it to end.
+    The exit code is the one that `app` returns (0 if it returns None), 2 after a user's error, 130 after Ctrl-C, and
+    128 plus its number after another signal that asks the process to end.
 
     Parameters
     ----------
     app : a Typer application, or a function without arguments.
-    name : of the command, as its usage and its errors call it, however Python was started; None for a function.
-    programs : name -> commands of the programs of which one is named where it has the command that this one lacks.
+    name : name of the command in usage and error messages, however Python was started; None for a function.
+    programs : program -> its commands; an unknown command that another program has is answered with that program.
     """
-    os.environ.update(one_thread(os.environ))  # in time: numpy is loaded inside the commands
-    # What the terminal's encoding lacks (the C locale's is ASCII) is escaped: no table ends in an encoding error.
+    os.environ.update(one_thread(os.environ))  # before numpy is loaded, which happens inside the commands
+    # Characters that the terminal's encoding lacks (the C locale's is ASCII) are escaped instead of raising an error.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -152,19 +152,19 @@ def run(
 
 
 def if_stopped(text: str) -> None:
-    """State what is said, in one line, when a signal ends the command from here on, whatever it cuts short."""
+    """Set the line that is printed if a signal ends the command from here on."""
     _IF_STOPPED.set(text)
 
 
 def takes_its_time() -> None:
-    """A signal has been answered by what a command does at its end anyway, tables and figures: it may finish that."""
+    """Cancel the forced end after a signal: the command has handled it and only writes its tables and figures."""
     faulthandler.cancel_dump_traceback_later()
 
 
 def _code(
     app: Callable[..., object], name: str | None, came: list[int], programs: Mapping[str, Collection[str]]
 ) -> int:
-    """The exit code of a command line, its errors said."""
+    """Run a command line and print its errors; the exit code."""
     try:
         code = (
             readable(get_command(app))(standalone_mode=False, prog_name=name)
@@ -184,7 +184,7 @@ def _code(
             raise
         return stop.code or 0
     except Exception:
-        # What a signal cuts short may call it by another name: an import that fails, a file that ends.
+        # After a signal the interrupted step may raise any error, such as a failed import: then report the signal.
         if not came:
             raise
         return SIGNALLED + came[0]
@@ -192,7 +192,7 @@ def _code(
 
 
 def readable(command: Any) -> Any:
-    """A command and those below it with help as a person reads it: whole paragraphs, and no type beside a flag."""
+    """Make the help of a command and its subcommands readable: whole paragraphs, and no type beside a flag."""
     if command.help:
         command.help = "\n\n".join(" ".join(each.split()) for each in inspect.cleandoc(command.help).split("\n\n"))
     for option in command.get_params(command.context_class(command)):
@@ -222,18 +222,18 @@ def _signal_again(number: int) -> None:
 
 @contextmanager
 def _signals_end_it() -> Iterator[list[int]]:
-    """SIGINT, SIGTERM and SIGHUP raise an exception, so that all that is open is tidied up on the way out.
+    """Let SIGINT, SIGTERM and SIGHUP raise an exception, so that open resources are cleaned up; yields the signals.
 
-    Where Python ignores exceptions, in a destructor or the callback of a weak reference, the signal comes once more.
-    If the process has not ended `LAST_S` after the first of them, because a library has swallowed the exception or
-    does not come back, it ends at once, unless the command `takes_its_time`. Yields the signals that came.
+    If Python ignores the exception (in a destructor or the callback of a weak reference), the signal is sent again.
+    If the process has not ended `LAST_S` after the first signal, because a library swallowed the exception or does
+    not return, it is ended at once, unless the command `takes_its_time`.
     """
     came: list[int] = []
 
     def end(number: int, _: object) -> None:
         came.append(number)
         if len(came) == 1:
-            # A thread without Python in it, which native code cannot hold up.
+            # This timer is a native thread, which code that holds the GIL cannot block.
             faulthandler.dump_traceback_later(LAST_S, exit=True, file=nothing)
         if number == signal.SIGINT:
             raise KeyboardInterrupt
@@ -246,7 +246,7 @@ def _signals_end_it() -> Iterator[list[int]]:
 
     def ignored(what: "sys.UnraisableHookArgs") -> None:
         if came and issubclass(what.exc_type, KeyboardInterrupt | SystemExit):
-            # From a thread of its own, so that it comes when this place is left.
+            # Sent from another thread, so that it arrives after Python has left this function.
             threading.Timer(AGAIN_S, _signal_again, (came[0],)).start()
         else:
             said_before(what)
@@ -275,7 +275,7 @@ MISSING = {
 
 
 def _refuse(error: Any, programs: Mapping[str, Collection[str]]) -> None:
-    """Say in one line which command, option or value does not exist, or print the help that it needs."""
+    """Print in one line which command, option or value does not exist, or print the help."""
     said: str = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
         # The message of this error is the help, which Rich has printed already.
@@ -293,7 +293,7 @@ def _refuse(error: Any, programs: Mapping[str, Collection[str]]) -> None:
 
 
 def _unknown(error: Any, said: str, programs: Mapping[str, Collection[str]]) -> str:
-    """For a command or an option that there is not: that, and the nearest that there is; empty for other errors."""
+    """The message for an unknown command or option, with the nearest known one; empty for other errors."""
     command = getattr(getattr(error, "ctx", None), "command", None)
     if type(error).__name__ == "NoSuchOption":
         options = [name for parameter in getattr(command, "params", ()) for name in parameter.opts]

@@ -1,10 +1,10 @@
-"""The threads of linear algebra: one, unless the user has said otherwise.
+"""Number of threads of the linear-algebra libraries: one, unless the user has set another.
 
-Matrices are small here, and threads of the linear algebra only wait for each other: with four of them a study takes
-twice the processor's time, and half as long again. The libraries read how many they may have from environment
-variables, once, when numpy is loaded: a command states them before (`one_thread`). Called from Python, numpy is there
-already: building and verifying a library, solving, certifying and replaying one problem, `Online`, the tasks of a
-study and the taps of the page hold them to one while they run (`one_blas_thread`).
+Matrices are small here, so that several threads only wait for each other: with four of them a study takes twice the
+processor time and 1.5 times the elapsed time. The libraries read the number from environment variables once, when
+numpy is loaded; a command sets these before (`one_thread`). For callers from Python numpy is loaded already: building
+and verifying a library, solving, certifying and replaying one problem, `Online`, the tasks of a study and the taps of
+the page therefore limit the libraries to one thread while they run (`one_blas_thread`).
 """
 
 import os
@@ -14,24 +14,24 @@ from contextlib import contextmanager
 from threading import Lock
 from typing import Any
 
-# OpenBLAS and MKL read their own first, then OpenMP's.
+# OpenBLAS and MKL read their own variable first, then that of OpenMP.
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def one_thread(environment: Mapping[str, str]) -> dict[str, str]:
-    """What to add to an environment so that linear algebra has one thread.
+    """Variables to add to an environment so that linear algebra uses one thread.
 
-    Nothing if it states any of `THREADS`: a number that the user has given to all libraries by OMP_NUM_THREADS would
-    be overruled by a variable of one library.
+    Empty if the environment has any of `THREADS`: otherwise the variable of one library would overrule the number
+    that the user has set for all of them by OMP_NUM_THREADS.
     """
     return {} if any(name in environment for name in THREADS) else dict.fromkeys(THREADS, "1")
 
 
 class _Held:
-    """The libraries' numbers of threads, held at one from the first who comes to the last who goes.
+    """A shared limit of one thread, in force from the first caller's entry to the last caller's exit.
 
-    The numbers belong to the process, so that callers in several threads share one limit: each of them restoring what
-    it found would leave the limit of another behind.
+    The number of threads belongs to the process, so callers in several Python threads share one limit. If each of
+    them restored the number that it found, one could restore the limit set by another.
     """
 
     def __init__(self) -> None:
@@ -42,13 +42,14 @@ class _Held:
     def enter(self) -> None:
         with self._lock:
             if self._inside == 0:
-                # A library of linear algebra comes with a module: looked for, in a millisecond, only after imports.
+                # A library of linear algebra is loaded by a Python module. Searching takes a millisecond, so it is
+                # done only after further imports.
                 if len(sys.modules) != self._modules:
                     from threadpoolctl import ThreadpoolController
 
                     self._libraries, self._modules = ThreadpoolController(), len(sys.modules)
                 self._limit = self._libraries.limit(limits=1, user_api="blas")
-            self._inside += 1  # last, so that a search that fails leaves nobody inside
+            self._inside += 1  # last, so that a failing search does not count a caller
 
     def leave(self) -> None:
         with self._lock:
@@ -63,9 +64,9 @@ _HELD = _Held()
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Hold linear algebra at one thread; afterwards it has as many as before. Also a decorator of functions.
+    """Limit linear algebra to one thread inside the block, then restore the number; also usable as a decorator.
 
-    Nothing is done where the environment states a number, as a command's own does.
+    It does nothing if the environment sets the number, as that of a command does.
     """
     if any(name in os.environ for name in THREADS):
         yield

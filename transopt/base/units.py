@@ -1,7 +1,7 @@
-"""The unit that a name ends in, and the largest number of each unit that any device comes near.
+"""Units of numbers, from the endings of their names, and the largest plausible number of each unit.
 
-A name such as `stiffness_N_m` states its unit. Numbers beyond these bounds are slips of a unit or damage: they are
-refused where they are read, so that nothing that is computed from them overflows or takes for ever.
+A name such as `stiffness_N_m` states its unit. Larger numbers are errors of the unit or damaged data. They are
+refused when they are read, so that no computation with them overflows or does not end.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ UNITS = {
     },
 }
 
-# Three to six orders of magnitude above what laboratories and factories have.
+# Three to six orders of magnitude above the values of real devices.
 LARGEST = {
     "A": 1e4,
     "A or V": 1e6,
@@ -65,40 +65,40 @@ LARGEST = {
     "ticks": 1e6,
     "samples": 1e6,
 }
-LEAST_kg = 1e-9  # of a mass: lighter ones move faster than any arithmetic follows beside the others
-LARGEST_PLAIN = 1e30  # of a number without a unit: its cube still fits double precision
+LEAST_kg = 1e-9  # least mass; a lighter one beside ordinary ones is too stiff a system for double precision
+LARGEST_PLAIN = 1e30  # largest number without a unit; its cube is still finite in double precision
 
 
-@lru_cache(maxsize=2048)  # the keys of scenes, asked again for every change of one
+@lru_cache(maxsize=2048)  # the keys of scenes are looked up again at every change of a scene
 def unit_of(path: str) -> str:
     """Unit of a number by its dotted path, from the ending of the last name."""
     *tables, name = path.rsplit(".", 1)
     if tables and name in ("constant", "per_newton"):
         return unit_of(tables[0]) + ("/N" if name == "per_newton" else "")
     if len(name) == 1:
-        return ""  # a matrix, as A of a state space, and no ampere
+        return ""  # a matrix, such as A of a state space, and not a number in ampere
     return next((unit for ending, unit in UNITS.items() if name == ending or name.endswith(f"_{ending}")), "")
 
 
 def largest(unit: str) -> float:
-    """The largest size of a number of this unit; of a slope over grip ("kg/N") that of the number itself."""
+    """The largest absolute value of a number with this unit; a slope over grip ("kg/N") has that of the number."""
     return LARGEST.get(unit, LARGEST.get(unit.removesuffix("/N"), LARGEST_PLAIN))
 
 
 @lru_cache(maxsize=2048)
 def _bound_of(name: str) -> tuple[str, float]:
-    """Unit of a number by its name, and its largest size."""
+    """Unit of a number, from its name, and its largest absolute value."""
     unit = unit_of(name)
     return unit, largest(unit)
 
 
 def beyond(name: str, value: Any) -> str:
-    """What is wrong with the first number in `value` that no device comes near; empty where none is.
+    """An error message for the first number in `value` that is too large; empty if there is none.
 
     Parameters
     ----------
-    name : of the value, which tells the unit of all numbers in it.
-    value : a number, or lists and tables of them; what is no number is passed over.
+    name : name of the value; its ending is the unit of all numbers in it.
+    value : a number, or lists and tables of numbers; other values are ignored.
     """
     if value is None or isinstance(value, str):
         return ""

@@ -1,4 +1,4 @@
-"""Text output of reports: Markdown tables, and text and CSV files that are written whole or not at all."""
+"""Text output of reports: Markdown tables, and text and CSV files that are written atomically."""
 
 import csv
 import io
@@ -18,11 +18,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write a UTF-8 file whole or not at all; bytes of a file's name that are no text stand in it as escapes.
+    """Write a UTF-8 file atomically; undecodable bytes, as in file names, are written as escapes.
 
     Raises
     ------
-    InputError : the place cannot be written.
+    InputError : the path cannot be written.
     """
     with whole_file(path) as file:
         file.write(text.encode(errors="backslashreplace"))
@@ -33,14 +33,14 @@ def write_csv(rows: Sequence[Any], path: Path) -> None:
 
     Raises
     ------
-    InputError : the place cannot be written.
+    InputError : the path cannot be written.
     """
     names = [field.name for field in fields(rows[0])]
     write_text(csv_text(names, ([getattr(row, name) for name in names] for row in rows)), path)
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """The cells of rows as a CSV file whose header has the names of the columns."""
+    """Rows as CSV text with the column names as header."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -49,18 +49,18 @@ def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def percent(value: float) -> str:
-    """A share in percent, with two decimals below 10 % and one above, of what is printed; a dash for NaN."""
+    """A share in percent as text: two decimals if it prints below 10 %, otherwise one; a dash for NaN."""
     return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
 def rounded_up(value: float) -> float:
-    """To four digits, so that what is printed is enough; temperatures keep their millikelvins."""
+    """Round up to four digits or to 0.001, whichever is finer, so that a printed bound is sufficient."""
     grain = 10.0 ** (math.floor(math.log10(abs(value))) - 3) if value else 1.0
     return math.ceil(value / min(grain, 1e-3)) * min(grain, 1e-3)
 
 
 def rounded_down(value: float, digits: int = 3) -> float:
-    """A number > 0 to so many digits, so that what is printed is not too much."""
+    """Round a number > 0 down to so many digits, so that a printed bound is not exceeded."""
     last = digits - 1 - math.floor(math.log10(value))
     below = math.floor(value * 10.0**last) / 10.0**last
     return float(f"{below if below <= value else value:.{digits}g}")

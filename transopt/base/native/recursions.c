@@ -1,6 +1,6 @@
-/* Linear recursions over the stages of a transient, in place: x holds what is added at every stage, and in the end
- * the states; linear systems with inputs and outputs, one that strikes something, and a spline, which is evaluated
- * from slopes that such a recursion gives. All arrays are row by row. C99 without dependencies, no global state, no
+/* Linear recursions over the stages of a transient, linear systems with inputs and outputs, a linear system that strikes
+ * a contact, and a spline, whose slopes satisfy such a recursion. Recursions work in place: x holds the forcing of every
+ * stage at first and the states at the end. All arrays are row by row. C99 without dependencies, no global state, no
  * allocation.
  */
 #include <math.h>
@@ -16,7 +16,7 @@ enum { MOST_STATES = 64, MOST_WIDTH = 96, WIDE = 8 };
 #define ALWAYS_INLINE static inline
 #endif
 
-/* Courses side by side, a register of the widest kind; elsewhere one by one. */
+/* Time series are processed side by side in a register of the widest kind; without vector extensions one by one. */
 #if defined(__GNUC__)
 typedef double wide __attribute__((vector_size(64)));
 #else
@@ -24,7 +24,7 @@ typedef double wide;
 #endif
 enum { ABREAST = sizeof(wide) / sizeof(double) };
 
-/* The same operations in the same order, more lanes at once: the same bits. */
+/* All builds execute the same operations in the same order, on more or fewer lanes: results are equal bit by bit. */
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__)
 #define WITH_AVX2 __attribute__((target("avx2")))
 #define WITH_AVX512 __attribute__((target("avx512f,avx512dq,prefer-vector-width=512")))
@@ -60,7 +60,7 @@ ALWAYS_INLINE void run(const int m, const int width, const size_t count, const d
     }
 }
 
-/* The largest number of states that there is room for. */
+/* The largest number of states that these functions take. */
 int tr_most_states(void) { return MOST_STATES; }
 
 /* x_k = A x_(k-1) + x_k for k = 1..count-1, x (count, m), A (m, m). */
@@ -119,7 +119,7 @@ ALWAYS_INLINE void outputs_of(const size_t count, const int m, const int inputs,
     }
 }
 
-/* The widest row of a linear system that there is room for. */
+/* The widest row of a linear system that these functions take. */
 int tr_most_width(void) { return MOST_WIDTH; }
 
 /* As `outputs_of`, for `used` courses side by side, at most ABREAST: u (used, inputs, count), y (used, outputs, count). */
@@ -130,7 +130,7 @@ typedef void abreast_of(ABREAST_ARGUMENTS);
 
 ALWAYS_INLINE void abreast(ABREAST_ARGUMENTS)
 {
-    wide z[2 * MOST_WIDTH], next[MOST_WIDTH]; /* states, and what is felt behind them */
+    wide z[2 * MOST_WIDTH], next[MOST_WIDTH]; /* states and inputs; next states and outputs */
     double column[ABREAST] = {0};
     memset(z, 0, sizeof z);
     for (size_t s = 0; s < count; s++) {
@@ -219,7 +219,7 @@ ALWAYS_INLINE void slopes_of(const size_t knots, const size_t courses, const dou
     for (size_t c = 0; c < courses; c++)
         slopes[c] = 0.5 * (4 * y[courses + c] + y[2 * courses + c] - 5 * y[c]);
     for (size_t k = 1; k < last; k++) {
-        /* Once it repeats itself it goes on so: a division would be waited for at every knot. */
+        /* The pivots converge to a constant; reusing it avoids a division at every further knot. */
         const double pivot = k > 2 && above[k - 1] == above[k - 2] ? above[k - 1] : 1 / (4 - above[k - 1]);
         const double *next = y + (k + 1) * courses, *before = y + (k - 1) * courses;
         double *at = slopes + k * courses, *last_d = at - courses;
@@ -249,7 +249,7 @@ void tr_spline(size_t knots, size_t courses, const double *y, size_t count, cons
     else slopes_of(knots, courses, y, work, slopes);
     for (size_t i = 0; i < count; i++) {
         const double place = places[i], last = (double)(knots - 2);
-        const size_t left = place >= last ? knots - 2 : place >= 0 ? (size_t)place : 0; /* no number: the first */
+        const size_t left = place >= last ? knots - 2 : place >= 0 ? (size_t)place : 0; /* NaN: the first piece */
         const double t = place - (double)left;
         const double *at = y + left * courses, *slope = slopes + left * courses;
         for (size_t c = 0; c < courses; c++) {
@@ -279,7 +279,7 @@ void tr_spline_even(size_t knots, const double *y, size_t count, double first, d
     }
 }
 
-/* Courses that a strike works on side by side: two registers of the widest kind. */
+/* The time series that a strike processes side by side: two registers of the widest kind. */
 typedef struct {
     wide half[2];
 } lanes;
@@ -355,7 +355,7 @@ ALWAYS_INLINE void strike_in(const int halves, const size_t steps, const int n, 
             memcpy(closing, seen + 1, (size_t)count * sizeof *closing);
             for (int c = 0; c < count; c++) {
                 const double risen = contact[0] * power(depth[c], contact[1]);
-                /* What is no number stays none. */
+                /* NaN stays NaN. */
                 const double elastic = depth[c] > 0 ? risen : depth[c] <= 0 ? 0 : depth[c];
                 const double whole = elastic * (1 + contact[2] * closing[c]);
                 force[c] = whole < 0 ? 0 : whole;
