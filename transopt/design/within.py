@@ -17,7 +17,7 @@ from transopt.proof.certify import Effect
 from transopt.proof.designed import Designed
 
 MOST_COST = 5e-3  # largest cost of the margins, relative to J without them
-AIM = 3e-3  # cost aimed at when instants are added; below `MOST_COST`, since it also bounds the next program
+AIM = 3e-3  # relative cost aimed at when instants are added, and the largest one once there are any
 FINE, FINE_PARTS = 1e-3, 8  # margin, relative to the limit, with which infeasibility is judged; most parts for it
 MOST_ROWS = 96  # rows of all limits together; leaves the project's own solver some rows for other terms
 

@@ -28,7 +28,7 @@ class SolverOptions:
     tolerance : absolute tolerance on residuals and gap, in units's objective scale of 1e-3 and of
         the limit current. The default leaves three digits to the certificate's tolerance.
     max_iterations : at least 1.
-    brief : whether this solver alone is asked and no reason is looked for where it fails.
+    brief : whether only this solver is tried, and no reason is searched for if it fails.
     """
 
     brief: ClassVar[bool] = False

@@ -7,7 +7,7 @@
  *
  * The movements u of m commands are the controls; the last m states are the commands held before. Predictor and
  * corrector follow Mehrotra (SIAM J. Optim. 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings,
- * J. Optim. Theory Appl. 99, 1998) with blocks of m controls. Where the states stand in pairs that only the commands
+ * J. Optim. Theory Appl. 99, 1998) with blocks of m controls. Where the states form pairs that only the commands
  * couple to others, as the modes of a device do, products with A are taken pair by pair. As in riccati.c, which knows
  * one motor with its wall and its temperature, every iterate obeys the dynamics: states are rolled out and the reduced
  * gradient comes from the adjoint recursion, so that rounding in a factorisation costs no digits of the answer.

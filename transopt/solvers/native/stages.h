@@ -18,7 +18,7 @@
  *
  * Problems of equal sizes are solved side by side: each register then holds the same number of several problems, and an
  * answer does not depend, to the last bit, on the problems beside it. A problem alone has its rows of states in
- * registers instead, as have problems whose states do not stand in pairs.
+ * registers instead, as have problems whose states do not form pairs.
  *
  * C99 without dependencies, no global state, no allocation: the caller gives the workspace. Compile with contraction of
  * floating-point expressions off. All arrays are row by row. The method polls the caller for signals (`tr_host`).
@@ -158,7 +158,7 @@ ALWAYS_INLINE number absolute(const number of) { return (number)((choice)of & IN
 #define absolute fabs
 #endif
 
-/* The larger; the second where the first is no number. */
+/* The larger; the second if the first is NaN. */
 ALWAYS_INLINE number at_least(const number of, const number least) { return CHOSEN(of > least, of, least); }
 
 ALWAYS_INLINE number largest(const lanes *of)
