@@ -181,7 +181,7 @@ def few_scenes() -> list[Place]:
         _scene("walled", {"feedback.stiffness_N_m": 500.0, "limits.current_A": 0.5}, one),
         _scene("low_supply", {"limits.supply_V": 0.3}, one),
         _scene("hot_coil", {"thermal.start_winding_C": 85.0, "thermal.headroom_K": 1e-6}, one),
-        _scene("low_supply", {"limits.stroke_m": 1e-4}, one),
+        _scene("low_supply", {"limits.stroke_m": 5e-3}, one),
     ]
 
 

@@ -8,8 +8,9 @@ import pytest
 from tests.benches.study import cluster, plain, serial
 from transopt.base.errors import InputError
 from transopt.scene.scene import Scene
+from transopt.study import executors
 from transopt.study.axes import parse_axis
-from transopt.study.executors import dask, executor_pool
+from transopt.study.executors import executor_pool
 from transopt.study.plan import Plan
 from transopt.study.session import run_plan
 
@@ -37,7 +38,7 @@ def test_a_worker_killed_mid_run_loses_and_doubles_nothing(
                 workers[0].kill()
                 left.append(plan.entries - done)
 
-        pool = dask(address)
+        pool = executors.dask(address)
         rows = run_plan(plan, tmp_path / "dask", pool, watch=kill)
         assert pool.workers() == 1
         pool.close()
@@ -48,7 +49,7 @@ def test_a_worker_killed_mid_run_loses_and_doubles_nothing(
 
 
 def test_nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask, "__defaults__", (0.5,))
+    monkeypatch.setattr(executors, "ANSWERS_S", 0.5)
     with pytest.raises(InputError, match="no dask scheduler answers there") as refusal:
         executor_pool("dask://127.0.0.1:9", 1)
     assert "\n" not in str(refusal.value)
