@@ -51,7 +51,7 @@ def export(
         export_library(loaded, file)
         typer.echo(f"{terminal.harmless(str(file))} written")
         if file.suffix.lower() == ".wav":
-            typer.echo(sounds(loaded))
+            terminal.console().print(sounds(loaded))
             if loaded.driven_by.unit == "V":
                 command = shlex.join(["transopt", "export", str(library), f"{file.stem}_drive.wav", "--drive"])
                 typer.echo(f"no driver plays these sounds: for the volts, {terminal.harmless(command)}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from transopt.base import asking
+from transopt.base import asking, terminal
 from transopt.base.errors import InputError
 from transopt.cli.scene import ACCEPT_HELP, FORCE_HELP, write_new
 
@@ -148,13 +148,13 @@ def _completed(stated: dict[str, Any], further: dict[str, float]) -> dict[str, A
     if bad := next((key for key, value in numbers.items() if not 0 < value < float("inf") and key not in zero), None):
         raise InputError(f"{option_of(bad)} {numbers[bad]:g}: must be above 0 and finite")
     rating = Rating(stated.get("case_mass_kg"), stated.get("L_H", 0.0), further.get("rms_V"), further.get("rms_A"))
-    found = completed(numbers, rating)
+    found, console = completed(numbers, rating), terminal.console()
     if found.note:
-        typer.echo(f"note: {found.note}")
+        console.print(f"note: {found.note}")
     for key in (key for key in UNKNOWN if key not in stated):
         sure = found.deviations[key]
         about = f"+-{100 * sure:.0f} %" if sure < UNSURE else f"a guess: measure it, and state {option_of(key)}"
-        typer.echo(f"{WORDS[key]} {found.values[key]:.3g} {unit_of(key)}".rstrip() + f": {about}")
+        console.print(f"{WORDS[key]} {found.values[key]:.3g} {unit_of(key)}".rstrip() + f": {about}")
     volts = "rms_V" in further and stated["input"] == "voltage"
     peak = {"rated": 2**0.5 * further["rms_V"]} if volts else {}
     return {**peak, **{key: float(f"{found.values[key]:.4g}") for key in UNKNOWN}, **stated}
@@ -215,7 +215,8 @@ def _asked(stated: dict[str, Any], must: set[str]) -> dict[str, Any]:
 
     driven_by = "V" if stated["input"] == "voltage" else "A"
     found = dict(stated)
-    typer.echo(f"a {stated['kind']}, driven by a {stated['input']}; an empty answer takes what is in brackets")
+    how = f"kind {stated['kind']}, driven by a {stated['input']}; an empty answer takes what is in brackets"
+    terminal.console().print(how)
     for key, field in Datasheet.model_fields.items():
         if key in found or not _asked_for(key, found):
             continue

@@ -27,11 +27,16 @@ def scene_list() -> None:
     """Name the built-in scenes and what each shows."""
     import tomllib
 
+    from rich.table import Table
+
     from transopt.scene import builtin
 
+    listed = Table.grid("name", "what it shows", padding=(0, 2))
+    listed.columns[0].no_wrap = True
     for name in builtin.scene_names():
         text = builtin.scene_path(name).read_text(encoding="utf-8")
-        typer.echo(f"{name:20} {tomllib.loads(text)['description']}")
+        listed.add_row(name, tomllib.loads(text)["description"])
+    terminal.console().print(listed)
 
 
 @app.command("show", epilog="Example: transopt scene show wood_on_foam")

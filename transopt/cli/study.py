@@ -186,7 +186,7 @@ def run(request: Request, scene: str) -> int:
             worst = 0
             for name in STUDIES if request.name == "all" else [request.name]:
                 code, finding = write(name, loaded, request.out, pool, search=files, figures=request.figures)
-                typer.echo(f"{name}: {finding}")
+                terminal.console().print(f"{name}: {finding}")
                 worst = max(worst, code)
             return worst
         speeds, grips = loaded.axes.speeds_m_s, loaded.axes.grips_N
@@ -254,9 +254,9 @@ def _answer(request: Request, plan: "Plan", pool: "Pool") -> int:
     save_figure(question_figure(found, axis_label(question.key.path)), request.out / "answer.png", plan.scene.name)
     head = provenance(_command(), time.perf_counter() - started)
     write_text(answer_markdown(plan.scene, found, head), request.out / "report.md")
-    for sentence in found.sentences:
-        typer.echo(sentence)
-    typer.echo(_written(request.out, "answer.png"))
+    console = terminal.console()
+    for sentence in (*found.sentences, _written(request.out, "answer.png")):
+        console.print(sentence)
     return 0 if found.met is not None else 1
 
 

@@ -25,6 +25,14 @@ COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 WOOD, OTHER, CLICK = (f"out/{name}/library.npz" for name in ("wood_on_foam", "single_grip", "lra_click"))
 TAPS = sorted(map(str, (ROOT / "problems/recordings").glob("*.csv")))
 VARIED = ("--vary", "limits.current_A=4,5", "--speed", "0.4", "--executor", "serial", "--out", "study")
+ASKED = (
+    *("--require", "tap_error<=0.30", "--solve-for", "limits.current_A=4:6", "--speed", "0.4", "--grip", "5"),
+    *("--executor", "serial", "--out", "least"),
+)
+SHEET = (
+    *("--resonance-Hz", "150", "--rms-V", "2", "--rms-A", "0.15", "--R-ohm", "8", "--case-mass-kg", "0.1"),
+    *("--rms-g", "1.4", "--rise-s", "0.03", "--stroke-m", "6e-4", "--peak", "3"),
+)
 BEFORE = [["transopt", "solve", name, "--no-figures"] for name in ("single_grip", "lra_click")]
 SOLVE, SHOW = ["transopt", "solve", "--no-figures"], ["transopt", "show", WOOD]
 COMMANDS = {
@@ -33,6 +41,7 @@ COMMANDS = {
     "verify": ["transopt", "verify", OTHER],
     "compare": ["transopt", "compare", WOOD, OTHER],
     "taps": ["transopt", "taps", *TAPS],
+    "scene list": ["transopt", "scene", "list"],
     "scene keys": ["transopt", "scene", "keys"],
     "export to a driver": ["transopt", "export", CLICK, "click.wav", "--drive", "--rate-Hz", "24000"],
     "device show": ["transopt-play", "device", "show"],
@@ -42,6 +51,8 @@ LONGER = {
     "solve in detail": ["transopt", "solve", "--no-figures", "--table", "--report"],
     "identify coil": ["transopt", "identify", "coil", "heat.npz", "--out", "MODEL.json"],
     "study": ["transopt", "study", *VARIED],
+    "a question to the study": ["transopt", "study", *ASKED],
+    "a sheet completed": ["transopt", "plant", "new", "lra", *SHEET, "--force"],
     "tap": ["transopt-play", "tap", WOOD, "--simulate"],
     "tap outside": ["transopt-play", "tap", WOOD, "--simulate", "--speed", "0.9"],
 }
@@ -75,7 +86,7 @@ def check(name: str, by_width: Printed) -> None:
         assert "…" not in text
         # A line that a terminal has to break itself is to be copied: a command, a file, a line of TOML.
         long = [line for line in text.splitlines() if len(line) > width]
-        assert all(re.fullmatch(r" *(transopt|/|out/|click|\w+ = ).*", line) for line in long), long
+        assert all(re.fullmatch(r".*\btransopt.*| *(/|out/|click|\w+ = ).*", line) for line in long), long
         if name not in TIMED:
             assert set(NUMBER.findall(text)) == set(NUMBER.findall(wide)), (name, width)
 
