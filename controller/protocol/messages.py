@@ -1,21 +1,19 @@
-"""The message table, for Python and (by `core_header`) for C: kinds, bodies, codes.
+"""The message table for Python and, through `c_header`, for C: kinds, bodies, codes.
 
-A frame's payload is a header of 8 bytes and a body of at most 1024, little-endian, without padding:
+The payload of a frame is a header of 8 bytes and a body of at most 1024 bytes, little-endian, without padding:
 
     kind u8, flags u8 (0), sequence u16, session u32, body
 
-Each kind's body is the dataclass below of that name: its fields in order, in the format that the annotation names.
-Names end in units. The last field may be open (`Tail`), its length is what is left.
+The body of each kind is the dataclass below of the same name: its fields in order, in the formats of their
+annotations. Names end in units. A last field of type `Tail` takes the remaining bytes.
 
-    host asks, device answers with the same sequence    HELLO -> HELLO_REPLY, UPLOAD_BEGIN -> UPLOAD_READY,
-                                                        EVIDENCE -> EVIDENCE_REPLY, all others -> DONE;
-                                                        instead of these REFUSED
-    beside that, in any order                           DATA -> ACK, LEASE -> LEASE_REPLY, EVENT_ACK, EMERGENCY_STOP
-    the device on its own                               EVENT, TELEMETRY_DATA, LOG
+    request of the host, reply with its sequence   HELLO -> HELLO_REPLY, UPLOAD_BEGIN -> UPLOAD_READY,
+                                                   EVIDENCE -> EVIDENCE_REPLY, all others -> DONE; or REFUSED
+    in any order, without a request                DATA -> ACK, LEASE -> LEASE_REPLY, EVENT_ACK, EMERGENCY_STOP
+    sent by the device unasked                     EVENT, TELEMETRY_DATA, LOG
 
-One request is open at a time. The same sequence again is a repetition: it gets the same answer, and is not carried
-out twice; an older one is dropped. HELLO opens the session its header names, and everything else from another session
-is dropped, but for EMERGENCY_STOP.
+One request is open at a time. The last sequence again is a repetition: the device repeats its reply and executes
+nothing; older ones are dropped. HELLO opens its session; frames of others are dropped, except EMERGENCY_STOP.
 """
 
 import struct
@@ -46,18 +44,18 @@ from controller.protocol.packed import (
 from transopt.base.signals import FloatArray
 
 PROTOCOL = 6
-MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
+MAGIC = 0x54504E54  # "TNPT": HELLO of another protocol does not begin with it
 HEADER = struct.Struct("<BBHI")
-GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO and HELLO_REPLY in every version
+GREETING = struct.Struct("<IH")  # magic and protocol, with which HELLO and HELLO_REPLY begin in every version
 BODY_LIMIT = 1024
 NO_HASH = bytes(HASH_BYTES)
-NO_COUNTS = -(2**31)  # of an encoder that gave no number
-STOP_PRESSED = 1  # flag of a record
+NO_COUNTS = -(2**31)  # reading of an encoder that gave no number
+STOP_PRESSED = 1  # flag of a record: the emergency stop is pressed
 PULSE_SOUND, TRIAL_FINISHED = 1, 2  # bits of evidence
 
 
 class OtherProtocolError(ValueError):
-    """HELLO or HELLO_REPLY of another version, or of somebody else's protocol."""
+    """A HELLO or HELLO_REPLY of another version, or of a foreign protocol."""
 
     def __init__(self, magic: int, protocol: int) -> None:
         super().__init__(f"magic {magic:08x}, protocol {protocol}")
@@ -69,7 +67,7 @@ MESSAGES: dict[Kind, type[Packed]] = {}
 
 @dataclass_transform(frozen_default=True)
 def message(kind: Kind) -> Callable[[Message], Message]:
-    """Class decorator: the body of a frame of this kind."""
+    """Class decorator: this class is the body of frames of `kind`."""
 
     def laid_out(body: Message) -> Message:
         body = packed(body)
@@ -84,7 +82,7 @@ def message(kind: Kind) -> Callable[[Message], Message]:
 
 @message(Kind.HELLO)
 class Hello(Packed):
-    """Magic and protocol come first in every version, so that two versions can tell each other theirs."""
+    """Open a session. Magic and protocol come first in every version, so that each end learns the other's version."""
 
     magic: U32
     protocol: U16
@@ -93,7 +91,7 @@ class Hello(Packed):
 
 @message(Kind.CONFIGURE)
 class Configure(Packed):
-    """A part of the configuration (`configuration`), in any order."""
+    """A part of the configuration (see `configuration`); parts come in any order."""
 
     offset: U32
     data: Tail
@@ -101,10 +99,10 @@ class Configure(Packed):
 
 @message(Kind.CONFIGURE_COMMIT)
 class ConfigureCommit(Packed):
-    """In force from the answer on; IDLE only.
+    """Activate the configuration, from the reply on; only in IDLE.
 
-    The coil's temperature and the flowing current survive it. The evidence and the surface are forgotten, also by the
-    same configuration once more: so a host drops evidence after a check that failed by its own judgement.
+    The estimates of coil temperature and current are kept. Evidence and surface are cleared, also when the same
+    configuration is activated again: so a host discards evidence after a check that failed by its own judgement.
     """
 
     sha256: Hash
@@ -112,7 +110,7 @@ class ConfigureCommit(Packed):
 
 @message(Kind.UPLOAD_BEGIN)
 class UploadBegin(Packed):
-    """A library image (`image`) is coming; goes on where the same one was interrupted."""
+    """Begin the upload of a library image (see `image`), or resume that of the same image after an interruption."""
 
     length: U32
     sha256: Hash
@@ -120,7 +118,7 @@ class UploadBegin(Packed):
 
 @message(Kind.DATA)
 class Data(Packed):
-    """A part of the image; taken only at the wanted offset, and every one is answered with ACK."""
+    """A part of the image; stored only at the wanted offset, and always answered by ACK."""
 
     offset: U32
     data: Tail
@@ -128,18 +126,17 @@ class Data(Packed):
 
 @message(Kind.COMMIT)
 class Commit(Packed):
-    """Check the image whole, then play from it; until then the one before stays in force.
+    """Check the whole image and activate it; until then the previous library stays active.
 
-    Another library than the one before has its own trial still to come.
+    A library other than the previous one requires a trial of its own.
     """
 
 
 @message(Kind.ARM)
 class Arm(Packed):
-    """trial 1: the bring-up check's own tap, gain at most `capacity.TRIAL_GAIN`; it needs PULSE_SOUND alone.
+    """Arm the device. trial 1 : for a trial, which requires PULSE_SOUND only; gain at most `capacity.TRIAL_GAIN`.
 
-    The trial counts where a least current was played and measured: `capacity.TRIAL_LIBRARY_PART` of the library's
-    peak.
+    A trial counts if both played and measured current reached `capacity.TRIAL_LIBRARY_PART` of the library's peak.
     """
 
     trial: U8
@@ -151,9 +148,9 @@ class Arm(Packed):
 
 @message(Kind.LEASE)
 class Lease(Packed):
-    """The host is there; while ARMED or PLAYING the device disarms by itself `lease_ms` after the last one.
+    """Heartbeat of the host: without it the device disarms after `lease_ms` while ARMED or PLAYING.
 
-    Test pulses end `capacity.PULSE_LEASE_MS` after the last one.
+    Test pulses end after `capacity.PULSE_LEASE_MS` without one.
     """
 
     host_us: U64
@@ -176,11 +173,11 @@ class Gain(Packed):
 
 @message(Kind.TELEMETRY)
 class Telemetry(Packed):
-    """One record every so many ticks; 0 for none.
+    """Send one record per `every` ticks; none if `every` is 0.
 
-    before : 0 sends them as they come. Otherwise none is sent until a waveform plays, and only so many of the newest
-        are kept until then. What a slow line does not carry of those that follow is kept too and comes afterwards, as
-        far as the device has room: its own, and that of the next library while none is arriving.
+    before : 0 sends them from now on. Otherwise the device keeps this many of the newest records, and sends them once
+        a waveform plays. Records that a slow line does not carry are kept and sent later, as long as there is room:
+        in the device's own memory, and in that of the next library while none is arriving.
     """
 
     every: U16
@@ -189,11 +186,11 @@ class Telemetry(Packed):
 
 @message(Kind.PULSE)
 class Pulse(Packed):
-    """Test pulses, IDLE and at rest only; PULSE_ENDED tells the end.
+    """Play test pulses, only in IDLE and at rest; the event PULSE_ENDED reports the end.
 
-    Before each lies a rest of `capacity.REST_BETWEEN_PULSES_S`. pairs 0 : a single pulse, of which nothing is
-    judged. Otherwise so many pairs of the pulse that the configuration states, with alternating sign; after the first
-    that is wrong no other follows. At the end the device judges them (EVIDENCE).
+    A rest of `capacity.REST_BETWEEN_PULSES_S` precedes each pulse. pairs 0 : a single pulse, which is not judged.
+    Otherwise this many pairs of the configuration's pulse with alternating sign; the first wrong pulse is the last.
+    At the end the device judges them (EVIDENCE).
     """
 
     current_A: F64
@@ -203,26 +200,27 @@ class Pulse(Packed):
 
 @message(Kind.EVIDENCE)
 class Evidence(Packed):
-    """What has the device seen of itself since it started under this configuration?"""
+    """Request the evidence that the device has gathered since its start under this configuration."""
 
 
 @message(Kind.EVENT_ACK)
 class EventAck(Packed):
-    """All events below this number have been told to the user."""
+    """The host has received all events below this number."""
 
     wanted: U32
 
 
 @message(Kind.EMERGENCY_STOP)
 class EmergencyStop(Packed):
-    """Obeyed from any session, in any state, never answered: the fault's event is the answer."""
+    """Stop at once, in any session and any state. There is no reply but the event of the fault."""
 
 
 @message(Kind.START)
 class Start(Packed):
-    """Play the one waveform of a configuration that the host starts, ARMED only; negative 1: with the other sign.
+    """Play the one waveform of a configuration with `host_starts`, only in ARMED; negative 1 : with opposite sign.
 
-    PLAYING from the answer on, FINISHED tells the end; an event of a fault, a disarming or a lost lease ends it too.
+    The state is PLAYING from the reply on. The event FINISHED reports the end, unless a fault, DISARM or a lost lease
+    ends it before.
     """
 
     negative: U8
@@ -230,10 +228,10 @@ class Start(Packed):
 
 @message(Kind.SURFACE)
 class Surface(Packed):
-    """Tell where the surface is, in counts of the encoder after its direction; not while PLAYING or in FAULT.
+    """Set the surface, in counts along the encoder's direction; not in PLAYING or FAULT.
 
-    In place of the configuration's `surface_counts` until the next CONFIGURE_COMMIT; the evidence stays. As after
-    ARM, no wall pushes and no contact plays before the stylus has been above it.
+    It replaces the configuration's `surface_counts` until the next CONFIGURE_COMMIT; the evidence is kept. As after
+    ARM, neither wall nor contact acts before the stylus has been above the surface.
     """
 
     counts: F64
@@ -244,11 +242,11 @@ class Surface(Packed):
 
 @message(Kind.HELLO_REPLY)
 class HelloReply(Packed):
-    """Who the device is, what it holds, what it does.
+    """Identity, state, contents and limits of the device.
 
-    boot : another after every start. real_bytes : 8 computes in double, 4 in float. fault : event code, 0 for none.
-    evidence : bits PULSE_SOUND and TRIAL_FINISHED. simulated : 1 for a device of which nothing is wired.
-    event : number of the oldest event not yet acknowledged. Hashes are zero for what is not there.
+    boot : a different number after every start. real_bytes : 8 for double precision, 4 for float. fault : event code,
+    0 for none. evidence : bits PULSE_SOUND and TRIAL_FINISHED. simulated : 1 if nothing is wired. event : number of
+    the oldest unacknowledged event. A hash is zero if there is no configuration or library.
     From dt_s to ambient_C: `capacity.Hardware`.
     """
 
@@ -294,7 +292,7 @@ class HelloReply(Packed):
 
 @message(Kind.DONE)
 class Done(Packed):
-    """The request of this kind has been carried out."""
+    """The request of this kind has been executed."""
 
     request: U8
     state: U8
@@ -303,7 +301,7 @@ class Done(Packed):
 
 @message(Kind.REFUSED)
 class Refused(Packed):
-    """`value` is the number that offended, NaN if there is none."""
+    """The request was not executed. value : the offending number; NaN if there is none."""
 
     request: U8
     reason: U8
@@ -319,7 +317,7 @@ class UploadReady(Packed):
 
 @message(Kind.ACK)
 class Ack(Packed):
-    """Everything below this offset has arrived."""
+    """All data below this offset have arrived."""
 
     wanted: U32
 
@@ -334,11 +332,11 @@ class LeaseReply(Packed):
 
 @message(Kind.EVENT)
 class Event(Packed):
-    """Numbered without gaps from 0 at each start of the device, sent again until acknowledged.
+    """An event, numbered without gaps from 0 at each start of the device; repeated until acknowledged.
 
-    lost : events that found no room in the device's queue so far. speed, grip : NaN where no contact is meant.
-    scale, cooled : of SCALED_FOR_HEAT, else NaN: what is played is scale times a blend with a part `cooled`, 0 to 1,
-    of the cool command and the rest of the first.
+    lost : number of events so far that found no room in the device's queue. speed, grip : NaN except for a contact.
+    scale, cooled : for SCALED_FOR_HEAT, else NaN: the transient is scale times a blend with the share `cooled`, 0 to
+    1, of the cool command.
     """
 
     number: U32
@@ -369,9 +367,9 @@ class Record(Packed):
 
 @message(Kind.TELEMETRY_DATA)
 class TelemetryData(Packed):
-    """Records of ticks tick, tick + every, ...; `first` numbers them, so that gaps can be counted.
+    """Records of the ticks tick, tick + every, ...; `first` is the number of the first one, which reveals gaps.
 
-    The first after TELEMETRY that could be sent has the number 0.
+    Numbers start from 0 with the first record after TELEMETRY that could be sent.
     """
 
     first: U32
@@ -382,19 +380,18 @@ class TelemetryData(Packed):
 
 @message(Kind.LOG)
 class Log(Packed):
-    """For people: UTF-8."""
+    """A text for people, in UTF-8."""
 
     text: Tail
 
 
 @message(Kind.EVIDENCE_REPLY)
 class EvidenceReply(Packed):
-    """The device's own evidence, for this start and this configuration; TRIAL_FINISHED for the library in force.
+    """The device's own evidence since its start, for its configuration and, as to the trial, for its library.
 
-    bits : PULSE_SOUND, TRIAL_FINISHED. stage : `codes.Stage`. pulses : judged since the last PULSE.
-    Ratios, measured on predicted, 1 for a sound device and NaN where not measured: of the pulses' current, of the
-    acceleration at their beginning, of the path to their end; and, at the contact of the last trial, of the encoder's
-    motion on the accelerometer's, over the half second before.
+    bits : PULSE_SOUND, TRIAL_FINISHED. stage : `codes.Stage`. pulses : number judged since the last PULSE.
+    Ratios are measured over predicted, 1 for a sound device, NaN if not measured: current of the pulses, acceleration
+    at their beginning, path until their end; before the last trial's contact, motion by encoder over accelerometer.
     """
 
     bits: U8
@@ -407,7 +404,7 @@ class EvidenceReply(Packed):
 
 
 KINDS: dict[type[Packed], Kind] = {message: kind for kind, message in MESSAGES.items()}
-DATA_LIMIT = BODY_LIMIT - Data.FORMAT.size  # bytes of an image in one frame
+DATA_LIMIT = BODY_LIMIT - Data.FORMAT.size  # most bytes of an image in one frame
 RECORDS_LIMIT = (BODY_LIMIT - TelemetryData.FORMAT.size) // Record.FORMAT.size
 
 
@@ -429,12 +426,12 @@ class Frame:
 
 
 def read_frame(payload: bytes) -> Frame:
-    """What a sound payload says.
+    """The frame with this payload, whose CRC was correct.
 
     Raises
     ------
-    BadBodyError : unknown kind, flags of a later version, a body of the wrong length.
-    OtherProtocolError : HELLO or its reply, by another protocol.
+    BadBodyError : unknown kind, flags of a later version, or a body of the wrong length.
+    OtherProtocolError : HELLO or HELLO_REPLY of another protocol.
     """
     if len(payload) < HEADER.size:
         raise BadBodyError(f"{len(payload)} bytes")
