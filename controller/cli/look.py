@@ -168,7 +168,7 @@ def zero(
     """Find the surface: touch it three times; its counts go into the device file, and to the device at once."""
     from controller.cli.describe import described
     from controller.device.reading import restate
-    from controller.host.surface import IN_A_ROW, REST_S, Touches
+    from controller.host.surface import IN_A_ROW, REST_S, TOUCH_LOOK_S, Touches
     from controller.servo.interface import State
 
     within("patience", patience, 0.1, 3600.0, " s")
@@ -179,7 +179,7 @@ def zero(
     with sessions.connected(port, reset) as opened:
         touches = Touches(opened.hello.dt_s, encoder.count_m)
         opened.listeners.append(touches.take)
-        opened.set_telemetry(1)
+        opened.set_telemetry(max(round(TOUCH_LOOK_S / opened.hello.dt_s), 1))
         sessions.ConsolePerson().asked(
             f"touch the surface with the stylus {IN_A_ROW} times, from outside, and rest on it each time"
         )

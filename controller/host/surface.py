@@ -18,6 +18,7 @@ from controller.servo.interface import Notice
 
 REST_S, REST_COUNTS, REST_M, NEAR_M = 0.2, 2, 50e-6, 0.5e-3
 IN_A_ROW = 3
+TOUCH_LOOK_S = 5e-3  # period of the records in which touches are sought: a line of 115 200 baud carries them
 AWAY_M = 1e-3  # least distance from the surface between two touches
 
 
