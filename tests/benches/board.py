@@ -21,7 +21,7 @@ TOOLS = {
     "make": "make",
 }
 IMAGES = ("stm32f405", "emulated", "template")
-START = 0x2002FFF0  # where the image looks for its number, see emulated.c
+START, LINE_BAUD = 0x2002FFF0, 0x2002FFF4  # where the image looks for its number and its line's rate, see emulated.c
 BUILD_S = 120.0
 
 
@@ -72,11 +72,17 @@ class Emulated:
 
 
 @contextmanager
-def emulated(image: Path) -> Iterator[Emulated]:
-    """The image in the emulator, which goes as fast as it can, with another number at every start."""
+def emulated(image: Path, baud: int = 0) -> Iterator[Emulated]:
+    """The image in the emulator, which goes as fast as it can, with another number at every start.
+
+    Parameters
+    ----------
+    baud : rate of its line to the host; 0 for one that takes all.
+    """
     command = ["qemu-system-arm", "-M", "netduinoplus2", "-icount", "shift=3", "-display", "none", "-monitor", "none"]
     command += 3 * ["-serial", "pty"]
-    command += ["-device", f"loader,addr={START:#x},data={1 + secrets.randbelow(1 << 30)},data-len=4"]
+    for address, value in ((START, 1 + secrets.randbelow(1 << 30)), (LINE_BAUD, baud)):
+        command += ["-device", f"loader,addr={address:#x},data={value},data-len=4"]
     with subprocess.Popen(
         [*command, "-kernel", str(image)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as running:

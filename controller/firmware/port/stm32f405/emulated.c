@@ -11,6 +11,7 @@
  *     CCM                     missing, and 192 kB of SRAM in one piece: the linker puts the stack behind the first 128
  *     hand                    what its line, USART2, asks of it
  *     number of the start     what starts the emulator writes it to START
+ *     rate of the line        as fast as the loop sends; where the emulator's start wrote a rate to LINE_BAUD, no faster
  *     time                    passes only while the host waits (`--port PORT,clock=PORT2`), in turns of five milliseconds
  *                             on USART3: what either has sent is there before a turn begins, however fast the emulator
  *
@@ -26,7 +27,10 @@
 #endif
 
 #define START AT(0x2002fff0u) /* behind the stack; QEMU's -device loader puts it there */
+#define LINE_BAUD AT(0x2002fff4u) /* 0 without */
 #define RX_BYTES 16384u /* divides 2^16 */
+#define UART_BITS 10 /* for a byte */
+#define DRIVER_BYTES 64 /* that a line which was silent takes at once */
 #define PERIODS_PER_TURN ((uint32_t)(5e-3 / HARDWARE.dt_s + 0.5))
 #define COLD_C 0x41c80000u /* 25 as a float */
 
@@ -203,11 +207,28 @@ void USART1_IRQHandler(void)
     coming[came++ % RX_BYTES] = (uint8_t)USART_DR(USART1);
 }
 
+/* How many of `size` bytes the line takes now. */
+static size_t line_room(size_t size)
+{
+    static uint32_t had;
+    static float room;
+
+    if (LINE_BAUD == 0)
+        return size;
+    room += (float)(periods - had) * (float)HARDWARE.dt_s * (float)LINE_BAUD / UART_BITS;
+    had = periods;
+    room = room < (float)DRIVER_BYTES ? room : (float)DRIVER_BYTES;
+    size = (float)size < room ? size : (size_t)room;
+    room -= (float)size;
+    return size;
+}
+
 size_t board_send(const uint8_t *bytes, size_t size)
 {
+    const size_t room = line_room(size);
     size_t sent;
 
-    for (sent = 0; sent < size; sent++)
+    for (sent = 0; sent < room; sent++)
         USART_DR(USART1) = bytes[sent];
     gone += (uint32_t)sent;
     return sent;
