@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from controller.host.transport import Listed
 
 NEEDED = ("casadi", "numpy", "pyserial", "scipy")
-LISTEN_S = 0.5
 USB_SERIAL = Path("/sys/bus/usb-serial/devices")
 LATENCY_MS = 4  # of an adapter: four of its periods, there and back, must fit well into a lease
 
@@ -125,29 +124,13 @@ def answering(port: str) -> Iterator[Finding]:
 
 
 def _line(device: "Device") -> Iterator[Finding]:
-    from controller.host.rates import remedy
-    from controller.protocol.events import News, Samples
+    from controller.host.rates import WHOLE, carried, remedy
 
-    seen: list[int] = []
-
-    def take(news: News) -> None:
-        if isinstance(news, Samples):
-            seen.append(len(news.records))
-
-    device.set_telemetry(1)
-    device.listen(LISTEN_S / 5)  # for what is under way
-    device.listeners.append(take)
-    begin_s = device.now_s()
-    device.listen(LISTEN_S)
-    asked = (device.now_s() - begin_s) / device.hello.dt_s
-    device.listeners.remove(take)
-    device.set_telemetry(0)
-    carried = min(sum(seen) / asked, 1.0)
-    whole = carried > 0.97  # a batch or two may be under way at either end
+    share = carried(device)
     yield Finding(
         "line",
-        f"{100 * carried:.0f} % of the records of every tick",
-        "" if whole else remedy(device.hello.dt_s, carried),
+        f"{100 * share:.0f} % of the records of every tick",
+        "" if share >= WHOLE else remedy(device.hello.dt_s, share),
     )
     clock = device.session.clock
     if clock is not None:

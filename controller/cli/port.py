@@ -208,6 +208,8 @@ def run(
 ) -> "tuple[Monitor, bool]":
     """Take telemetry of every tick to screen and files until whoever holds the device has tapped.
 
+    Over a line that does not carry every tick, the device is armed for one tap at a time, and sends it afterwards.
+
     Parameters
     ----------
     enough : asked again and again; a person's run ends with it.
@@ -225,6 +227,8 @@ def run(
     """
     from controller.host.driver import LinkLostError
     from controller.host.monitor import Monitor
+    from controller.host.rates import WHOLE, carried
+    from controller.host.slow_taps import tap_by_tap
     from controller.host.surface import Drift
     from controller.servo.interface import State
 
@@ -237,19 +241,23 @@ def run(
     with recorder, shown, no_long_pauses():
         try:
             with disarmed_by_ctrl_c(device):
+                share = 1.0 if gain is None or device.harmless else carried(device)
                 if gain is not None and device.lacks_trial():
                     _try_out(device, bench.console, seconds)
                 device.listeners += listeners
-                device.set_telemetry(1)
-                if gain is not None:
-                    device.arm(gain)
 
                 def ended() -> bool:
                     if drift.moved and gain is not None and device.state in (State.ARMED, State.IDLE):
                         _follow(drift, device, recorder, bench.console, file)
                     return bench.done(enough())
 
-                listen(device, seconds, ended, armed=gain is not None)
+                if gain is None or share >= WHOLE:
+                    device.set_telemetry(1)
+                    if gain is not None:
+                        device.arm(gain)
+                    listen(device, seconds, ended, armed=gain is not None)
+                else:
+                    tap_by_tap(device, recorder, gain, share, seconds, ended, bench.console.print)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:

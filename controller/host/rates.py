@@ -1,5 +1,9 @@
-"""The rate of telemetry, and remedies for a line that is too slow for it."""
+"""The rate of telemetry: what a line carries of it, what a device keeps, and remedies for a slow line."""
 
+from controller.host.driver import Device
+from controller.protocol.capacity import Capacity
+from controller.protocol.events import News, Samples
+from controller.protocol.image import image_bytes
 from controller.protocol.messages import Record
 from transopt.base.writing import rounded_down
 
@@ -18,6 +22,42 @@ BAUDS = (
     8_000_000,
     12_000_000,
 )
+MEASURED_S, SETTLED_S = 0.5, 0.1  # a line is measured for so long, and before that flushed of what is under way
+WHOLE = 0.95  # least share that counts as every record: a batch or an adapter's 16 ms may be missing at either end
+NUMBER_BYTES = 4  # a device keeps each record with its number, TD_KEPT_BYTES
+LOOK_S = 0.02  # period of records that show no more than the hand: 1.7 kB/s
+
+
+def carried(device: Device) -> float:
+    """Share of the records of every tick that the line carries, 0 to 1; telemetry is off afterwards.
+
+    Raises
+    ------
+    LinkLostError : the link is lost.
+    """
+    came: list[int] = []
+
+    def take(news: News) -> None:
+        if isinstance(news, Samples):
+            came.append(len(news.records))
+
+    device.set_telemetry(1)
+    device.listen(SETTLED_S)
+    device.listeners.append(take)
+    begin_s = device.now_s()
+    try:
+        device.listen(MEASURED_S)
+    finally:
+        device.listeners.remove(take)
+    share = sum(came) * device.hello.dt_s / (device.now_s() - begin_s)
+    device.set_telemetry(0)
+    return min(share, 1.0)
+
+
+def kept_records(capacity: Capacity) -> int:
+    """Number of records that fit a library's memory, which a device uses for them while no library is arriving."""
+    largest = image_bytes(capacity.speeds, capacity.grips, 0, cool_bits=8) + 2 * capacity.samples
+    return largest // (NUMBER_BYTES + Record.FORMAT.size)
 
 
 def remedy(dt_s: float, carried: float, kept_s: float = 0.0) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from controller.host.driver import LATE_S, Device, DeviceError, LinkLostError
-from controller.host.rates import remedy
+from controller.host.rates import LOOK_S, remedy
 from controller.protocol.capacity import TRIAL_GAIN
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened, News, Samples
@@ -31,7 +31,6 @@ FREE_N = 0.2  # largest reading of a grip sensor that nobody touches
 GRIP_N, GRIP_PART = 0.3, 0.1  # allowed error of the grip, absolute and relative; the larger one applies
 ATTEMPTS = 3  # at each trial
 PATIENCE_S = 60.0  # longest wait for a person to do what is asked
-LOOK_S = 0.02  # period of records while only the hand is watched: 3 kB/s
 WAITED_S = 2e-3  # margin of waiting times for the difference of the two clocks
 KEPT_PART = 0.9  # share of the buffered length that a shorter sweep is advised to use
 

@@ -143,6 +143,17 @@ class Recorder:
         elif isinstance(news, Happened):
             self._event(news)
 
+    def fit(self, most: int) -> tuple[int, int]:
+        """Record at most `most` ticks around a contact, fewer before and after it in proportion.
+
+        Returns
+        -------
+        Ticks before and after a contact.
+        """
+        shorter = min(most / (self._before + 1 + self._after), 1.0)
+        self._before, self._after = int(shorter * self._before), int(shorter * self._after)
+        return self._before, self._after
+
     def flush(self) -> None:
         """Bring the files up to date."""
         if self._telemetry is not None:
@@ -166,8 +177,8 @@ class Recorder:
         self.close()
 
     def _samples(self, samples: Samples) -> None:
-        if self.records == 0:
-            self._first, self._every = samples.tick, samples.every
+        if self.records == 0 or samples.every != self._every:
+            self._restart(samples)
         self.missed += samples.missed
         self.records += len(samples.records)
         for j, record in enumerate(samples.records):
@@ -180,6 +191,13 @@ class Recorder:
         newest = self._kept[-1][0]
         while self._open and newest >= self._open[0].tick + self._after:
             self._complete(self._open.pop(0))
+
+    def _restart(self, samples: Samples) -> None:
+        """Begin a new stream of telemetry; a contact before its first record gets no further ones."""
+        while self._open and self._open[0].tick < samples.tick:
+            self._complete(self._open.pop(0))
+        self._kept.clear()
+        self._first, self._every = samples.tick, samples.every
 
     def _event(self, event: Happened) -> None:
         if self._events is not None:

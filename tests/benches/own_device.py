@@ -268,7 +268,7 @@ class Person:
         if self._later and self._later[0][0] <= self.world.now_s:
             self._later.pop(0)[1]()
 
-    def _in(self, after_s: float, act: Callable[[], None]) -> None:
+    def later(self, after_s: float, act: Callable[[], None]) -> None:
         self._later.append((self.world.now_s + after_s, act))
         self._later.sort(key=lambda each: each[0])
 
@@ -286,7 +286,7 @@ class Person:
             "tap": lambda: self.tap(self.speed_m_s),
         }
         act = next(act for words, act in obeys.items() if what.startswith(words))
-        self._in(0.05, act)
+        self.later(0.05, act)
 
     def here(self) -> float:
         return self.world.path_m(self.world.now_s)

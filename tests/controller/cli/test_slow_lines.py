@@ -1,4 +1,4 @@
-"""`record sweep` over a line that does not carry every tick: kept on the device and sent afterwards, or refused."""
+"""A line that does not carry every tick: what is recorded is kept on the device and sent afterwards, or refused."""
 
 import re
 from pathlib import Path
@@ -8,9 +8,12 @@ import pytest
 
 from controller.cli import port as port_commands
 from controller.firmware.core_device import CoreDevice
+from controller.record.telemetry import read_csv
+from controller.servo.interface import Fault, Output, Readings, State
 from tests.benches.commands import Outcome, Run
 from tests.benches.own_device import OwnWorld, Sensing
 from tests.benches.slow_line import SlowLine
+from tests.campaigns.harness import solved
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 DT_S = 1e-4
@@ -80,3 +83,103 @@ def test_a_check_at_115200_baud_passes_every_step(
     outcome = play("check", "library.npz", "--port", "x")
     assert outcome.code == 0, outcome.out + outcome.err
     assert "times its prediction" in outcome.out
+
+
+class Tapping(OwnWorld):
+    """Taps again and again while the device is armed.
+
+    Attributes
+    ----------
+    seen : tick -> what the sensors read in it. free_s : when the next tap may begin. fault_after_s : the emergency
+        stop is pressed so long after a tap's beginning.
+    """
+
+    def __init__(self, fault_after_s: float = float("inf")) -> None:
+        super().__init__(DT_S, sensing=Sensing(gravity_m_s2=0.0))
+        self.seen: dict[int, Readings] = {}
+        self.free_s, self.fault_after_s = 0.0, fault_after_s
+
+    def readings(self, tick: int) -> Readings:
+        self.seen[tick] = super().readings(tick)
+        return self.seen[tick]
+
+    def advance(self, output: Output) -> None:
+        if output.state is State.ARMED and self.now_s >= self.free_s:
+            self.person.tap(0.2)
+            self.free_s = self.now_s + 1.8
+            self.person.later(self.fault_after_s, lambda: setattr(self, "pressed", True))
+        super().advance(output)
+
+
+def at_line(monkeypatch: pytest.MonkeyPatch, world: OwnWorld, baud: int, flags: tuple[str, ...] = ()) -> None:
+    line = SlowLine(CoreDevice(1, flags=flags, simulated=True), world, DT_S, baud)
+    monkeypatch.setattr(port_commands, "open_device", line.connect)
+    monkeypatch.setattr(port_commands, "ConsolePerson", lambda: world)
+
+
+TAP = ("tap", "library.npz", "--port", "x", "--out", "taps", "--taps")
+
+
+@pytest.mark.parametrize(
+    ("flags", "before", "after"), [((), 600, 1000), (ARDUINO, 345, 575)], ids=["much room", "as on an Arduino board"]
+)
+def test_taps_at_115200_baud_are_recorded_whole(
+    play: Run, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...], before: int, after: int
+) -> None:
+    """Every tick around each tap, as the sensors have read it; a device with little room keeps less around it."""
+    world = Tapping()
+    at_line(monkeypatch, world, 115_200, flags)
+    outcome = play(*TAP, 2)
+    assert outcome.code == 0, outcome.out + outcome.err
+    assert outcome.out.count("armed: tap once") == 2
+    table = read_csv(Path("taps") / "telemetry.csv")
+    for name in ("tap_001.csv", "tap_002.csv"):
+        head, *_ = (Path("taps") / name).read_text().splitlines()
+        contact = int(head.rpartition(" ")[2])
+        times_s, _, position_m, _ = np.loadtxt(Path("taps") / name, delimiter=",", skiprows=4).T
+        assert np.round(times_s / DT_S).tolist() == list(range(-before, after + 1))
+        ticks = contact + np.arange(-before, after + 1)
+        counts = [world.seen[tick].encoder_counts for tick in ticks]
+        assert position_m == pytest.approx(np.array(counts) * world.sensing.count_m, abs=1e-7)
+        felt = table["measured_acceleration_m_s2"][np.isin(table["tick"], ticks)]
+        assert felt == pytest.approx([world.seen[tick].acceleration_m_s2 for tick in ticks], rel=1e-6)
+
+
+@pytest.mark.parametrize("after_s", [0.3, 0.65, 0.8, 2.0], ids=["before", "while playing", "after", "while sending"])
+def test_a_stop_ends_the_run(play: Run, monkeypatch: pytest.MonkeyPatch, after_s: float) -> None:
+    at_line(monkeypatch, Tapping(fault_after_s=after_s), 230_400)
+    outcome = play(*TAP, 2)
+    assert outcome.code == 1
+    assert f"fault: {Fault.EMERGENCY_STOP.value}" in " ".join(outcome.out.split())
+    assert outcome.out.count("armed: tap once") == 1
+
+
+def test_a_hand_that_does_not_rest_is_asked_to(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = Tapping()
+    at_line(monkeypatch, world, 921_600)
+    world.path_m = lambda t: 20e-3 + (5e-3 * np.sin(30 * t) if t < 2.0 else 0.0)
+    outcome = play(*TAP, 1)
+    assert outcome.code == 0, outcome.out + outcome.err
+    assert outcome.out.count("hold the stylus above the surface, still") == 1
+
+
+def test_a_line_too_slow_for_taps_is_refused_before_anything_is_armed(
+    play: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = Tapping()
+    at_line(monkeypatch, world, 19_200)
+    outcome = play(*TAP, 1)
+    assert outcome.code == 2
+    assert "slow line: too slow to tap over it: every tick takes 340 kB/s" in outcome.err
+    assert "PORT@4000000" in outcome.err
+    assert world.free_s == 0.0
+
+
+def test_a_library_is_refined_over_a_slow_line(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved("wood_on_foam", {"grid.speeds_m_s": [0.2], "grid.grips_N": [3.0]}).save(Path("one.npz"))
+    at_line(monkeypatch, Tapping(), 921_600)
+    outcome = play("refine", "one.npz", "--port", "x", "--taps", 3, "--rounds", 1, "--out", "refined")
+    assert "this line carries 26 % of the records" in outcome.out
+    assert "records were lost" not in outcome.out, outcome.out
+    assert outcome.out.count("counts for 0.2 m/s at 3 N") >= 3
+    assert (Path("refined") / "library.npz").exists(), outcome.out + outcome.err

@@ -50,6 +50,35 @@ def fed(recorder: Recorder, last: int, step: int = 29) -> None:
         recorder.take(samples(first, min(first + step, last)))
 
 
+def test_a_contact_told_before_its_records_is_recorded_from_the_new_stream(tmp_path: Path) -> None:
+    """A device that keeps the records of a tap tells the contact first; before, a few records show the hand."""
+    first, end = CONTACT_TICK - round(BEFORE_S / DT_S), CONTACT_TICK + round(AFTER_S / DT_S) + 1
+    with Recorder(tmp_path / "out", DT_S, COUNT_M) as recorder:
+        recorder.take(samples(0, first + 100, every=200))
+        recorder.take(contact())
+        recorder.take(samples(first, end))
+        recorder.take(samples(end + 50, end + 900, every=200))
+    (found,) = recorder.contacts
+    assert found.missed == 0
+    assert found.ticks.tolist() == list(range(first, end))
+
+
+def test_a_contact_whose_records_did_not_come_is_never_made_of_later_ones(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "out", DT_S, COUNT_M) as recorder:
+        recorder.take(samples(0, CONTACT_TICK + 10))
+        recorder.take(contact())
+        recorder.take(samples(CONTACT_TICK + 100, CONTACT_TICK + 9000, every=200))
+    (found,) = recorder.contacts
+    assert found.missed == round(AFTER_S / DT_S) + 1 - 10
+    assert found.path is None
+
+
+@pytest.mark.parametrize(("most", "before", "after"), [(10_000, 600, 1000), (1601, 600, 1000), (800, 299, 499)])
+def test_less_is_recorded_around_a_contact_where_less_is_kept(most: int, before: int, after: int) -> None:
+    assert Recorder(None, DT_S, COUNT_M).fit(most) == (before, after)
+    assert before + 1 + after <= most
+
+
 def test_a_contact_becomes_a_file_when_its_time_has_passed(tmp_path: Path) -> None:
     end = CONTACT_TICK + round(AFTER_S / DT_S)
     with Recorder(tmp_path / "out", DT_S, COUNT_M) as recorder:
