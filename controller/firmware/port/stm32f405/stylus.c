@@ -30,6 +30,7 @@
 #define COUNT_M 24.5e-6
 #define HOME_M 20e-3f
 #define TOUCH_S 0.3f
+#define HALT_S 0.05f
 #define TAP_EVERY_S 0.1f /* after the one before, with the amplifier enabled */
 #define HELD_N 3.0f
 #define LOOSE_N 0.5f /* with which the stylus hangs in a hand that has let go */
@@ -48,6 +49,8 @@ static struct {
     } knots[KNOTS];
     int first, last, ticks; /* ticks that are left of the first knot */
     float v0_m_s;
+    double end_m; /* where it will be after the last knot, and how fast */
+    float end_m_s;
     bool stop;
     float speeds_m_s[SPEEDS];
     int speed, speed_count;
@@ -88,6 +91,8 @@ static void then(float after_s, float v_m_s)
         return;
     hand.knots[hand.last].after_s = after_s;
     hand.knots[hand.last++].v_m_s = v_m_s;
+    hand.end_m += 0.5 * (double)(after_s * (hand.end_m_s + v_m_s));
+    hand.end_m_s = v_m_s;
 }
 
 /* One servo period; its acceleration. */
@@ -97,7 +102,8 @@ static float hand_advance(void)
 
     if (hand.first == hand.last) {
         hand.first = hand.last = 0;
-        hand.v_m_s = 0;
+        hand.v_m_s = hand.end_m_s = 0;
+        hand.end_m = hand.z_m;
         return 0;
     }
     if (hand.ticks == 0) {
@@ -133,7 +139,7 @@ static void go(float way_m)
 /* From where it is straight in at the speed, on for 30 ms, to rest, and back. */
 static void tap(float speed_m_s)
 {
-    const float straight_s = (float)hand.z_m / speed_m_s + 0.015f, depth_m = speed_m_s * (0.03f + straight_s);
+    const float straight_s = (float)hand.end_m / speed_m_s + 0.015f, depth_m = speed_m_s * (0.03f + straight_s);
 
     then(0.03f, -speed_m_s);
     then(straight_s, -speed_m_s);
@@ -147,7 +153,7 @@ static void touch_three_times(void)
 {
     int j;
 
-    go(-(float)hand.z_m);
+    go(-(float)hand.end_m);
     for (j = 0; j < 3; j++) {
         then(TOUCH_S, 0);
         go(3e-3f);
@@ -186,6 +192,16 @@ static bool begins(const char *line, const char *words)
     return strncmp(line, words, strlen(words)) == 0;
 }
 
+/* Leave what was being done, and come to rest. */
+static void halt(void)
+{
+    hand.first = hand.last = hand.ticks = 0;
+    hand.end_m = hand.z_m;
+    hand.end_m_s = hand.v_m_s;
+    if (hand.v_m_s < 0 || hand.v_m_s > 0)
+        then(HALT_S, 0);
+}
+
 static void obey(const char *line)
 {
     int j;
@@ -196,6 +212,7 @@ static void obey(const char *line)
         return;
     line += strlen("please ");
     hand.speed_count = 0;
+    halt();
     if (begins(line, "press")) {
         hand.stop = true;
     } else if (begins(line, "release")) {
@@ -213,7 +230,7 @@ static void obey(const char *line)
     } else if (begins(line, "move")) {
         go(10e-3f);
     } else if (begins(line, "let the stylus")) {
-        go(HOME_M - (float)hand.z_m);
+        go(HOME_M - (float)hand.end_m);
     } else if (begins(line, "shake")) {
         for (j = 0; j < 9; j++)
             then(1.0f / 6.0f, j % 2 ? -0.06f : 0.06f);
@@ -249,7 +266,7 @@ static void tap_in_turn(bool enabled)
 
 void stylus_start(void)
 {
-    hand.z_m = (double)HOME_M;
+    hand.z_m = hand.end_m = (double)HOME_M;
     hand.grip_N = HELD_N;
 }
 
