@@ -163,28 +163,48 @@ static void touch_three_times(void)
     go(HOME_M);
 }
 
+/* The decimal number at the beginning of these words, which are moved on behind it; 0 without one. */
+static float take_number(const char **words)
+{
+    float value = 0, place = 1;
+    bool point = false;
+
+    while (**words == ' ')
+        ++*words;
+    for (; (**words >= '0' && **words <= '9') || **words == '.'; ++*words) {
+        point = point || **words == '.';
+        if (**words != '.')
+            value = 10 * value + (float)(**words - '0');
+        if (**words != '.' && point)
+            place *= 10;
+    }
+    return value / place;
+}
+
 /* The speeds [m/s] that these words name. */
 static void take_speeds(const char *words)
 {
     hand.speed_count = hand.speed = 0;
     while (*words != '\0' && hand.speed_count < SPEEDS) {
-        float value = 0, place = 1;
-        bool point = false, digits = false;
+        const float speed_m_s = take_number(&words);
 
-        while (*words == ' ')
-            words++;
-        for (; (*words >= '0' && *words <= '9') || *words == '.'; words++) {
-            digits = true;
-            point = point || *words == '.';
-            if (*words != '.')
-                value = 10 * value + (float)(*words - '0');
-            if (*words != '.' && point)
-                place *= 10;
-        }
-        if (!digits || !(value / place >= 0.05f && value / place <= 1.0f))
+        if (!(speed_m_s >= 0.05f && speed_m_s <= 1.0f))
             return;
-        hand.speeds_m_s[hand.speed_count++] = value / place;
+        hand.speeds_m_s[hand.speed_count++] = speed_m_s;
     }
+}
+
+/* The grip [N] that these words name, as `at 3 N`; the usual one without. */
+static float grip_of(const char *words)
+{
+    const char *named = strstr(words, " at ");
+    float grip_N;
+
+    if (named == NULL)
+        return HELD_N;
+    named += strlen(" at ");
+    grip_N = take_number(&named);
+    return grip_N > 0 ? grip_N : HELD_N;
 }
 
 static bool begins(const char *line, const char *words)
@@ -219,7 +239,9 @@ static void obey(const char *line)
         hand.stop = false;
     } else if (begins(line, "let go")) {
         hand.grip_N = 0;
-    } else if (begins(line, "hold") || begins(line, "put the weight")) {
+    } else if (begins(line, "hold")) {
+        hand.grip_N = grip_of(line);
+    } else if (begins(line, "put the weight")) {
         hand.grip_N = HELD_N;
     } else if (begins(line, "taps ")) {
         take_speeds(line + strlen("taps "));
