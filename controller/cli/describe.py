@@ -81,7 +81,7 @@ def show(
             key,
             "-" if value is None else str(value),
             unit_of(key),
-            "yes" if key in found.stated else "no: built-in",
+            "yes" if key in found.stated else "no" if value is None else "no: built-in",
             TABLES[section].model_fields[name].description or "",
         )
     console = terminal.console()

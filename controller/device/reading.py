@@ -46,7 +46,8 @@ class Described:
     @property
     def in_words(self) -> str:
         """One line that tells which numbers come from the file and which from the built-in device."""
-        unstated = [key for key in all_keys() if key not in self.stated]
+        # Keys without a value take nothing from the built-in device: they are the library's or the device's own.
+        unstated = [key for key in all_keys() if key not in self.stated and value_of(self.device, key) is not None]
         if not self.stated:
             return f"device: {self.source}; `transopt-play device new FILE` describes your own"
         rest = f"; the built-in device's: {', '.join(unstated)}" if unstated else ""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from controller.device.reading import read_device
+from controller.device.reading import find, read_device
 from tests.benches.commands import Run, assert_refused
 
 
@@ -47,6 +47,9 @@ def test_show_says_what_is_stated_and_what_is_built_in(play: Run, monkeypatch: p
     assert "1e-05" in row
     assert "yes" in row
     assert "no: built-in" in shown
+    words = find("mine.toml").in_words
+    assert "encoder.direction" in words
+    assert "hardware.current_A" not in words, "the device itself says it"
     assert "built-in examples: voice_coil, with_grip, without_grip" in play("device", "show").out
     assert_refused(play("device", "show", "with_gripp"), "did you mean with_grip")
 
