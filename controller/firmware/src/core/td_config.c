@@ -5,9 +5,9 @@
 
 #include "td_bytes.h"
 
-#define MOST_TICKS 1e9 /* of any duration */
-#define UPDATE_S 0.01  /* of the coil */
-#define DYING_TICKS 4  /* of the present current: until the answer is felt, and what is left then */
+#define MOST_TICKS 1e9 /* longest duration */
+#define UPDATE_S 0.01  /* period of the coil's updates */
+#define DYING_TICKS 4  /* ticks of the present current: until the command acts, and the energy left then */
 #define COPPER_PER_K 0.0039
 #define RESISTANCE_REFERENCE_C 25.0
 #define PI 3.141592653589793
@@ -22,7 +22,7 @@ static bool flag(const table *from, int32_t place)
     return from->n[place] > 0;
 }
 
-/* A number for every tick, as td_real has it. */
+/* A number used in every tick, as td_real. */
 static td_real narrow(table *from, double value)
 {
     const td_real narrowed = (td_real)value;
@@ -39,7 +39,7 @@ static td_wide wide(table *from, double value)
     return value;
 }
 
-/* One that something is divided by, which may not be so small that a quotient of ordinary numbers overflows. */
+/* A divisor, which must not be so small that quotients of ordinary numbers overflow. */
 static void divides(table *from, td_real value)
 {
     if (!(td_size(value) > (td_real)1e-30))
@@ -55,7 +55,7 @@ static int32_t whole(table *from, double value, double least, double most)
     return (int32_t)value;
 }
 
-/* Whole periods, at least one; halves go to the even neighbour. */
+/* Whole periods, at least one; halves are rounded to even. */
 static double periods(double duration_s, double dt_s)
 {
     const double exact = duration_s / dt_s, below = floor(exact), part = exact - below;
@@ -64,7 +64,7 @@ static double periods(double duration_s, double dt_s)
     return nearest > 1 ? nearest : 1;
 }
 
-/* A duration for which something may be wrong. */
+/* Duration of a deviation before it is a fault. */
 static int32_t patience(table *from, double duration_s)
 {
     const double ticks = periods(duration_s, from->n[TD_CFG_DT_S]);
@@ -77,7 +77,7 @@ static double delay_ticks(const table *from)
     return flag(from, TD_CFG_HAS_AMPLIFIER) ? from->n[TD_CFG_AMPLIFIER_DELAY_S] / from->n[TD_CFG_DT_S] : 0;
 }
 
-/* The approach's fits, over the whole window and over its newer half if that holds readings enough. */
+/* The fits of the approach, over the whole window and, if it has enough readings, over its newer half. */
 static void fits(td_config *config, table *from, double ahead)
 {
     int j;
@@ -195,7 +195,7 @@ static void unpack_faults(td_config *config, table *from)
     config->still_limit = whole(from, periods(n[TD_CFG_STUCK_S], n[TD_CFG_DT_S]), 1, MOST_TICKS);
 }
 
-/* What encoder, accelerometer and current say of each other (tests/benches/oracle/crosscheck.py); after the pulse. */
+/* Cross-checks of encoder, accelerometer and current (test oracle tests/benches/oracle/crosscheck.py); after the pulse. */
 static void unpack_crosscheck(td_config *config, table *from)
 {
     const double *n = from->n, dt = n[TD_CFG_DT_S];
@@ -209,7 +209,7 @@ static void unpack_crosscheck(td_config *config, table *from)
     swing_A = TD_QUIET_PUSH_M_S2 / push;
     swing_A = swing_A > TD_QUIET_SWING_A ? swing_A : TD_QUIET_SWING_A;
     stuck_m = stuck_m > TD_STUCK_LEAST_M ? stuck_m : TD_STUCK_LEAST_M;
-    /* An excitation may be played on a rotor that is blocked on purpose. */
+    /* An excitation may be played on a rotor that is blocked intentionally. */
     if (!config->calibration.has_accelerometer || config->host_starts)
         stuck_m = swing_A = (double)INFINITY;
     config->tick_s = (td_real)n[TD_CFG_DT_S];

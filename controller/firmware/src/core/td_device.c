@@ -5,7 +5,7 @@
 #include "td_bytes.h"
 #include "td_request.h"
 
-#define GREETING_BYTES (TD_HELLO_PROTOCOL + 2) /* what HELLO and its reply begin with in every version */
+#define GREETING_BYTES (TD_HELLO_PROTOCOL + 2) /* magic and protocol, the same in every version */
 
 const size_t TD_DEVICE_BYTES = sizeof(td_device);
 
@@ -75,7 +75,7 @@ size_t td_device_put(td_device *device, uint8_t kind, uint16_t sequence, uint32_
     return size;
 }
 
-/* An answer that is given again if its request is repeated. */
+/* Send a reply and keep it, since it is repeated if its request is. */
 static void answer(td_device *device, uint8_t kind, uint16_t sequence, size_t body_size)
 {
     device->reply_size = td_device_put(device, kind, sequence, device->session, body_size);
@@ -201,11 +201,11 @@ size_t td_device_send(td_device *device, uint8_t *bytes, size_t room)
 
 /* ------------------------------------------------------------------------------------------------ bytes in */
 
-/* Whether a body of a host's frame may be that long. */
+/* Whether this is a valid length for the body of a host's frame of this kind. */
 static bool fits(uint8_t kind, size_t size)
 {
     static const struct {
-        uint8_t kind, open; /* open: the length is the least */
+        uint8_t kind, open; /* open: the length is a minimum */
         uint16_t bytes;
     } kinds[] = {
         {TD_KIND_HELLO, 0, TD_HELLO_BYTES},
@@ -239,12 +239,12 @@ static bool fits(uint8_t kind, size_t size)
 static void greet(td_device *device, uint16_t sequence, uint32_t session, uint32_t nonce)
 {
     if (device->open && session == device->session) {
-        /* The one that opened this session, once more, or late. */
+        /* A repeated or late copy of the HELLO that opened this session. */
         if (sequence == device->sequence)
             td_output_put(&device->output, device->reply, device->reply_size);
         return;
     }
-    /* The lease was the other session's. */
+    /* The lease belonged to the previous session. */
     td_device_give_up(device);
     device->open = true;
     device->session = session;
@@ -326,7 +326,7 @@ static void renew_lease(td_device *device, uint16_t sequence, const uint8_t *bod
     td_device_put(device, TD_KIND_LEASE_REPLY, sequence, device->session, TD_LEASE_REPLY_BYTES);
 }
 
-/* A sound frame for this session, of the length that its kind has. */
+/* Handle an intact frame of this session, with a valid length. */
 static void handle(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
 {
     device->silent_ticks = 0;
@@ -340,7 +340,7 @@ static void handle(td_device *device, uint8_t kind, uint16_t sequence, const uin
         request(device, kind, sequence, body, size);
 }
 
-/* Whether a greeting is of another protocol. Another version of ours learns which this is, others nothing. */
+/* Whether a greeting is of another protocol. Another version of ours is told this one's; foreign ones get no reply. */
 static bool other_protocol(td_device *device, const uint8_t *payload, size_t size)
 {
     const uint8_t kind = payload[TD_HEADER_KIND], *body = payload + TD_HEADER_BYTES;

@@ -77,8 +77,8 @@ void td_evidence_see(td_evidence *evidence, const td_config *config, const td_re
         close_block(motion, config->count_m, motion->size * config->dt_s);
 }
 
-/* The encoder's motion on the accelerometer's; NaN before the filter has settled, without a motion to compare, and
- * where the two have nothing in common. */
+/* Ratio of the encoder's motion to the accelerometer's; NaN before the filter has settled, without enough motion, and
+ * if the two are not correlated. */
 static double motion_ratio(const td_motion *motion, td_wide dt_s)
 {
     const td_wide block_s = ceil(TD_MOTION_BLOCK_S / dt_s) * dt_s;
@@ -102,7 +102,7 @@ void td_evidence_pulsing(td_evidence *evidence)
     evidence->current_ratio = evidence->acceleration_ratio = evidence->path_ratio = (double)NAN;
 }
 
-/* Of a column of the prediction, at a grip; beyond its ends the nearest. */
+/* A column of the prediction at a grip, interpolated linearly, constant beyond its ends. */
 static td_wide predicted(const td_pulse_plan *plan, const td_wide *column, td_wide grip_N)
 {
     td_wide part;
@@ -169,7 +169,7 @@ void td_evidence_contact(td_evidence *evidence, const td_config *config)
         evidence->agreed = agrees(evidence->speed_ratio);
 }
 
-/* The smaller of a size by a stated scale and of what the hardware itself had for it. */
+/* The smaller of a current by the stated scale and of the same current in the hardware's units. */
 static td_real by_either(td_real size, td_real scale)
 {
     const td_real part = td_size(scale);
@@ -194,7 +194,7 @@ void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide g
     const td_flowed *flowed = &evidence->flowed;
 
     evidence->stage = TD_STAGE_TRIED;
-    /* So small that nothing of it was felt proves nothing, nor does a current that did not flow. */
+    /* A gain too small to be felt is no evidence, nor is a current that did not flow. */
     if (!(gain >= TD_TRIAL_GAIN / 2 && (td_wide)flowed->least_A >= least_A && agrees(flowed->both / flowed->expected)))
         return;
     if (config->host_starts || !config->calibration.has_accelerometer || evidence->agreed)

@@ -1,30 +1,30 @@
-/* What a device has seen of itself since it started under its configuration: sound pulses, a finished trial.
+/* Evidence that a device has gathered since its start under its configuration: sound pulses, a finished trial.
  *
- * A host cannot say that a device is wired as it should be; the device finds it out. Pulses whose current, acceleration
- * and path a model predicts show the amplifier, its monitor, the motor, the accelerometer and the encoder; a trial tap
- * shows the encoder's scale against the accelerometer's integral.
+ * The device itself verifies its wiring; it does not rely on a host's word. Pulses whose current, acceleration and path a
+ * model predicts verify amplifier, monitor, motor, accelerometer and encoder; a trial tap compares the encoder's scale
+ * with the integral of the accelerometer.
  */
 #ifndef TD_EVIDENCE_H
 #define TD_EVIDENCE_H
 
 #include "td_pulse.h"
 
-/* The stylus' motion by the encoder and by the accelerometer, through one filter, and their products over the last
- * half second: s^3 / (s + p)^3 of the position, s / (s + p)^3 of the acceleration. So neither gravity, nor an offset, nor
- * where the encoder's zero is shows, and no rest has to be waited for, which a trembling hand never gives. */
+/* Motion of the stylus by the encoder and by the accelerometer, through equal filters, and their products over the last
+ * half second: s^3 / (s + p)^3 of the position, s / (s + p)^3 of the acceleration. This removes gravity, offset and the
+ * encoder's zero, and requires no rest, which a trembling hand never has. */
 typedef struct {
-    int32_t open, blocks, origin; /* readings of the block under way; whole blocks so far; counts of the first reading */
-    int32_t size;                 /* of a block; it and `fading` follow from the servo period, once per block */
+    int32_t open, blocks, origin; /* readings of the present block; complete blocks so far; counts of the first reading */
+    int32_t size;                 /* readings per block; computed with `fading` from the servo period, once per block */
     int64_t open_counts;
     td_wide open_m_s2, fading;
-    td_wide low[3];    /* of the position: what each stage takes off it [m] */
-    td_wide way[2];    /* of the acceleration: leaky integral and double integral [m/s], [m] */
-    td_wide way_low;   /* and what the third stage takes off that */
-    td_wide by_both, by_encoder, by_accelerometer; /* products of the two, fading */
+    td_wide low[3];    /* position: low-pass part that each stage removes [m] */
+    td_wide way[2];    /* acceleration: leaky integral and double integral [m/s], [m] */
+    td_wide way_low;   /* low-pass part that the third stage removes from it */
+    td_wide by_both, by_encoder, by_accelerometer; /* products of the two, exponentially weighted */
 } td_motion;
 
-/* What flowed in a trial: products of the current that was expected and of the one that was measured, and the largest
- * size that both of them had at once, by the scales that the host states and by the hardware's own units. */
+/* Current in a trial: sums of the products of expected and measured current, and the largest size that both reached at
+ * the same time, by the host's scales and by the hardware's own units, whichever is smaller. */
 typedef struct {
     td_wide expected, both;
     td_real least_A;
@@ -33,22 +33,22 @@ typedef struct {
 typedef struct {
     uint8_t bits, stage; /* TD_PULSE_SOUND, TD_TRIAL_FINISHED; TD_STAGE_... */
     uint16_t pulses;
-    bool agreed; /* encoder and accelerometer have told of one motion, in a trial of whatever library */
+    bool agreed; /* encoder and accelerometer agreed on a motion, in a trial of any library */
     td_flowed flowed;
-    double current_ratio, acceleration_ratio, path_ratio, speed_ratio; /* measured on predicted, NaN where not measured */
+    double current_ratio, acceleration_ratio, path_ratio, speed_ratio; /* measured over predicted, NaN if not measured */
     td_motion motion;
 } td_evidence;
 
-/* Nothing is known. */
+/* Start without evidence. */
 void td_evidence_start(td_evidence *evidence);
 
 /* One tick's corrected readings. */
 void td_evidence_see(td_evidence *evidence, const td_config *config, const td_readings *seen);
 
-/* Pulses begin, or were cut: what was known of them is forgotten. */
+/* Pulses begin, or were cut: discard the evidence of earlier ones. */
 void td_evidence_pulsing(td_evidence *evidence);
 
-/* Whether the pulse that has just ended was so wrong that no other one may follow. */
+/* Whether the pulse that has just ended was so wrong that none may follow. */
 bool td_evidence_is_wrong(const td_config *config, const td_pulse *pulse, td_wide grip_N);
 
 /* Pairs of pulses have ended, at this grip. */
@@ -57,16 +57,16 @@ void td_evidence_pulsed(td_evidence *evidence, const td_config *config, const td
 /* A trial begins. */
 void td_evidence_trying(td_evidence *evidence);
 
-/* In a trial a contact came. */
+/* A contact came during a trial. */
 void td_evidence_contact(td_evidence *evidence, const td_config *config);
 
-/* One tick of a trial that plays: the current that the model expects, and the corrected reading. */
+/* One tick of a playing trial: the current expected by the model, and the corrected reading. */
 void td_evidence_flows(td_evidence *evidence, const td_config *config, td_real expected_A, td_real measured_A);
 
-/* A trial was played to its end, at this gain; `least_A`: a smaller current proves nothing. */
+/* A trial was played to its end at this gain. `least_A`: a smaller current is no evidence. */
 void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain, td_wide least_A);
 
-/* Another library: its own trial is still to come. */
+/* Another library was activated, which requires its own trial. */
 void td_evidence_other_library(td_evidence *evidence);
 
 #endif

@@ -4,7 +4,7 @@
 
 #define COPPER_PER_K 0.0039 /* temperature coefficient of resistance */
 #define PWM_RIPPLE_A 0.02   /* seed Eq. 7 */
-#define CEILING_C 1000.0    /* an estimate that ran off to infinity could not be cooled down again */
+#define CEILING_C 1000.0    /* an estimate at infinity could not cool down again */
 
 void td_guard_start(td_guard *guard, const td_coil *coil)
 {
@@ -23,7 +23,7 @@ static void update(td_guard *guard, const td_coil *coil, td_wide power_W)
     const td_wide determinant = a11 * coil->a22 - coil->a12 * coil->a21;
     const td_wide winding = 2 * (b1 * coil->a22 - coil->a12 * b2) / determinant - guard->winding_C;
     const td_wide housing = 2 * (a11 * b2 - coil->a21 * b1) / determinant - guard->housing_C;
-    /* Copper that doubles its resistance within one update is beyond the midpoint rule, and beyond any coil. */
+    /* The midpoint rule fails if copper doubles its resistance within one update, which no coil does. */
     const bool sound = a11 > 0.5;
 
     guard->winding_C = sound && winding <= CEILING_C ? winding : CEILING_C;

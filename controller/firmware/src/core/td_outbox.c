@@ -124,7 +124,7 @@ void td_records_give_back(td_records *records)
         records->before = records->capacity;
 }
 
-/* Where the record lies that comes so many behind the oldest. */
+/* Place of the record that is `behind` records younger than the oldest. */
 static uint8_t *kept(td_records *records, int32_t behind)
 {
     int32_t at = records->first + behind;
@@ -134,7 +134,7 @@ static uint8_t *kept(td_records *records, int32_t behind)
     return at < TD_MAX_RECORDS ? records->own[at] : records->lent + (size_t)(at - TD_MAX_RECORDS) * TD_KEPT_BYTES;
 }
 
-/* For a float32: what is beyond its range is infinite. */
+/* As float32; infinite beyond its range. */
 static float narrow(td_real value)
 {
     if (value > (td_real)FLT_MAX)
@@ -179,7 +179,7 @@ void td_records_step(td_records *records, const td_readings *readings, const td_
             records->before = 0;
         if (records->before > 0 && records->size == records->before)
             drop(records, 1);
-        /* The first that is sent is to have the number 0. */
+        /* The first record sent must have the number 0. */
         if (records->before > 0)
             records->passed = records->size > 0 ? td_get_u32(kept(records, 0)) : records->next;
         if (heard && records->size < records->capacity) {
@@ -212,7 +212,7 @@ size_t td_records_take(td_records *records, uint64_t tick, uint8_t *body)
     for (; count < records->size && count < TD_RECORDS_LIMIT; count++, at += TD_RECORD_BYTES) {
         const uint8_t *record = kept(records, count);
 
-        /* Records of one frame follow each other without a gap. */
+        /* The records of a frame have no gap. */
         if (td_get_u32(record) != number + (uint32_t)count)
             break;
         memcpy(at, record + 4, TD_RECORD_BYTES);

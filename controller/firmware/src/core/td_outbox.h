@@ -1,5 +1,5 @@
-/* What a device tells on its own: events until they are acknowledged, telemetry once; and the bytes that wait to
- * go out. */
+/* Messages that a device sends unasked: events until they are acknowledged, telemetry once; and the bytes waiting to be
+ * sent. */
 #ifndef TD_OUTBOX_H
 #define TD_OUTBOX_H
 
@@ -7,7 +7,7 @@
 #include "td_port.h"
 
 #ifndef TD_MAX_RECORDS
-#define TD_MAX_RECORDS 2048 /* of telemetry; what nobody fetches is dropped beyond */
+#define TD_MAX_RECORDS 2048 /* telemetry records in the device's own ring; further ones are dropped */
 #endif
 #define TD_OUTPUT_BYTES (16 * TD_FRAME_LIMIT)
 
@@ -17,13 +17,13 @@ typedef struct {
     uint32_t lost; /* frames that found no room, modulo 2^32 */
 } td_output_bytes;
 
-/* A frame goes in whole or not at all. */
+/* Queue a frame, whole or not at all. */
 void td_output_put(td_output_bytes *output, const uint8_t *bytes, size_t size);
 
-/* Whether any frame fits, with some room left for answers. */
+/* Whether a frame of any length fits, with room left for replies. */
 bool td_output_has_room(const td_output_bytes *output);
 
-/* At most `room` bytes, oldest first; how many. */
+/* Take at most `room` bytes, oldest first; returns their number. */
 size_t td_output_take(td_output_bytes *output, uint8_t *bytes, size_t room);
 
 typedef struct {
@@ -32,63 +32,63 @@ typedef struct {
     td_event event;
 } td_told;
 
-/* Events in order, numbered without gaps; the oldest few are in flight, again and again until acknowledged. */
+/* Events in order, numbered without gaps; the oldest few are in flight and repeated until acknowledged. */
 typedef struct {
     td_told queue[TD_EVENT_QUEUE]; /* ring */
     int32_t first, size, sent;
-    int32_t age, repeat_ticks; /* of the oldest in flight; after how many it goes out again */
-    uint32_t number;           /* of the next event */
+    int32_t age, repeat_ticks; /* age of the oldest event in flight, and age at which it is repeated */
+    uint32_t number;           /* number of the next event */
     uint16_t lost;
 } td_events;
 
 void td_events_start(td_events *events, int32_t repeat_ticks);
 void td_events_put(td_events *events, const td_event *event);
 
-/* Everything below `wanted` has arrived; a number that is not in the queue means nothing. */
+/* All events below `wanted` have arrived; a number outside of the queue is ignored. */
 void td_events_acknowledge(td_events *events, uint32_t wanted);
 
-/* Send all that is not acknowledged once more. */
+/* Repeat all unacknowledged events. */
 void td_events_restart(td_events *events);
 
-/* Number of the first event not acknowledged, of the next one if all are. */
+/* Number of the oldest unacknowledged event, or of the next one if there is none. */
 uint32_t td_events_oldest(const td_events *events);
 
-/* One tick passes while somebody listens. */
+/* One tick while a host listens. */
 void td_events_tick(td_events *events);
 
-/* The next one that is to be sent in this tick, NULL after the last. */
+/* The next event to send in this tick; NULL after the last. */
 const td_told *td_events_due(td_events *events);
 
-#define TD_KEPT_BYTES (4 + TD_RECORD_BYTES) /* number of a record, with a gap where there was no room; what is sent of it */
+#define TD_KEPT_BYTES (4 + TD_RECORD_BYTES) /* a record with its number; numbers have gaps where there was no room */
 
-/* Telemetry records of every n-th tick: a ring that the tick fills, and frames are made of outside of it, full ones or
- * where the oldest record has waited long enough. Behind its own memory it uses what it is lent, so that a slow line may
- * send afterwards what it does not carry meanwhile; told to, it begins with a waveform and with what was just before. */
+/* Telemetry records of every n-th tick: a ring that the tick fills. Frames are made outside of the tick, when they are
+ * full or when the oldest record has waited long enough. The ring extends into lent memory, so that records which a slow
+ * line does not carry are sent later. If requested, it starts with a waveform and a number of records before it. */
 typedef struct {
     uint8_t own[TD_MAX_RECORDS][TD_KEPT_BYTES];
-    uint8_t *lent;    /* NULL without */
-    int32_t capacity; /* records, those in lent memory included */
+    uint8_t *lent;    /* NULL if there is none */
+    int32_t capacity; /* records, including those in lent memory */
     int32_t first, size;
     int32_t hold_ticks;
     uint16_t every, skip; /* every: 0 for none */
-    int32_t before;       /* so many of the newest alone are kept until a waveform plays, and none is sent; or 0 */
-    uint32_t passed;      /* records that were dropped so */
+    int32_t before;       /* number of newest records that are kept, none sent, until a waveform plays; or 0 */
+    uint32_t passed;      /* records dropped before the waveform */
     uint32_t next;        /* number of the next record */
-    uint64_t tick;        /* of the one before it */
+    uint64_t tick;        /* tick of the last record */
 } td_records;
 
-/* One record every so many ticks from now on, numbered from 0. `before`: not 0 waits for a waveform, see above. `lent`:
- * memory for more of them, `bytes` long; or NULL. */
+/* Start one record per `every` ticks, numbered from 0. `before`: if not 0, wait for a waveform, see above. `lent`: memory
+ * of `bytes` bytes for further records, or NULL. */
 void td_records_restart(td_records *records, uint16_t every, uint16_t before, uint8_t *lent, size_t bytes);
 
-/* Lent memory is wanted back: whatever waits is lost, which its numbers tell. */
+/* Return the lent memory: all waiting records are lost, which the gap in the numbers shows. */
 void td_records_give_back(td_records *records);
 
-/* One tick; `heard`: somebody listens. `command_A`: what was applied. */
+/* One tick. `heard`: a host listens. `command_A`: the command applied. */
 void td_records_step(td_records *records, const td_readings *readings, const td_output *output, td_real command_A,
                      bool heard);
 
-/* The body of the next frame, if one is due at this tick; how many bytes, 0 without. */
+/* Write the body of the next frame if one is due at this tick; returns its length, 0 if none is. */
 size_t td_records_take(td_records *records, uint64_t tick, uint8_t *body);
 
 #endif

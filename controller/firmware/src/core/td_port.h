@@ -1,8 +1,8 @@
-/* Where an Arduino tool states precision and capacities.
+/* Precision and capacities under an Arduino tool.
  *
- * Such a tool compiles every file under src/ by itself and knows no flags of ours, so that transopt_port.h has to reach
- * every source before anything depends on it. TRANSOPT_PORT asks for the same under other tools. A build that says
- * neither states what it wants by flags alone.
+ * Such a tool compiles every file under src/ separately and without flags of ours, so every source must include
+ * transopt_port.h before anything depends on it. TRANSOPT_PORT requests the same with other tools. Any other build sets
+ * precision and capacities by flags.
  */
 #ifndef TD_PORT_H
 #define TD_PORT_H

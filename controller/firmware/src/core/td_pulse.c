@@ -20,11 +20,11 @@ void td_pulse_start(td_pulse *pulse, const td_config *config, td_real current_A,
     pulse->size_A = td_size(current_A);
     pulse->sign = current_A < 0 ? -1 : 1;
     pulse->ticks = ticks;
-    /* Before a single one too: pulses that follow each other without a rest are a current for ever. */
+    /* Also before a single pulse: pulses in succession without a rest would be a permanent current. */
     pulse->rest_ticks = (int32_t)ceil(TD_REST_BETWEEN_PULSES_S / config->dt_s);
     pulse->cycle_ticks = pulse->rest_ticks + ticks;
     if (pulse->judged) {
-        /* The reading after the last command, and all of those that the acceleration is taken of. */
+        /* Up to the reading after the last command, and all readings of the acceleration's mean. */
         pulse->cycle_ticks = pulse->rest_ticks + (answered > ticks + 1 ? answered : ticks + 1);
     }
     begin(pulse);

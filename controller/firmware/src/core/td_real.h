@@ -1,12 +1,12 @@
-/* Numbers of the core.
+/* Number types of the core.
  *
- * td_real is what runs every tick: double, or float with -DTD_REAL_FLOAT for processors whose hardware has no more.
- * td_wide stays double in both, for the three places where single precision loses what matters, each measured:
- *   - the fit to the approach and what follows from encoder counts: a phase that is off by 1e-3 ticks is 1e-3 A,
+ * td_real is used in every tick: double, or float with -DTD_REAL_FLOAT for processors without double precision in
+ * hardware. td_wide is always double, in the three places where single precision was measured to be insufficient:
+ *   - the fit to the approach and the encoder counts: a phase error of 1e-3 ticks is 1e-3 A,
  *   - the coil's temperatures, whose rise per update is below a float's resolution (23-36 % low at 10 kHz),
- *   - what is done once per contact: the place in the grid, the bound on the heat.
- * Every operation stands in the order of the Python servo, so that with doubles both give the same bits; the
- * compiler must not contract a * b + c (-ffp-contract=off).
+ *   - computations once per contact: position in the grid, bound on the heat.
+ * All operations have the order of the test oracle in Python, so that with doubles both give the same bits; the compiler
+ * must not contract a * b + c (-ffp-contract=off).
  */
 #ifndef TD_REAL_H
 #define TD_REAL_H
@@ -29,7 +29,7 @@ static inline td_real td_size(td_real value)
     return value < 0 ? -value : value;
 }
 
-/* `value`, or the end of [low, high] that is nearer; the lower end if they cross. */
+/* `value` clamped to [low, high]; `low` if low > high. */
 static inline td_real td_within(td_real value, td_real low, td_real high)
 {
     return value < low ? low : (value > high ? high : value);

@@ -32,7 +32,7 @@ static td_refusal need_idle(const td_device *device)
     return found;
 }
 
-/* Too few readings show no motion: before a whole window nobody is at rest. */
+/* Too few readings show no motion, so rest requires a whole window. */
 static td_refusal need_rest(const td_device *device)
 {
     const td_servo *servo = &device->servo;
@@ -51,14 +51,14 @@ static td_refusal need_gain(const td_device *device, double gain)
     return gain >= 0 && gain <= most ? td_granted : td_refuse(TD_REASON_BAD_VALUE, gain);
 }
 
-/* The coil has not cooled because somebody sent numbers. */
+/* A new configuration does not cool the coil. */
 static void stay_warm(td_guard *guard, const td_guard *before)
 {
     guard->winding_C = guard->winding_C > before->winding_C ? guard->winding_C : before->winding_C;
     guard->housing_C = guard->housing_C > before->housing_C ? guard->housing_C : before->housing_C;
 }
 
-/* Nor has the current ceased to flow. */
+/* Nor does it stop the current. */
 static void flow_on(td_device *device)
 {
     const td_real scale = device->store.config.calibration.amplifier_scale;
@@ -80,7 +80,7 @@ static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
     hold(device, false);
     found = td_store_check_config(&device->store, sha256, &device->port.hardware, &config, &fits);
     hold(device, true);
-    /* A stop may have come meanwhile. */
+    /* The state may have changed meanwhile. */
     if (found.reason == 0)
         found = need_idle(device);
     if (found.reason != 0)
@@ -187,7 +187,7 @@ static td_refusal change_gain(td_device *device, double gain)
     return found;
 }
 
-/* Whether a pulse is large enough to prove something, by the scales that the host states and by the hardware. */
+/* Whether a pulse is large enough to be evidence, by the host's scales and in the hardware's units. */
 static bool shows(const td_hardware *hardware, const td_calibration *calibration, double size_A)
 {
     const double usual_A = hardware->pulse_A < TD_PULSE_USUAL_A ? hardware->pulse_A : TD_PULSE_USUAL_A;
@@ -209,7 +209,7 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uin
         return found;
     if (!device->store.configured)
         return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
-    /* A host states the scale of the amplifier: whatever it says, neither the current nor what goes out is larger. */
+    /* The host states the amplifier's scale, so both the current and the command are limited. */
     commanded_A = current_A / (double)calibration->amplifier_scale;
     if (!(fabs(current_A) <= hardware->pulse_A && fabs(commanded_A) <= hardware->pulse_A &&
           fabs(current_A) <= (double)config->current_limit_A))
@@ -273,7 +273,7 @@ static td_refusal begin(td_device *device, const uint8_t *body)
 
     if (found.reason != 0)
         return found;
-    /* The servo knows nothing of what is arriving, and it may be long; but the tick may be recording there. */
+    /* The servo does not use the arriving image, so this needs no hold, except that the tick may record in its memory. */
     td_records_give_back(&device->records);
     hold(device, false);
     found = td_store_begin(&device->store, td_get_u32(body + TD_UPLOAD_BEGIN_LENGTH), body + TD_UPLOAD_BEGIN_SHA256);
@@ -315,7 +315,7 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
         return start(device, body[TD_START_NEGATIVE]);
     case TD_KIND_SURFACE:
         return move_surface(device, td_get_f64(body + TD_SURFACE_COUNTS));
-    default: /* TD_KIND_EVIDENCE: nothing else comes here */
+    default: /* only TD_KIND_EVIDENCE is left */
         return td_granted;
     }
 }

@@ -8,7 +8,7 @@
 #define PI 3.141592653589793
 #define BELOW_LIMIT_K 0.1
 #ifdef TD_REAL_FLOAT
-#define ROUNDING 1e-4 /* of the current limit; the bounds' own rounding adds up to less */
+#define ROUNDING 1e-4 /* share of the current limit that exceeds the accumulated rounding of the bounds */
 #else
 #define ROUNDING 1e-9
 #endif
@@ -35,12 +35,12 @@ static void start_coil(td_ring *ring, const td_hardware *h, double winding_C, do
         h->R_ohm, h->R_wh_K_W, h->R_ha_K_W, h->tau_w_s, h->tau_h_s, h->limit_C, h->ambient_C, true,
     };
     const double hottest_C = h->limit_C - BELOW_LIMIT_K;
-    /* In the steady state the same heat passes both resistances. */
+    /* In the steady state the same heat flows through both resistances. */
     const double steady_C = h->ambient_C + (hottest_C - h->ambient_C) * h->R_ha_K_W / (h->R_wh_K_W + h->R_ha_K_W);
 
     td_coil_derive(&ring->coil, &numbers, h->dt_s, 0);
-    /* What was commanded before a trip is felt for the delay after it; then the energy of a current that dies away with
-     * the slowest amplifier, in ticks of what flows now. */
+    /* Commands before a trip act for the delay after it; then follows the energy of a current that decays with the slowest
+     * amplifier, in ticks of the present current. */
     ring->coil.dying_ticks = TD_DELAY_TICKS + 1 / (1 - (double)ring->slow * (double)ring->slow);
     ring->coil.start_winding_C = known(winding_C, hottest_C);
     ring->coil.start_housing_C = known(housing_C, steady_C);
@@ -64,7 +64,7 @@ void td_ring_start(td_ring *ring, const td_hardware *hardware, double winding_C,
     ring->over_current_A = (td_real)h->over_current_A;
     ring->fast = (td_real)exp(-2 * PI * h->pole_most_Hz * h->dt_s);
     ring->slow = (td_real)exp(-2 * PI * h->pole_least_Hz * h->dt_s);
-    /* A pole so slow that single precision hardly sees a tick of it is no amplifier's. */
+    /* Single precision hardly resolves one tick of a slower pole, which no amplifier has. */
     if (!(1 - ring->slow > (td_real)1e-3))
         ring->sound = false;
     else if (h->has_coil)
@@ -76,7 +76,7 @@ uint32_t td_ring_watch(td_ring *ring, td_real measured_A)
     const td_real measured = td_size(measured_A);
     uint32_t faults = 0;
 
-    /* A reading that is none is the servo's fault to see; the coil goes by what may flow anyway. */
+    /* The servo detects an invalid reading; the coil's estimate then uses the largest current that may flow. */
     if (measured > ring->over_current_A)
         faults |= td_fault_bit(TD_WHAT_OVER_CURRENT);
     if (!ring->coil.present)
@@ -95,7 +95,7 @@ td_real td_ring_limited(const td_ring *ring, td_real command_A)
     /* Written so that NaN is caught. */
     if (!ring->sound || !(td_size(command_A) < (td_real)1e30))
         return 0;
-    /* e i + (1 - e) c comes closest to a limit with the fastest amplifier and the current that is nearest to it. */
+    /* e i + (1 - e) c is closest to a limit for the fastest amplifier and the current nearest to it. */
     high = (ring->current_A - ring->fast * ring->most_A) / (1 - ring->fast);
     low = (-ring->current_A - ring->fast * ring->least_A) / (1 - ring->fast);
     return td_within(td_within(command_A, low, high), -ring->command_A, ring->command_A);

@@ -1,9 +1,9 @@
-/* The hardware's own limits, behind everything that makes a command.
+/* The hardware's own limits, applied last to every command.
  *
- * What a host configures may only be tighter. This ring knows nothing of hosts: it follows what went out, by the slowest
- * and the fastest amplifier that the port admits, and lets no command pass that could carry the true current beyond the
- * hardware's limit with any of them. Its state is that of the hardware, so that neither CONFIGURE nor DISARM nor RESET
- * nor a fault touches it.
+ * A host can only configure tighter ones. This ring does not depend on the host: it follows the commands issued, with the
+ * slowest and the fastest amplifier that the port admits, and limits each command so that the true current stays below
+ * the hardware's limit with any of them. Its state is that of the hardware: CONFIGURE, DISARM, RESET and faults do not
+ * change it.
  */
 #ifndef TD_RING_H
 #define TD_RING_H
@@ -12,26 +12,26 @@
 #include "td_guard.h"
 
 typedef struct {
-    bool sound; /* the port's numbers make sense; without, nothing goes out */
+    bool sound; /* whether the port's numbers are valid; if not, every command is zero */
     td_real current_A, command_A, over_current_A;
     td_real fast, slow;      /* exp(-w dt) of the fastest and the slowest amplifier */
-    td_real least_A, most_A; /* between these the current is at the coming switching instant */
-    td_real flowing_A;       /* the largest size that it may have had during the last period */
+    td_real least_A, most_A; /* bounds of the current at the next switching instant */
+    td_real flowing_A;       /* largest size that it may have had during the last period */
     td_coil coil;
     td_guard guard;
 } td_ring;
 
-/* From no current. `winding_C`, `housing_C`: as they were kept over the restart; NaN for what is not known, and then as
- * hot as the guard lets them be. */
+/* Start without current. `winding_C`, `housing_C`: temperatures kept over the restart; NaN if unknown, and then the
+ * hottest that the guard allows. */
 void td_ring_start(td_ring *ring, const td_hardware *hardware, double winding_C, double housing_C);
 
-/* One tick's raw reading of the current: faults as bits (td_fault_bit), whatever the state. */
+/* One tick's raw reading of the current, in any state; returns faults as bits (td_fault_bit). */
 uint32_t td_ring_watch(td_ring *ring, td_real measured_A);
 
-/* What may go out in place of a command: the nearest inside the limits, 0 for what is no number. */
+/* The nearest command within the limits; 0 for NaN or infinity. */
 td_real td_ring_limited(const td_ring *ring, td_real command_A);
 
-/* That went out, to be held until the next tick. */
+/* This command was issued and is held until the next tick. */
 void td_ring_follow(td_ring *ring, td_real command_A);
 
 #endif

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#define SATURATED_A 1e-3 /* a cut below this is rounding of the waveforms, not worth telling */
+#define SATURATED_A 1e-3 /* a smaller cut is rounding of the waveforms and is not reported */
 
 void td_servo_start(td_servo *servo, const td_config *config, const td_bank *bank)
 {
@@ -51,7 +51,7 @@ void td_servo_disarm(td_servo *servo)
 bool td_servo_reset(td_servo *servo)
 {
     if (servo->state == TD_STATE_FAULT) {
-        /* What was latched must be gone; of the rest, whatever would trip again at once. */
+        /* The latched causes must be gone, and none may trip at once. */
         const uint32_t remains = td_watch_remains(&servo->watch, servo->config, &servo->guard) & servo->latched;
         const uint32_t trips = td_watch_trips(&servo->watch, servo->config, &servo->guard) & ~servo->latched;
 
@@ -76,8 +76,8 @@ void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts)
     int32_t j;
 
     config->surface_counts = counts;
-    /* What the stylus did above the old surface says nothing of the new one: no wall pushes and no contact is due before
-     * the stylus itself has been out of this one. */
+    /* Motion above the old surface does not count for the new one: neither wall nor contact acts before the stylus has
+     * been above it. */
     servo->engaged = false;
     td_trigger_restart(&servo->trigger);
     if (!servo->read)
@@ -87,7 +87,7 @@ void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts)
         servo->ring_z[j] = (td_real)((td_wide)servo->ring_z[j] + by_m);
 }
 
-/* The event that was told, NULL if there was no room. */
+/* The event reported; NULL if there was no room. */
 static td_event *tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
 {
     td_event *event;
@@ -109,7 +109,7 @@ static td_event *note(td_servo *servo, td_output *output, uint64_t tick, int not
     return tell(output, tick, notice, speed_m_s, grip_N);
 }
 
-/* Latch these faults, and tell each. The first of the list is the servo's. */
+/* Latch these faults and report each; the first of the list becomes the servo's fault. */
 static void latch(td_servo *servo, td_output *output, uint64_t tick, uint32_t faults)
 {
     static const uint8_t order[TD_FAULTS] = {
@@ -139,7 +139,7 @@ static void measure(td_servo *servo)
     int32_t j;
 
     if (!servo->read) {
-        /* Before the first reading the stylus stood still where it is. */
+        /* At the first reading the stylus counts as at rest. */
         servo->z_m = z;
         servo->read = true;
         for (j = 0; j <= config->wall.latency_ticks; j++)
@@ -153,7 +153,7 @@ static void measure(td_servo *servo)
     td_approach_step(&servo->approach, config, servo->watch.counts);
 }
 
-/* The wall's feedback current: seed Eq. 9, pushes below the surface, never pulls. */
+/* Feedback current of the wall (seed Eq. 9): it pushes below the surface and never pulls. */
 static td_real law(td_servo *servo)
 {
     const td_wall *wall = &servo->config->wall;
@@ -170,7 +170,7 @@ static td_real law(td_servo *servo)
     return wanted > 0 ? wanted : 0;
 }
 
-/* Whether a contact lies outside the grid by more than the sensors are worth, where the grid is asked. */
+/* Whether a contact lies outside the grid by more than the errors of the sensors. */
 static bool outside(const td_servo *servo, td_wide speed_m_s, td_wide grip_N)
 {
     const td_bank *bank = servo->bank;
@@ -182,11 +182,11 @@ static bool outside(const td_servo *servo, td_wide speed_m_s, td_wide grip_N)
            !(bank->grip_N[0] - slack_N <= grip_N && grip_N <= bank->grip_N[bank->grips - 1] + slack_N);
 }
 
-/* Play from `phase` ticks after c_0: sample j at tick j + part late, blended with the one before it. */
+/* Start playing `phase` ticks after c_0: sample j is a fraction of a tick late, interpolated with the previous one. */
 static void start(td_servo *servo, td_wide phase)
 {
     const int32_t samples = servo->bank->samples;
-    int32_t index = samples + 1; /* over before it begins */
+    int32_t index = samples + 1; /* ends before it begins */
 
     servo->part = 0;
     if (phase <= (td_wide)samples) {
@@ -201,7 +201,7 @@ static void start(td_servo *servo, td_wide phase)
     servo->state = TD_STATE_PLAYING;
 }
 
-/* Whether the stylus is not held, or too loosely to start. */
+/* Whether the grip is too small for a transient to start. */
 static bool loose(const td_servo *servo)
 {
     const td_config *config = servo->config;
@@ -231,7 +231,7 @@ bool td_servo_excite(td_servo *servo, bool negative)
     return true;
 }
 
-/* Look for a contact, and start a transient if there is one to play. */
+/* Detect a contact, and start its transient if one may play. */
 static void touch(td_servo *servo, td_output *output, uint64_t tick)
 {
     const td_config *config = servo->config;
@@ -280,7 +280,7 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
         start(servo, approach->phase);
 }
 
-/* Transient command of this tick, and whether it was the last. */
+/* Transient command of this tick. */
 static td_real next_sample(td_servo *servo, bool *ended)
 {
     const int32_t j = servo->index;
@@ -294,9 +294,9 @@ static td_real next_sample(td_servo *servo, bool *ended)
     return servo->scale * (td_real)servo->gain * ((1 - part) * servo->sample_A + part * before);
 }
 
-/* The nearest command inside the slew limit, the command's range and, above all, the current limit.
- * The current at the coming switching instant, and by monotony all the way to it, is e i + (1 - e) c; it comes
- * closest to the limit with the fastest amplifier and the current that is nearest to it. */
+/* The nearest command within the slew limit, the command's range and, with priority, the current limit. The current at
+ * the next switching instant is e i + (1 - e) c, monotonic until then; it is closest to the limit for the fastest
+ * amplifier and the current nearest to the limit. */
 static td_real limited(const td_servo *servo, td_real command_A)
 {
     const td_config *config = servo->config;
@@ -310,7 +310,7 @@ static td_real limited(const td_servo *servo, td_real command_A)
     return td_within(command_A, -config->command_limit_A, config->command_limit_A);
 }
 
-/* Move the current on to the coming switching instant: as the model has it, and its bounds. */
+/* Advance the model's current and its bounds to the next switching instant. */
 static void expect(td_servo *servo, td_real command_A)
 {
     const td_config *config = servo->config;
@@ -333,7 +333,7 @@ static void follow_gain(td_servo *servo)
     servo->gain = wanted < low ? low : (wanted > high ? high : wanted);
 }
 
-/* Tell once per run of cut ticks. */
+/* Report once per run of cut ticks. */
 static void saturation(td_servo *servo, td_output *output, uint64_t tick, td_real cut_A)
 {
     const bool saturated = td_size(cut_A) > (td_real)SATURATED_A;
@@ -343,7 +343,7 @@ static void saturation(td_servo *servo, td_output *output, uint64_t tick, td_rea
     servo->was_saturated = saturated;
 }
 
-/* Command of a tick in ARMED or PLAYING, inside every limit. */
+/* Command of a tick in ARMED or PLAYING, within all limits. */
 static void drive(td_servo *servo, uint64_t tick, td_output *output)
 {
     const td_config *config = servo->config;
@@ -365,7 +365,7 @@ static void drive(td_servo *servo, uint64_t tick, td_output *output)
     inside = limited(servo, output->command_A);
     cut = output->command_A - inside;
     if (cut < 0 || cut > 0) {
-        /* Remember the feedback current that the cut command makes, not the wanted one. */
+        /* Store the feedback current that results from the cut command. */
         wanted = (inside - output->transient_A - config->before * servo->earlier_A) / config->now;
         output->command_A = inside;
     }
@@ -406,7 +406,7 @@ void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *ou
     td_watch_step(watch, config, readings, servo->expected_A[config->late_ticks], servo->transient_A,
                   servo->state == TD_STATE_PLAYING, servo->state == TD_STATE_PLAYING && servo->held);
     if (config->coil.present) {
-        /* The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing. */
+        /* The larger of measured and expected current, so that a sensor that reads low does not overheat the coil. */
         const td_real measured = watch->bad_current ? config->over_current_A : td_size(watch->current_A);
         const td_real expected = td_size(servo->expected_A[0]);
 
@@ -415,7 +415,7 @@ void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *ou
     measure(servo);
     trips = td_watch_trips(watch, config, &servo->guard);
     if (servo->state == TD_STATE_FAULT) {
-        /* What goes wrong besides is latched and told too, since it bars the reset. */
+        /* Further faults are latched and reported too, since they prevent the reset. */
         latch(servo, output, readings->tick, trips & ~servo->latched);
         td_watch_forget(watch);
     } else if (trips) {

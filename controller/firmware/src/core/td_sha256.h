@@ -1,4 +1,4 @@
-/* SHA-256 (FIPS 180-4) of data that comes in pieces. */
+/* SHA-256 (FIPS 180-4) of data that arrive in pieces. */
 #ifndef TD_SHA256_H
 #define TD_SHA256_H
 
@@ -18,7 +18,7 @@ void td_sha256_start(td_sha256 *hash);
 void td_sha256_add(td_sha256 *hash, const uint8_t *bytes, size_t size);
 void td_sha256_end(td_sha256 *hash, uint8_t digest[TD_SHA256_BYTES]);
 
-/* All at once. */
+/* Hash of data in one piece. */
 void td_sha256_of(const uint8_t *bytes, size_t size, uint8_t digest[TD_SHA256_BYTES]);
 
 #endif

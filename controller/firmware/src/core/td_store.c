@@ -78,7 +78,7 @@ td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha25
     store->length = length;
     memcpy(store->sha256, sha256, sizeof store->sha256);
     if (length == store->size && memcmp(sha256, store->library_sha256, sizeof store->library_sha256) == 0) {
-        /* What is in force need not come again. */
+        /* The active library need not be sent again. */
         memcpy(arriving(store), store->images[store->current], store->size);
         store->arrived = store->size;
     }
@@ -106,7 +106,7 @@ td_refusal td_store_check_image(td_store *store)
     else
         found = td_check_image(
             arriving(store), store->arrived, &store->config, &store->banks[1 - store->current]);
-    /* Used up: what failed once is not what the next upload resumes. */
+    /* Discarded, so that the next upload does not resume a failed image. */
     if (found.reason != 0)
         forget(store);
     return found;

@@ -1,5 +1,5 @@
-/* What a device keeps: the configuration and the library in force, and the ones that are arriving. Nothing is in force
- * before it has arrived whole and been checked. */
+/* Configuration and library of a device: the active ones, and those arriving. Nothing is activated before it has arrived
+ * completely and been checked. */
 #ifndef TD_STORE_H
 #define TD_STORE_H
 
@@ -7,44 +7,44 @@
 
 typedef struct {
     bool configured;
-    uint8_t draft[TD_CONFIGURATION_BYTES]; /* arriving */
-    td_config config; /* in force */
-    uint8_t configuration_sha256[TD_HASH_BYTES], library_sha256[TD_HASH_BYTES]; /* zero for what is not there */
+    uint8_t draft[TD_CONFIGURATION_BYTES]; /* arriving configuration */
+    td_config config; /* active configuration */
+    uint8_t configuration_sha256[TD_HASH_BYTES], library_sha256[TD_HASH_BYTES]; /* zero if there is none */
     uint8_t images[2][TD_MAX_IMAGE_BYTES];
     td_bank banks[2];
-    int32_t current;     /* of the two, the one in force */
-    size_t size;         /* of it; 0 without a library */
-    size_t arrived;      /* bytes of the other */
-    uint32_t length;     /* announced for it */
+    int32_t current;     /* index of the active image */
+    size_t size;         /* its size; 0 without a library */
+    size_t arrived;      /* bytes of the arriving image so far */
+    uint32_t length;     /* its announced length; 0 if none is arriving */
     uint8_t sha256[TD_HASH_BYTES];
 } td_store;
 
-/* A part of the coming configuration. */
+/* Store a part of the arriving configuration. */
 td_refusal td_store_configure(td_store *store, uint32_t offset, const uint8_t *bytes, size_t size);
 
-/* Whether the draft could be in force; then what it says, and whether the library in force fits it. */
+/* Check the draft; if it is valid, return its contents and whether the active library fits it. */
 td_refusal td_store_check_config(
     td_store *store, const uint8_t *sha256, const td_hardware *hardware, td_config *config, bool *fits);
 
-/* Put the checked draft in force, and the library out of force if it does not fit. */
+/* Activate the checked draft, and drop the library if it does not fit. */
 void td_store_configured(td_store *store, const uint8_t *sha256, const td_config *config, bool fits);
 
-/* The bank in force, NULL without. */
+/* Bank of the active library; NULL without one. */
 const td_bank *td_store_bank(const td_store *store);
 
-/* Memory of TD_MAX_IMAGE_BYTES in which nothing is kept until an image is coming; NULL while one is. */
+/* Memory of TD_MAX_IMAGE_BYTES that is free until an image arrives; NULL while one is arriving. */
 uint8_t *td_store_spare(td_store *store);
 
-/* An image is coming; `arrived` then says from where it goes on, if it was interrupted or is in force already. */
+/* Begin an image; `arrived` then tells where to continue, if it was interrupted or is active already. */
 td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha256);
 
-/* A part of the image, if it is the next one. */
+/* Store a part of the image if it is the next one. */
 void td_store_take(td_store *store, uint32_t offset, const uint8_t *bytes, size_t size);
 
-/* Whether the image that has arrived could be in force; used up if not. */
+/* Check the arrived image; it is discarded if it is invalid. */
 td_refusal td_store_check_image(td_store *store);
 
-/* Put the checked image in force. */
+/* Activate the checked image. */
 void td_store_committed(td_store *store);
 
 #endif

@@ -1,4 +1,4 @@
-/* One servo period of a device: the command first, then what is booked of it. */
+/* One servo period of a device: issue the command first, then do the bookkeeping. */
 #include <math.h>
 
 #include "td_bytes.h"
@@ -33,7 +33,7 @@ void td_device_give_up(td_device *device)
     }
 }
 
-/* Raw readings as the owner's calibration corrects them. */
+/* Apply the owner's calibration to raw readings. */
 static void correct(const td_calibration *calibration, td_readings *seen)
 {
     if (seen->encoder_counts != TD_NO_COUNTS)
@@ -55,7 +55,7 @@ static int first_of(const td_readings *seen, uint32_t tripped)
     return tripped & td_fault_bit(TD_WHAT_OVER_CURRENT) ? TD_WHAT_OVER_CURRENT : TD_WHAT_OVER_TEMPERATURE;
 }
 
-/* Before there is a configuration: a stop and the hardware's own limits are latched, nothing else is looked at. */
+/* Without a configuration only stops and the hardware's own limits are latched. */
 static void step_unconfigured(td_device *device, const td_readings *seen, td_output *output)
 {
     device->stop_remains = seen->emergency_stop || seen->late || device->tripped != 0;
@@ -89,7 +89,7 @@ static void end_pulse(td_device *device)
 
     if (pulse->left == 0)
         return;
-    /* After one that was wrong the others do not come: what is known by it is told. */
+    /* The first wrong pulse is the last; the pulses so far are judged. */
     if (!td_pulse_next(pulse) && !(pulse->judged && pulse->at == 0 && td_evidence_is_wrong(config, pulse, grip_N)))
         return;
     pulse->left = 0;
@@ -98,7 +98,7 @@ static void end_pulse(td_device *device)
     tell(device, TD_WHAT_PULSE_ENDED);
 }
 
-/* A trial in which less flowed than this proves nothing: of what the hardware can, and of what the library plays. */
+/* Least current of a trial that is evidence: a share of the hardware's current and of the library's peak. */
 static td_wide least_of_trial_A(const td_device *device)
 {
     const td_wide of_hardware = TD_TRIAL_HARDWARE_PART * device->port.hardware.current_A;
@@ -107,7 +107,7 @@ static td_wide least_of_trial_A(const td_device *device)
     return of_library > of_hardware ? of_library : of_hardware;
 }
 
-/* What a trial shows. */
+/* Gather the evidence of a trial. */
 static void witness(td_device *device, const td_readings *seen, const td_output *output)
 {
     const td_config *config = &device->store.config;
@@ -134,7 +134,7 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
     int32_t j;
 
     device->tick = seen.tick;
-    /* A stop over the link is there for one tick: latched like any other fault. */
+    /* A stop over the link lasts one tick and is latched like any other fault. */
     seen.host_stop = device->stop_wanted;
     device->stop_wanted = false;
     if (device->silent_ticks < INT32_MAX)
@@ -161,7 +161,7 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
     if (device->pulse.left > 0)
         pulse(device, &seen, output);
 
-    /* What goes out. */
+    /* Issue the command. */
     applied_A = output->command_A;
     output->command_A = applied_A / scale;
     out_A = output->enabled ? td_ring_limited(&device->ring, output->command_A) : 0;
@@ -173,7 +173,7 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
     if (device->port.put != NULL)
         device->port.put(device->port.context, output->command_A, output->enabled);
 
-    /* What is booked of it. */
+    /* Bookkeeping. */
     td_ring_follow(&device->ring, output->command_A);
     if (device->store.configured) {
         td_servo_applied(&device->servo, applied_A);

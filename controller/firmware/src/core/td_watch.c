@@ -36,7 +36,7 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
     watch->playing = playing;
     watch->held = held;
     watch->expected_A = expected_A;
-    /* Comparisons with NaN are false: written so that NaN is bad. TD_NO_COUNTS is below any limit. */
+    /* Comparisons with NaN are false, so these treat NaN as bad. TD_NO_COUNTS is below any limit. */
     watch->bad_encoder = !(-config->encoder_limit_counts <= counts && counts <= config->encoder_limit_counts);
     watch->bad_current = !(-config->current_range_A <= current && current <= config->current_range_A);
     if (!watch->bad_encoder) {
@@ -72,7 +72,7 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
         watch->still_ticks = 0;
     else if (watch->still_ticks < config->still_limit)
         watch->still_ticks++;
-    /* A slow tail of the transient may well be held still by the hand; its strokes cannot. */
+    /* A hand may hold the stylus still during the slow tail of a transient, but not during its strokes. */
     if (td_size(transient_A) >= config->stuck_A)
         watch->still_A_s += transient_A * config->tick_s;
 }

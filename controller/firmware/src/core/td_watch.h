@@ -1,4 +1,4 @@
-/* What makes the servo give up (tests/benches/oracle/faults.py). */
+/* Detection of faults (test oracle tests/benches/oracle/faults.py). */
 #ifndef TD_WATCH_H
 #define TD_WATCH_H
 
@@ -7,30 +7,29 @@
 #include "td_guard.h"
 #include "td_interface.h"
 
-/* What the faults are judged by, brought up to date every tick.
- * Nothing that is no number, or absurd, gets past this: `counts`, `grip_N` and `current_A` hold the last sound
- * readings, the grip smoothed. */
+/* Quantities by which faults are judged, updated every tick. NaN and absurd readings are rejected here: `counts`,
+ * `grip_N` and `current_A` hold the last valid readings, the grip smoothed. */
 typedef struct {
     int32_t counts;
-    td_real grip_N, raw_grip_N, current_A, step_m_s; /* step_m_s: of the encoder over the last tick */
-    td_real expected_A;                              /* by the model, now */
-    bool seen, gripped;                              /* whether there has been a sound reading yet */
+    td_real grip_N, raw_grip_N, current_A, step_m_s; /* step_m_s: velocity of the encoder over the last tick */
+    td_real expected_A;                              /* present current of the model */
+    bool seen, gripped;                              /* whether there has been a valid reading of encoder and grip */
     bool emergency_stop, host_stop, late, bad_encoder, bad_current;
-    bool playing, held; /* a transient plays; one that ends in a fault if the grip is lost */
-    uint32_t hardware; /* faults that the hardware's own limits have seen in this tick (td_ring.h) */
-    int32_t missing_ticks; /* for so long far less current than expected was measured */
-    int32_t still_ticks;   /* with current since the last count; both counted up to their limits */
+    bool playing, held; /* a transient plays; one for which a lost grip is a fault */
+    uint32_t hardware; /* faults by the hardware's own limits in this tick (td_ring.h) */
+    int32_t missing_ticks; /* duration of far less current than expected */
+    int32_t still_ticks;   /* duration of current since the last count; both saturate at their limits */
     td_real still_A_s;     /* impulse of the transient since the last count */
-    int32_t wrong_ticks; /* of a transient for so long another current than expected was measured */
+    int32_t wrong_ticks; /* duration of a wrong current while a transient plays */
     td_crosscheck crosscheck;
 } td_watch;
 
 void td_watch_start(td_watch *watch, const td_config *config);
 
-/* Start every duration anew. */
+/* Restart all durations. */
 void td_watch_forget(td_watch *watch);
 
-/* One tick. `expected_A`: current of the model; `transient_A`: transient of the tick before. */
+/* One tick. `expected_A`: current of the model; `transient_A`: transient command of the previous tick. */
 void td_watch_step(td_watch *watch, const td_config *config, const td_readings *readings, td_real expected_A,
                    td_real transient_A, bool playing, bool held);
 
@@ -40,8 +39,7 @@ static inline uint32_t td_fault_bit(int what)
     return (uint32_t)1 << (what - TD_FIRST_FAULT);
 }
 
-/* Faults as a set of bits, see td_fault_bit. `td_watch_trips` sends the servo to FAULT; of those latched there,
- * `td_watch_remains` bars the reset. */
+/* Faults as a set of bits, see td_fault_bit: those that send the servo to FAULT, and those that prevent the reset. */
 uint32_t td_watch_trips(const td_watch *watch, const td_config *config, const td_guard *guard);
 uint32_t td_watch_remains(const td_watch *watch, const td_config *config, const td_guard *guard);
 

@@ -3,11 +3,11 @@
 #include "td_bytes.h"
 
 #define CRC_BYTES 4
-#define FULL_RUN 0xff /* code of 254 bytes with no zero behind them */
+#define FULL_RUN 0xff /* code of 254 bytes without a zero after them */
 
 uint32_t td_crc32(uint32_t crc, const uint8_t *bytes, size_t size)
 {
-    /* Of a half byte: 64 bytes of table instead of 1024, for half the speed. */
+    /* Indexed by half a byte: 64 bytes of table instead of 1024, at half the speed. */
     static const uint32_t table[16] = {
         0x00000000u, 0x1db71064u, 0x3b6e20c8u, 0x26d930acu, 0x76dc4190u, 0x6b6b51f4u, 0x4db26158u, 0x5005713cu,
         0xedb88320u, 0xf00f9344u, 0xd6d6a3e8u, 0xcb61b38cu, 0x9b64c2b0u, 0x86d3d2d4u, 0xa00ae278u, 0xbdbdf21cu,
@@ -22,10 +22,10 @@ uint32_t td_crc32(uint32_t crc, const uint8_t *bytes, size_t size)
     return ~crc;
 }
 
-/* COBS, byte by byte: `code` is where the length of the run that is being written will stand. */
+/* COBS, byte by byte; `code` is the place for the length of the present run. */
 typedef struct {
     uint8_t *code, *end;
-    bool full; /* the last run had 254 bytes; what comes next needs a run of its own */
+    bool full; /* the last run had 254 bytes; the next byte starts a new run */
 } stuffing;
 
 static void stuff(stuffing *to, const uint8_t *bytes, size_t size)
@@ -60,7 +60,7 @@ size_t td_wire_encode(const uint8_t *payload, size_t size, uint8_t *frame)
     return (size_t)(to.end - frame);
 }
 
-/* Undo COBS in place, where the text only gets shorter; its length, 0 if a run points beyond the end. */
+/* Undo COBS in place; returns the shorter length, 0 if a run points beyond the end. */
 static size_t unstuff(uint8_t *bytes, size_t size)
 {
     size_t from = 0, to = 0;
