@@ -42,68 +42,64 @@ MAY_BE_ZERO = (
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of one servo; `of` takes what the library knows.
+    """Settings of one servo; `of` derives them from a library.
 
     Attributes
     ----------
-    dt_s, lead_s : servo period, and how long before contact a waveform starts.
-    current_limit_A : beta * i_ss, on |i| of transient and feedback together (seed Eq. 8).
-    amplifier : None is ideal; then i = c.
-    amplifier_tolerance : part by which the real amplifier's pole may differ from the stated one, below 1. The clamp
-        keeps the current limit for every such pole, at the price of some error where taps saturate (0.7 % at 10 %).
-        At 0 a pole that is faster by 10 % takes a tap of the built-in library from 4 A to 4.14 A, by 20 % to 4.34 A.
-    wall : None renders no surface but the transient.
-    coil : None where nothing is known of it: no thermal guard, and the winding's temperature is NaN.
-    slew_limit_A_per_s : of the command; None for no such limit.
-    grip_min_N : no transient below it, and a fault while one plays (4 A on a free stylus is 13 g); 0 for a library
-        of the free device, which nobody holds.
-    assumed_grip_N : taken for the grip of a device without a grip sensor, whose readings are then not looked at;
-        None with a sensor.
+    dt_s, lead_s : servo period, and time by which a waveform starts before contact.
+    current_limit_A : beta * i_ss, limit on |i| of transient and feedback together (seed Eq. 8).
+    amplifier : model of the amplifier; None for an ideal one, i = c.
+    amplifier_tolerance : largest relative error of the amplifier's pole, below 1. The clamp keeps the current limit
+        for every such pole, at the cost of some error where taps saturate (0.7 % at 10 %). With 0, a pole that is
+        10 % faster drives a tap of the built-in library from 4 A to 4.14 A, one that is 20 % faster to 4.34 A.
+    wall : None renders only the transient.
+    coil : None if unknown: then there is no thermal guard, and the winding's temperature is NaN.
+    slew_limit_A_per_s : slew limit of the command; None for no limit.
+    grip_min_N : no transient starts below it, and falling below it while one plays is a fault (4 A on a free stylus
+        gives 13 g); 0 for a library of the free device, which nobody holds.
+    assumed_grip_N : grip of a device without a grip sensor, whose readings are ignored; None with a sensor.
 
-    count_m : encoder, at the tip. surface_counts : reading at the surface; for an encoder that rounds down
-        half a count less than for one that rounds to the nearest, since at 0.1 m/s half a count is a tick.
-    window_ticks : of the fit to the approach. 100 was chosen by measurement, see td_approach.h of the core.
-    least_speed_m_s : a slower touch taps nothing; well above the fit's noise, 1 mm/s at worst.
-    touch_height_m : leaving the surface means to be above this, four counts, and moving out.
-    rearm_height_m, rearm_s : a further tap plays only after that long above that height. A rebound of the stylus or
-        a trembling hand on the surface stays lower or is shorter; a hand that taps ten times a second is not.
-    grip_filter_s : time constant of the grip reading's smoothing; a grip changes over tens of ms, the sensor's noise
-        over single ticks.
-    grip_margin_N : a transient starts only this much above `grip_min_N`, so that noise does not abort it.
-    grid_slack, grid_slack_N : by this part of the speed, by this much grip a contact may lie outside the grid before
-        it is told: what sensors and fit are worth, so that a tap on the edge is not reported every other time.
-    gain_rate_1_s : how fast a changed gain is followed: 0 to 1 in 0.1 s is no bang.
+    count_m : encoder resolution at the tip. surface_counts : reading at the surface. An encoder that rounds down
+        reads half a count less than one that rounds to nearest; at 0.1 m/s half a count is a tick.
+    window_ticks : window of the fit to the approach, chosen by measurement, see td_approach.h of the core.
+    least_speed_m_s : a slower touch is no tap; well above the fit's noise of at most 1 mm/s.
+    touch_height_m : the stylus has left the surface when it is above this height (four counts) and moves out.
+    rearm_height_m, rearm_s : another tap plays only after this time above this height. Rebounds of the stylus and a
+        trembling hand on the surface stay lower or are shorter; a hand that taps ten times a second is longer above.
+    grip_filter_s : time constant of the smoothed grip. A grip changes within tens of ms, noise within ticks.
+    grip_margin_N : margin above `grip_min_N` at which a transient may start, so that noise does not abort it.
+    grid_slack, grid_slack_N : relative speed and grip by which a contact may lie outside the grid before it is
+        reported: the errors of sensors and fit, so that taps on the edge are not reported.
+    gain_rate_1_s : rate at which the gain follows a change: from 0 to 1 in 0.1 s, without a bang.
 
-    withhold_K : below the coil's limit no transient starts; feedback goes on. A tap heats by 0.2 K at most, a
-        minute on the wall by more.
-    least_scale : a transient that the heat allows less of than this is withheld; a fifth in amplitude is felt, a
-        fourth of a tap is no longer the same material.
+    withhold_K : no transient starts within this margin below the coil's limit; feedback continues. A tap heats by
+        0.2 K at most, a minute on the wall by more.
+    least_scale : a transient is withheld if the coil's heat allows less than this share. A fifth in amplitude is
+        noticeable, and a fourth of a tap no longer feels like the same material.
 
-    encoder_limit_counts : no device moves further. fastest_m_s : no hand moves faster, nor does a free stylus
-        under 4 A within 20 ms.
-    current_range_A : of the sensor; more is absurd. over_current : of `current_limit_A`, with room for noise and an
-        amplifier slightly off its model.
-    no_current_A, no_current_part, no_current_s : so much is expected, less than this part of it is measured, for so
-        long. A few ticks, for at a change of sign the two may differ at any sound amplifier.
-    stuck_A_s : impulse of the transient's strokes (above `stuck_A`) without a single count. On a hard surface
-        a hand that trembles by 60 um stays within one count for 31 ms, 0.12 A s at 4 A.
-    stuck_A, stuck_s : current and time without a count, which a hand's tremor of 4 counts never allows.
-    grip_open_N, grip_short_N : readings beyond these are no grip: an open or a shorted sensor.
+    encoder_limit_counts : no device moves further. fastest_m_s : no hand moves faster, and no free stylus under 4 A
+        within 20 ms.
+    current_range_A : range of the current sensor; larger readings are absurd. over_current : measured current over
+        `current_limit_A` that is a fault, with a margin for noise and model error.
+    no_current_A, no_current_part, no_current_s : fault if at least this current is expected and less than this share
+        of it is measured, for this time: a few ticks, since the two may differ when the sign changes.
+    stuck_A_s : impulse of the transient's strokes (above `stuck_A`) without a count. On a hard surface a hand with a
+        tremor of 60 um stays within one count for 31 ms, 0.12 A s at 4 A.
+    stuck_A, stuck_s : current and time without a count; a hand's tremor of 4 counts never allows both.
+    grip_open_N, grip_short_N : readings below and above are those of an open and of a shorted sensor.
 
     encoder_direction, acceleration_scale, acceleration_rest_m_s2, has_accelerometer, grip_scale, grip_zero_N,
-    monitor_scale, amplifier_scale : what the owner of a device has found of its sensors and its amplifier. The device
-        corrects its raw readings with them before anything looks at them: counts times direction, acceleration times
-        scale less its rest, grip times scale less its zero, current times scale; and it asks the amplifier for the
-        command over `amplifier_scale`, since that gives so many times what it is asked for. The servo here gets
-        readings that are corrected.
-    pulse_A, pulse_ticks : the test pulse by which the device convinces itself that the wiring is sound.
-    pulse_grip_N, pulse_acceleration, pulse_path_m : what a model predicts of it per ampere, over at most PULSE_NODES
-        grips that increase: mean acceleration [m/s^2 per A] over the readings from `pulse_skip_ticks` on,
-        `pulse_push_ticks` of them, and path [m per A] from the reading that the pulse's first command answers to the
-        one after its last, `pulse_ticks` later. None: no prediction, and no evidence.
+    monitor_scale, amplifier_scale : calibration of sensors and amplifier by the device's owner. The device first
+        corrects its raw readings: counts times direction, acceleration times scale minus rest, grip times scale minus
+        zero, current times scale. It divides the command by `amplifier_scale`, the ratio of current to command.
+    pulse_A, pulse_ticks : the test pulse by which the device checks its wiring.
+    pulse_grip_N, pulse_acceleration, pulse_path_m : predicted response to it per ampere, at up to PULSE_NODES
+        increasing grips: mean acceleration [m/s^2 per A] over `pulse_push_ticks` readings from `pulse_skip_ticks` on,
+        and path [m per A] from the reading at the pulse's first command to the one `pulse_ticks` later. Empty: there
+        is no prediction, and so no evidence.
 
-    host_starts : the host starts the one waveform there is, an excitation, and contacts are not looked at. No wall.
-        Whoever holds the stylus at the start has to hold it to the end; the free device is excited as well.
+    host_starts : the host starts the single waveform, an excitation, and contacts are ignored; without a wall. If the
+        stylus is held at the start it must be held to the end; a free device can be excited too.
     """
 
     dt_s: float
