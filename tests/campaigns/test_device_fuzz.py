@@ -6,7 +6,7 @@
 The harness and what it asks of the device stand in `controller/firmware/fuzz/fuzz_device.c`. Both precisions run at
 once, each for so long. It fails if something was found: the inputs that show it are kept in FOLDER. With `--mutants`
 the core lacks one of its rules at a time, in double precision, and the campaign fails if that is not found within so
-many seconds of processor time, from an empty corpus.
+many seconds of processor time, from the corpus that an earlier run has left in FOLDER.
 """
 
 import resource
@@ -137,7 +137,7 @@ def built(precision: str, folder: Path, core: Path = CORE) -> Path:
 
 
 def begun(program: Path, name: str, folder: Path, seconds: int, cpu_s: int | None = None) -> subprocess.Popen[str]:
-    """A fuzzer that runs, on a corpus of this name. cpu_s : processor time after which it is killed."""
+    """A fuzzer that runs on a corpus of this name. cpu_s : processor time after which it is killed."""
     corpus = folder / f"corpus_{name}"
     corpus.mkdir(parents=True, exist_ok=True)
     options = (f"-max_total_time={seconds}", f"-max_len={LONGEST_INPUT}", f"-artifact_prefix={folder}/{name}-")
@@ -165,14 +165,18 @@ def hunted(folder: Path, seconds: int) -> int:
     """Look for every mutant; how many were not found."""
     rows, missed = [], 0
     for number, mutant in enumerate(MUTANTS):
-        own = folder / f"mutant_{number}"
-        program = built("double", folder, mutated(mutant, own))
+        corpus = folder / f"corpus_mutant_{number}"
+        if (folder / "corpus_double").is_dir():
+            shutil.copytree(folder / "corpus_double", corpus, dirs_exist_ok=True)
+        with tempfile.TemporaryDirectory() as scratch:
+            program = built("double", folder, mutated(mutant, Path(scratch) / "core"))
         begin_s = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
         running = begun(program, f"mutant_{number}", folder, WAITING * seconds, seconds)
         said = ended(running, WAITING * seconds)
         took_s = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - begin_s
         found = running.returncode not in (0, -signal.SIGXCPU, -signal.SIGKILL)
         missed += not found
+        shutil.rmtree(corpus)
         rows.append((mutant.rule, f"{took_s:.0f} s" if found else "not found", said.split("; true")[0][:70]))
         print(*rows[-1], sep=": ", flush=True)
     show(("rule left out", "found after", "by"), rows)
