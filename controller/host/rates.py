@@ -23,6 +23,7 @@ BAUDS = (
     12_000_000,
 )
 MEASURED_S, SETTLED_S = 0.5, 0.1  # a line is measured for so long, and before that flushed of what is under way
+MEASUREMENTS = 3  # at most; a pause of the machine makes a line look slower, so that the fastest counts
 WHOLE = 0.95  # least share that counts as every record: a batch or an adapter's 16 ms may be missing at either end
 NUMBER_BYTES = 4  # a device keeps each record with its number, TD_KEPT_BYTES
 LOOK_S = 0.02  # period of records that show no more than the hand: 1.7 kB/s
@@ -44,12 +45,17 @@ def carried(device: Device) -> float:
     device.set_telemetry(1)
     device.listen(SETTLED_S)
     device.listeners.append(take)
-    begin_s = device.now_s()
+    share = 0.0
     try:
-        device.listen(MEASURED_S)
+        for _ in range(MEASUREMENTS):
+            came.clear()
+            begin_s = device.now_s()
+            device.listen(MEASURED_S)
+            share = max(share, sum(came) * device.hello.dt_s / (device.now_s() - begin_s))
+            if share >= WHOLE:
+                break
     finally:
         device.listeners.remove(take)
-    share = sum(came) * device.hello.dt_s / (device.now_s() - begin_s)
     device.set_telemetry(0)
     return min(share, 1.0)
 
