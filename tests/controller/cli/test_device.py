@@ -174,9 +174,9 @@ def interrupt() -> None:
 
 
 def test_ctrl_c_while_armed_disarms_and_tells_what_came(play: Run, ready: Desk) -> None:
-    ready.hand.tap(ready.now_s() + 0.4, 0.3)
+    ready.hand.tap(ready.now_s() + 1.0, 0.3)
     count = iter(range(10_000))
-    ready.each_ms = lambda: interrupt() if next(count) == 900 else None
+    ready.each_ms = lambda: interrupt() if next(count) == 1500 else None
     outcome = play("tap", "library.npz", *PORT, "--out", "cut")
     assert outcome.code == 130, outcome.out + outcome.err
     assert outcome.err.strip() == "stopped; the device is disarmed"
@@ -219,6 +219,9 @@ def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Run, ready: Desk) -
     assert ready.end.look().fault is Fault.HOST_STOP
 
 
+# Instants lie behind the 0.6 s for which the line is measured before the device is armed.
+
+
 @pytest.mark.parametrize("how", ["unplugged", "silent", "restarted"])
 def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Run, ready: Desk, how: str) -> None:
     def away() -> None:
@@ -229,9 +232,9 @@ def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Run, 
         else:
             ready.restart()
 
-    ready.hand.tap(ready.now_s() + 0.4, 0.2)
+    ready.hand.tap(ready.now_s() + 1.0, 0.2)
     count = iter(range(10_000))
-    ready.each_ms = lambda: away() if next(count) == 800 else None
+    ready.each_ms = lambda: away() if next(count) == 1400 else None
     outcome = play("tap", "library.npz", *PORT, "--out", "cut")
     assert_refused(outcome, "it does not arm by itself", f"cut: {FILES}, all whole")
     assert load_recording(Path("cut/tap_001.csv")).speed_m_s == pytest.approx(0.2, abs=0.01)
@@ -245,9 +248,9 @@ def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Run, ready: 
 
     def look() -> None:
         now_ms = next(count)
-        if now_ms == 500:
+        if now_ms == 1100:
             ready.link.unplug()
-        elif now_ms == 800:
+        elif now_ms == 1400:
             ready.link.plug()
 
     ready.each_ms = look
@@ -257,7 +260,7 @@ def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Run, ready: 
     assert "the host was silent for longer than its lease: disarmed, no command" in outcome.out
     assert ready.end.state is State.IDLE
     assert ready.link.to_device.kinds[Kind.ARM] == armed_before + 1
-    assert next(count) < 1500
+    assert next(count) < 2100
 
 
 def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Run, ready: Desk) -> None:
