@@ -1,7 +1,7 @@
 """One tap as the page shows it: curves, figures, and the cells of its row in the table."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -117,12 +117,28 @@ class Shown:
 
 def shown(indices: Sequence[int], entries: Sequence[Entry]) -> list[Shown]:
     """Taps of one scene from their entries, before they are replayed."""
-    clipped = _clipped(entries)
-    return [_shown(index, entry, *clipped[id(entry)]) for index, entry in zip(indices, entries, strict=True)]
+    clipped, certified = _clipped(entries), [entry for entry in entries if _is_certified(entry)]
+    # The figures of all curves come from one call: each call filters its accelerations several times.
+    optima = [entry.designed.effect.lasting.acceleration_m_s2 for entry in certified]
+    figures = _figures([*certified, *entries], [*optima, *(clipped[id(entry)][0] for entry in entries)])
+    own = {id(entry): found for entry, found in zip(certified, figures, strict=False)}
+    errors = [found.tap_error for found in figures[len(certified) :]]
+    return [
+        _shown(index, entry, own.get(id(entry)), error, *clipped[id(entry)])
+        for index, entry, error in zip(indices, entries, errors, strict=True)
+    ]
+
+
+def _figures(entries: Sequence[Entry], accelerations_m_s2: Sequence[FloatArray]) -> list[Figures]:
+    """Comparison of an acceleration y'' (N + M,) for each entry with the entry's recorded tap."""
+    if not entries:
+        return []
+    targets = [entry.problem.target for entry in entries]
+    return entries[0].problem.yardstick.figures_of(targets, np.stack(accelerations_m_s2))
 
 
 def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Index -> (N + M,) acceleration and input of the clipped optimum; taps of one device are computed together."""
+    """Entry's id -> (N + M,) acceleration and input of the clipped optimum; a device's taps are computed together."""
     devices: dict[int, list[Entry]] = {}
     for entry in entries:
         devices.setdefault(id(entry.problem.stage), []).append(entry)
@@ -137,11 +153,17 @@ def _clipped(entries: Sequence[Entry]) -> dict[int, tuple[FloatArray, FloatArray
     return found
 
 
-def _shown(index: int, entry: Entry, clipped_m_s2: FloatArray, clipped_input: FloatArray) -> Shown:
+def _shown(
+    index: int,
+    entry: Entry,
+    figures: Figures | None,
+    clipped_error: float,
+    clipped_m_s2: FloatArray,
+    clipped_input: FloatArray,
+) -> Shown:
     problem, answer, proof = entry.problem, entry.solution, entry.certificate
-    grid, target = problem.grid, problem.target
+    grid, target, certified = problem.grid, problem.target, figures is not None
     N = grid.stages
-    certified = answer.status is Status.OPTIMAL and (proof.accepted or _is_stationary(entry))
     optimum = current = np.full(N + grid.after_stages, np.nan)
     if certified:
         lasting = entry.designed.effect.lasting
@@ -163,21 +185,26 @@ def _shown(index: int, entry: Entry, clipped_m_s2: FloatArray, clipped_input: Fl
         temperature_C=warm,
         temperature_limit_C=limit_C,
     )
-    said = "; ".join(dict.fromkeys([answer.status.value, *entry.designed.remarks]))
+    reason = "; ".join(dict.fromkeys([answer.status.value, *entry.designed.remarks]))
     if not certified and answer.status is Status.OPTIMAL:
-        said = f"{Status.NOT_CERTIFIED.value}: gap {proof.relative_gap:.1e}, limit {proof.GAP_TOLERANCE:.0e}"
+        reason = f"{Status.NOT_CERTIFIED.value}: gap {proof.relative_gap:.1e}, limit {proof.GAP_TOLERANCE:.0e}"
     return Shown(
         index=index,
         certified=certified,
         replayed=False,
-        reason="" if certified else said,
-        figures=problem.figures(optimum) if certified else None,
+        reason="" if certified else reason,
+        figures=figures,
         floor=entry.floor,
-        clipped=problem.yardstick.tap_error(target, clipped_m_s2),
+        clipped=clipped_error,
         heat_A2_ms=1e3 * entry.heat_A2_s if certified else np.nan,
         binds=entry.binding if certified else "",
         curves=curves,
     )
+
+
+def _is_certified(entry: Entry) -> bool:
+    """Whether an answer has an accepted certificate, or is a stationary point under a user's own nonlinear limit."""
+    return entry.solution.status is Status.OPTIMAL and (entry.certificate.accepted or _is_stationary(entry))
 
 
 def _is_stationary(entry: Entry) -> bool:
@@ -188,13 +215,16 @@ def _is_stationary(entry: Entry) -> bool:
 
 def plain(shown: Shown) -> dict[str, Any]:
     """An answer without its curves for JSON; NaN becomes null."""
-    own = asdict(replace(shown, curves=None))
-    del own["curves"]
+    own = {name: value for name, value in vars(shown).items() if name != "curves"}
     found: dict[str, Any] = _finite(own)
     return {**found, "cells": shown.cells}
 
 
 def _finite(value: Any) -> Any:
+    if isinstance(value, Figures | Warm | Priced):
+        value = vars(value)
     if isinstance(value, dict):
         return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, tuple):
+        return [_finite(each) for each in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
