@@ -1,6 +1,6 @@
 // One number: a slider, the number typed, and back to where it was.
 
-import { made, said, shareOf, valueAt } from "./words.js";
+import { explain, label, made, said, shareOf, valueAt } from "./words.js";
 
 const STEPS = 400;
 
@@ -10,11 +10,11 @@ export class Field {
   // `moved(value, how)`: how = { resting, began, step } with step "typed", "dragged" or "key" when it may be undone.
   constructor(spec, moved) {
     Object.assign(this, { spec, moved });
-    const { id, label, unit } = spec;
-    this.name = made("label", { htmlFor: id, textContent: label });
+    const { id, label: name, unit } = spec;
+    this.name = made("label", { htmlFor: id, textContent: name });
     this.number = made("input", {
       type: "text", id: `${id}-number`, inputMode: "decimal", autocomplete: "off", className: "number",
-      attributes: { "aria-label": unit ? `${label}, ${unit}` : label },
+      attributes: { "aria-label": unit ? `${name}, ${unit}` : name },
     });
     this.range = made("input", { type: "range", id, min: 0, max: STEPS, step: 1 });
     this.back = made("button", { type: "button", className: "back", textContent: "\u21ba" });
@@ -22,7 +22,7 @@ export class Field {
       made("span", { className: "value" }, this.number, made("span", { className: "unit", textContent: unit }), this.back),
       this.range);
     if (spec.optional) {
-      this.stated = made("input", { type: "checkbox", attributes: { "aria-label": `state ${label}` } });
+      this.stated = made("input", { type: "checkbox", attributes: { "aria-label": `state ${name}` } });
       this.stated.onchange = () => this.move(this.stated.checked ? this.sliderValue : null, { resting: true, step: "typed" });
       this.name.before(this.stated);
       this.element.classList.add("optional");
@@ -86,8 +86,8 @@ export class Field {
     }
     const back = this.opened !== undefined && value !== this.opened;
     this.back.disabled = !back;
-    this.back.setAttribute("aria-label", `${this.spec.label} back to ${said(this.opened, this.spec.unit)}`);
-    this.back.dataset.tip = back ? `back to ${said(this.opened, this.spec.unit)}` : "";
+    label(this.back, `${this.spec.label} back to ${said(this.opened, this.spec.unit)}`);
+    explain(this.back, back ? `back to ${said(this.opened, this.spec.unit)}` : "");
   }
 
   complain(words) {

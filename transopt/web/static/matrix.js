@@ -1,7 +1,7 @@
 // All taps small, speed by grip, on one scale: curves, tap error in words, and as a bar with the floor marked.
 
 import { drawSmall } from "./curves.js";
-import { largest, made, write } from "./words.js";
+import { differs, label, largest, made, write } from "./words.js";
 
 const LIMITED = 1.05; // times the floor: above, a limit holds the tap back
 
@@ -58,7 +58,7 @@ export class Matrix {
     const cell = made("button", { type: "button", className: "cell", attributes: { role: "option" } },
       ...(named ? [made("span", { className: "place", textContent: place.title })] : []), made("canvas"),
       made("span", { className: "came", textContent: "..." }), made("span", { className: "bar" }, made("i"), made("b")));
-    cell.setAttribute("aria-label", place.title);
+    label(cell, place.title);
     cell.onclick = () => this.selects(index);
     return cell;
   }
@@ -92,10 +92,11 @@ export class Matrix {
     cell.classList.toggle("refused", !tap.certified);
     cell.classList.toggle("limited", isLimited(tap));
     write(cell.querySelector(".came"), came(tap));
-    cell.setAttribute("aria-label", `${this.places[tap.index].title}: ${came(tap, ", held back by a limit")}`);
-    const percent = (share) => `${Math.min(100 * share / this.full, 100)}%`;
-    cell.querySelector("i").style.width = percent(tap.figures?.tap_error ?? 0);
-    cell.querySelector("b").style.left = percent(tap.floor);
+    label(cell, `${this.places[tap.index].title}: ${came(tap, ", held back by a limit")}`);
+    const percent = (share) => `${Math.min(100 * share / this.full, 100).toFixed(1)}%`;
+    const place = (bar, side, share) => { if (differs(bar, side, share)) bar.style[side] = share; };
+    place(cell.querySelector("i"), "width", percent(tap.figures?.tap_error ?? 0));
+    place(cell.querySelector("b"), "left", percent(tap.floor));
     cell.dataset.frame = number;
   }
 

@@ -1,6 +1,6 @@
 // What each tap comes to, in numbers and words.
 
-import { made, write } from "./words.js";
+import { differs, explain, made, write } from "./words.js";
 
 const PRICE = { width: 96, height: 26, edge: 3 };
 
@@ -73,22 +73,20 @@ export class Table {
 
   words(cell, text, tip) {
     write(cell, text);
-    cell.dataset.tip = tip === text ? "" : tip;
+    explain(cell, tip === text ? "" : tip);
   }
 
   price(cell, tap) {
     const known = tap.replayed || !tap.certified;
-    if (cell.prices === tap.prices && known) return;
-    cell.prices = tap.prices;
     if (!known || !tap.prices.some((each) => each.points.length > 1)) {
-      cell.dataset.tip = tap.prices?.[0]?.sentence ?? "";
+      explain(cell, tap.prices[0]?.sentence ?? "");
       write(cell, known ? "-" : "...");
       return;
     }
+    if (!differs(cell, "text", tap.prices)) return;
     cell.innerHTML = `<svg role="img" viewBox="0 0 ${PRICE.width} ${PRICE.height}" width="${PRICE.width}" height="${PRICE.height}"></svg>`;
     const words = priceCurve(cell.firstElementChild, tap.prices);
     cell.firstElementChild.setAttribute("aria-label", words);
-    cell.dataset.tip = words;
+    explain(cell, words);
   }
-
 }

@@ -40,8 +40,28 @@ export function made(kind, properties = {}, ...children) {
   return element;
 }
 
+// What was written to an element last, by name. Comparing with it is quicker than reading the page, and an element that
+// is written again without need is laid out and painted again.
+const written = new WeakMap();
+
+export function differs(element, name, value) {
+  if (!written.has(element)) written.set(element, new Map());
+  const values = written.get(element);
+  if (values.get(name) === value) return false;
+  values.set(name, value);
+  return true;
+}
+
 export function write(element, text) {
-  if (element.textContent !== text) element.textContent = text;
+  if (differs(element, "text", text)) element.textContent = text;
+}
+
+export function label(element, words) {
+  if (differs(element, "label", words)) element.setAttribute("aria-label", words);
+}
+
+export function explain(element, tip) {
+  if (differs(element, "tip", tip)) element.dataset.tip = tip;
 }
 
 export const by = (id) => document.getElementById(id);
