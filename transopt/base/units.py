@@ -80,6 +80,12 @@ def unit_of(path: str) -> str:
     return next((unit for ending, unit in UNITS.items() if name == ending or name.endswith(f"_{ending}")), "")
 
 
+def words_of(name: str) -> str:
+    """The words of a key's last name without its unit: "current" for "current_A"."""
+    ending = next((each for each in UNITS if name.endswith(f"_{each}")), "")
+    return name.removesuffix(f"_{ending}").replace("_", " ").replace(".", " ")
+
+
 def largest(unit: str) -> float:
     """The largest absolute value of a number with this unit; a slope over grip ("kg/N") has that of the number."""
     return LARGEST.get(unit, LARGEST.get(unit.removesuffix("/N"), LARGEST_PLAIN))

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLoca
 
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
 from transopt.base.signals import FloatArray
-from transopt.base.units import unit_of
+from transopt.base.units import unit_of, words_of
 from transopt.study.axes import Axis
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
@@ -26,10 +26,12 @@ MANY_TICKS = 30.0  # ratio of largest to smallest value above which ticks at 1, 
 DASHES = ("-", "--", ":", "-.")
 
 
-def axis_label(key: str) -> str:
-    """A key with its unit."""
-    unit = unit_of(key)
-    return f"{key} [{unit}]" if unit else key
+def axis_label(key: str, unit: str = "") -> str:
+    """Table and words of a key with its unit, or another one: "limits: current [A]" for "limits.current_A"."""
+    table, _, name = key.partition(".")
+    words = f"{table}: {words_of(name)}" if name else words_of(table)
+    unit = unit or unit_of(key)
+    return f"{words} [{unit}]" if unit else words
 
 
 def percent_axis(axes: Axes, *, x: bool = False) -> None:
@@ -59,7 +61,7 @@ def _prepared(axes: Axes, axis: Axis) -> FloatArray:
         if values.max() > MANY_TICKS * values.min():
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     if unit_of(axis.key) == "s" and values.max() < 0.1:
-        axes.set_xlabel(f"{axis.key} [ms]", fontsize=LABEL_PT)
+        axes.set_xlabel(axis_label(axis.key, "ms"), fontsize=LABEL_PT)
         values = 1e3 * values
     return values
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from transopt.base.errors import InputError
 from transopt.base.section import Section
-from transopt.base.units import UNITS
+from transopt.base.units import words_of
 from transopt.plant.state_space import Input
 from transopt.problem.limits import kinds_of
 from transopt.scene.keys import Key, Value, keys, with_values
@@ -220,7 +220,7 @@ def _label(path: str, driven_by: Input) -> str:
         of_kind = next((kind.label for kind in kinds_of(driven_by) if kind.key == name), None)
         if of_kind is not None:
             return of_kind
-    return WORDS.get(path, _plain(name))
+    return WORDS.get(path, words_of(name))
 
 
 WORDS = {
@@ -235,11 +235,3 @@ WORDS = {
     "amplifier.command_limit_A": "command",
     "amplifier.command_limit_V": "command",
 }
-
-
-def _plain(name: str) -> str:
-    for ending in UNITS:
-        if name.endswith(f"_{ending}"):
-            name = name[: -len(ending) - 1]
-            break
-    return name.replace("_", " ")
